@@ -19,7 +19,7 @@ from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.figures.plots import curves_of_run
+from redundancy_pin.visualisation.figures.curves import curves_of_run
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import configurations, make_scene, require_scale
 

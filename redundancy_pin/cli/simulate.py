@@ -35,7 +35,8 @@ from redundancy_pin.simulation import (
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
 from redundancy_pin.view import show as view
-from redundancy_pin.visualisation.figures.plots import run_title, save
+from redundancy_pin.visualisation.figures.curves import run_title
+from redundancy_pin.visualisation.figures.plots import save
 from redundancy_pin.visualisation.figures.plots import simulation as plot_simulation
 from redundancy_pin.visualisation.figures.video import require_video, save_video
 

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,23 +18,18 @@ import numpy as np
 
 from redundancy_pin.arrays import require_few
 from redundancy_pin.errors import (
-    InfeasiblePlanError,
     InputError,
     RedundancyPinError,
-    SingularPoseError,
-    UnreachablePoseError,
-    WorkingModeError,
 )
 from redundancy_pin.io.files import write_text
-from redundancy_pin.planners.functions import ALLOWED
-from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.named import require_matching
 from redundancy_pin.studies.case import STEPWISE, SWITCH_OFF, WHOLE
 from redundancy_pin.studies.map_problem import LIMITS, OTHER, PRESETS, Axis, MapProblem, Preset, parse_axis, spaced
 from redundancy_pin.studies.store import Progress, Store, make_folder
-from redundancy_pin.studies.table import csv_text, json_data
+from redundancy_pin.studies.table import csv_text
+from redundancy_pin.studies.verdicts import Cell, Key, Verdict, compute
 from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility
 from redundancy_pin.visualisation.figures.style import save
 from redundancy_pin.workers import require_jobs
@@ -68,206 +61,6 @@ __all__ = [
 Direction = Literal["x", "y"]
 
 MOST_CELLS, MOST_REFINE = 1_000_000, 30
-
-BINDS = 0.999
-"""A limit is said to bind where this fraction of it is used: an interior-point solution stays a little inside."""
-
-ROUNDING = 1e-6
-"""Relative excess of an effort over its limit that counts as rounding."""
-
-UNDECIDED = ("", "seconds", "balance")
-"""What an error of a planner names as its constraint where it shows of no limit that it is in the way."""
-
-Key = tuple[str, float, float]
-"""Planner, value on the x axis, value on the y axis."""
-
-
-class Verdict(Enum):
-    """What is known of a cell. Infeasible and failed are never the same thing."""
-
-    FEASIBLE = "feasible"
-    """There is a plan that keeps every limit, between its samples too, and the planner finished."""
-    STOPPED_EARLY = "stopped_early"
-    """There is a plan that keeps every limit, but the optimiser stopped before it had an optimum."""
-    INFEASIBLE = "infeasible"
-    """The planner says that no plan keeps every limit, or its plan breaks one."""
-    FAILED = "failed"
-    """Nothing is known: the time ran out, the solver gave up, or something went wrong."""
-
-
-_RANK = (Verdict.FEASIBLE, Verdict.STOPPED_EARLY, Verdict.FAILED, Verdict.INFEASIBLE)
-"""Which of several answers stands: a plan before none; while one of them failed, it is not shown that there is none."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """What a planner says of one cell.
-
-    Attributes:
-        planner: its name on the command line.
-        x, y: values of the two parameters.
-        verdict: what is known.
-        limits: feasible: the limits that bind, at least to 0.1 %; infeasible: those in the way, the worst first.
-            "track", "speed", "acceleration", "jerk", "force" of a carrier, "effort" of a main actuator, "end" of the
-            motion, "workspace", and whatever else a planner names.
-        carrier: infeasible: which carrier or actuator exceeds the first of them most.
-        time: when, s.
-        amount: by how much, in its unit.
-        peak_effort: largest |τ| of any main actuator, between the samples included where the planner looks there, N or
-            N·m; None without a plan.
-        dense_ratio: largest effort between the samples over the largest at the samples; None where it is not known.
-        seconds: time taken.
-        status: status of the plan; empty without one.
-        message: why there is none, what limits it breaks, or that its peak effort lies between the samples.
-        settings: parameters of the planner in the attempt that decided.
-    """
-
-    planner: str
-    x: float
-    y: float
-    verdict: Verdict
-    limits: tuple[str, ...] = ()
-    carrier: str | None = None
-    time: float | None = None
-    amount: float | None = None
-    peak_effort: float | None = None
-    dense_ratio: float | None = None
-    seconds: float = 0.0
-    status: str = ""
-    message: str = ""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def key(self) -> Key:
-        """What tells it from the others of a map."""
-        return self.planner, self.x, self.y
-
-    @property
-    def possible(self) -> bool | None:
-        """Whether the machine can do it; None where nothing is known."""
-        if self.verdict is Verdict.FAILED:
-            return None
-        return self.verdict is not Verdict.INFEASIBLE
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data, for JSON; None for NaN and infinity."""
-        return dict(json_data(asdict(self)))
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Cell:
-        """Return a cell from its plain data; KeyError, TypeError or ValueError where it is none."""
-        return cls(**{**data, "verdict": Verdict(data["verdict"]), "limits": tuple(data["limits"])})
-
-
-def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
-    """Return what a planner says of one cell: its first plan that keeps every limit, or the answer that says most.
-
-    Whatever goes wrong is in the cell: a sweep does not stop for one.
-    """
-    began = time.perf_counter()
-    answers: list[Cell] = []
-    for settings in problem.attempts(planner):
-        cell = Cell(planner, x, y, Verdict.FEASIBLE, settings=settings)
-        try:
-            plan = problem.case(planner, x, y, settings).plan(problem.backend)
-            answers.append(judge(cell, plan, problem.at(x, y)[2]))
-        except Exception as error:
-            answers.append(judge_error(cell, error))
-        if answers[-1].verdict is Verdict.FEASIBLE:
-            break
-    best = min(answers, key=lambda answer: _RANK.index(answer.verdict))
-    return replace(best, seconds=round(time.perf_counter() - began, 4))
-
-
-def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
-    """Return a cell with what a plan says of it.
-
-    A plan that breaks a limit of the carriers, exceeds the limit of the main efforts (``limits``, by name of
-    ``LIMITS``), or needs unbounded ones is none.
-    """
-    effort, peak = limits.get("max_effort"), float(plan.peak_effort_at_samples.max(initial=0.0))
-    ratio = None if plan.between is None else plan.between.ratio
-    cell = replace(cell, dense_ratio=ratio, status=plan.status.value)
-    if plan.status is PlanStatus.UNBOUNDED_EFFORT:
-        return replace(cell, verdict=Verdict.INFEASIBLE, limits=("effort",), message="No finite main efforts exist.")
-    between = float(plan.peak_effort.max(initial=0.0))
-    cell = replace(cell, peak_effort=between)
-    broken = _broken(plan, peak, effort)
-    if broken:
-        _, _, carrier, worst, amount = broken[0]
-        names = tuple(dict.fromkeys(name for _, name, *_ in broken))
-        shown = "; ".join(f"{name} of {whose} by {by:.4g} at {t:.4g} s" for _, name, whose, t, by in broken[:4])
-        return replace(cell, verdict=Verdict.INFEASIBLE, limits=names, carrier=carrier, time=worst, amount=amount,
-                       message=f"The plan breaks limits: {shown}.")  # fmt: skip
-    if effort is not None and between > ALLOWED * effort:
-        message = f"Between the nodes the efforts reach {between:.4g}: not resolved."
-        return replace(cell, verdict=Verdict.FAILED, message=message)
-    cell = replace(cell, limits=_binding(plan, between, effort, limits.get("max_jerk")))
-    if plan.status is PlanStatus.UNRESOLVED:
-        # the peak of the continuous motion is known, and is what the limit is compared with
-        limit = "no limit of the efforts is given" if effort is None else f"the limit is {effort:.4g}"
-        message = f"Between the samples the efforts reach {between:.4g}, at the samples {peak:.4g}: {limit}."
-        return replace(cell, message=message)
-    if plan.status is PlanStatus.STOPPED_EARLY:
-        message = f"The solver says {plan.diagnostics.get('solver')}."
-        return replace(cell, verdict=Verdict.STOPPED_EARLY, message=message)
-    return cell
-
-
-def judge_error(cell: Cell, error: Exception) -> Cell:
-    """Return a cell with what an error of the planner says of it.
-
-    Poses out of reach, type I singularities and changes of the working mode are limits of the machine. Errors that name
-    no constraint, or one that only says that the planner gave up, leave the cell unknown.
-    """
-    cell = replace(cell, message=f"{type(error).__name__}: {' '.join(str(error).split())}")
-    if isinstance(error, (UnreachablePoseError, SingularPoseError, WorkingModeError)):
-        return replace(cell, verdict=Verdict.INFEASIBLE, limits=("workspace",))
-    details: Mapping[str, Any] = error.details if isinstance(error, InfeasiblePlanError) else {}
-    constraint = str(details.get("constraint", ""))
-    if constraint in UNDECIDED:
-        return replace(cell, verdict=Verdict.FAILED)
-    relaxed = [str(entry["constraint"]) for entry in details["relaxations"]] if details.get("together") else ()
-    when = {"time": details.get("time", details.get("t")), "amount": details.get("amount")}
-    known: dict[str, Any] = {name: float(value) for name, value in when.items() if value is not None}
-    known |= {"carrier": str(details["carrier"])} if details.get("carrier") is not None else {}
-    return replace(cell, verdict=Verdict.INFEASIBLE, limits=tuple(dict.fromkeys(relaxed or (constraint,))), **known)
-
-
-def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, str, str, float, float]]:
-    """Return relative excess, quantity, whose, when and amount of every limit that is broken, the worst first."""
-    broken = [
-        (event.amount / max(abs(event.limit), 1e-12), event.quantity, event.carrier, event.worst, event.amount)
-        for event in plan.limits.violated
-        if event.quantity != "effort"  # judged below; between the nodes it says that the plan is not resolved
-    ]
-    if effort is not None and peak > effort * (1.0 + ROUNDING):
-        i, j = np.unravel_index(int(np.nanargmax(np.abs(plan.tau))), plan.tau.shape)
-        excess, which = peak - effort, plan.robot.actuated[int(j)]
-        broken.append((excess / effort, "effort", which, float(plan.t[i]), excess))
-    return sorted(broken, reverse=True)
-
-
-def _binding(plan: Plan, peak: float, effort: float | None, jerk: float | None) -> tuple[str, ...]:
-    """Return the limits of which a plan uses all but a thousandth, the one most used first."""
-    s = plan.carriers
-    lower, upper, speed, acceleration, force = (
-        np.array([getattr(limit, name) for limit in plan.limits.judged_by])
-        for name in ("lower", "upper", "speed", "acceleration", "force")
-    )
-    use = {
-        "track": np.abs(s.s - 0.5 * (lower + upper)) / (0.5 * (upper - lower)),
-        "speed": np.abs(s.sd) / speed,
-        "acceleration": np.abs(s.sdd) / acceleration,
-        "force": np.abs(plan.carrier_force) / force,
-        "effort": np.array([peak / effort if effort else 0.0]),
-    }
-    if jerk:
-        h = np.diff(plan.t)[:, None]
-        with np.errstate(divide="ignore", invalid="ignore"):  # two-sided samples have no step between them
-            use["jerk"] = np.where(h > 0.0, np.abs(np.diff(s.sdd, axis=0)) / (h * jerk), 0.0)
-    most = {name: float(np.max(np.where(np.isfinite(part), part, 0.0), initial=0.0)) for name, part in use.items()}
-    return tuple(name for name in sorted(most, key=lambda name: -most[name]) if most[name] >= BINDS)
 
 
 # --- the map ---

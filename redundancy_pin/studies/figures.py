@@ -22,9 +22,10 @@ from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OF
 from redundancy_pin.studies.measures import MotionRun, rms_acceleration, window
 from redundancy_pin.studies.table import Record, mode_text
 from redundancy_pin.visualisation.figures import comparisons, plots
+from redundancy_pin.visualisation.figures.curves import curves_of_plan
 from redundancy_pin.visualisation.figures.paths import plot_path, plot_plane_paths
 from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels, series
-from redundancy_pin.visualisation.viewer.scene import base_hinges, links
+from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -167,7 +168,7 @@ def paths(results: Results, *several: Case) -> Figure:
         return plot_plane_paths(first.title if alone else "Corners of the 3-RRR's platform", lines)
     trajectory = first.trajectory()
     mechanism, hinges = _mechanism(first.load_robot(), trajectory.sample(_FINE))
-    singular = trajectory.sample_at(np.array(plots.curves_of_plan(results.plans.plan(first)).instants)).x
+    singular = trajectory.sample_at(np.array(curves_of_plan(results.plans.plan(first)).instants)).x
     title = f"{first.title}: path and mechanism at the start"
     return plot_plane_paths(title, lines, mechanism=mechanism, hinges=hinges, singular=list(singular))
 
@@ -175,7 +176,7 @@ def paths(results: Results, *several: Case) -> Figure:
 def condition(results: Results, *several: Case) -> Figure:
     """Draw the condition number along the motion of cases that differ in their threshold."""
     thresholds = tuple(float(case.option("threshold")) for case in several)
-    drawn = replace(plots.curves_of_plan(results.plans.plan(several[0])), thresholds=thresholds)
+    drawn = replace(curves_of_plan(results.plans.plan(several[0])), thresholds=thresholds)
     panel = replace(plots.singularity_panel(drawn), height=1.8)
     return plot_time_panels(f"{several[0].title}: condition number", (panel,), instants=drawn.instants)
 
@@ -183,7 +184,7 @@ def condition(results: Results, *several: Case) -> Figure:
 def forces(results: Results, case: Case) -> Figure:
     """Draw the forces of the main actuators and the condition number of a crossing."""
     plan = results.plans.plan(case)
-    drawn, before = plots.curves_of_plan(plan), plan.t <= float(window(plan)["exit"])
+    drawn, before = curves_of_plan(plan), plan.t <= float(window(plan)["exit"])
     until = series(plan.robot.actuated, plan.t[before], plan.tau[before])
     panels = (
         plots.main_panel(drawn),
@@ -196,7 +197,7 @@ def forces(results: Results, case: Case) -> Figure:
 def carriers(results: Results, case: Case) -> Figure:
     """Draw position, speed and acceleration of the carriers of a crossing."""
     plan = results.plans.plan(case)
-    drawn = plots.curves_of_plan(plan)
+    drawn = curves_of_plan(plan)
     panels = [replace(panel, height=1.2) for panel in plots.carrier_panels(drawn)]
     return plot_time_panels(f"{_off(case)}: carriers", panels, plan=plan, instants=drawn.instants)
 
@@ -218,7 +219,7 @@ def torques(results: Results, case: Case) -> Figure:
 
 def _carriers_of(quantity: str, place: int, results: Results, case: Case) -> Figure:
     plan = results.plans.plan(case)
-    panel = replace(plots.carrier_panels(plots.curves_of_plan(plan))[place], height=2.4)
+    panel = replace(plots.carrier_panels(curves_of_plan(plan))[place], height=2.4)
     return plot_time_panels(f"{_stepwise(case)}: {quantity} of the carriers", [panel], plan=plan)
 
 
@@ -312,7 +313,7 @@ def _existing(results: Results, task: Case) -> dict[str, Plan]:
 def task_figure(results: Results, task: Case) -> Figure:
     """Return the plans of a task side by side."""
     plans = _existing(results, task)
-    instants = plots.curves_of_plan(plans[EFFORT]).instants if EFFORT in plans else ()
+    instants = curves_of_plan(plans[EFFORT]).instants if EFFORT in plans else ()
     return comparisons.plot_side_by_side(task.title, plans, task.unit, instants=instants)
 
 

@@ -151,7 +151,7 @@ def test_a_plan_that_stopped_early_is_never_an_optimum(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("restless")
 def test_the_picture_of_a_plan_that_stopped_early_says_so() -> None:
     pytest.importorskip("matplotlib")
-    from redundancy_pin.visualisation.figures.plots import plan_title
+    from redundancy_pin.visualisation.figures.curves import plan_title
 
     dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
     plan = rp.plan_whole_trajectory(dynamics, reference.circle(ramp_length=0.05), dt=0.05)

@@ -183,7 +183,7 @@ def test_gravity_name_and_copies():
 def test_a_platform_and_a_picture():
     robot = made(independent=Platform("pin", ("x",)), reference={"platform": [0.3], "guess": {"crank": 1.4}})
     assert robot.n == 1
-    from redundancy_pin.visualisation.viewer.scene import solids_of
+    from redundancy_pin.visualisation.viewer.mechanism import solids_of
 
     assert {solid.role for solid in solids_of(robot)} >= {"link", "closure"}
 

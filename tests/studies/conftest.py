@@ -6,7 +6,8 @@ import pytest
 from small_maps import quick
 
 from redundancy_pin.studies import feasibility
-from redundancy_pin.studies.feasibility import Cell, Key, MapProblem
+from redundancy_pin.studies.feasibility import MapProblem
+from redundancy_pin.studies.verdicts import Cell, Key
 
 
 @pytest.fixture

@@ -6,7 +6,8 @@ import time
 from typing import Any
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, Cell, MapProblem, Verdict
+from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, MapProblem
+from redundancy_pin.studies.verdicts import Cell, Verdict
 
 COARSE = {WHOLE: {"dt": 0.03, "refinements": 0}, SWITCH_OFF: {"threshold": 20.0, "return_time": "shortest", "dt": 5e-3}}
 

@@ -8,7 +8,8 @@ import pytest
 from small_maps import corner, crossing
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.studies.feasibility import WHOLE, Axis, Key, feasibility_map
+from redundancy_pin.studies.feasibility import WHOLE, Axis, feasibility_map
+from redundancy_pin.studies.verdicts import Key
 
 BAD: dict[str, tuple[Any, str]] = {
     "misspelt axis": (lambda: corner(x=Axis("sped", (1, 2))), "Did you mean 'speed'"),

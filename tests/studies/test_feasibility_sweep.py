@@ -17,17 +17,8 @@ from small_maps import corner, crossing
 from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError, RedundancyPinError
 from redundancy_pin.studies import feasibility
 from redundancy_pin.studies.case import Case
-from redundancy_pin.studies.feasibility import (
-    STEPWISE,
-    SWITCH_OFF,
-    WHOLE,
-    Axis,
-    Cell,
-    Key,
-    MapProblem,
-    Verdict,
-    feasibility_map,
-)
+from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, MapProblem, feasibility_map
+from redundancy_pin.studies.verdicts import Cell, Key, Verdict
 
 HERE = Path(__file__).resolve().parent
 

@@ -19,14 +19,11 @@ from redundancy_pin.studies.feasibility import (
     SWITCH_OFF,
     WHOLE,
     Axis,
-    Cell,
     FeasibilityMap,
     MapProblem,
-    Verdict,
-    compute,
     feasibility_map,
-    judge,
 )
+from redundancy_pin.studies.verdicts import Cell, Verdict, compute, judge
 from redundancy_pin.trajectory import reference
 
 pytest.importorskip("casadi")

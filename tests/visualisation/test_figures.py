@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.visualisation.figures.comparisons import plot_efforts
+from redundancy_pin.visualisation.figures.curves import Curves
 from redundancy_pin.visualisation.figures.paths import plot_path
-from redundancy_pin.visualisation.figures.plots import Curves, plot_comparison
+from redundancy_pin.visualisation.figures.plots import plot_comparison
 from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES, figure, save
 
 T = np.linspace(0.0, 1.0, 201)

@@ -15,7 +15,7 @@ from redundancy_pin.singularities.locus import SingularLocus, singular_locus
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.paths import draw_locus
 from redundancy_pin.visualisation.figures.style import save
-from redundancy_pin.visualisation.viewer.scene import base_hinges, links
+from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
 
 pytest.importorskip("matplotlib")
 

@@ -19,9 +19,10 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.view import show
+from redundancy_pin.visualisation.viewer.mechanism import prism
 from redundancy_pin.visualisation.viewer.meshcat_scene import AROUND, arc, arrow, tube
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, margin_classes, prism
+from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, margin_classes
 
 umsgpack = pytest.importorskip("umsgpack", reason="comes with meshcat")
 

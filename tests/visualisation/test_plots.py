@@ -17,7 +17,8 @@ from scipy.optimize import brentq
 import redundancy_pin as rp
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError
-from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, base_hinges, body_points, margin_classes
+from redundancy_pin.visualisation.viewer.mechanism import base_hinges, body_points
+from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, margin_classes
 
 INSTANT = 1e-9
 """Both roots are found to 1e-12 s or better."""

@@ -15,6 +15,7 @@ from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import default_motion
+from redundancy_pin.visualisation.viewer.mechanism import body_points
 from redundancy_pin.visualisation.viewer.scene import (
     FRAME_RATE,
     LONGEST_FORCE,
@@ -24,7 +25,6 @@ from redundancy_pin.visualisation.viewer.scene import (
     MOST_POINTS,
     Arrow,
     Scene,
-    body_points,
     configurations,
     frame_samples,
     make_scene,

@@ -16,7 +16,8 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import default_motion, show
-from redundancy_pin.visualisation.viewer.scene import BALANCED_RADIUS, Scene
+from redundancy_pin.visualisation.viewer.mechanism import BALANCED_RADIUS
+from redundancy_pin.visualisation.viewer.scene import Scene
 from redundancy_pin.visualisation.viewer.solids import Solid, arc_points, corners_of
 
 LEVER = np.array([0.1, 0.02, 0.03])

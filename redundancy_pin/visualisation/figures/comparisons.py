@@ -11,7 +11,8 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.figures.plots import Curves, carrier_panels, curves_of_plan, distance_panel
+from redundancy_pin.visualisation.figures.curves import Curves, curves_of_plan
+from redundancy_pin.visualisation.figures.plots import carrier_panels, distance_panel
 from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, legend_below, log_scale
 from redundancy_pin.visualisation.figures.time_panels import (
     Background,

@@ -12,7 +12,7 @@ from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.singularities.performance import Ellipsoid, Performance
 from redundancy_pin.visualisation.figures.paths import draw_mechanism, label_plane, projection
 from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_below
-from redundancy_pin.visualisation.viewer.scene import base_hinges, links
+from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,6 +21,7 @@ from redundancy_pin.singularities.locus import SingularLocus
 from redundancy_pin.visualisation.figures.shading import brightest, hatched, shade
 from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
 from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
+from redundancy_pin.visualisation.viewer import mechanism
 from redundancy_pin.visualisation.viewer import scene as scenes
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, ROLE_NAMES, Solid, arc_points, corners_of
@@ -224,14 +225,14 @@ def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
     bar = drawn.colorbar(image, ax=axes, shrink=0.8, extend="max")
     bar.set_label("margin to type II: smallest scaled singular value of W [–]")
     spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
-    for ends in scenes.links(locus.robot, locus.q_reference):
+    for ends in mechanism.links(locus.robot, locus.q_reference):
         axes.plot(*np.stack(ends)[:, spatial].T, "-o", color="#5A5A5A", linewidth=1.6, markersize=3.5, zorder=2.0)
     named: set[SingularityKind] = set()
     for curve in locus.curves:
         style = _LOCUS_STROKES[curve.kind] | ({"label": None} if curve.kind in named else {})
         named.add(curve.kind)
         axes.plot(*curve.points[:, list(locus.free)].T, zorder=2.5, **style)
-    axes.plot(*scenes.base_hinges(locus.robot)[:, spatial].T, "^", color="#000000", markersize=8, zorder=3.0,
+    axes.plot(*mechanism.base_hinges(locus.robot)[:, spatial].T, "^", color="#000000", markersize=8, zorder=3.0,
               label="base hinge")  # fmt: skip
     home = locus.reference[list(locus.free)]
     axes.plot(*home, "D", color="#0072B2", markersize=6, zorder=3.0, label="reference")

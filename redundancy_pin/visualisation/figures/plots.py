@@ -23,26 +23,33 @@ its panels: ``time_panels`` says how.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type, runs
-from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
-from redundancy_pin.errors import InputError, PlanFileError
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import angle_columns, distance
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.motion import PlatformMotion, require_sampled
 from redundancy_pin.planners.limits import LimitEvent
-from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, robot_record
-from redundancy_pin.robot import CarrierLimits, Robot
-from redundancy_pin.simulation.result import Simulation, SimulationStatus
-from redundancy_pin.singularities.classify import classify, classify_motion
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.robot_record import load_recorded
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.result import Simulation
+from redundancy_pin.singularities.classify import classify_motion
 from redundancy_pin.singularities.crossings import Crossing
+from redundancy_pin.visualisation.figures.curves import (
+    Curves,
+    curves,
+    curves_of,
+    curves_of_plan,
+    curves_of_run,
+    numbers,
+    plan_title,
+)
 from redundancy_pin.visualisation.figures.ellipsoids import draw_ellipsoids as ellipsoids
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
 from redundancy_pin.visualisation.figures.paths import draw_snapshots as snapshots
@@ -60,7 +67,8 @@ from redundancy_pin.visualisation.figures.time_panels import (
 )
 from redundancy_pin.visualisation.figures.video import save_video as video
 from redundancy_pin.visualisation.figures.workspace_map import draw_workspace as workspace
-from redundancy_pin.visualisation.viewer.scene import FLAT, base_hinges, links, traced
+from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
+from redundancy_pin.visualisation.viewer.scene import FLAT, traced
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,204 +97,6 @@ LEAST_DISTANCE = 1e-16
 
 SHOWN_DISTANCES = 1e-6
 """Smallest distance from a plan that is shown, relative to the largest: every simulation starts with rounding."""
-
-
-@dataclass(frozen=True, eq=False)
-class Curves:
-    """One motion with its efforts. N samples, m main actuators, k carriers.
-
-    Attributes:
-        title: one line.
-        t: (N,) time, s.
-        tau: (N, m) main efforts, N or N·m; NaN where there are none.
-        main_unit: of the main efforts, such as ``"torque [N·m]"``.
-        carrier_force: (N, k) efforts of the carriers' actuators, N.
-        carriers: N samples of the carrier motion, m; rad where they turn.
-        carriers_turn: whether they do.
-        limits: (k,) limits of the carriers.
-        condition: (N,) condition number of the scaled W.
-        margin: (N,) smallest singular value of the scaled W.
-        regular: (N,) samples that are neither near-singular nor singular: effort axes are scaled to these.
-        instants: singular instants, s.
-        thresholds: condition numbers that mean something to the motion.
-        main_names, carrier_names: of the joints, for legends; numbered where left out.
-    """
-
-    title: str
-    t: Array
-    tau: Array
-    main_unit: str
-    carrier_force: Array
-    carriers: CarrierMotion
-    limits: tuple[CarrierLimits, ...]
-    condition: Array
-    margin: Array
-    regular: BoolArray
-    carriers_turn: bool = False
-    instants: tuple[float, ...] = ()
-    thresholds: tuple[float, ...] = ()
-    main_names: tuple[str, ...] = ()
-    carrier_names: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Number the joints that have no names."""
-        main, moved = self.tau.shape[1], self.carrier_force.shape[1]
-        assign(self, main_names=self.main_names or tuple(f"actuator {i + 1}" for i in range(main)))
-        assign(self, carrier_names=self.carrier_names or tuple(f"carrier {i + 1}" for i in range(moved)))
-
-    @property
-    def windows(self) -> tuple[tuple[float, float], ...]:
-        """First and last time, s, of each stretch of samples below the near-singular margin."""
-        near = runs(self.margin < NEAR_SINGULAR_MARGIN)
-        return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in near)
-
-
-def curves_of_plan(plan: Plan) -> Curves:
-    """Return the curves of a plan; singular instants and threshold where its planner names them."""
-    require_type(plan, Plan, "A plan", "Pass load_plan(...).")
-    threshold = plan.parameters.get("threshold") if plan.parameters.get("measure") == "condition" else None
-    return Curves(
-        f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
-        limits=plan.limits.judged_by,
-        regular=plan.sample_status == SampleStatus.REGULAR,
-        instants=numbers(plan.diagnostics.get("singular_instants")),
-        thresholds=numbers([threshold]),
-        **_drawn(plan, ("t", "tau", "carrier_force", "carriers", "condition", "margin")),
-        **_joints(plan.robot),
-    )
-
-
-def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
-    """Return the curves of a simulation; without its robot at hand, it is loaded.
-
-    A robot whose files are gone leaves condition and margin unknown: NaN.
-    """
-    condition = margin = np.full(len(run), np.nan)
-    try:
-        found = classify(robot or load_recorded(run.robot), run.q)
-        condition, margin = found.condition, found.parallel_margin
-    except PlanFileError:
-        pass
-    return Curves(
-        run_title(run),
-        limits=run.robot.carrier_limits,
-        condition=condition,
-        margin=margin,
-        regular=np.ones(len(run), dtype=bool),  # the efforts are those that acted
-        **_drawn(run, ("t", "tau", "carrier_force", "carriers")),
-        **_joints(run.robot),
-    )
-
-
-_DRIVES = {"FeedForward": "open loop", "ComputedTorque": "computed torque", "TimeVaryingLqr": "LQR"}
-
-
-def run_title(run: Simulation, drive: str | None = None) -> str:
-    """Return one line: robot, what drove it (as the simulation has it, when left out), and how it ended."""
-    if drive is None:
-        named = str(run.parameters.get("drive", ""))
-        drive = _DRIVES.get(named, named.replace("_", " "))
-    ended = run.status.value.replace("_", " ")
-    last = run.events[-1] if run.events else None
-    if last is not None and last.terminal:
-        ended = f"stopped at {last.t:.4g} s: {last.name}"
-    elif run.status is SimulationStatus.FAILED:
-        ended = f"failed at {run.t[-1]:.4g} s"
-    return f"{run.robot.name}: simulation{f', {drive}' if drive else ''}, {ended}"
-
-
-def curves(
-    robot: Robot,
-    reduced: ReducedDynamics,
-    efforts: Distribution,
-    carriers: CarrierMotion | None = None,
-    *,
-    crossings: Sequence[Crossing] = (),
-    thresholds: Sequence[float] = (),
-    title: str | None = None,
-) -> Curves:
-    """Return the curves of an inverse-dynamics computation.
-
-    Args:
-        robot: the robot.
-        reduced: from ``dynamics.reduce``.
-        efforts: from ``distribute``.
-        carriers: what ``reduced`` was computed with; parked at zero when left out.
-        crossings: from ``find_crossings`` along the same motion: where the singular instants are.
-        thresholds: condition numbers to mark.
-        title: the robot's name when left out.
-
-    Raises:
-        InputError: parts of different length.
-    """
-    samples = len(reduced.t)
-    sliding = CarrierMotion.parked(samples, robot.k) if carriers is None else carriers
-    if len(efforts) != samples or len(sliding) != samples or sliding.s.shape[1] != robot.k:
-        raise InputError(
-            f"{samples} samples of dynamics do not fit {len(efforts)} of efforts and carriers of shape "
-            f"{sliding.s.shape}.",
-            remedy="Pass what belongs to one motion.",
-        )
-    return Curves(
-        robot.name if title is None else title,
-        carriers=sliding,
-        limits=robot.carrier_limits,
-        regular=efforts.status == SampleStatus.REGULAR,
-        instants=tuple(crossing.t for crossing in crossings),
-        thresholds=tuple(thresholds),
-        **_drawn(reduced, ("t", "carrier_force")),
-        **_drawn(efforts, ("tau", "condition", "margin")),
-        **_joints(robot_record(robot)),
-    )
-
-
-def _drawn(source: object, names: Sequence[str]) -> dict[str, Any]:
-    """Return what curves take over from a plan, a simulation or dynamics as it is."""
-    return {name: getattr(source, name) for name in names}
-
-
-def _joints(record: RobotRecord) -> dict[str, Any]:
-    """Return names of the joints, kind and unit of the main efforts, and whether all carriers turn."""
-    unit = record.effort_unit(*record.actuated)
-    kind = {"N": "force", "N·m": "torque"}.get(unit, "effort")
-    turn = bool(record.carriers) and set(record.carriers) <= set(record.rotating)
-    names = {"main_names": record.actuated, "carrier_names": record.carriers}
-    return {**names, "main_unit": f"{kind} [{unit}]", "carriers_turn": turn}
-
-
-def numbers(values: object) -> tuple[float, ...]:
-    """Return the numbers of a list in a plan's diagnostics or parameters; none where it is something else."""
-    listed = values if isinstance(values, (list, tuple)) else ()
-    return tuple(float(value) for value in listed if isinstance(value, (int, float)))
-
-
-def plan_title(plan: Plan) -> str:
-    """Return one line: robot, planner, status, and which limits of which joints are broken."""
-    title = curves_of_plan(plan).title
-    if not plan.diagnostics.get("optimal", True):
-        title = f"{title}, NOT an optimum"
-    if plan.status is not PlanStatus.VIOLATES_LIMITS:
-        return title
-    broken: dict[str, list[str]] = {}
-    for name in dict.fromkeys((*plan.robot.carriers, *(event.carrier for event in plan.limits.violated))):
-        for quantity in sorted({event.quantity for event in plan.limits.violated if event.carrier == name}):
-            broken.setdefault(quantity, []).append(name)
-    parts = [f"{quantity} of {', '.join(of)}" for quantity, of in broken.items()]
-    return f"{title} ({'; '.join(parts)})"
-
-
-def curves_of(subject: Plan | Simulation | Curves) -> Curves:
-    """Return the curves of a plan or a simulation, or curves as they are."""
-    if isinstance(subject, Plan):
-        return curves_of_plan(subject)
-    if isinstance(subject, Simulation):
-        return curves_of_run(subject)
-    if not isinstance(subject, Curves):
-        raise InputError(
-            f"This figure draws a plan, a simulation or curves, not a {type(subject).__name__}.",
-            remedy="Pass a plan, a simulation, or rp.plot.curves(robot, reduced, efforts).",
-        )
-    return subject
 
 
 def main_panel(drawn: Curves) -> Panel:

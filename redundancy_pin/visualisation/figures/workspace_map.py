@@ -12,7 +12,7 @@ from redundancy_pin.singularities.workspace_map import Workspace
 from redundancy_pin.visualisation.figures.paths import draw_mechanism, label_plane, projection
 from redundancy_pin.visualisation.figures.shading import COLORS, brightest, hatched, shade
 from redundancy_pin.visualisation.figures.style import figure, legend_below
-from redundancy_pin.visualisation.viewer.scene import base_hinges, links
+from redundancy_pin.visualisation.viewer.mechanism import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.visualisation.viewer import mechanism
 from redundancy_pin.visualisation.viewer import scene as scenes
 from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, arc_points, extent_of
 
@@ -32,7 +33,7 @@ _DISTANCE = 1.4  # of the camera, in radii of what it must see: its view is 75 d
 _LAST = 3  # order in which arrows are drawn: after what is see-through (0) and the path (1, 2)
 _ENDLESS = 2**31 - 1  # repetitions of the animation
 # Turns meshcat's cylinders, which stand on y, to z
-_Y_TO_Z = scenes.place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+_Y_TO_Z = mechanism.place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 
 
 def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None:
@@ -82,7 +83,7 @@ def _set_stage(viewer: Any, scene: scenes.Scene) -> None:
     direction = np.array([0.0, -0.25, 1.0]) if scene.is_flat else np.array(scenes.OBLIQUE)
     x, y, z = _DISTANCE * radius * direction / np.linalg.norm(direction)
     # meshcat's camera looks at the origin whatever is done to it: what is to be in the middle goes there
-    viewer.set_transform(scenes.place(translation=-0.5 * (low + high)))
+    viewer.set_transform(mechanism.place(translation=-0.5 * (low + high)))
     # the camera hangs in a frame whose y axis points up
     viewer["/Cameras/default/rotated/<object>"].set_property("position", [float(x), float(z), float(-y)])
 
@@ -127,7 +128,7 @@ def _add_arrow(viewer: Any, scene: scenes.Scene, item: scenes.Arrow, clips: dict
     from meshcat import geometry
 
     path = arrow_path(item)
-    placement = scene.placement[:, item.body] @ scenes.place(scenes.along_z(item.axis))
+    placement = scene.placement[:, item.body] @ mechanism.place(mechanism.along_z(item.axis))
     length = np.where(np.abs(item.length) < _NOTHING, _NOTHING, item.length)
     # an arc is mirrored to turn the other way round; all arrows are equally wide but for short ones
     wide = np.abs(length) if item.turning else np.minimum(np.abs(length), 0.35 * scene.size)
