@@ -98,43 +98,36 @@ def load_with(
 
     Among keywords, a file could name ``trust`` as one of them.
     """
-    path = declaration_path(source)
-    if is_model_file(path):
-        return _load_model(path, {}, gravity, working_mode, arguments)
-    if trust or not is_shipped(path):
-        return _declared(path, arguments, gravity, working_mode, trust)
-    robot = _shipped(
-        _Request(path, repr((sorted(arguments.items()), gravity, working_mode)), arguments, gravity, working_mode)
-    )
+    written = repr((sorted(arguments.items()), gravity, working_mode))
+    request = _Request(declaration_path(source), written, arguments, gravity, working_mode, trust)
+    if is_model_file(request.path):
+        return _load_model(request, {})
+    if trust or not is_shipped(request.path):
+        return _declared(request)
+    robot = _shipped(request)
     return replace(robot, model=robot.model.copy())  # of what is shared, all that can be changed
-
-
-def _declared(
-    path: Path,
-    arguments: Mapping[str, object],
-    gravity: Sequence[float] | None,
-    working_mode: Sequence[int] | None,
-    trust: bool,
-) -> Robot:
-    file = read_declaration(path)
-    with file.naming():
-        return _load(path, file.data, gravity, working_mode, arguments, trust)
 
 
 @dataclass(frozen=True)
 class _Request:
-    """What is asked of a shipped robot; compared as it is written, for 1, 1.0 and True are three arguments of xacro."""
+    """What is asked of a robot; compared as it is written, for 1, 1.0 and True are three arguments of xacro."""
 
     path: Path
     written: str
     arguments: Mapping[str, object] = field(compare=False)
     gravity: Sequence[float] | None = field(compare=False)
     working_mode: Sequence[int] | None = field(compare=False)
+    trust: bool
 
 
-@lru_cache(maxsize=64)  # their files do not change, and sweeps, commands and tests load the same ones time and again
-def _shipped(request: _Request) -> Robot:
-    return _declared(request.path, request.arguments, request.gravity, request.working_mode, trust=False)
+def _declared(request: _Request) -> Robot:
+    file = read_declaration(request.path)
+    with file.naming():
+        return _load(request, file.data)
+
+
+# files of shipped robots do not change, and sweeps, commands and tests load the same ones time and again
+_shipped = lru_cache(maxsize=64)(_declared)
 
 
 def robot_with(
@@ -193,44 +186,31 @@ _CHANGED = "changed since it was loaded:"
 """How a note begins that says so."""
 
 
-def _load(
-    path: Path,
-    data: Mapping[str, Any],
-    gravity: Sequence[float] | None,
-    working_mode: Sequence[int] | None,
-    arguments: Mapping[str, object],
-    trust: bool,
-) -> Robot:
-    source_file = path.parent / data["urdf"]
+def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
+    source_file = request.path.parent / data["urdf"]
     if is_model_file(source_file):
-        return _load_model(path, data, gravity, working_mode, arguments)
+        return _load_model(request, data)
     # before xacro runs, which would make a cryptic error of a length that is negative; and after, on what it evaluated
-    require_conditions(data, known_values(source_file, arguments))
-    urdf, parameters = render(source_file, arguments, trust=trust)
+    require_conditions(data, known_values(source_file, request.arguments))
+    urdf, parameters = render(source_file, request.arguments, trust=request.trust)
     require_conditions(data, parameters)
     declaration = parse(data, parameters)
-    robot = build(declaration, path, urdf, parameters, gravity, working_mode)
+    robot = build(declaration, request.path, urdf, parameters, request.gravity, request.working_mode)
     robot = replace(robot, urdf_folder=str(source_file.resolve().parent))
     return _closed(robot, declaration, lambda: reference_coordinates(robot, declaration.coordinates(parameters)))
 
 
-def _load_model(
-    path: Path,
-    data: Mapping[str, Any],
-    gravity: Sequence[float] | None,
-    working_mode: Sequence[int] | None,
-    arguments: Mapping[str, object],
-) -> Robot:
+def _load_model(request: _Request, data: Mapping[str, Any]) -> Robot:
     """Load a file that describes a whole mechanism, with what a declaration that names it adds to that."""
-    file = path.parent / data["urdf"] if data else path
-    mechanism, parameters = read_mechanism(file, arguments)
+    file = request.path.parent / data["urdf"] if data else request.path
+    mechanism, parameters = read_mechanism(file, request.arguments)
     try:
-        robot = _of_mechanism(mechanism, path, file, data, gravity, working_mode, parameters)
+        robot = _of_mechanism(mechanism, request, file, data, parameters)
     except DeclarationError as error:
         if "balls" not in error.details:
             raise
         mechanism = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
-        robot = _of_mechanism(mechanism, path, file, data, gravity, working_mode, parameters)
+        robot = _of_mechanism(mechanism, request, file, data, parameters)
     for note in mechanism.notes:
         if note.startswith(NOT_IN_FORCE):
             _warn_once(f"{file.name}: {note}")
@@ -242,22 +222,16 @@ def _load_model(
 
 
 def _of_mechanism(
-    mechanism: Mechanism,
-    path: Path,
-    file: Path,
-    data: Mapping[str, Any],
-    gravity: Sequence[float] | None,
-    working_mode: Sequence[int] | None,
-    parameters: Mapping[str, Argument],
+    mechanism: Mechanism, request: _Request, file: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]
 ) -> Robot:
     model = mechanism.model(str(file))
-    wanted = data.get("gravity") if gravity is None else gravity
+    wanted = data.get("gravity") if request.gravity is None else request.gravity
     if wanted is not None:
         model.gravity.linear = np.array(checked(wanted, "gravity", (3,)))
     own = [{"name": c.name, "frames": [c.frame_a, c.frame_b], "axes": list(c.axes)} for c in mechanism.closures]
     further = data.get("closures")
     roles = {
-        "name": path.parent.name if data else mechanism.name,
+        "name": request.path.parent.name if data else mechanism.name,
         "urdf": file.name,
         "actuated": list(mechanism.actuated),
         "reference": {},
@@ -275,9 +249,9 @@ def _of_mechanism(
         mechanism.configuration(model),
         loose=True,
         urdf=mechanism.shapes,
-        mode=working_mode,
+        mode=request.working_mode,
         parameters=parameters,
-        source=source_of(path),
+        source=source_of(request.path),
         drive_independent=not (mechanism.driven_is_said or data.get("actuated") or data.get("independent")),
         couplings=mechanism.couplings,
     )

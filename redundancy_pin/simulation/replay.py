@@ -18,6 +18,7 @@ from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Command, Controller, Sampling, Tracking
 from redundancy_pin.simulation.controllers.by_name import controller_by_name
+from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
@@ -159,18 +160,16 @@ def replay(
         return Replay(name, drive, "ill_posed", str(reason))
     except InfeasiblePlanError as reason:
         return Replay(name, drive, "no_efforts", str(reason))
-    planned = np.array([reference.platform(t)[0] for t in run.t.tolist()])
-    error = distance(robot, np.array(run.x), planned)
-    span = float(run.t[-1] - run.t[0])
+    error = away_from(reference, run)
     return Replay(
         plan=name,
         drive=drive,
         status=run.status.value,
         reason=run.reason,
         t=run.t,
-        error=read_only(error),
+        error=error,
         largest=float(error.max()),
-        rms=float(np.sqrt(np.trapezoid(error**2, run.t) / span)) if span > 0.0 else float(error[0]),
+        rms=rms_over_time(run.t, error),
         last=float(error[-1]),
         carrier_error=float(np.abs(run.s - [reference.carriers(t)[0] for t in run.t.tolist()]).max(initial=0.0)),
         carrier_lag=float(reference.carrier_lag.max(initial=0.0)),
@@ -179,6 +178,18 @@ def replay(
         carrier_force=float(np.nanmax(np.abs(run.carrier_force), initial=0.0)),
         gap=float(run.gap.max()),
     )
+
+
+def away_from(reference: MotionReference, run: Simulation) -> Array:
+    """Return (N,) how far (``distance``) the platform is from a motion at the times of a simulation, m."""
+    planned = np.array([reference.platform(t)[0] for t in run.t.tolist()])
+    return read_only(distance(reference.robot, np.array(run.x), planned))
+
+
+def rms_over_time(t: Array, values: Array) -> float:
+    """Return the root mean square over time of (N,) values at times (N,), s; the first where there is one time."""
+    span = float(t[-1] - t[0])
+    return float(np.sqrt(np.trapezoid(values**2, t) / span)) if span > 0.0 else float(values[0])
 
 
 def displaced(robot: Robot, reference: MotionReference) -> State:

@@ -24,6 +24,7 @@ from redundancy_pin.simulation.controllers.by_name import (
 )
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
+from redundancy_pin.simulation.replay import away_from, rms_over_time
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import closed_state
 from redundancy_pin.studies.case import RNEA, Case, Planner, load, options
@@ -242,15 +243,13 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
         )
     except RedundancyPinError as error:
         return Trial(scenario.name, drive, number, "error", str(error), *5 * (float("nan"),))
-    reference = np.array([motion.platform(float(t))[0] for t in run.t])
-    away = np.linalg.norm(run.x - reference, axis=1)
-    span = float(run.t[-1] - run.t[0])
+    away = away_from(motion, run)
     last = run.events[-1] if run.events else None
     reason = run.reason or (last.name if last is not None and last.terminal else "")
-    rms = float(np.sqrt(np.trapezoid(away**2, run.t) / span)) if span > 0.0 else float(away[0])
     worst, (tau, force) = float(away.max()), (float(np.nanmax(np.abs(part))) for part in (run.tau, run.carrier_force))
     status = run.status.value
-    return Trial(scenario.name, drive, number, status, reason, worst, rms, tau, force, _given_up(control))
+    rms, lost = rms_over_time(run.t, away), _given_up(control)
+    return Trial(scenario.name, drive, number, status, reason, worst, rms, tau, force, lost)
 
 
 @functools.cache
