@@ -41,6 +41,9 @@ SINGULAR_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity. At a stretched leg two configurations meet in a
 square root: one that is closed to within the tolerance is known no better than this."""
 
+_REDUNDANT = 1e-8
+"""Relative singular value below which rows count as dependent where that is expected."""
+
 _HOPELESS = 1e12
 """Condition number that no matrix K with a margin above ``SINGULAR_MARGIN`` comes near."""
 
@@ -123,6 +126,7 @@ def assemble(
     target: Array | None = None,
     *,
     actuated: Array | None = None,
+    redundant: bool = False,
     max_iterations: int = 50,
     shortest_step: float = 2.0**-12,
 ) -> Assembly:
@@ -137,10 +141,11 @@ def assemble(
         guess: (N, nq) starting configurations; carriers keep their positions.
         target: (N, n) coordinates or (N, 4, 4) poses, base frame, m and rad.
         actuated: (N, m) positions of the main actuators, m or rad.
+        redundant: closure rows may depend on one another: steps are of least norm in scaled units.
         max_iterations: bound on Newton iterations.
         shortest_step: fraction of a Newton step below which the line search gives up on a sample.
     """
-    everything = equations = _Equations(system, target, actuated)
+    everything = equations = _Equations(system, target, actuated, redundant)
     q = np.array(guess, dtype=float)
     active, state = np.arange(len(q)), system.evaluate(q)
     residual = equations.residual(state)
@@ -220,11 +225,12 @@ class _Equations:
     system: ConstraintSystem
     target: Array | None
     actuated: Array | None
+    redundant: bool
 
     def of(self, samples: IntArray) -> _Equations:
         """Return the equations of some of the samples."""
         target, actuated = (None if goal is None else goal[samples] for goal in (self.target, self.actuated))
-        return _Equations(self.system, target, actuated)
+        return _Equations(self.system, target, actuated, self.redundant)
 
     def residual(self, state: ConstraintState) -> Array:
         """Return (N, e) what is missing to the goal."""
@@ -248,7 +254,12 @@ class _Equations:
             selection = np.broadcast_to(self.system.selection[:, columns], (len(residual), robot.m, len(columns)))
             matrix = np.concatenate([matrix, selection], axis=1)
         step = np.zeros((len(residual), robot.model.nv))
-        step[:, columns] = _solve(matrix, residual)
+        if self.redundant:
+            scale = velocity_scale(robot)[columns]
+            inverse = np.linalg.pinv(matrix / scale, rcond=_REDUNDANT)
+            step[:, columns] = np.einsum("nvr,nr->nv", inverse, residual) / scale
+        else:
+            step[:, columns] = _solve(matrix, residual)
         return step
 
 

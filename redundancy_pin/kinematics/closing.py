@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, integrate
+from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.robot import AXES, Closure, Robot
@@ -20,8 +20,8 @@ from redundancy_pin.robot import AXES, Closure, Robot
 SEED = 2014
 """Of all that is random here and in the choice of rows: the same answer every time."""
 
-_ITERATIONS, _SHORTEST, _CUT = 100, 2.0**-12, 1e-8
-"""Newton's method: most steps, the shortest share of one, and the relative singular value that counts as zero."""
+_ITERATIONS = 100
+"""Most steps of Newton's method."""
 
 _RESTARTS = 30
 """Further starts where the first does not close, further and further away."""
@@ -67,33 +67,10 @@ def closed_near(robot: Robot, q: Array) -> Array:
 
 
 def close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
-    """Return what Newton with a line search reaches from q (nq,), and the gap that is left.
-
-    ``assemble`` takes rows to be independent; here they may be redundant, and steps are those of least norm.
-    """
-    model, columns = system.robot.model, system.pose_columns
-    scale = velocity_scale(system.robot)[columns]
-    state = system.evaluate(q[None])
-    for _ in range(_ITERATIONS):
-        step = np.zeros((1, model.nv))
-        step[0, columns] = -np.linalg.pinv(state.Jc[0][:, columns] / scale, rcond=_CUT) @ state.phi[0] / scale
-        longest = float(np.abs(step).max(initial=0.0))
-        if longest < SETTLED_STEP:  # the last, which needs no look at what it gains
-            state = system.evaluate(integrate(model, state.q, step))
-            break
-        size, share = np.linalg.norm(state.phi), 1.0 / max(longest, 1.0)
-        while share > _SHORTEST:
-            tried = system.evaluate(integrate(model, state.q, share * step))
-            if np.linalg.norm(tried.phi) < size:
-                break
-            share *= 0.5
-        else:
-            break
-        state = tried
-    turned = float(system.misalignment(state)[0])
-    gap = float(max(np.abs(state.phi).max(initial=0.0), turned if turned > TURNED_OVER else 0.0))
-    closed: Array = state.q[0]
-    return closed, gap
+    """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the gap that is left."""
+    reached = assemble(system, q[None], redundant=True, max_iterations=_ITERATIONS)
+    closed: Array = reached.q[0]
+    return closed, float(reached.gap[0])
 
 
 def scattered(system: ConstraintSystem, q: Array, count: int, spread: float, rng: np.random.Generator) -> Array:
