@@ -16,7 +16,7 @@ from redundancy_pin.codegen.recorded import Recorded
 from redundancy_pin.dynamics.compiled.build import define, driver_source
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
-from redundancy_pin.kinematics.coordinates import mode_name, row_scale
+from redundancy_pin.kinematics.coordinates import is_revolute, mode_name, row_scale
 from redundancy_pin.robot import Robot
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
@@ -196,8 +196,7 @@ def _plain(text: str) -> str:
 
 
 def _turning(robot: Robot, names: Iterable[str]) -> list[bool]:
-    joints = [robot.model.joints[robot.model.getJointId(name)] for name in names]
-    return [not str(joint.shortname()).startswith("JointModelP") for joint in joints]
+    return [is_revolute(robot, name) for name in names]
 
 
 def _of_joints(robot: Robot, names: Sequence[str], straight: str, turned: str) -> str:

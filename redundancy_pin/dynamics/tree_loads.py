@@ -25,6 +25,7 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.types import slides
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +254,7 @@ class _Rotor:
         joint = model.joints[index]
         self.load, self.column, self.joint = load, int(joint.idx_v), index
         self.parent = int(model.parents[index])
-        self.turning = not str(joint.shortname()).startswith("JointModelP")
+        self.turning = not slides(joint)
         links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == index]
         if not links:
             raise UnsupportedRobotError(

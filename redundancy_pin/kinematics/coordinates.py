@@ -16,6 +16,7 @@ from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.types import slides
 
 
 def coordinates(robot: Robot, state: ConstraintState) -> Array:
@@ -201,7 +202,7 @@ def pose_rows(robot: Robot) -> list[int]:
 
 def is_revolute(robot: Robot, name: str) -> bool:
     """Return whether a joint of one freedom turns."""
-    return not str(robot.model.joints[robot.model.getJointId(name)].shortname()).startswith("JointModelP")
+    return not slides(robot.model.joints[robot.model.getJointId(name)])
 
 
 @lru_cache(maxsize=64)

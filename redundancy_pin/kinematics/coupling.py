@@ -13,6 +13,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.types import slides
 
 _DERIVATIVES = 3
 
@@ -39,7 +40,7 @@ class CouplingRows:
         ]
         self._q, self._of_q = np.array([[int(joint.idx_q) for joint in pair] for pair in ends], dtype=np.intp).T
         self._v, self._of_v = np.array([[int(joint.idx_v) for joint in pair] for pair in ends], dtype=np.intp).T
-        self.turning = [not str(joint.shortname()).startswith("JointModelP") for joint, _ in ends]
+        self.turning = [not slides(joint) for joint, _ in ends]
         self._rows = np.arange(len(ends))
         degree = max(len(each.polynomial) for each in robot.couplings)
         powers = np.zeros((len(ends), degree))

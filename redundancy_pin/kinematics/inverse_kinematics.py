@@ -17,6 +17,7 @@ from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, turning_velocities
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.types import slides
 
 _STARTS = (1, 16, 240)
 """Starts in each round: the guess itself, then random ones."""
@@ -186,4 +187,4 @@ def _bounded_angles(robot: Robot) -> list[int]:
     coupled = {name for each in robot.couplings for name in (each.joint, each.of)}
     joints = zip(list(robot.model.names)[1:], list(robot.model.joints)[1:], strict=True)
     bounded = (j for name, j in joints if j.nq == 1 and str(name) not in coupled)
-    return [int(j.idx_q) for j in bounded if not str(j.shortname()).startswith("JointModelP")]
+    return [int(j.idx_q) for j in bounded if not slides(j)]

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
-from redundancy_pin.robot.types import Robot
+from redundancy_pin.robot.types import Robot, slides
 
 ROUNDING = 1e-9
 """rad or m beyond a limit that count as being at it."""
@@ -102,7 +102,7 @@ def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
             continue
         lower, upper = (float(ends[joint.idx_q]) for ends in (model.lowerPositionLimit, model.upperPositionLimit))
         if lower < upper:
-            turns = not str(joint.shortname()).startswith("JointModelP")
+            turns = not slides(joint)
             found.append(JointRange(column, str(name), int(joint.idx_q), turns, lower, upper))
     return tuple(found)
 

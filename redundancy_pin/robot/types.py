@@ -18,6 +18,11 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the rows a closure or a platform may use: translations, then rotations."""
 
 
+def slides(joint: pin.JointModel) -> bool:
+    """Return whether a joint is prismatic; Pinocchio has a class for each axis (``JointModelPX``), and one for any."""
+    return joint.nv == 1 and str(joint.shortname()).startswith("JointModelP")
+
+
 @dataclass(frozen=True)
 class Closure:
     """A loop closure: two frames of the tree that coincide along some axes.

@@ -114,8 +114,10 @@ def performance(
     robot = as_robot(robot)
     q, W = _actuation(robot, q)
     rows, columns = row_scale(robot), column_scale(robot)
-    fastest = _positive(rates, "rates", 1.0 / columns, robot)
-    strongest = _positive(efforts, "efforts", columns, robot)
+    fastest, strongest = (
+        absent if given is None else each(given, name, (robot.m,), above_zero=True, finite=True)
+        for given, name, absent in ((rates, "rates", 1.0 / columns), (efforts, "efforts", columns))
+    )
     slow, strong = _svd(scaled(W, rows, 1.0 / fastest)), _svd(scaled(W, rows, strongest))
     even = spectrum_of(scaled(W, rows, columns))
     with np.errstate(divide="ignore"):
@@ -222,12 +224,3 @@ def _svd(matrices: Array) -> tuple[Array, Array]:
     found = np.linalg.svd(matrices[good], full_matrices=False)
     u[good], values[good] = found.U, found.S
     return u, values
-
-
-def _positive(given: ArrayLike | None, name: str, absent: Array, robot: Robot) -> Array:
-    if given is None:
-        return absent
-    values = each(given, name, (robot.m,), finite=True)
-    if not (values > 0.0).all():
-        raise InputError(f"{name} is {values.tolist()}.", remedy="Pass positive numbers, one a main actuator.")
-    return values

@@ -46,6 +46,7 @@ from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import is_pose, require_matching
+from redundancy_pin.robot.types import slides
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
 
@@ -178,7 +179,7 @@ class CompiledDynamics(Dynamics):
     def scales(self) -> tuple[Array, Array]:
         """(n,) and (m,) the characteristic length for rotations and 1 for translations, of ẋ and of the actuators."""
         robot, length = self._robot, self._robot.characteristic_length
-        turning = [not str(joint.shortname()).startswith("JointModelP") for joint in robot.model.joints]
+        turning = [not slides(joint) for joint in robot.model.joints]
         if robot.platform is not None:
             rows = [axis.startswith("r") for axis in robot.platform.axes]
         else:

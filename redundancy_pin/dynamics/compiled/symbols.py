@@ -26,6 +26,7 @@ from redundancy_pin.errors import UnsupportedRobotError, optional
 from redundancy_pin.robot import AXES, Closure, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.types import slides
 
 SX: TypeAlias = Any
 """casadi.SX; casadi has no type hints."""
@@ -405,8 +406,7 @@ class SymbolicChain:
         ):
             joint = self.model.joints[self.model.getJointId(name)]
             q = self.q[joint.idx_q : joint.idx_q + joint.nq]
-            sliding = str(joint.shortname()).startswith("JointModelP")
-            side = q[1] if joint.nq == 2 else q if sliding else self._trig_of(joint.idx_q)[1]
+            side = q[1] if joint.nq == 2 else q if slides(joint) else self._trig_of(joint.idx_q)[1]
             values.append(float(sign * own) * side)
         return ca.vertcat(*values) if values else ca.SX(0, 1)
 

@@ -16,6 +16,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
 
 # Cross-section of a straight track: narrow and high, so that it stands out of the link it lies on
@@ -201,7 +202,7 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
         parent, home = int(model.parents[body]), model.jointPlacements[body].homogeneous
         side = 2.0 * JOINT_RADIUS * size
         box: tuple[Shape, tuple[float, ...]] = ("box", (side, side, 1.2 * side))
-        shape, form = box if slides(model, body) else ("cylinder", (JOINT_RADIUS * size, JOINT_LENGTH * size))
+        shape, form = box if slides(model.joints[body]) else ("cylinder", (JOINT_RADIUS * size, JOINT_LENGTH * size))
         axis = place(along_z(joint_axis(model, body)))
         solids.append(_solid(f"joint_{name}", parent, home @ axis, shape, form, role))
     for closure in robot.closures:
@@ -217,7 +218,7 @@ def _carriers(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:
     solids = []
     for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True):
         body = int(robot.model.getJointId(name))
-        drawn = _sliding if slides(robot.model, body) else _turning
+        drawn = _sliding if slides(robot.model.joints[body]) else _turning
         track, *shapes = drawn(robot, body, limits, size)
         solids += [track, *([] if body in clothed else shapes)]
     return solids
@@ -298,11 +299,6 @@ def joint_axis(model: pin.Model, index: int) -> Array:
     linear, angular = np.split(motion_subspace(model, data, index)[:, 0], 2)
     axis: Array = angular if angular.any() else linear
     return axis / np.linalg.norm(axis)
-
-
-def slides(model: pin.Model, index: int) -> bool:
-    """Return whether a joint is prismatic."""
-    return str(model.joints[index].shortname()).startswith("JointModelP")
 
 
 def place(rotation: Array | None = None, translation: Array | None = None) -> Array:

@@ -20,7 +20,8 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.tree import TreeKinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.visualisation.viewer.mechanism import joint_axis, slides, solids_of
+from redundancy_pin.robot.types import slides
+from redundancy_pin.visualisation.viewer.mechanism import joint_axis, solids_of
 from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, Role, Solid
 
 Group = Literal["main", "carrier"]
@@ -166,7 +167,7 @@ def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Rea
             continue
         role: Role = "carrier" if name in robot.carriers else "actuated" if name in robot.actuated else "passive"
         position = joint_position(robot, name, q)
-        turning = not slides(robot.model, body)
+        turning = not slides(robot.model.joints[body])
         if turning:
             position = np.unwrap(position)
         unit = "rad" if turning else "m"
@@ -230,7 +231,7 @@ def _arrows(
     arrows, captions = [], []
     bodies = {name: int(robot.model.getJointId(name)) for name, _, _ in efforts}
     for turns, longest, unit, what in ((False, LONGEST_FORCE, "N", "force"), (True, LONGEST_TORQUE, "N·m", "torque")):
-        alike = [entry for entry in efforts if slides(robot.model, bodies[entry[0]]) is not turns]
+        alike = [entry for entry in efforts if slides(robot.model.joints[bodies[entry[0]]]) is not turns]
         values = np.abs(np.array([effort for _, _, effort in alike]).reshape(len(alike), len(singular)))
         values[~np.isfinite(values)] = 0.0
         largest = float(values[:, slice(None) if singular.all() else ~singular].max(initial=0.0))
