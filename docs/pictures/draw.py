@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from PIL import Image
 
 import redundancy_pin as rp
@@ -111,6 +112,54 @@ def cassie_leg() -> Figure:
         return drawn
 
 
+GALLERY = {
+    "delta": (20, -60), "ankle": (15, -60), "excavator": (70, -90), "walking_leg": (90, -90), "two_arms": (25, -20),
+}  # fmt: skip
+"""Elevation and azimuth they are looked at from, degrees."""
+
+
+def gallery() -> Figure:
+    """The machines of the gallery at their references, by the shapes of their files."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)
+    with figure(9.0, 2.6) as drawn:
+        for panel, (name, (elevation, azimuth)) in enumerate(GALLERY.items(), 1):
+            robot = rp.load_robot(name)
+            shapes = pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.GeometryType.VISUAL)
+            data, placed = robot.model.createData(), shapes.createData()
+            pin.updateGeometryPlacements(robot.model, data, shapes, placed, np.array(robot.q_reference))
+            axes: Any = drawn.add_subplot(1, len(GALLERY), panel, projection="3d", proj_type="ortho")
+            lines = [  # offsets between joints
+                np.array([data.oMi[robot.model.parents[joint]].translation, data.oMi[joint].translation])
+                for joint in range(1, robot.model.njoints)
+                if robot.model.parents[joint]
+            ]
+            axes.add_collection3d(Line3DCollection(lines, colors="#bbbbbb", linewidths=1.5))
+            corners = [np.zeros((1, 3))]
+            for shape, place in zip(shapes.geometryObjects, placed.oMg, strict=True):
+                color, form = "#4477aa" if shape.parentJoint else "#777777", shape.geometry
+                if hasattr(form, "halfSide"):
+                    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+                    faces = [np.insert(signs, axis, side, axis=1) for axis in range(3) for side in (1, -1)]
+                    points = [face * form.halfSide @ place.rotation.T + place.translation for face in faces]
+                    axes.add_collection3d(Poly3DCollection(points, facecolors=color, alpha=0.25))
+                    corners += points
+                elif form.radius > form.halfLength:
+                    ring = form.radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+                    corners.append(ring @ place.rotation.T + place.translation)
+                    axes.plot(*corners[-1].T, color=color, linewidth=1.5)
+                else:
+                    corners.append(place.translation + np.outer([1, -1], form.halfLength * place.rotation[:, 2]))
+                    axes.plot(*corners[-1].T, color=color, linewidth=2.5)
+            least, most = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
+            most = np.maximum(most, least + 0.05 * (most - least).max())
+            axes.set(**{f"{axis}lim": (least[k], most[k]) for k, axis in enumerate("xyz")})
+            axes.set_box_aspect(most - least, zoom=0.95)
+            axes.view_init(elevation, azimuth)
+            axes.set_axis_off()
+            axes.set_title(name, fontsize=9)
+        return drawn
+
+
 def main() -> None:
     """Draw all pictures."""
     animate(rp.show(crossing()).scene, FOLDER / "crossing.gif", title="2-RPR")
@@ -119,6 +168,7 @@ def main() -> None:
         ("corner.svg", rp.plot.snapshots(rp.show(plan), 3, title="3-RRR around a corner")),
         ("corner_carriers.svg", rp.plot.carriers(plan)),
         ("cassie_leg.svg", cassie_leg()),
+        ("gallery.svg", gallery()),
     ):
         with replacing_file(FOLDER / name) as temporary:
             rp.plot.save(drawn, temporary)
