@@ -55,6 +55,7 @@ validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random sta
 
 long: $(STAMP) ## long lists of random cases, ten times as many examples, counts into docs/trust.md (RESUME=1: go on)
 	$(if $(RESUME),,rm -f build/promises.jsonl)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/support/reached.py
 	@status=0; $(COMPILED) EXAMPLES=10 RESUME="$(RESUME)" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 	  $(BIN)/python -m pytest -n auto -m "long or property" || status=$$?; \
 	$(BIN)/python tests/support/promises.py; exit $$status

@@ -144,6 +144,22 @@ def test_a_cone_in_a_plane_is_the_same_to_both_sides_whatever_the_number_of_side
     assert held == (np.abs(tangential) <= 0.5 + EXACT).tolist()
 
 
+@pytest.mark.parametrize("sides", [3, 4, 8])
+def test_a_cone_in_space_is_a_pyramid_with_its_edges_on_coulombs_cone(sides: int) -> None:
+    force = ClosureForces(("x of foot", "y of foot", "z of foot"), np.zeros((1, 3)), np.eye(3)[None])
+    cone = force.friction_cone("foot", 0.5, sides=sides)
+
+    def held(radius: float, angle: Array) -> list[bool]:
+        forces = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.ones_like(angle)])
+        return [bool(one) for one in (cone.matrix[0] @ forces >= cone.lower[0][:, None]).all(axis=0)]
+
+    around = np.linspace(-np.pi, np.pi, 97)
+    edges = (2.0 * np.arange(sides) + 1.0) * np.pi / sides
+    assert all(held(0.5 * (1.0 - 1e-9), edges))
+    assert all(held(0.5 * (1.0 - 1e-9) * np.cos(np.pi / sides), around))
+    assert not any(held(0.5 * (1.0 + 1e-9), around))
+
+
 @pytest.mark.parametrize(
     "given",
     [{"friction": "a"}, {"friction": np.inf}, {"sides": 3.5}, {"sides": "x"}, {"least": np.nan}, {"least": [1, 2]}],

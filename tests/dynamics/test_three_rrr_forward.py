@@ -142,6 +142,17 @@ def test_six_assembly_modes_exist():
     assert counts == {0, 2, 4, 6} or counts == {2, 4, 6}
 
 
+@pytest.mark.parametrize("size", [0.01, 100.0])
+def test_a_machine_of_another_size_has_the_same_poses(size):
+    theta = np.array([0.3, 2.0, -1.2])
+    lengths = np.array([1.0, 0.9, 0.7, 1.2])
+    here = forward_displacement(ThreeRrrGeometry(*lengths), theta)
+    there = forward_displacement(ThreeRrrGeometry(*(size * lengths)), theta)
+    assert len(here) == len(there) > 0
+    scaled = [one.pose * [size, size, 1.0] for one in here]
+    np.testing.assert_allclose([one.pose for one in there], scaled, rtol=1e-9, atol=1e-9 * size)
+
+
 def test_two_poses_at_one_orientation():
     """Two centres coincide at α = 0: the eliminated equation has a double root there that stands for two poses."""
     geometry = ThreeRrrGeometry(1.0, 0.25, 1.0, 1.0)

@@ -6,8 +6,9 @@ As a program it prints each mutant and what became of it: ``python tests/support
 from __future__ import annotations
 
 import ast
+import compileall
 import functools
-import importlib
+import importlib.util
 import os
 import random
 import resource
@@ -16,48 +17,30 @@ import signal
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
+from reached import PACKAGE, QUIET, ROOT, import_libraries, tests_reaching
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = ROOT / "redundancy_pin"
+ROOMS = ("dynamics", "kinematics", "trajectory", "robot", "planners")
+"""Where mutants are made."""
 
-ROOMS: dict[str, tuple[str, ...]] = {
-    "dynamics/virtual_work": (
-        "tests/dynamics/test_virtual_work.py",
-        "tests/dynamics/test_virtual_work_oracle.py",
-        "tests/dynamics",
-        "tests/crosscheck",
-    ),
-    "dynamics": ("tests/dynamics", "tests/crosscheck", "tests/simulation/controllers"),
-    "kinematics": ("tests/kinematics/test_lift.py", "tests/kinematics", "tests/dynamics", "tests/singularities"),
-    "trajectory": ("tests/trajectory",),
-    "robot": ("tests/test_loading.py", "tests/test_models.py", "tests/robot", "tests/kinematics", "tests/planners"),
-    "planners/stepwise": ("tests/planners/stepwise/test_stepwise.py", "tests/planners/stepwise", "tests/planners"),
-    "planners/switch_off": (
-        "tests/planners/switch_off/test_switch_off.py",
-        "tests/planners/switch_off",
-        "tests/planners",
-    ),
-    "planners/whole_trajectory": (
-        "tests/planners/whole_trajectory/test_whole_trajectory_optimum.py",
-        "tests/planners/whole_trajectory/test_whole_trajectory_edges.py",
-        "tests/planners/whole_trajectory",
-        "tests/planners",
-    ),
-    "planners": ("tests/planners/test_plan_quantities.py", "tests/planners", "tests/cli", "tests/compatibility"),
-}
-"""Where mutants are made, and the tests that judge them: files first, with those named like what was changed."""
+KILLED = "killed by "
 
 INTERFACES = "tests/compatibility/test_interfaces.py"
 """Defaults of public functions."""
 
-PATIENCE = 900
-"""s of the processor after which a mutant counts as noticed: it does not end."""
+STAGES = (8.0, 60.0, 900.0)
+"""s of the processor that the tests take up to the end of a stage, without a mutant: quick ones and near ones first.
+
+A mutant that all of these do not notice is undecided if there are more tests that reach it, and counts as a survivor.
+"""
+
+PATIENCE = 8.0, 60.0
+"""A stage that takes so many times as long as without a mutant, and so many s more, does not end: that is noticed."""
 
 ASLEEP = 7200
 """The same in s on the clock, for one that waits: however busy the machine is."""
@@ -67,13 +50,6 @@ NOBODY = 65534
 
 FACTORS = (1e-2, 1e2)
 """Constants between these are changed; smaller ones are tolerances, larger ones bounds that hardly anything meets."""
-
-LIBRARIES = (
-    "numpy", "scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.spatial.transform",
-    "pinocchio", "yaml", "pydantic", "click", "rich.table", "jinja2", "xacro",
-    "xacrodoc", "casadi",
-)  # fmt: skip
-"""What the package and its tests import: once, before the forks. (Not hypothesis: pytest wants to see it imported.)"""
 
 EQUIVALENT: dict[tuple[str, str, str], str] = {
     (
@@ -134,10 +110,24 @@ class Mutant:
         """Return where it is and what it changes."""
         return f"{self.path}:{self.line}: {self.old} becomes {self.new} in: {self.text}"
 
-    @property
-    def room(self) -> str:
-        """The innermost room that it is in."""
-        return max((room for room in ROOMS if self.path.startswith(room + "/")), key=len)
+    @functools.cached_property
+    def reach(self) -> tuple[range, bool]:
+        """Lines of which a test that notices it executes one, and whether it is executed as the module is imported.
+
+        They are those of its statement; of a default those of its function, of what is in no function all of the file.
+        """
+        data = (PACKAGE / self.path).read_bytes()
+        around = [ast.parse(data)]
+        while inner := [node for node in _statements(around[-1]) if node.lineno <= self.line <= (node.end_lineno or 0)]:
+            around.append(inner[-1])
+        functions = [node for node in around if isinstance(node, ast.FunctionDef)]
+        last, whole = around[-1], range(1, data.count(b"\n") + 2)
+        if not functions:
+            return whole, True
+        body = getattr(last, "body", [])
+        if last is functions[-1]:
+            return range(body[0].lineno, (last.end_lineno or 0) + 1), True
+        return range(last.lineno, body[0].lineno if body else (last.end_lineno or 0) + 1), False
 
 
 def _changeable(node: ast.AST) -> Iterator[ast.AST]:
@@ -166,6 +156,15 @@ def _changeable(node: ast.AST) -> Iterator[ast.AST]:
             continue
         yield child
         yield from _changeable(child)
+
+
+def _statements(node: ast.AST) -> Iterator[Any]:
+    """Give the statements right below one, those of its branches and handlers included."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.stmt):
+            yield child
+        elif isinstance(child, (ast.ExceptHandler, ast.match_case)):
+            yield from _statements(child)
 
 
 @functools.cache
@@ -222,19 +221,34 @@ def chosen(number: int) -> Mutant:
             return mutant
 
 
-def tests_of(mutant: Mutant) -> list[list[str]]:
-    """Return what is run, in turn: tests named like the file, then those of the room."""
-    stem = Path(mutant.path).stem.rstrip("s")
-    near = sorted((ROOT / "tests").rglob(f"test_*{stem}*.py")) if len(stem) > 3 else []
-    near = [path for path in near if not {"studies", "engines", "fuzz"} & set(path.parts)]
-    names = [path.relative_to(ROOT).as_posix() for path in near]
-    names = [*(test for test in ROOMS[mutant.room] if test.endswith(".py")), *names]
-    rest = [
-        INTERFACES,
-        *(test for test in ROOMS[mutant.room] if not test.endswith(".py")),
-        *(f"--ignore={name}" for name in names),
-    ]
-    return [names, rest] if names else [rest]
+def tests_of(mutant: Mutant) -> tuple[list[dict[str, float]], int]:
+    """Return the tests that reach a mutant in stages, with the time that each takes without it; and how many are left.
+
+    First quick ones, files named like it, and its room. The last are the other tests of files that reach it: they may
+    use what a first test has computed and kept.
+    """
+    lines, importing = mutant.reach
+    reaching, beside = tests_reaching(mutant.path, lines)
+    stem, room = Path(mutant.path).stem.rstrip("s"), mutant.path.partition("/")[0]
+
+    def cost(test: str) -> float:
+        near = 4.0 * (stem in test) + 2.0 * test.startswith(f"tests/{room}") + (mutant.path.rpartition("/")[0] in test)
+        return (reaching[test] + 0.02) / (1.0 + near)
+
+    stages: list[dict[str, float]] = [{} for _ in STAGES]
+    if importing:
+        stages[0][INTERFACES] = 1.0
+    taken, left = 0.0, 0
+    for test in (*sorted(reaching, key=cost), *sorted(beside, key=beside.__getitem__)):
+        seconds = reaching.get(test, beside.get(test, 0.0))
+        taken += seconds
+        # a test longer than a stage waits for the last one
+        place = next((i for i, most in enumerate(STAGES) if max(taken, 4.0 * seconds) <= most), None)
+        if place is None:
+            left += 1
+        else:
+            stages[place][test] = seconds
+    return [stage for stage in stages if stage], left
 
 
 def _is_nobodys() -> bool:
@@ -253,6 +267,7 @@ def tree(folder: Path) -> Path:
             shutil.copy(source, folder / name)
     for name in ("home", "temporary"):
         (folder / name).mkdir()
+    compileall.compile_dir(folder / "redundancy_pin", quiet=2)
     if _is_nobodys():
         for path in (folder, *folder.rglob("*")):
             os.chown(path, NOBODY, NOBODY, follow_symlinks=False)
@@ -260,29 +275,38 @@ def tree(folder: Path) -> Path:
 
 
 def noticed(mutant: Mutant, folder: Path) -> str:
-    """Return which test notices a mutant in a copy of the tree; nothing if none does."""
+    """Return which test notices a mutant in a copy of the tree, as "killed by ..."; or "UNDECIDED", or "SURVIVED"."""
+    stages, left = tests_of(mutant)
     path = folder / "redundancy_pin" / mutant.path
     right = path.read_bytes()
     if right[mutant.start : mutant.end].decode() != mutant.old:
         raise ValueError(f"{mutant.path} of the copy is another file")
     path.write_bytes(right[: mutant.start] + mutant.new.encode() + right[mutant.end :])
     try:
-        for tests in tests_of(mutant):
+        for tests in stages:
             by = _failing(tests, folder)
             if by:
-                return by
+                return KILLED + by
     finally:
         path.write_bytes(right)
+        Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
         if not Path(os.devnull).is_char_device():
             raise RuntimeError(f"{mutant} has replaced {os.devnull}: make the device again (mknod -m 666 ... c 1 3)")
-    return ""
+    return f"UNDECIDED, {left} tests left" if left else "SURVIVED"
 
 
 class _First:
-    """Notes down the first test that fails, or the file that cannot be collected."""
+    """Runs some tests in their order, and notes down the first that fails, or the file that cannot be collected."""
 
-    def __init__(self, answer: int) -> None:
-        self.answer = answer
+    def __init__(self, answer: int, tests: Iterable[str]) -> None:
+        self.answer, self.place = answer, {test: place for place, test in enumerate(tests)}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        def place(item: pytest.Item) -> int:
+            return self.place.get(item.nodeid, self.place.get(item.nodeid.partition("::")[0], -1))
+
+        items[:] = sorted((item for item in items if place(item) >= 0), key=place)
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.failed:
@@ -293,30 +317,31 @@ class _First:
             os.write(self.answer, b"import of " + report.nodeid.encode() + b"\n")
 
 
-def _failing(tests: list[str], folder: Path) -> str:
+def _failing(tests: Mapping[str, float], folder: Path) -> str:
     """Run tests in a forked process until one fails, and return its name."""
+    patience = round(PATIENCE[0] * sum(tests.values()) + PATIENCE[1])
     with tempfile.TemporaryFile() as answer:
         child = os.fork()
         if child == 0:
-            _in_child(tests, folder, answer.fileno())
+            _in_child(tests, folder, answer.fileno(), patience)
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         answer.seek(0)
         first = answer.read().decode().partition("\n")[0]
     if code in (-signal.SIGALRM, -signal.SIGXCPU):
-        return f"no end after {PATIENCE} s of the processor or {ASLEEP} s"
+        return f"no end after {patience} s of the processor or {ASLEEP} s"
     if code not in (0, 1, 2, 5) or (code in (1, 2) and not first):  # 5: nothing to run; a crash counts as noticed
         if code >= 0:
-            raise RuntimeError(f"pytest ended with {code} on {tests}: {first or 'no test failed'}")
+            raise RuntimeError(f"pytest ended with {code} on {list(tests)}: {first or 'no test failed'}")
         return f"crash by signal {-code}"
     return first
 
 
-def _in_child(tests: list[str], folder: Path, answer: int) -> NoReturn:
+def _in_child(tests: Mapping[str, float], folder: Path, answer: int, patience: int) -> NoReturn:
     code: int = 99
     try:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(ASLEEP)
-        resource.setrlimit(resource.RLIMIT_CPU, (PATIENCE, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_CPU, (patience, resource.RLIM_INFINITY))
         os.chdir(folder)
         if _is_nobodys():
             os.setgroups([])
@@ -329,12 +354,12 @@ def _in_child(tests: list[str], folder: Path, answer: int) -> NoReturn:
         tempfile.tempdir = None
         ours = {"", str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "benchmarks")}
         sys.path[:] = [str(folder), *(entry for entry in sys.path if entry not in ours)]
-        sys.dont_write_bytecode = True
+        sys.dont_write_bytecode = False  # the next mutant need not compile all the tests again
         null = os.open(os.devnull, os.O_RDWR)
         for stream in (0, 1, 2):
             os.dup2(null, stream)
-        arguments = ["-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-p", "no:randomly"]
-        code = int(pytest.main([*arguments, *tests], plugins=[_First(answer)]))
+        files = dict.fromkeys(test.partition("::")[0] for test in tests)
+        code = int(pytest.main(["-x", *QUIET, *files], plugins=[_First(answer, tests)]))
     except BaseException as error:
         os.write(answer, f"{type(error).__name__}: {error}\n".encode())
     finally:
@@ -347,24 +372,25 @@ def main() -> None:
     ``none`` in place of a number changes nothing: a place with quick tests is judged as it is.
     """
     count, first = (*sys.argv[1:], *("10", "0")[len(sys.argv) - 1 :])
-    for library in LIBRARIES:
-        importlib.import_module(library)
-    if "redundancy_pin" in sys.modules:
-        raise SystemExit("The package is loaded already: its copies would not be.")
+    import_libraries()
     if first == "none":
         quick = next(mutant for mutant in mutants() if mutant.path == "trajectory/csv_file.py")
         drawn = [(first, replace(quick, new=quick.old))] * int(count)
     else:
         drawn = [(str(number), chosen(number)) for number in range(int(first), int(first) + int(count))]
-    survived = 0
+    killers = []
     with tempfile.TemporaryDirectory(prefix="mutants-") as name:
         folder = tree(Path(name))
         for number, mutant in drawn:
-            by = noticed(mutant, folder)
-            survived += not by
-            sys.stdout.write(f"{number}: {'killed by ' + by if by else 'SURVIVED'}: {mutant}\n")
+            end = noticed(mutant, folder)
+            killers += [end.removeprefix(KILLED)] * end.startswith(KILLED)
+            sys.stdout.write(f"{number}: {end}: {mutant}\n")
             sys.stdout.flush()
-    sys.stdout.write(f"{len(drawn) - survived} of {len(drawn)} killed\n")
+        # a test that fails anyway in such a copy has seen nothing
+        anyway = _failing({name: 60.0 for name in killers if "::" in name}, folder)
+    if anyway and first != "none":
+        raise SystemExit(f"{anyway} fails without a mutant too.")
+    sys.stdout.write(f"{len(killers)} of {len(drawn)} killed\n")
 
 
 if __name__ == "__main__":
