@@ -73,6 +73,26 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "if 2 * done.sum() > len(done):  # go on with the rest alone; to leave out fewer costs more than it saves",
         ">",
     ): "when samples that are done are left out: each ends where it would end alone",
+    (
+        "planners/switch_off/carrier_equation.py",
+        "after = min(float(kinks[kinks > t].min()) - t, 0.5 * width)",
+        "*",
+    ): "a stretch that is too long is halved until its series ends",
+    (
+        "planners/whole_trajectory/multistart.py",
+        "phase = frequency * (grid.t[:, None] - grid.t[0])",
+        "-",
+    ): "random swings to begin with: at another phase they are as random",
+    (
+        "planners/switch_off/crossing.py",
+        "size = float(max(np.abs(here.f0 / row_scale).max(), np.abs(load / row_scale).max(), 1e-12))",
+        "/",
+    ): "the size of a tolerance: off by the square of a length of about a metre",
+    (
+        "planners/receding_horizon/planner.py",
+        "np.where(np.isfinite(width), 0.5 * width, 1.0),",
+        "0.5*",
+    ): "the unit of an unknown, which the programme is solved in",
 }
 """Path, line and operators of changes that change no result, and why: they are not drawn."""
 

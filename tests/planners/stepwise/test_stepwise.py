@@ -257,6 +257,18 @@ def test_lower_limits_bind_more_and_higher_ones_cure():
     assert not tight.limits.violated  # judged by the limits it was given
 
 
+def test_what_binds_at_the_end_of_a_track_is_the_track():
+    plan = plan_stepwise(dynamics_of(), reference.corner(radius=0.013).sample(0.02), track=(-0.03, 0.03))
+    kinds = set()
+    for event in plan.diagnostics["bounds"]:
+        during = (plan.t >= event["start"]) & (plan.t <= event["end"]) & (plan.phase == plan.phases.index("optimise"))
+        s = plan.carriers.s[during, int(event["carrier"][-1]) - 1]
+        end = 0.03 if event["side"] == "upper" else -0.03
+        assert (np.abs(s - end) < 1e-9).all() == (event["bound"] == "track")
+        kinds.add((event["bound"], event["side"]))
+    assert {("track", "upper"), ("track", "lower"), ("stop", "upper"), ("stop", "lower")} <= kinds
+
+
 def test_the_thesis_corner_in_its_mode():
     """Mode (+,+,+), r = 0.025, 5 ms: carrier 2 meets its speed, then its acceleration limit (Parsa 2014, fig. 4.9)."""
     plan = plan_stepwise(dynamics_of(), corner(0.005))

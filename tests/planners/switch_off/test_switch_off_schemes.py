@@ -5,7 +5,7 @@ import pytest
 import zoo
 from leg_momentum import imbalance, legs_along, momentum_rate
 
-from redundancy_pin import VirtualWork
+from redundancy_pin import RneaDynamics, VirtualWork
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
@@ -64,6 +64,17 @@ def test_backward_differences_converge_to_the_integration_at_first_order():
     assert errors[0] < 5e-3
     # the window snaps to the grid, which changes the ramp by up to a step: halving is not exact
     assert 1.5 < errors[0] / errors[2] < 8.0
+
+
+def test_backward_differences_share_a_task_among_four_carriers_as_the_integration_does():
+    dynamics = RneaDynamics(zoo.robot_of("2rpr", end_effector_carriers=True))
+    exact, plan = (
+        plan_switch_off(dynamics, reference.circle(), threshold=7.0, dt=0.01, scheme=scheme)
+        for scheme in ("integration", "backward_differences")
+    )
+    s = exact.carriers.s
+    # of first order: 7 mm at this step, half of it at half the step
+    assert np.abs(plan.carriers_at(exact.t).s - s).max() < 0.01 < 0.1 * np.ptp(s, axis=0).min()
 
 
 def test_backward_differences_refuse_what_the_integration_refuses():
