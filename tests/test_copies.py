@@ -106,7 +106,7 @@ def objects() -> dict[str, Any]:
         "closure forces": (closing := closure_forces(along)),
         "rows of efforts": closing.rows(np.ones(len(closing.names)), 0.0, 1.0),
         "crossings": rp.find_crossings(small, circle),
-        "locus": rp.singular_locus(small, resolution=20),
+        "locus": rp.singular_locus(small, resolution=8),
         "limits": Limits(),
         "resolved": Limits().resolved(robot),
         "spline": rp.trajectory.SplinePath(np.array([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]])),
@@ -125,7 +125,7 @@ def objects() -> dict[str, Any]:
         "run": rp.simulate(robot, None, start=start, duration=0.02, stop_at=()),
         "linearised": linearise(robot, start, three),
         "inverse derivatives": inverse_derivatives(robot, start.q, start.v, np.zeros(robot.model.nv)),
-        "report": run(["2rpr"], samples=4),
+        "report": run(["2rpr"], samples=1),
     }
 
 
@@ -151,6 +151,7 @@ def test_copies_hold_the_same_bits_and_none_that_can_be_changed(objects: dict[st
         }, name
 
 
+@pytest.mark.long
 def test_another_process_gets_the_same(objects: dict[str, Any]) -> None:
     names = [name for name in objects if name not in ("state", "forward")]  # evaluators are made anew there
     # an executor says so where a process cannot read what it gets; a pool would wait for ever

@@ -59,6 +59,9 @@ OUTSIDE = ("pip", "make")
     "docs/co_design.md",
     "docs/feasibility_map.md",
     "docs/gallery.md",  # each block by itself: test_gallery.py
+    "docs/online.md",
+    "docs/questions.md",
+    "docs/where_carriers_sit.md",
 )
 @pytest.mark.parametrize("name", [name for name, path in PAGES.items() if "```" in path.read_text(encoding="utf-8")])
 def test_page_runs_as_it_is_written(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,7 +54,7 @@ ROBOTS: dict[str, Callable[[Any], Any]] = {
     "workspace": lambda robot: rp.workspace(robot, bounds=[(0.0, 0.5), (0.2, 0.5)], resolution=3).margin,
     "classify": lambda robot: rp.classify(robot, rp.load_robot("2rpr").q_reference).parallel_margin,
     "find_crossings": lambda robot: [crossing.t for crossing in rp.find_crossings(robot, CIRCLE)],
-    "singular_locus": lambda robot: rp.singular_locus(robot, resolution=8).points,
+    "singular_locus": lambda robot: rp.singular_locus(robot, resolution=6).points,
     "simulate": lambda robot: rp.simulate(robot, duration=0.01).q,
     "motion_reference": lambda robot: motion_reference(robot, reference.line().sample(times=[0.0, 0.1])).at(0.1).q,
 }

@@ -131,7 +131,8 @@ def replay(
         name: of the plan, for the result.
         motion: the trajectory that was planned for.
         sampling: of the controllers.
-        backend: makes the ``dynamics`` of ``simulate`` for the plan's robot, ``CompiledDynamics`` to be fast.
+        backend: makes the ``dynamics`` of ``simulate`` and of controllers for the plan's robot, ``CompiledDynamics`` to
+            be fast.
 
     Raises:
         InputError: an unknown drive.
@@ -139,7 +140,9 @@ def replay(
     """
     try:
         reference = plan_reference(plan, motion=motion)
-        controller, robot = _controller(plan, reference, drive, sampling), reference.robot
+        robot = reference.robot
+        dynamics = backend and backend(robot)
+        controller = _controller(plan, reference, drive, sampling, dynamics)
         duration, digital = reference.end - reference.start, controller.sampling
         run = simulate(
             robot,
@@ -154,7 +157,7 @@ def replay(
             rtol=RTOL if digital is None else CONTROLLED_RTOL,
             atol=ATOL if digital is None else CONTROLLED_ATOL,
             integrator="DOP853" if digital is None else "RK45",
-            dynamics=backend and backend(robot),
+            dynamics=dynamics,
         )
     except (IllPosedModelError, SingularPoseError) as reason:
         return Replay(name, drive, "ill_posed", str(reason))
@@ -200,16 +203,18 @@ def displaced(robot: Robot, reference: MotionReference) -> State:
     return closed_state(robot, x, point.xd + SPEED * along, point.s, point.sd, t=reference.start)
 
 
-def _controller(plan: Plan, reference: MotionReference, drive: str, sampling: Sampling) -> Controller:
+def _controller(
+    plan: Plan, reference: MotionReference, drive: str, sampling: Sampling, dynamics: Dynamics | None
+) -> Controller:
     match drive:
         case "open loop" | "carriers by motion":
             return controller_by_name("open loop", reference)
         case "open loop, samples":
             return _SampleEfforts(plan, reference)
         case "computed torque":
-            return controller_by_name(drive, reference, sampling=sampling)
+            return controller_by_name(drive, reference, sampling=sampling, dynamics=dynamics)
         case "LQR":
-            return controller_by_name(drive, reference, sampling=sampling, step=LQR_STEP)
+            return controller_by_name(drive, reference, sampling=sampling, step=LQR_STEP, dynamics=dynamics)
     known = ", ".join((*DRIVES, "carriers by motion"))
     raise InputError(f"drive is {drive!r}.", remedy=f"Pass one of: {known}.")
 

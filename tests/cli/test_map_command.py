@@ -47,7 +47,8 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float]]:
 
 
 def test_a_map_is_that_of_the_python_api(tmp_path: Path) -> None:
-    result = call(*CORNER, "--planner", "stepwise", "--max-effort", "8", "--out", "here", "--json")
+    corner = (*CORNER[:4], "speed=0.1,0.3", *CORNER[5:])
+    result = call(*corner, "--planner", "stepwise", "--max-effort", "8", "--out", "here", "--json")
     assert (result.exit_code, result.stderr) == (0, "")
     assert {path.name for path in (tmp_path / "here").iterdir()} == FILES
     told = json.loads(result.stdout)
@@ -55,7 +56,7 @@ def test_a_map_is_that_of_the_python_api(tmp_path: Path) -> None:
 
     problem = MapProblem(
         "3rrr",
-        Axis("speed", (0.1, 0.2, 0.3)),
+        Axis("speed", (0.1, 0.3)),
         Axis("stroke", (0.5, 2.0)),
         "corner",
         limits={"max_effort": 8.0},
@@ -67,7 +68,7 @@ def test_a_map_is_that_of_the_python_api(tmp_path: Path) -> None:
     assert told["problem"] == json.loads(json.dumps(problem.identity()))
     rows = list(csv.DictReader((tmp_path / "here" / "map.csv").read_text(encoding="utf-8").splitlines()))
     cells = json.loads((tmp_path / "here" / "map.json").read_text(encoding="utf-8"))["cells"]
-    assert len(rows) == len(cells) == 6
+    assert len(rows) == len(cells) == 4
     for row, cell, ours in zip(rows, cells, expected.cells, strict=True):
         assert (row["planner"], float(row["speed"]), float(row["stroke"])) == ours.key
         assert row["verdict"] == cell["verdict"] == ours.verdict.value

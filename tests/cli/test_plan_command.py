@@ -27,7 +27,7 @@ def test_switch_off_is_that_of_the_python_api(tmp_path: Path) -> None:
     result = call(
         "plan", "switch-off", "--robot", "2rpr", "--set", "carrier_mass=2.0", "--backend", "virtual-work",
         "--trajectory", "circle", "--speed", "0.6", "--threshold", "7", "--return-time", "0.5", "--ramp-down", "0.02",
-        "--dt", "0.01", "--datum", "0.01,-0.01", "--out", str(out), "--plot", str(plot),
+        "--dt", "0.02", "--datum", "0.01,-0.01", "--out", str(out), "--plot", str(plot),
     )  # fmt: skip
     robot = rp.load_robot("2rpr", carrier_mass=2.0)
     expected = plan_switch_off(
@@ -36,7 +36,7 @@ def test_switch_off_is_that_of_the_python_api(tmp_path: Path) -> None:
         threshold=7.0,
         return_time=0.5,
         ramp_down=0.02,
-        dt=0.01,
+        dt=0.02,
         datum=[0.01, -0.01],
     )
     found = rp.load_plan(out)

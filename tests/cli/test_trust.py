@@ -35,9 +35,9 @@ COMMANDS = {
     "singularities": ("singularities", "--trajectory", "line"),
     "workspace": ("workspace", "--resolution", "3"),
     "show": ("show", "--html", "{folder}/out.html"),
-    "validate": ("validate", "--samples", "5"),
+    "validate": ("validate", "--samples", "1"),
     "codegen": ("codegen", "--out", "{folder}/code"),
-    "plan": ("plan", "switch-off", "--trajectory", "line", "--threshold", "1000"),
+    "plan": ("plan", "switch-off", "--trajectory", "line", "--threshold", "1000", "--dt", "0.005"),
     "map": ("map", *MAP, "--refine", "0", "--jobs", "1", "--out", "{folder}/map"),
 }
 
@@ -60,7 +60,7 @@ def test_a_problem_file_cannot_say_it(robot: Path, tmp_path: Path) -> None:
         "planner": "switch-off",
         "robot": str(robot),
         "trajectory": {"name": "line"},
-        "parameters": {"threshold": 1000},
+        "parameters": {"threshold": 1000, "dt": 0.005},
     }
     path = tmp_path / "problem.yaml"
     path.write_text(yaml.safe_dump(problem))
@@ -78,7 +78,19 @@ def test_the_robot_of_a_plan_is_trusted_by_who_loads_it(robot: Path, tmp_path: P
     loaded = rp.load_robot(robot, trust=True)
     assert loaded.n == 2
     path = tmp_path / "plan.npz"
-    command = ("plan", "switch-off", "--robot", str(robot), "--trajectory", "line", "--threshold", "1000", "--trust")
+    command = (
+        "plan",
+        "switch-off",
+        "--robot",
+        str(robot),
+        "--trajectory",
+        "line",
+        "--threshold",
+        "1000",
+        "--dt",
+        "0.005",
+        "--trust",
+    )
     assert call(*command, "--out", str(path)).exit_code in (0, 3)
     plan = rp.load_plan(path)
     with pytest.raises(rp.errors.PlanFileError, match="lambda"):

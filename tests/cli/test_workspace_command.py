@@ -14,7 +14,7 @@ from command_line import call, refused
 
 import redundancy_pin as rp
 
-BOX = ("--bounds", "-0.6:1.1,-1:1", "--resolution", "12")
+BOX = ("--bounds", "-0.6:1.1,-1:1", "--resolution", "8")
 
 
 def test_nodes_and_counts_are_those_of_two_discs(tmp_path: Path) -> None:
@@ -25,7 +25,7 @@ def test_nodes_and_counts_are_those_of_two_discs(tmp_path: Path) -> None:
         rows = list(csv.DictReader(stream))
     x = np.array([[float(row["x0"]), float(row["x1"])] for row in rows])
     inside = (np.linalg.norm(x[:, None] - [[0.0, 0.0], [0.5, 0.0]], axis=2) < 1.0).all(axis=1)
-    assert len(rows) == 4 * told["nodes"] == 4 * 144
+    assert len(rows) == 4 * told["nodes"] == 4 * 64
     assert [row["reachable"] == "1" for row in rows] == inside.tolist()
     assert [row["margin"] != "nan" for row in rows] == inside.tolist()
     assert {row["island"] for row in rows} == {"0", "-1"}
@@ -33,7 +33,7 @@ def test_nodes_and_counts_are_those_of_two_discs(tmp_path: Path) -> None:
     assert {mode: part["reachable"] for mode, part in told["modes"].items()} == dict.fromkeys(
         ("++", "+-", "-+", "--"), int(inside.sum()) // 4
     )
-    cell = 1.7 * 2.0 / 11**2
+    cell = 1.7 * 2.0 / 7**2
     assert told["size"] == pytest.approx(cell * inside.sum() / 4)
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -128,7 +128,7 @@ COMMANDS: Mapping[str, Command] = {
          "--jobs", "1", "--refine", "0", "--out", "map")
     ),
     "show": Command(("show", "--plan", "plan.npz", "--html", "seen.html")),
-    "validate": Command(("validate", "--robot", "2rpr", "--samples", "20")),
+    "validate": Command(("validate", "--robot", "2rpr", "--samples", "4")),
     "study": Command(("study", "--draws", "1", "--jobs", "1", "--out", "study"), slow=True),
 }  # fmt: skip
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import quick_results
+from matplotlib.figure import Figure
 from quick_results import motion, reproduction, require_self_contained
 
 from redundancy_pin import crosscheck
@@ -25,7 +26,7 @@ from redundancy_pin.visualisation.figures import style
 from redundancy_pin.visualisation.figures.style import save
 
 ALONE = replace(FULL, chapters=(), jobs=1)
-reproduce = functools.partial(job.reproduce, extent=ALONE, samples=4)
+reproduce = functools.partial(job.reproduce, extent=ALONE, samples=1)
 """The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
 
 SLOW_CHAPTERS = [pytest.param(name, marks=pytest.mark.long) for name in CHAPTERS]
@@ -36,9 +37,18 @@ BASELINE, SHARP = "corner-r0.025-baseline", "corner-r0.013-baseline"
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _coarse_pictures() -> Iterator[None]:
+def _few_coarse_pictures() -> Iterator[None]:
+    """Those of the circle, and the comparison, in few pixels; the others, by the same functions, are empty."""
+
+    def some(drawn: Figure, *paths: Path) -> None:
+        if paths[0].name.startswith("corner") and not paths[0].stem.endswith("comparison"):
+            _ = [path.write_bytes(b"\x89PNG") for path in paths]
+        else:
+            save(drawn, *paths)
+
     with pytest.MonkeyPatch.context() as patched:
         patched.setitem(style._SETTINGS, "savefig.dpi", 40)
+        patched.setattr(job, "save", some)
         yield
 
 
@@ -107,6 +117,8 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("names", [NAMES[:1], pytest.param(NAMES, marks=pytest.mark.long)])
 def test_the_same_run_gives_the_same_bytes(names: tuple[str, ...], done: Reproduction, tmp_path: Path) -> None:
     """Of one motion the files of its own; of all of them summary and report too, and by several processes."""
+    if names == NAMES:  # other processes draw all pictures
+        done = reproduce(tmp_path / "first", [motion(name) for name in names])
     again = reproduce(tmp_path / "again", [motion(name) for name in names], extent=replace(ALONE, jobs=len(names)))
     same = [path for path in done.folder.iterdir() if names == NAMES or path.name.startswith(names[0])]
     assert len(same) >= 5

@@ -25,7 +25,7 @@ def locus_of(name: str) -> SingularLocus:
     return singular_locus(zoo.robot_of(name), resolution=24)
 
 
-@pytest.mark.long_for(".png", ".svg")
+@pytest.mark.long_for(".pdf", ".svg")
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_a_picture_is_written_in_the_format_of_its_suffix(tmp_path: Path, suffix: str) -> None:
     target = tmp_path / f"locus{suffix}"
