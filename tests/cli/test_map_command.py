@@ -41,12 +41,18 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float]]:
         return Cell(planner, x, y, verdict, limits, peak_effort=x if possible else None)
 
     monkeypatch.setattr(feasibility, "compute", compute)
-    monkeypatch.setattr(feasibility, "draw", lambda found: None)
-    monkeypatch.setattr(feasibility, "save", lambda figure, *paths: [path.write_bytes(b"") for path in paths])
+    _no_pictures(monkeypatch)
     return keys
 
 
-def test_a_map_is_that_of_the_python_api(tmp_path: Path) -> None:
+def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Empty ones: the command draws some where its keys are pinned."""
+    monkeypatch.setattr(feasibility, "draw", lambda found: None)
+    monkeypatch.setattr(feasibility, "save", lambda figure, *paths: [path.write_bytes(b"") for path in paths])
+
+
+def test_a_map_is_that_of_the_python_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _no_pictures(monkeypatch)
     corner = (*CORNER[:4], "speed=0.1,0.3", *CORNER[5:])
     result = call(*corner, "--planner", "stepwise", "--max-effort", "8", "--out", "here", "--json")
     assert (result.exit_code, result.stderr) == (0, "")
