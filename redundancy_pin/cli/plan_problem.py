@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -432,7 +433,7 @@ def _robot(data: Mapping[str, Any], folder: Path) -> options.RobotOptions:
             remedy = "Write a number, true, false or text."
             raise InputError(f"{name} in `set` is {shown(value)}.", remedy=remedy, key=f"set.{name}")
     source = word("robot", data["robot"])
-    known = shipped_robots(gallery=not (folder / source).exists())
+    known = shipped_robots(gallery=not os.path.exists(folder / source))  # somebody's own comes first
     return options.RobotOptions(
         source if source in known or Path(source).is_absolute() else str(folder / source),
         dict(options.parse_setting(f"{name}={value}") for name, value in settings.items()),  # YAML reads 1e-3 as text

@@ -106,6 +106,14 @@ def test_robots_are_found_by_name_file_and_folder(tmp_path):
         declaration_path(tmp_path)
 
 
+def test_a_folder_of_somebodys_own_comes_before_the_gallery(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert declaration_path("delta") == models_root() / "gallery" / "delta" / "robot.yaml"
+    (tmp_path / "delta").mkdir()
+    (tmp_path / "delta" / "robot.yaml").write_text("")
+    assert (tmp_path / declaration_path("delta")).samefile(tmp_path / "delta" / "robot.yaml")
+
+
 def test_defaults_are_evaluated_by_xacro_and_whole_numbers_stay_whole(tmp_path):
     path = tmp_path / "r.urdf.xacro"
     path.write_text("""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
