@@ -53,7 +53,6 @@ def validate(
         return 0
     checks = [row for row in report.rows if not row.note]
     failed = sum(not row.passed for row in checks)
-    click.echo(
-        f"error: {failed} of {len(checks)} checks failed." if checks else "error: nothing could be checked.", err=True
-    )
+    idle = f"of {report.unjudged[0]} nothing could be checked against physics" if report.unjudged else "no checks"
+    click.echo(f"error: {f'{failed} of {len(checks)} checks failed' if failed else idle}.", err=True)
     return FAILED_CHECK

@@ -322,10 +322,15 @@ class CrossCheckReport:
 
     @property
     def passed(self) -> bool:
-        """Whether there are checks of every robot, and every one of them passes."""
+        """Whether there are checks, every robot was judged by physics, and every check passes."""
         checks = [row for row in self.rows if not row.note]
-        robots = {row.robot for row in self.rows}
-        return bool(checks) and robots == {row.robot for row in checks} and all(row.passed for row in checks)
+        return bool(checks) and not self.unjudged and all(row.passed for row in checks)
+
+    @property
+    def unjudged(self) -> tuple[str, ...]:
+        """Robots of which nothing was checked against physics: backends that agree may share what they were given."""
+        judged = {row.robot for row in self.rows if not row.note and not row.check.startswith("parity")}
+        return tuple(dict.fromkeys(row.robot for row in self.rows if row.robot not in judged))
 
     def as_dict(self) -> dict[str, object]:
         """Return plain numbers, for JSON."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,7 +13,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from redundancy_pin.errors import DeclarationError, ModelFileError, PlanFileError, RedundancyPinError, shown
-from redundancy_pin.io.schema import Schema, typed, validated
+from redundancy_pin.io.schema import Schema, validated
 from redundancy_pin.kinematics.coordinates import is_revolute
 from redundancy_pin.loading import load_with
 from redundancy_pin.robot import CarrierLimits, Coupling, Robot
@@ -87,8 +88,15 @@ class RobotRecord:
         return same and replace(now, source=self.source, rotating=self.rotating, arguments=arguments, **unsaid) == self
 
     def known_arguments(self, now: RobotRecord) -> dict[str, float | bool | str]:
-        """Return the arguments of a newer record but for those that came since: what they change is compared itself."""
-        return {name: value for name, value in now.arguments.items() if name in self.arguments}
+        """Return the arguments of a newer record but for those that came since and have their defaults."""
+        later = {name: value for name, value in now.arguments.items() if name not in self.arguments}
+        if later:  # lengths and frames are not in a record: an argument may change what nothing else here shows
+            try:
+                usual = load_with(now.source, self.arguments).parameters
+            except RedundancyPinError:
+                usual = {}
+            later = {name: value for name, value in later.items() if usual.get(name) == value}
+        return {name: value for name, value in now.arguments.items() if name not in later}
 
     def saved_beside(self, path: str | Path) -> RobotRecord:
         """Return the record as it goes into the file of that path: a source in its folder as the path from there."""
@@ -148,6 +156,33 @@ _Floats = Annotated[tuple[Annotated[float, Field(allow_inf_nan=False)], ...], Fi
 _Names = Annotated[tuple[str, ...], Field(description="names")]
 
 
+_Number = Annotated[float, Field(ge=-inf)]
+"""Infinite maybe, but a number: NaN is not even that much."""
+
+
+class _Limits(Schema):
+    """What a file must hold for ``CarrierLimits``."""
+
+    model_config = ConfigDict(strict=True)
+
+    lower: _Number
+    upper: _Number
+    speed: _Number
+    acceleration: _Number
+    force: _Number
+
+
+class _Coupling(Schema):
+    """What a file must hold for a ``Coupling``."""
+
+    model_config = ConfigDict(strict=True)
+
+    name: str
+    joint: str
+    of: str
+    polynomial: Annotated[_Floats, Field(min_length=1)]
+
+
 class _Record(Schema):
     """What a file must hold for a ``RobotRecord``. Nothing is converted."""
 
@@ -161,15 +196,13 @@ class _Record(Schema):
     actuated: _Names
     carriers: _Names
     rotating: _Names
-    carrier_limits: tuple[dict[str, Any], ...]
+    carrier_limits: tuple[_Limits, ...]
     bodies: tuple[Annotated[_Floats, Field(min_length=10, max_length=10, description="10 finite numbers")], ...]
     q_reference: _Floats
     loads: tuple[str, ...] = ()
-    couplings: Annotated[
-        tuple[dict[str, Any], ...] | None, Field(description="a mapping for each coupling, or nothing")
-    ] = None
+    couplings: tuple[_Coupling, ...] | None = None
     ranges: Annotated[
-        tuple[tuple[str, float, float], ...] | None,
+        tuple[tuple[str, _Number, _Number], ...] | None,
         Field(description="a name and two numbers for each joint, or nothing"),
     ] = None
 
@@ -187,9 +220,9 @@ def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
     """
     own = {name: record.get(name, _SINCE[name]) if name in _SINCE else record[name] for name in _Record.model_fields}
     values = dict(validated(_Record, own, of="robot"))
-    values["carrier_limits"] = tuple(typed(CarrierLimits, entry) for entry in values["carrier_limits"])
+    values["carrier_limits"] = tuple(CarrierLimits(**dict(entry)) for entry in values["carrier_limits"])
     if values["couplings"] is not None:
-        values["couplings"] = tuple(typed(Coupling, entry) for entry in values["couplings"])
+        values["couplings"] = tuple(Coupling(**dict(entry)) for entry in values["couplings"])
     return RobotRecord(**values, folder=str(_folder_of(file)))
 
 

@@ -173,6 +173,10 @@ def test_what_could_not_be_checked_is_named_and_does_not_fail():
     assert CrossCheckReport((good, note), 0).passed
     assert not CrossCheckReport((note,), 0).passed
     assert not CrossCheckReport((good, replace(note, robot="other")), 0).passed
+    # two backends that agree may share a mistake of the declaration's
+    agree = replace(good, check="parity: f")
+    assert not CrossCheckReport((agree, note), 0).passed
+    assert CrossCheckReport((agree, good, note), 0).passed
     shown = io.StringIO()
     Console(file=shown, width=150).print(CrossCheckReport((good, note), 0).table())
     assert "a closure [red]is[/red] about one axis" in shown.getvalue()

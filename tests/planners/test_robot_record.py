@@ -13,7 +13,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.planners.robot_record import RobotRecord, read_robot, record_difference, robot_record
-from redundancy_pin.robot import Coupling
+from redundancy_pin.robot import CarrierLimits, Coupling
 
 
 def mixed() -> RobotRecord:
@@ -89,11 +89,42 @@ def test_couplings_and_ranges_tell_robots_apart() -> None:
     assert not record_difference(older, record)
 
 
-def test_couplings_and_ranges_go_through_files(tmp_path: Path) -> None:
-    record = robot_record(coupled())
+def _record_of(tmp_path: Path, record: RobotRecord) -> RobotRecord:
     write_archive(tmp_path / "record.npz", "record", 1, record)
-    again = read_archive(
+    return read_archive(
         tmp_path / "record.npz", "record", 1, "record", lambda values: read_robot(values, tmp_path / "record.npz")
     )
+
+
+def test_couplings_and_ranges_go_through_files(tmp_path: Path) -> None:
+    record = robot_record(coupled())
+    again = _record_of(tmp_path, record)
     assert (again.couplings, again.ranges) == (record.couplings, record.ranges)
     assert again.describes(coupled())
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"ranges": (("motor", np.nan, 1.0),)}, "ranges"),
+        ({"ranges": (("motor", 0.0, np.nan),)}, "ranges"),
+        ({"couplings": (Coupling("gears", "geared", "motor", (0.0, np.nan)),)}, "couplings"),
+        ({"couplings": (Coupling("gears", "geared", "motor", (0.0, np.inf)),)}, "couplings"),
+        ({"couplings": (Coupling("gears", "geared", "motor", ()),)}, "couplings"),
+        ({"carrier_limits": (CarrierLimits(np.nan, 1.0, 1.0, 1.0, 1.0),)}, "carrier_limits"),
+    ],
+)
+def test_what_is_no_number_is_refused(change: dict[str, object], says: str, tmp_path: Path) -> None:
+    with pytest.raises(rp.errors.RedundancyPinError, match=says):
+        _record_of(tmp_path, replace(robot_record(coupled()), **change))
+
+
+def test_arguments_that_came_since_count_unless_they_are_as_usual() -> None:
+    """An argument may change lengths, which a record does not hold otherwise."""
+    robot = rp.load_robot("2rpr")
+    record = robot_record(robot)
+    older = replace(record, arguments={k: v for k, v in record.arguments.items() if k != "end_effector_carriers"})
+    assert older.describes(robot)
+    other = replace(robot, parameters={**robot.parameters, "end_effector_carriers": True})
+    assert not older.describes(other)
+    assert "arguments" in record_difference(older, robot_record(other))
