@@ -2,7 +2,8 @@
 
 A grid of platform positions is solved on one branch. Type II curves run where the signed margin changes sign between
 neighbouring nodes, type I curves where reachable nodes meet unreachable ones (the working mode ends there). contourpy
-joins the grid edges over which this happens into curves; where on its edge the singularity lies is found exactly.
+joins the grid edges over which this happens into curves; where on its edge the singularity lies is found exactly. Type
+II curves are then followed to their ends, from other points of the border too (``tracing``).
 
 Refinement. In the joint coordinates a singularity is a simple root even where the platform coordinates meet a square
 root (at the border of the workspace). The unknowns are all p joint displacements; the equations are the r closure rows,
@@ -12,7 +13,7 @@ the n − 1 platform coordinates that are constant along an edge, and σ = 0, th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, integrate
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.singularities.classify import (
@@ -36,6 +37,7 @@ from redundancy_pin.singularities.classify import (
     serial_matrix,
     signed_margin,
 )
+from redundancy_pin.singularities.tracing import MatrixOf, Tracer, singular_value
 from redundancy_pin.singularities.workspace import Slice, WorkspaceGrid, default_axes, slice_of, solve_grid
 
 RESOLUTION = 200
@@ -48,9 +50,6 @@ _ON_CURVE = 1e-12
 """Signed margins above minus this count as positive: of a node on the curve rounding leaves a few 1e-16."""
 
 _ITERATIONS = 20
-_DIFFERENCE = 1e-6
-"""Step of the central differences of M, rad or m: their relative error, 1e-10, only slows Newton's last step."""
-
 _LONGEST_NEWTON_STEP = 0.3
 _MARGIN_BISECTIONS = 25
 _BORDER_BISECTIONS = 5
@@ -59,8 +58,6 @@ _BORDER_BISECTIONS = 5
 _MODE_ROUNDING = 1e-9
 _EDGE_ROUNDING = 1e-9
 """A root this far beyond the end of its edge (fraction of its length) is at the end."""
-
-MatrixOf = Callable[[ConstraintSystem, ConstraintState], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +97,8 @@ class SingularLocus(Frozen):
             index along the first coordinate; NaN where not reachable.
         serial_margin: same shape, scaled margin to type I; NaN where not reachable.
         curves: the curves.
-        unresolved: number of grid edges on which a singularity was announced and no exact one found; the curves are
-            cut there. A finer grid leaves fewer.
+        unresolved: number of grid edges on which a singularity was announced, and no exact one found there or within a
+            cell; the curves are cut there. A finer grid leaves fewer.
     """
 
     robot: Robot
@@ -155,9 +152,9 @@ def singular_locus(
 
     Covered are platforms with two translations and at most one rotation (which is fixed), and robots whose only
     independent coordinate is a joint. Only the part of the workspace that is connected to the reference configuration
-    within the slice is searched, and features smaller than a grid cell can be missed. Isolated type I points (a leg of
-    zero length, or folded onto its base hinge) are no curves and are not listed. Where m ≠ n type II singularities fill
-    no curves: only type I is given.
+    within the slice is searched, and closed curves smaller than a grid cell can be missed. Isolated type I points (a leg
+    of zero length, or folded onto its base hinge) are no curves and are not listed. Where m ≠ n type II singularities
+    fill no curves: only type I is given.
 
     Args:
         robot: the robot, in the working mode wanted.
@@ -181,7 +178,10 @@ def singular_locus(
     margins = margins_of(system, system.evaluate(grid.q[grid.reachable]))
     parallel[grid.reachable], serial[grid.reachable] = margins.parallel, margins.serial
     border, border_missing = _border(system, grid)
-    inner, inner_missing = _zero_margin(system, grid, parallel) if robot.n == robot.m else ((), 0)
+    inner, missing = _zero_margin(system, grid, parallel) if robot.n == robot.m else ((), np.zeros((0, robot.n)))
+    if robot.n == robot.m and len(place.free) == 2:
+        inner = _followed(system, place, grid, inner, border)
+        missing = _not_beside(missing, inner, grid)
     return SingularLocus(
         robot=robot,
         names=place.names,
@@ -194,7 +194,7 @@ def singular_locus(
         margin=read_only(parallel.reshape(grid.shape)),
         serial_margin=read_only(serial.reshape(grid.shape)),
         curves=border + inner,
-        unresolved=border_missing + inner_missing,
+        unresolved=border_missing + len(missing),
     )
 
 
@@ -245,11 +245,12 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
     start, end = grid.x[edges[:, 0]], grid.x[edges[:, 1]]
     near = _bisected(system, grid.q[edges[:, 0]], start, end, _BORDER_BISECTIONS, None)
     points = _refined(system, serial_matrix, near, start, end, _free_column(grid, edges))
-    return _curves(system, SingularityKind.TYPE_I, points, curves)
+    chains, missing = _curves(system, SingularityKind.TYPE_I, points, curves)
+    return chains, len(missing)
 
 
-def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], int]:
-    """Return the type II curves, the zeros of the signed margin, and the number of edges without an exact one."""
+def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], Array]:
+    """Return the type II curves, the zeros of the signed margin, and where edges without an exact one begin (E, n)."""
     # rounding must not decide the sign of nodes that lie on the curve
     positive = margin > -_ON_CURVE
     curves = crossed_edges(positive.reshape(grid.shape), grid.reachable.reshape(grid.shape))
@@ -269,7 +270,36 @@ def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -
         near = _bisected(system, grid.q[edges[again, 0]], start, end, _MARGIN_BISECTIONS, left[again])
         for part, new in zip(points, _refined(system, locked_matrix, near, start, end, columns[again]), strict=True):
             part[again] = new
-    return _curves(system, SingularityKind.TYPE_II, points, curves)
+    chains, missing = _curves(system, SingularityKind.TYPE_II, points, curves)
+    return chains, grid.x[edges[missing, 0]]
+
+
+def _followed(
+    system: ConstraintSystem,
+    place: Slice,
+    grid: WorkspaceGrid,
+    inner: tuple[LocusCurve, ...],
+    border: tuple[LocusCurve, ...],
+) -> tuple[LocusCurve, ...]:
+    """Return the type II curves to their ends, also those that begin on the border between nodes."""
+    bounds = np.array([(axis[0], axis[-1]) for axis in grid.axes])
+    cell = max(float(axis[1] - axis[0]) for axis in grid.axes)
+    curves = []
+    for q in Tracer(system, place, bounds, cell).joined([each.q for each in inner], [each.q for each in border]):
+        state = system.evaluate(q)
+        sigma = np.linalg.svd(locked_matrix(system, state), compute_uv=False)[:, -1]
+        serial = np.linalg.svd(serial_matrix(system, state), compute_uv=False)[:, -1]
+        kind = SingularityKind.COMBINED if (serial < SINGULAR).all() else SingularityKind.TYPE_II
+        parts = (coordinates(system.robot, state), q, sigma)
+        curves.append(LocusCurve(kind, *(frozen(part) for part in parts)))
+    return tuple(curves)
+
+
+def _not_beside(x: Array, curves: tuple[LocusCurve, ...], grid: WorkspaceGrid) -> Array:
+    """Return those of the nodes (E, n) that are no cell away from a curve."""
+    cell = np.sqrt(sum((axis[1] - axis[0]) ** 2 for axis in grid.axes))
+    points = np.concatenate([np.full((1, x.shape[1]), np.inf), *(curve.points for curve in curves)])
+    return x[[bool((np.linalg.norm(points - one, axis=1) > cell).all()) for one in x]]
 
 
 def _free_column(grid: WorkspaceGrid, edges: IntArray) -> IntArray:
@@ -280,8 +310,8 @@ def _free_column(grid: WorkspaceGrid, edges: IntArray) -> IntArray:
 
 def _curves(
     system: ConstraintSystem, kind: SingularityKind, points: _Refined, curves: list[IntArray]
-) -> tuple[tuple[LocusCurve, ...], int]:
-    """Return the curves through the exact points, cut where one is missing, and the number of edges without one."""
+) -> tuple[tuple[LocusCurve, ...], IntArray]:
+    """Return the curves through the exact points, cut where one is missing, and the edges without one."""
     both = [matrix(system, system.evaluate(points.q)) for matrix in (serial_matrix, locked_matrix)]
     combined = np.all([np.linalg.svd(one, compute_uv=False)[:, -1] < SINGULAR for one in both], axis=0)
     stops = np.cumsum([0, *(len(curve) for curve in curves)])
@@ -294,7 +324,7 @@ def _curves(
             *(read_only(part[chain]) for part in (points.x, points.q, points.residual)),
         )
         for chain in chains
-    ), int((~points.exact).sum())
+    ), np.flatnonzero(~points.exact)
 
 
 class _Refined(NamedTuple):
@@ -321,7 +351,7 @@ def _refined(
     q = guess.copy()
     for _ in range(_ITERATIONS):
         state = system.evaluate(q)
-        sigma, gradient = _singular_value(system, matrix, state)
+        sigma, gradient = singular_value(system, matrix, state)
         miss = difference(robot, start, coordinates(robot, state))[everyone[:, None], others]
         platform_rows = state.Jx[:, :, p][everyone[:, None], others]
         rows = np.concatenate([state.Jc[:, :, p], platform_rows, gradient[:, None]], axis=1)
@@ -368,16 +398,3 @@ def _bisected(system: ConstraintSystem, q: Array, start: Array, end: Array, step
         best[usable] = solution.q[usable]
         low, high = np.where(near, middle, low), np.where(near, high, middle)
     return best
-
-
-def _singular_value(system: ConstraintSystem, matrix: MatrixOf, state: ConstraintState) -> tuple[Array, Array]:
-    """Return the smallest singular value (E,) and its derivatives (E, p) by the joint displacements."""
-    u, values, vt = np.linalg.svd(matrix(system, state), full_matrices=False)
-    samples, columns, model = len(state.q), system.pose_columns, system.robot.model
-    steps = _DIFFERENCE * np.eye(model.nv)[columns]
-    steps = np.concatenate([steps, -steps])
-    moved = integrate(model, np.repeat(state.q, len(steps), axis=0), np.tile(steps, (samples, 1)))
-    shifted = matrix(system, system.evaluate(moved))
-    shifted = shifted.reshape(samples, 2, len(columns), *shifted.shape[1:])
-    slope = (shifted[:, 0] - shifted[:, 1]) / (2.0 * _DIFFERENCE)
-    return values[:, -1], np.einsum("ni,ncij,nj->nc", u[:, :, -1], slope, vt[:, -1])

@@ -67,10 +67,29 @@ def test_every_point_is_a_singularity_of_its_kind(name: str, mode, orientation) 
 
 def test_two_rpr_is_singular_on_its_base_line() -> None:
     locus = locus_of("2rpr")
-    (curve,) = locus.curves
-    assert curve.kind == SingularityKind.TYPE_II
-    np.testing.assert_allclose(curve.points[:, 1], 0.0, atol=1e-11)
-    assert np.ptp(curve.points[:, 0]) == pytest.approx(np.ptp(locus.axes[0]))
+    assert {curve.kind for curve in locus.curves} == {SingularityKind.TYPE_II}
+    np.testing.assert_allclose(locus.points[:, 1], 0.0, atol=1e-11)
+    # legs have another length to either side of a base hinge: there a curve ends
+    ends = sorted(tuple(sorted(curve.points[[0, -1], 0])) for curve in locus.curves)
+    low, high = locus.axes[0][[0, -1]]
+    np.testing.assert_allclose(ends, [(low, 0.0), (0.0, 0.5), (0.5, high)], atol=1e-9)
+
+
+def test_curves_that_no_node_is_beside_are_found_from_the_border_to_its_other_end() -> None:
+    """Of the five-bar with links of 0.5: the tip turns about elbows that coincide, until a leg is stretched."""
+    locus = singular_locus(zoo.robot_of("five_bar"), resolution=15)  # a cell is 0.15
+    centre = np.array([0.25, -np.sqrt(3) / 4])
+    (arc,) = (c for c in locus.of_kind(SingularityKind.TYPE_II) if (c.points[:, 1] < -0.8).all())
+    np.testing.assert_allclose(np.linalg.norm(arc.points - centre, axis=1), 0.5, atol=1e-11)
+    angles = np.arctan2(*(arc.points - centre).T[::-1])
+    np.testing.assert_allclose(sorted(angles[[0, -1]]), [-2 * np.pi / 3, -np.pi / 3], atol=1e-9)
+    assert (np.diff(angles) * (angles[-1] - angles[0]) > 0.0).all()
+    # all of it: 0.523 along that circle, and what is above
+    ends = np.array(
+        [sorted(map(tuple, c.points[[0, -1]].round(6) + 0.0)) for c in locus.of_kind(SingularityKind.TYPE_II)]
+    )
+    assert len(ends) == 3
+    assert (np.abs(ends[ends[:, 0, 1] > -0.5] - [[0.0, 0.0], [0.5, 0.0]]) < 1e-9).all()
 
 
 @pytest.mark.long_for("mode1-0.3")
@@ -79,7 +98,10 @@ def test_three_rrr_is_type_ii_where_its_distal_lines_meet_in_a_point(mode, orien
     """Lines (e, A × e) are concurrent or parallel when their determinant vanishes; elsewhere it does not."""
     locus = locus_of("3rrr", mode, orientation)
     on, _ = points_of(locus, SingularityKind.TYPE_II)
+    on = on[np.abs(legs_of(locus.robot, on).c).min(axis=0) > 1e-6]  # at their ends a leg may be folded
     assert np.abs(line_determinant(locus.robot, on)).max() < 1e-10
+    ends = np.concatenate([c.q[[0, -1]] for c in locus.of_kind(SingularityKind.TYPE_II)])
+    assert classify(locus.robot, ends).serial_margin.max() < 1e-7  # none is cut short
     shape = locus.margin.shape
     nodes = np.zeros((shape[0] * shape[1], 3))
     nodes[:, :2] = np.stack(np.meshgrid(*locus.axes, indexing="ij"), axis=-1).reshape(-1, 2)
