@@ -152,7 +152,7 @@ def singular_locus(
 
     Covered are platforms with two translations and at most one rotation (which is fixed), and robots whose only
     independent coordinate is a joint. Only the part of the workspace that is connected to the reference configuration
-    within the slice is searched, and closed curves smaller than a grid cell can be missed. Isolated type I points (a leg
+    within the slice is searched; closed curves smaller than a grid cell can be missed. Isolated type I points (a leg
     of zero length, or folded onto its base hinge) are no curves and are not listed. Where m ≠ n type II singularities
     fill no curves: only type I is given.
 
