@@ -145,6 +145,27 @@ def test_figures_keep_out_of_reach_and_best_apart(five_bar: Workspace) -> None:
     assert np.linalg.norm(best - 1.0) > 0.5  # not white
 
 
+def test_islands_are_marked_in_clouds_and_on_lines() -> None:
+    pytest.importorskip("matplotlib")
+    cloud = rp.workspace("gough", bounds=[(-0.1, 0.1), (-0.1, 0.1), (0.3, 0.5)], resolution=3)
+    island = np.array(cloud.island)
+    island[..., 2] = 1  # above
+    drawn = rp.plot.workspace(replace(cloud, island=island))
+    points = drawn.axes[0].collections[-1]
+    ringed = np.array(points.get_linewidths()) > 0.0
+    assert sorted(ringed) == sorted((island > 0)[cloud.in_range])
+    order = np.argsort(points.get_offsets()[:, 1])
+    assert ringed[order[-6:]].all()
+    assert not ringed[order[:6]].any()
+    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["not reached from the reference"]
+    assert not rp.plot.workspace(cloud).legends
+    line = rp.workspace("five_bar", "x", resolution=5)
+    island = np.where(np.arange(5) < 3, line.island, 1)
+    start, other = (each.get_ydata() for each in rp.plot.workspace(replace(line, island=island)).axes[0].lines)
+    assert not (np.isfinite(start) & np.isfinite(other)).any()
+    assert np.array_equal(np.isfinite(other), line.in_range[0] & (np.arange(5) >= 3))
+
+
 def test_refusals() -> None:
     for message, kind, call in (
         ("free is", InputError, lambda: rp.workspace("five_bar", ("x", "q"))),

@@ -18,15 +18,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_ISLAND: dict[str, Any] = {"colors": "#D55E00", "linestyles": "--", "linewidths": 1.2}
+_MARK: dict[str, Any] = {"color": "#D55E00", "linestyle": "--", "linewidth": 1.2}
+"""Of what is in an island."""
 
 
 def draw_workspace(found: Workspace) -> Figure:
     """Draw a workspace: a map for each working mode over two coordinates, a cloud over three, curves over one.
 
     The colour is the margin to type II singularities. Its top is the 95th percentile, so that one bright spot does not
-    flatten the rest; the arrow of the scale says that there is more. Islands that the start does not reach are outlined
-    in maps. In a cloud the nearest points hide what is behind.
+    flatten the rest; the arrow of the scale says that there is more. Islands that the start does not reach are
+    outlined: in maps as a whole, in clouds each point, on curves by a broken line. In a cloud the nearest points hide
+    what is behind.
 
     Raises:
         InputError: no workspace.
@@ -49,14 +51,21 @@ def draw_workspace(found: Workspace) -> Figure:
             if found.modes[k]:
                 axes.set_title(f"working mode {mode_name(found.modes[k])}")
             if len(found.axes) == 1:
-                axes.plot(found.axes[0], np.where(found.in_range[k], size[k], np.nan), color="#0072B2")
+                for island, look in ((False, {"color": "#0072B2"}), (True, _MARK)):
+                    shown = found.in_range[k] & ((found.island[k] > 0) == island)
+                    axes.plot(found.axes[0], np.where(shown, size[k], np.nan), **look)
                 axes.set(
                     xlabel=f"{found.names[0]} [{found.units[0]}]", ylabel="margin to type II [–]", ylim=(0.0, None)
                 )
             elif len(found.axes) == 2:
                 image = shade(axes, found.axes, size[k], (found.reachable[k], found.in_range[k]), top)
                 if (found.island[k] > 0).any():
-                    axes.contour(*found.axes, (found.island[k] > 0).T, [0.5], **_ISLAND)
+                    axes.contour(
+                        *found.axes,
+                        (found.island[k] > 0).T,
+                        [0.5],
+                        **{f"{name}s": value for name, value in _MARK.items()},
+                    )
                 axes.set(
                     **{
                         f"{a}label": f"{name} [{unit}]"
@@ -71,9 +80,9 @@ def draw_workspace(found: Workspace) -> Figure:
             bar.set_label("smallest scaled singular value of W [–]")
         marks = hatched(found.reachable, found.in_range)
         if (found.island > 0).any():
-            look = {name[:-1]: value for name, value in _ISLAND.items()}
+            look = _MARK if len(found.axes) < 3 else {"ls": "", "marker": "o", "mfc": "none", "mec": _MARK["color"]}
             marks.append(Line2D([], [], label="not reached from the reference", **look))
-        legend_below(drawn, marks if len(found.axes) == 2 else [])
+        legend_below(drawn, marks if len(found.axes) == 2 else marks[-1:] if (found.island > 0).any() else [])
         return drawn
 
 
@@ -89,7 +98,9 @@ def _cloud(axes: Axes, found: Workspace, k: int, size: Array, top: float) -> Any
     towards = np.cross(matrix[0], matrix[1])
     order = np.argsort(points @ towards)  # the nearest last, on top
     flat = points[order] @ matrix.T
-    look: dict[str, Any] = {"cmap": COLORS, "vmin": 0.0, "vmax": top, "s": 6.0, "linewidths": 0.0, "zorder": 1.5}
+    rings = np.where(found.island[k].ravel()[inside][order] > 0, 0.7, 0.0)
+    look: dict[str, Any] = {"cmap": COLORS, "vmin": 0.0, "vmax": top, "s": 6.0, "zorder": 1.5}
+    look |= {"linewidths": rings, "edgecolors": _MARK["color"]}
     image = axes.scatter(flat[:, 0], flat[:, 1], c=values[order], **look)
     label_plane(axes, "3d", flat=False)
     return image
