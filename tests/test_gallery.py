@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from doc_blocks import Block, blocks_of
+from doc_blocks import Block, blocks_of, example_script
 from test_writers import MOTION_TOLERANCE, run
 from zoo import SHIPPED, robot_of
 
@@ -45,6 +46,22 @@ def test_a_block_ends_with_torques(block: Block) -> None:
     assert len(session["tau"]) > 10
     assert np.isfinite(session["tau"]).all()
     assert np.ptp(session["tau"]) > 0.1
+
+
+@pytest.mark.long
+def test_the_block_of_cassie(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    example = example_script(PAGE.parent / "examples" / "cassie_leg.py")
+    try:
+        example.load(tmp_path)
+    except PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed: pip install 'redundancy_pin[examples]'")
+    monkeypatch.chdir(tmp_path)
+    (block,) = [each for each in BLOCKS if not each.runs]
+    session: dict[str, Any] = {}
+    exec(compile(block.text, block.where, "exec"), session)
+    assert session["tau"].shape == (11, 10)
+    assert session["robot"].actuated[3] == "left-knee-op"  # the fourth joint is the one that the block bends
+    assert 40.0 < session["tau"][:, 3].max() < 80.0
 
 
 @pytest.mark.long_for(*(name for name in SWUNG if name != "walking_leg"))
