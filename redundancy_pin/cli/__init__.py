@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Mapping
 
 import click
@@ -11,6 +12,9 @@ from redundancy_pin import __version__, _startup
 from redundancy_pin.cli.errors import OneLineErrors
 
 __all__ = ["main"]
+
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+"""No command has plugins of pydantic, which looks for them in all packages that are installed."""
 
 COMMANDS: Mapping[str, str] = {
     "check": "Judge a saved plan anew.",
