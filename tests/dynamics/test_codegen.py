@@ -61,6 +61,13 @@ def code_of(name: str) -> Code:
     return Code(robot_of(name))
 
 
+@cache
+def program_of(name: str, level: str = "-O2", compiler: str = "gcc") -> Path:
+    folder = folder_of(robot_of(name))
+    target = folder.parent / f"{compiler}{level}"
+    return compiled([folder / "unit.c", folder / "test_unit.c"], target, level, compiler=compiler)
+
+
 def assert_near(got: object, want: np.ndarray, what: str, factor: float = 1.0, scale: float | None = None) -> None:
     size = max(np.nanmax(np.abs(want), initial=0.0) if scale is None else scale, 1e-3)
     np.testing.assert_allclose(got, want, rtol=0.0, atol=EQUAL * size * factor, err_msg=what)
@@ -72,11 +79,9 @@ def assert_near(got: object, want: np.ndarray, what: str, factor: float = 1.0, s
 @pytest.mark.long_for(*(f"{name}-gcc" for name in SMALL if name not in ("2rpr", "fewer actuators")))
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
-def test_it_compiles_and_its_own_test_passes(name: str, compiler: str, tmp_path: Path) -> None:
-    folder = folder_of(robot_of(name))
-    sources = [folder / "unit.c", folder / "test_unit.c"]
+def test_it_compiles_and_its_own_test_passes(name: str, compiler: str) -> None:
     for level in ("-O0", "-O2", "-O3") if name == "3rrr" else ("-O2",):
-        done = run(compiled(sources, tmp_path / "program", level, compiler=compiler))
+        done = run(program_of(name, level, compiler))
         assert done.returncode == 0, done.stdout
         assert done.stdout.startswith("0 failures")
 
@@ -92,13 +97,11 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.long_for("fewer actuators", "2rpr")
+@pytest.mark.long_for("fewer actuators")
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
 @pytest.mark.parametrize("name", ["2rpr", "fewer actuators", *LONG])
-def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
-    folder = folder_of(robot_of(name))
-    program = compiled([folder / "unit.c", folder / "test_unit.c"], tmp_path / "program", "-O1", "-g")
-    done = run(Path("valgrind"), "-q", "--error-exitcode=9", "--leak-check=full", str(program))
+def test_valgrind_finds_nothing(name: str) -> None:
+    done = run(Path("valgrind"), "-q", "--error-exitcode=9", "--leak-check=full", str(program_of(name)))
     assert done.returncode == 0, done.stderr
 
 
