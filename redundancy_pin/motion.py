@@ -329,7 +329,8 @@ class _Rates:
         self._last: tuple[Array, Array, Array] | None = None
         self._sums: dict[str, Any] = {}
         self._ends: dict[str, Array] = {}
-        # integral of the rates, change of the values, and the same of angles written within a turn; (4, 1 + n, I)
+        # integral of the rates, change of the values, and the same of angles written within a turn; (3, 1 + n, I).
+        # Time runs along the last axis in here: sums over what lies side by side take a fifth as long
         self._kept: list[Array] = []
         self._steps, self._stride = 0, 1
 
@@ -340,59 +341,61 @@ class _Rates:
 
     def add(self, t: Array, values: Array, rates: Array) -> None:
         """Take N samples: times, values (N, n) or poses (N, 4, 4), and rates (N, n)."""
-        new: dict[str, Any] = {"rate2": (rates**2).sum(axis=0), "samples": np.float64(len(t))}
-        ends = {"rate": np.abs(rates).max(axis=0)}
+        rates = np.ascontiguousarray(rates.T)
+        new: dict[str, Any] = {"rate2": _products(rates, rates), "samples": np.float64(len(t))}
+        ends = {"rate": np.abs(rates).max(axis=1)}
         known = 0
         if self._last is not None:
             known = len(self._last[0])
-            t, values, rates = (np.concatenate(both) for both in zip(self._last, (t, values, rates), strict=True))
+            t, values = (np.concatenate(both) for both in zip(self._last[:2], (t, values), strict=True))
+            rates = np.concatenate([self._last[2], rates], axis=1)
         else:
-            self._start, zero = t[0], np.zeros((3, rates.shape[1]))
+            self._start, zero = t[0], np.zeros((3, len(rates), 1))
             self._integral, self._change, self._continued = zero
-        self._last = t[-2:], values[-2:], rates[-2:]
+        self._last = t[-2:], values[-2:], rates[:, -2:]
         first = max(known - 1, 0)
-        dt, bends = np.diff(t)[:, None], np.diff(rates, axis=0)
+        dt, bends = np.diff(t), np.diff(rates)
         # four times the error of the trapezoids, as second differences show it
-        bent = (dt[1:] * np.abs(np.diff(bends, axis=0)))[max(known - 2, 0) :]
-        dt, bends, steps = dt[first:], bends[first:], _steps(values[first:])
-        if len(steps):
-            means = 0.5 * (rates[first:-1] + rates[first + 1 :])
-            integral = self._integral + np.cumsum(dt * means, axis=0)
-            change = self._change + np.cumsum(steps, axis=0)
+        bent = (dt[1:] * np.abs(np.diff(bends)))[:, max(known - 2, 0) :]
+        dt, bends, steps = dt[first:], bends[:, first:], _steps(values[first:])
+        if steps.shape[1]:
+            means = 0.5 * (rates[:, first:-1] + rates[:, first + 1 :])
+            integral = self._integral + np.cumsum(dt * means, axis=1)
+            change = self._change + np.cumsum(steps, axis=1)
             # angles may be written within a turn
-            continued = self._continued + np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=0)
-            self._integral, self._change, self._continued = integral[-1], change[-1], continued[-1]
-            elapsed, later = (t[first + 1 :] - self._start)[:, None], dt[:, 0] > 0.0
+            continued = self._continued + np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=1)
+            self._integral, self._change, self._continued = (part[:, -1:] for part in (integral, change, continued))
+            elapsed, later = t[first + 1 :] - self._start, dt > 0.0
             new |= {
-                "error": bent.sum(axis=0) / 3.0,
+                "error": bent.sum(axis=1) / 3.0,
                 "later": np.float64(np.count_nonzero(later)),
-                "steps": np.float64(len(steps)),
-                "bias": (elapsed * (integral - change)).sum(axis=0),
-                "bias of angles": (elapsed * (integral - continued)).sum(axis=0),
-                "elapsed2": (elapsed**2).sum(),
-                "step2": (steps[later] ** 2).sum(axis=0),
-                "bend2": (bends[later] ** 2).sum(axis=0),
-                "change": change.sum(axis=0),
-                "change2": (change**2).sum(axis=0),
-                "integral2": (integral**2).sum(axis=0),
-                "product": (change * integral).sum(axis=0),
+                "steps": np.float64(steps.shape[1]),
+                "bias": (integral - change) @ elapsed,
+                "bias of angles": (integral - continued) @ elapsed,
+                "elapsed2": elapsed @ elapsed,
+                "step2": _products(steps * later, steps),
+                "bend2": _products(bends * later, bends),
+                "change": change.sum(axis=1),
+                "change2": _products(change, change),
+                "integral2": _products(integral, integral),
+                "product": _products(change, integral),
             }
-            ends |= {"step": np.abs(steps).max(axis=0)}
+            ends |= {"step": np.abs(steps).max(axis=1)}
             for name, series in (("change", change), ("integral", integral)):
-                ends |= {f"{name} up": series.max(axis=0), f"{name} down": -series.min(axis=0)}
-            self._keep(np.stack([np.hstack([t[first + 1 :, None], part]) for part in (integral, change, continued)]))
+                ends |= {f"{name} up": series.max(axis=1), f"{name} down": -series.min(axis=1)}
+            self._keep(t[first + 1 :], (integral, change, continued))
         for name, value in new.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
         for name, value in ends.items():
             self._ends[name] = np.maximum(self._ends.get(name, -np.inf), value)
 
-    def _keep(self, series: Array) -> None:
-        """Keep (3, N, 1 + n) integrals, with their times, at each ``stride``-th step."""
-        offset = -(self._steps + 1) % self._stride
-        self._steps += series.shape[1]
-        self._kept.append(series[:, offset :: self._stride].copy())
-        while sum(part.shape[1] for part in self._kept) > 2 * _COMPARED_AT:
-            self._kept = [np.concatenate(self._kept, axis=1)[:, 1::2].copy()]
+    def _keep(self, t: Array, series: tuple[Array, Array, Array]) -> None:
+        """Keep three series (n, N), with their times, at each ``stride``-th step."""
+        at = slice(-(self._steps + 1) % self._stride, None, self._stride)
+        self._steps += len(t)
+        self._kept.append(np.stack([np.concatenate([t[None, at], part[:, at]]) for part in series]))
+        while sum(part.shape[2] for part in self._kept) > 2 * _COMPARED_AT:
+            self._kept = [np.concatenate(self._kept, axis=2)[:, :, 1::2].copy()]
             self._stride *= 2
 
     def compared(self) -> _Compared:
@@ -402,14 +405,14 @@ class _Rates:
         if "later" not in sums or sums["later"] < _FEWEST_STEPS:
             no = np.zeros(n, dtype=bool)
             return _Compared(no, no, no, no, np.ones(n), np.zeros(n, dtype=np.intp), np.zeros(n))
-        kept = np.concatenate(self._kept, axis=1)
-        integral, change, continued = kept[:, :, 1:]
-        elapsed, most = kept[0, :, :1] - self._start, _BIAS * np.sqrt(sums["rate2"] / sums["samples"])
+        kept = np.concatenate(self._kept, axis=2)
+        integral, change, continued = kept[:, 1:]
+        elapsed, most = kept[0, 0] - self._start, _BIAS * np.sqrt(sums["rate2"] / sums["samples"])
 
         def without_bias(bias: Array) -> Array:
             """Return the integral of the rates less a constant, where a small one brings it nearer to what changes."""
             bias = bias / sums["elapsed2"]
-            return np.asarray(integral - elapsed * np.where(np.abs(bias) <= most, bias, 0.0))
+            return np.asarray(integral - np.where(np.abs(bias) <= most, bias, 0.0)[:, None] * elapsed)
 
         def ptp(name: str) -> Array:
             return np.asarray(ends[f"{name} up"] + ends[f"{name} down"])
@@ -419,15 +422,17 @@ class _Rates:
             return np.asarray(np.clip(sums["error"], _LEAST_MISFIT * size, _MISFIT * size))
 
         def follows(changed: Array, integral: Array, most: Array) -> BoolArray:
-            return np.asarray(np.abs(changed - integral).max(axis=0) <= most)
+            return np.asarray(np.abs(changed - integral).max(axis=1) <= most)
 
         size = np.maximum(ptp("change"), ptp("integral"))
-        apart = np.abs(change - integral) > tolerance(ptp("integral"))
-        unbiased = without_bias(sums["bias"])
-        fits = ~apart.any(axis=0) | follows(change, unbiased, tolerance(np.ptp(unbiased, axis=0)))
-        for rest in (integral, without_bias(sums["bias of angles"])):
-            over = np.ptp(rest, axis=0)
-            fits |= follows(continued, rest, np.minimum(tolerance(over), _MISFIT * over))
+        apart = np.abs(change - integral) > tolerance(ptp("integral"))[:, None]
+        fits = ~apart.any(axis=1)
+        if not fits.all():
+            unbiased = without_bias(sums["bias"])
+            fits |= follows(change, unbiased, tolerance(np.ptp(unbiased, axis=1)))
+            for rest in (integral, without_bias(sums["bias of angles"])):
+                over = np.ptp(rest, axis=1)
+                fits |= follows(continued, rest, np.minimum(tolerance(over), _MISFIT * over))
         # a ramp between two samples is in the values, and not in rates sampled before and after it
         dense = ends["step"] <= _LARGEST_STEP * size
         # what hardly changes has few digits: the seventh of the largest coordinate is rounding
@@ -443,22 +448,27 @@ class _Rates:
         with np.errstate(divide="ignore", invalid="ignore"):
             factor = sums["product"] / sums["change2"]
             similar = np.abs(factor) * np.sqrt(sums["change2"]) >= _SIMILAR * np.sqrt(sums["integral2"])
-        at = np.argmax(apart, axis=0)
+        at = np.argmax(apart, axis=1)
         sample = (at + 1) * self._stride
-        return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, sample, kept[0, at, 0])
+        return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, sample, kept[0, 0, at])
+
+
+def _products(a: Array, b: Array) -> Array:
+    """Return the scalar products (n,) of the rows of a and b (n, N)."""
+    return np.asarray(np.einsum("nk,nk->n", a, b))
 
 
 def _steps(x: Array) -> Array:
-    """Return (N-1, n) what coordinates change by from sample to sample, or (N-1, 6) poses, as a screw in world axes."""
+    """Return (n, N-1) what coordinates change by from sample to sample, or (6, N-1) poses, as a screw in world axes."""
     if x.ndim == 2:
-        return np.diff(x, axis=0)
+        return np.diff(np.ascontiguousarray(x.T))
     turn = x[1:, :3, :3] @ x[:-1, :3, :3].transpose(0, 2, 1)
     # sin of the angle times the axis; not defined at half a turn, which is no step of a dense motion
     axis = 0.5 * np.stack([turn[:, i, j] - turn[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1.0))
     scale = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)
-    return np.concatenate([np.diff(x[:, :3, 3], axis=0), scale[:, None] * axis], axis=1)
+    return np.concatenate([np.diff(x[:, :3, 3].T), scale * axis.T])
 
 
 def _dimensions(values: ArrayLike) -> int:
