@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import shlex
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import zoo
 from examples import FACTOR
 from hypothesis import settings
 
-from redundancy_pin.dynamics.compiled.build import CACHE
+from redundancy_pin.dynamics.compiled.build import CACHE, find_compiler
 from redundancy_pin.robot import Robot
 
 # the same examples every time, so that a change is judged and not the draw; `HYPOTHESIS_PROFILE=explore` looks further
@@ -90,10 +91,15 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cache of compiled robots of this run's own, shared by its workers: nobody's home is written to or read."""
+    """A cache of compiled robots of this run's own, shared by its workers: nobody's home is written to or read.
+
+    Their compiler optimises little, which takes half the time and rounds as ever: the last of its options counts.
+    """
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "compiled"
     folder.mkdir(exist_ok=True, mode=0o700)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(CACHE, str(folder))
+        if found := find_compiler():
+            patch.setenv("CC", shlex.join(["sh", "-c", 'exec "$0" "$@" -O1', *found.command]))
         yield folder

@@ -51,7 +51,7 @@ def multistart(system: ConstraintSystem, guess: Array, x: Array) -> PoseSolution
     rng = np.random.default_rng(_SEED)
     best = PoseSolution(guess, float("inf"), False)
     for starts in _STARTS:
-        solution = _assemble_around(system, guess, x, starts, rng)
+        solution = _assembled(system, _around(system, guess, starts, rng), x)
         q = wrapped(system.robot, solution.q)
         usable = solution.closed & in_working_mode(system.robot, q)
         if usable.any():
@@ -78,13 +78,13 @@ def multistart_nearest(
     starts from there too, and that is what is nearest where no joint is listed.
     """
     rng = np.random.default_rng(_SEED)
-    solutions = [_assemble_around(system, start, x, 1, rng) for start in (guess, prescribed)]
-    solutions += [_assemble_around(system, guess, x, _NEAR_STARTS, rng, kept) for kept in (listed, listed[:0])]
-    q = wrapped(system.robot, np.concatenate([solution.q for solution in solutions]), guess)
-    closed = np.concatenate([solution.closed for solution in solutions])
-    usable = closed & in_working_mode(system.robot, q)
+    around = [_around(system, guess, _NEAR_STARTS, rng) for _ in range(2)]
+    around[0][:, listed] = guess[listed]
+    solution = _assembled(system, np.concatenate([guess[None], prescribed[None], *around]), x)
+    q = wrapped(system.robot, solution.q, guess)
+    usable = solution.closed & in_working_mode(system.robot, q)
     if not usable.any():
-        return _from_mixed_legs(system, q[closed], guess, x) or multistart(system, guess, x)
+        return _from_mixed_legs(system, q[solution.closed], guess, x) or multistart(system, guess, x)
     columns = listed if len(listed) else np.arange(len(guess))
     away = q[:, columns] - prescribed[columns]
     turning = np.isin(columns, _bounded_angles(system.robot))
@@ -92,7 +92,7 @@ def multistart_nearest(
     # the joints that are not listed decide among equals, so that the answer does not hang on the order of the starts
     distance = np.abs(away).sum(axis=1).round(9) + 1e-12 * np.abs(q - prescribed).sum(axis=1)
     nearest = int(np.argmin(np.where(usable, distance, np.inf)))
-    return PoseSolution(q[nearest], float(np.concatenate([solution.gap for solution in solutions])[nearest]), True)
+    return PoseSolution(q[nearest], float(solution.gap[nearest]), True)
 
 
 def mixed_legs(robot: Robot, q: Array, guess: Array) -> Array | None:
@@ -119,7 +119,7 @@ def _from_mixed_legs(system: ConstraintSystem, q: Array, guess: Array, x: Array)
     candidate = mixed_legs(system.robot, q, guess)
     if candidate is None:
         return None
-    solution = assemble(system, candidate[None], x[None], shortest_step=_SHORTEST_STEP)
+    solution = _assembled(system, candidate[None], x)
     settled = wrapped(system.robot, solution.q)
     if not (solution.closed[0] and in_working_mode(system.robot, settled)[0]):
         return None
@@ -146,23 +146,19 @@ def _independent_parts(robot: Robot) -> list[IntArray]:
     return [np.array(sorted(c for span in part for c in span), dtype=np.intp) for part in spans if part]
 
 
-def _assemble_around(
-    system: ConstraintSystem,
-    guess: Array,
-    x: Array,
-    starts: int,
-    rng: np.random.Generator,
-    kept: IntArray | None = None,
-) -> Assembly:
+def _around(system: ConstraintSystem, guess: Array, starts: int, rng: np.random.Generator) -> Array:
+    """Return (starts, nq) random configurations about a guess (nq,); of one start the guess itself."""
     model, columns = system.robot.model, system.pose_columns
     steps = np.zeros((starts, model.nv))
     if starts > 1:
         spread = np.where(turning_velocities(system.robot)[columns], np.pi, system.robot.characteristic_length)
         steps[:, columns] = rng.uniform(-1.0, 1.0, (starts, len(columns))) * spread
-    around = integrate(model, np.repeat(guess[None], starts, axis=0), steps)
-    if kept is not None:
-        around[:, kept] = guess[kept]
-    return assemble(system, around, np.repeat(x[None], starts, axis=0), shortest_step=_SHORTEST_STEP)
+    return integrate(model, np.repeat(guess[None], starts, axis=0), steps)
+
+
+def _assembled(system: ConstraintSystem, starts: Array, x: Array) -> Assembly:
+    """Assemble one pose from starts (N, nq), all at once."""
+    return assemble(system, starts, np.repeat(x[None], len(starts), axis=0), shortest_step=_SHORTEST_STEP)
 
 
 def wrapped(robot: Robot, q: Array, guess: Array | None = None) -> Array:

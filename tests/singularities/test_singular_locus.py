@@ -24,8 +24,12 @@ GRID = 60
 """Coarse grids are enough: every point is refined."""
 
 
-@functools.cache
 def locus_of(name: str, mode: tuple[int, ...] | None = None, orientation: float | None = None) -> SingularLocus:
+    return _locus_of(name, mode, orientation)
+
+
+@functools.cache  # which tells arguments that are left out from those that are not
+def _locus_of(name: str, mode: tuple[int, ...] | None, orientation: float | None) -> SingularLocus:
     robot = zoo.robot_of(name, working_mode=mode) if mode else zoo.robot_of(name)
     return singular_locus(robot, orientation=orientation, resolution=GRID)
 
