@@ -264,8 +264,8 @@ def test_bombs_take_neither_time_nor_memory(names: list[str], tmp_path: Path) ->
     if len(names) > 1:  # the most that is unpacked: no bomb, but no plan either
         large = ("metadata.npy", npy(np.array(text()))), ("a.npy", npy(np.zeros(16_000_000)))
         paths.append(pack(tmp_path / "large.npz", *large))
-    # the metadata that need most memory: as many lists as are read, in as many characters
-    paths.append(pack(tmp_path / "metadata.npz", ("metadata.npy", npy(np.array(f"[{MOST}1]")))))
+        # the metadata that need most memory: as many lists as are read, in as many characters
+        paths.append(pack(tmp_path / "metadata.npz", ("metadata.npy", npy(np.array(f"[{MOST}1]")))))
     done = subprocess.run([sys.executable, "-c", READER, *paths], capture_output=True, text=True, check=True)
     *seconds, megabytes = map(float, done.stdout.split())
     assert len(seconds) == len(paths)

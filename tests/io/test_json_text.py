@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 import pytest
+from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,6 +19,7 @@ VALUES = st.recursive(
 )
 
 
+@examples(15)
 @given(value=VALUES)
 def test_json_comes_back(value: Any) -> None:
     text = json.dumps(value)

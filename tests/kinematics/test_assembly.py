@@ -18,7 +18,7 @@ from redundancy_pin.robot import Robot
 SAME = 1e-9  # two closed configurations of one regular pose: the closure tolerance over a margin of 0.01
 
 
-@examples(25)
+@examples(10)
 @given(name=st.sampled_from(zoo.SHIPPED), seed=st.integers(0, 2**16))
 def test_bad_guesses_end_closed_at_the_target_or_say_that_they_did_not(name: str, seed: int) -> None:
     robot = zoo.robot_of(name)

@@ -163,7 +163,7 @@ def test_a_robot_is_not_named_by_a_number():
 def test_robots_render_in_several_threads_at_once():
     """xacro keeps its stacks in globals; a map by joblib's threads made failed cells of that."""
     path = models_root() / "3rrr" / "3rrr.urdf.xacro"
-    masses = [0.5 + 0.1 * i for i in range(24)]
-    with ThreadPoolExecutor(8) as pool:
+    masses = [0.5 + 0.1 * i for i in range(12)]
+    with ThreadPoolExecutor(6) as pool:
         found = list(pool.map(lambda mass: render(path, {"carrier_mass": mass}), masses))
     assert [parameters["carrier_mass"] for _, parameters in found] == pytest.approx(masses)

@@ -100,9 +100,9 @@ ELBOW, CENTRE = '<origin xyz="${proximal_length} 0 0"', '<origin xyz="${start + 
     ("numbers", "old", "new"),
     [
         # put together as text
-        (("tail_length", "platform_radius"), 'start="${-tail_length}"', 'start="-${tail_length}"'),
+        (("tail_length",), 'start="${-tail_length}"', 'start="-${tail_length}"'),
         (("proximal_length",), f"{ELBOW}/>", ELBOW + ' rpy="0 0 ${0.1 * proximal_length}"/>'),
-        (("distal_mass", "platform_mass"), f"{CENTRE}/>\n        <mass",
+        (("distal_mass",), f"{CENTRE}/>\n        <mass",
          CENTRE + ' rpy="${0.2 * mass} 0.1 ${length}"/>\n        <mass'),
     ],
 )  # fmt: skip

@@ -415,7 +415,8 @@ def test_a_crank_that_turns_many_times_keeps_its_energy() -> None:
     assert run.statistics.evaluations > 12 * run.statistics.steps
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "four_bar", pytest.param("gough", marks=pytest.mark.long)])
+@pytest.mark.long_for("four_bar", "gough")
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "four_bar", "gough"])
 def test_linearisations_are_those_of_the_analytic_derivatives(name: str) -> None:
     robot = moving.massive(name)
     states = moving.random_states(robot, 21, 3)

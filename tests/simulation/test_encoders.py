@@ -45,15 +45,15 @@ def test_the_estimate_is_the_truth_to_a_step():
 
 def test_speeds_off_the_plan_are_found_with_the_lag_of_the_filter():
     motion = moving()
-    encoders = Encoders(Still(), motion, period=1e-3, time_constant=5e-3, revolute_step=1e-9, prismatic_step=1e-9)
-    for i in range(101):
+    encoders = Encoders(Still(), motion, period=1e-3, time_constant=2e-3, revolute_step=1e-9, prismatic_step=1e-9)
+    for i in range(31):
         t = 1e-3 * i
         point = motion.at(t)
         away = 0.1 * t
         state = closed_state(motion.robot, point.x, point.xd, point.s + away, point.sd + 0.1, t=t)
         found = encoders.estimate(t, state)
         if i == 6:
-            assert found.sd - point.sd == pytest.approx(0.1 * (1.0 - (5.0 / 6.0) ** 6), rel=1e-4)
+            assert found.sd - point.sd == pytest.approx(0.1 * (1.0 - (2.0 / 3.0) ** 6), rel=1e-4)
     assert found.sd - point.sd == pytest.approx(0.1, rel=1e-4)
 
 

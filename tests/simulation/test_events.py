@@ -161,7 +161,7 @@ def test_a_type_two_pose_that_a_machine_started_from_is_an_event_when_it_comes_b
     robot = moving.massive("2rpr")
     pull = Constant(np.array([-40.0, -40.0]), np.zeros(2))  # towards the line of the bases
     start = closed_state(robot, [0.2, 0.0], [0.0, 0.3])
-    run = rp.simulate(robot, pull, start=start, duration=0.25, dt=0.001, max_step=1e-3)
+    run = rp.simulate(robot, pull, start=start, duration=0.25, dt=0.001, max_step=2e-3)
     (event,) = of_kind(run, "type_II")
     y = lambda t: float(run.at([t])[0][0, 1])  # noqa: E731
     assert event.t == pytest.approx(brentq(y, 0.02, 0.25), abs=TIMES)

@@ -61,9 +61,9 @@ def test_a_loose_tolerance_opens_the_closures_in_a_step_and_the_projection_close
 
 
 def test_every_step_starts_from_a_closed_state() -> None:
-    # a crank that turns for two seconds at a loose tolerance: what steps open does not add up
+    # a crank that turns for a second at a loose tolerance: what steps open does not add up
     robot = zoo.robot_of("four_bar", ground_length=0.5, crank_length=0.2, coupler_length=0.4, rocker_length=0.3)
-    run = rp.simulate(robot, start=closed_state(robot, xd=[8.0]), duration=2.0, rtol=1e-6, atol=1e-8, stop_at=())
+    run = rp.simulate(robot, start=closed_state(robot, xd=[8.0]), duration=1.0, rtol=1e-6, atol=1e-8, stop_at=())
     assert run.status.value == "completed"
     assert run.statistics.largest_correction < 1e-6
 

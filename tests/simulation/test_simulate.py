@@ -105,7 +105,7 @@ def test_both_methods_and_both_integrators_give_the_same_motion() -> None:
     robot = moving.massive("3rrr")
     start = closed_state(robot, xd=[0.2, -0.3, 0.4], sd=0.2)
     runs = [
-        rp.simulate(robot, Spring(home(robot)), start=start, duration=0.5, **options)
+        rp.simulate(robot, Spring(home(robot)), start=start, duration=0.25, **options)
         for options in ({}, {"method": "constraint_dynamics"}, {"integrator": "RK45", "rtol": 1e-12})
     ]
     for other in runs[1:]:
@@ -124,7 +124,7 @@ def test_carriers_by_motion_and_by_the_forces_this_takes_give_the_same_motion() 
     swinging = Swinging(home(robot))
     s, sd, _ = swinging.carrier_motion(0.0)
     start = closed_state(robot, xd=[0.2, -0.3, 0.4], s=s, sd=sd)
-    given = rp.simulate(robot, swinging, start=start, duration=0.4, dt=0.001, carriers="motion")
+    given = rp.simulate(robot, swinging, start=start, duration=0.2, dt=0.001, carriers="motion")
     expected = np.array([swinging.carrier_motion(t)[0] for t in given.t])
     np.testing.assert_array_equal(given.s, expected)
 
@@ -133,7 +133,7 @@ def test_carriers_by_motion_and_by_the_forces_this_takes_give_the_same_motion() 
             tau, _ = super().effort(t, state)
             return tau, np.array([np.interp(t, given.t, column) for column in given.carrier_force.T])
 
-    forced = rp.simulate(robot, Forced(home(robot)), start=start, duration=0.4, rtol=1e-8, atol=1e-8)
+    forced = rp.simulate(robot, Forced(home(robot)), start=start, duration=0.2, rtol=1e-8, atol=1e-8)
     # linear interpolation of the forces over 1 ms is off by 1e-6 of them
     np.testing.assert_allclose(forced.x[-1], given.x[-1], atol=1e-6)
     np.testing.assert_allclose(forced.s[-1], given.s[-1], atol=1e-6)

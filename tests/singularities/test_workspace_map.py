@@ -84,6 +84,7 @@ def test_the_default_grid_ends_beyond_the_workspace() -> None:
     assert x[-1] > 1.0
 
 
+@pytest.mark.long_for("False")
 @pytest.mark.parametrize("modes", [True, False])
 def test_a_part_that_is_not_connected_is_found(modes: bool) -> None:
     """Short distal links: each leg reaches a ring, and two rings share a part above and one below the base."""

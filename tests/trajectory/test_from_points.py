@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,12 @@ POSES_BY: dict[str, dict[str, Any]] = {
 }
 
 
+@functools.cache
+def through(name: str, *, poses: bool = False) -> Trajectory:
+    """Return a motion of the lists above, made once."""
+    return from_points(POSES, **POSES_BY[name]) if poses else from_points(POINTS, **BY[name])
+
+
 def require_smooth(motion: Trajectory) -> None:
     """ẋ and ẍ are the derivatives of x and ẋ, and none of them jumps; the ends are at rest."""
     dense = motion.sample(motion.duration / 20000)
@@ -59,7 +66,7 @@ def require_smooth(motion: Trajectory) -> None:
 
 @pytest.mark.parametrize("name", BY)
 def test_points_are_passed_smoothly_from_rest_to_rest(name: str) -> None:
-    motion = from_points(POINTS, **BY[name])
+    motion = through(name)
     require_smooth(motion)
     times = (
         [motion.timing.time_at(float(p)) for p in through_points(POINTS).lengths_at_points]
@@ -76,7 +83,7 @@ def test_points_are_passed_smoothly_from_rest_to_rest(name: str) -> None:
 
 @pytest.mark.parametrize("name", POSES_BY)
 def test_poses_are_passed_smoothly(name: str) -> None:
-    motion = from_points(POSES, **POSES_BY[name])
+    motion = through(name, poses=True)
     require_smooth(motion)
     times = (
         POSES_BY[name]["times"]
@@ -101,7 +108,7 @@ def test_a_turn_about_one_axis_stays_a_turn_about_it() -> None:
 
 @pytest.mark.parametrize("name", ["time-optimal", "time-optimal, each"])
 def test_limits_hold_on_dense_samples_and_are_reached(name: str) -> None:
-    motion = from_points(POINTS, **BY[name])
+    motion = through(name)
     dense = motion.sample(motion.duration / 50000)
     used = []
     for part, limit in ((dense.xd, "max_speed"), (dense.xdd, "max_acceleration")):
@@ -114,7 +121,7 @@ def test_limits_hold_on_dense_samples_and_are_reached(name: str) -> None:
 
 
 def test_the_fastest_pose_keeps_both_pairs_of_limits() -> None:
-    motion = from_points(POSES, **POSES_BY["time-optimal"])
+    motion = through("time-optimal", poses=True)
     dense = motion.sample(motion.duration / 20000)
     for rates, limits in ((dense.xd, (0.3, 1.0)), (dense.xdd, (1.0, 3.0))):
         assert np.linalg.norm(rates[:, :3], axis=1).max() <= limits[0] * (1 + 1e-9)
@@ -191,7 +198,7 @@ def test_a_law_of_pieces_is_inverted_and_scaled() -> None:
 @pytest.mark.parametrize("name", BY)
 def test_planners_get_it_as_polynomials(name: str) -> None:
     """Its knots are known, so that few pieces resolve it to rounding."""
-    motion = from_points(POINTS, **BY[name])
+    motion = through(name)
     times = np.linspace(0.0, motion.duration, 999)
     polynomials = continuous_motion(motion).polynomials
     exact = motion.sample_at(times)

@@ -60,13 +60,13 @@ def test_random_first_guesses_are_swings_that_end_where_they_began(monkeypatch):
 
 
 def test_the_best_of_several_optima_is_kept_and_all_are_reported():
-    plan = two_optima(starts=6)
+    plan = two_optima(starts=4)
     starts = plan.diagnostics["starts"]
-    assert (starts["asked"], starts["tried"], starts["converged"]) == (6, 6, 6)
+    assert (starts["asked"], starts["tried"], starts["converged"]) == (4, 4, 4)
     costs = [optimum["cost"] for optimum in starts["optima"]]
     assert len(costs) == 2
     assert costs[0] < (1.0 - 1e-3) * costs[1]
-    assert sorted(number for optimum in starts["optima"] for number in optimum["starts"]) == list(range(6))
+    assert sorted(number for optimum in starts["optima"] for number in optimum["starts"]) == list(range(4))
     assert starts["won"] in starts["optima"][0]["starts"]
     assert starts["costs"][starts["won"]] == min(starts["costs"]) == plan.diagnostics["cost"]
 
@@ -88,7 +88,7 @@ def test_every_first_guess_is_tried_before_the_planner_gives_up(monkeypatch):
 
 
 def test_one_optimum_is_reported_as_one():
-    plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, starts=3)
+    plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, starts=3, refinements=0)
     starts = plan.diagnostics["starts"]
     assert len(starts["optima"]) == 1
     assert starts["optima"][0]["starts"] == [0, 1, 2]
@@ -98,7 +98,7 @@ COARSE = {"dt": 0.04, "refinements": 0}
 """Steps so long that plans overshoot their limits between the nodes unless that is prevented."""
 
 
-@pytest.mark.long_for("speed-0.55-stopped early")
+@pytest.mark.long_for("speed-0.55-stopped early", "track-0.05-stopped early", "speed-0.55-optimal")
 @pytest.mark.parametrize("tolerance", [1e-9, 1e-40], ids=["optimal", "stopped early"])
 @pytest.mark.parametrize(("quantity", "limit"), [("speed", 0.55), ("track", 0.05)])
 def test_limits_hold_between_the_nodes_where_they_are_met(quantity, limit, tolerance, monkeypatch):
@@ -177,7 +177,7 @@ def test_long_plans_are_the_same_from_both_backends():
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monkeypatch, objective):
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
-    settings = {"objective": objective, "dt": 0.02, "refinements": 0}
+    settings = {"objective": objective, "dt": 0.05, "refinements": 0}
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
     monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 3)
     other = plan_whole_trajectory(dynamics, trajectory, **settings)
@@ -189,7 +189,7 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
 def test_flat_optima_are_finished_whatever_led_to_them(monkeypatch):
     """Within tolerance the efforts of two strategies are 2e-5 of the peak apart; the last steps mend it."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.013)
-    settings = {"objective": "peak", "dt": 0.01, "refinements": 0}
+    settings = {"objective": "peak", "dt": 0.03, "refinements": 0}
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
     monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 3)
     other = plan_whole_trajectory(dynamics, trajectory, **settings)
