@@ -93,6 +93,8 @@ def shortest_return(
     uses = _sampled_uses(robot, force, state, datum, durations)
     padded = np.concatenate([[np.inf], uses, [np.inf]])
     dips = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & (uses > ALLOWED)
+    if limit_uses(robot, state.s, state.sd, state.sdd, np.zeros_like(state.s)).max() > ALLOWED:
+        dips[:] = False  # it begins beyond a limit, whatever its duration
     for i in np.flatnonzero(dips | (uses <= ALLOWED)).tolist():
         low, high = float(durations[max(i - 1, 0)]), float(durations[i])
         if uses[i] > ALLOWED:  # the limits may be kept between two candidates

@@ -76,7 +76,7 @@ def assert_near(got: object, want: np.ndarray, what: str, factor: float = 1.0, s
 # --- the compiler's view -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long_for(*(f"{name}-gcc" for name in SMALL if name not in ("2rpr", "fewer actuators")))
+@pytest.mark.long_for(*(f"{name}-gcc" for name in SMALL if name != "2rpr"))
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
 def test_it_compiles_and_its_own_test_passes(name: str, compiler: str) -> None:
@@ -91,7 +91,8 @@ def test_it_compiles_and_its_own_test_passes(name: str, compiler: str) -> None:
 def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     folder = folder_of(robot_of(name))
     sources = [folder / "unit.c", folder / "test_unit.c"]
-    flags = ("-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")  # unoptimised: a third of the time, and nothing hidden
+    # unoptimised: nothing is hidden, in a third of the time
+    flags = ("-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     done = run(compiled(sources, tmp_path / "program", *flags))
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr == ""
@@ -156,6 +157,7 @@ def test_two_robots_are_linked_into_one_program(tmp_path: Path) -> None:
     assert run(program).returncode == 0
 
 
+@pytest.mark.long
 def test_its_own_test_can_fail(tmp_path: Path) -> None:
     folder = folder_of(robot_of("2rpr"))
     text = (folder / "unit.c").read_text(encoding="utf-8")
@@ -316,6 +318,7 @@ def drives_along(robot: Robot, motion: rp.PlatformMotion) -> tuple[np.ndarray, n
     return np.stack(columns, axis=1), tree.v[:, robot.actuated_velocity]
 
 
+@pytest.mark.long_for("universal", "four_bar")
 @pytest.mark.parametrize("name", [*(name for name in SMALL if name != "fewer actuators"), LARGE])
 def test_the_platform_follows_from_its_actuators(name: str) -> None:
     robot, code, t = robot_of(name), code_of(name), np.linspace(0.0, 2.0, 150)
@@ -395,6 +398,7 @@ def test_more_actuators_than_freedoms_take_the_nearest_pose() -> None:
 # --- Jacobians and margins ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long_for("universal", "four_bar")
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
 def test_jacobians_and_margins(name: str) -> None:
     robot, code, t = robot_of(name), code_of(name), np.linspace(0.0, 2.0, 20)
@@ -420,6 +424,7 @@ def test_jacobians_and_margins(name: str) -> None:
 # --- what cannot be --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long_for("universal")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "universal"])
 def test_bad_input_gets_a_status_and_nothing_is_written(name: str) -> None:
     robot, code = robot_of(name), code_of(name)

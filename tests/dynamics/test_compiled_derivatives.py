@@ -170,7 +170,7 @@ def test_type_two_poses_are_as_good_as_others() -> None:
         assert all(np.isnan(getattr(one.tau, field.name)).all() for field in dataclasses.fields(Partials))
 
 
-@pytest.mark.long_for("actuated0")
+@pytest.mark.long_for("actuated0", "actuated2")
 @pytest.mark.parametrize("actuated", [("base_1",), ("base_1", "base_2", "elbow_2"), ("elbow_1", "base_2")])
 def test_fewer_and_more_actuators_than_freedoms(actuated: tuple[str, ...]) -> None:
     assert_motion_derivatives(with_actuators(actuated), 9, columns=1)

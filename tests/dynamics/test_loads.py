@@ -163,7 +163,7 @@ def test_a_payload_is_mass_of_the_platform() -> None:
 _STEP = 1e-3
 
 
-@pytest.mark.parametrize("name", ["3rrr", "2rpr", "gough", "four_bar"])
+@pytest.mark.parametrize("name", ["3rrr", "2rpr", pytest.param("gough", marks=pytest.mark.long), "four_bar"])
 def test_energy_grows_by_the_power_of_efforts_and_wrenches_less_what_dampers_take(name: str) -> None:
     """Places of frames come from Pinocchio, their velocities from differences: nothing of the loads' own kinematics."""
     robot = machine(name)

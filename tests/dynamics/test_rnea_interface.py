@@ -41,6 +41,7 @@ def test_one_solution_of_the_kinematics_serves_many_carrier_motions() -> None:
     assert not along.tree.q[:, robot.carrier_position].any()
 
 
+@pytest.mark.long_for("gough")
 @pytest.mark.parametrize("name", ["3rrr", "gough"])
 def test_threads_do_not_change_the_numbers(name: str) -> None:
     robot = zoo.robot_of(name)

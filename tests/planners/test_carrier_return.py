@@ -16,7 +16,7 @@ TRACK, SPEED, ACCELERATION = 0.2, 2.5, 10.0
 
 AVAILABLE = 2.0
 
-SPEEDS = np.linspace(1.118, 1.1225, 10)
+SPEEDS = np.linspace(1.118, 1.1225, 6)
 """Of a carrier that has to turn back before the end of its track."""
 
 

@@ -51,6 +51,7 @@ def test_time_and_pose_of_each_rank_loss_are_named(first: float, last: float, fl
     np.testing.assert_allclose(np.ravel([loss["x"] for loss in found]), flat, atol=EXACT)
 
 
+@pytest.mark.long
 def test_two_loops_that_are_flat_at_once_are_one_pose() -> None:
     """The determinant keeps its sign there: it is a product of two that change theirs."""
     dynamics, motion = rp.RneaDynamics(row_of_four_bars(2)), swing(1.2, -0.9)
@@ -87,4 +88,4 @@ def test_the_shipped_robots_have_none_and_the_command_says_so(tmp_path) -> None:
 def test_a_backend_that_does_not_know_says_nothing() -> None:
     dynamics = rp.CompiledDynamics(zoo.robot_of("3rrr"), interpret=True)
     assert np.isnan(dynamics.along(reference.corner().sample(0.1)).closure_margin()).all()
-    assert rp.plan_stepwise(dynamics, reference.corner(), dt=0.05).diagnostics["closure_rank"] == []
+    assert rp.plan_stepwise(dynamics, reference.corner(), dt=0.1).diagnostics["closure_rank"] == []

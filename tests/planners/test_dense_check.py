@@ -86,7 +86,7 @@ def test_the_spike_of_a_cusp_between_two_samples_is_the_peak_and_the_status_says
     np.testing.assert_allclose(plan.peak_effort, found, rtol=PEAK)
 
 
-@pytest.mark.long_for("-0.0002-False")
+@pytest.mark.long_for("-0.0002-False", "0.0002-True")
 @pytest.mark.parametrize(("depth", "finite"), [(-2e-4, False), (-1e-5, False), (1e-5, True), (2e-4, True)])
 def test_a_singularity_crossed_twice_between_two_samples_has_no_peak(depth: float, finite: bool) -> None:
     """The platform dips below the line of the two bases and is back before the next sample; or it just does not."""
@@ -274,7 +274,7 @@ def judged(seeds: range) -> Counter[str]:
 
 
 def test_random_motions_keep_what_their_status_says() -> None:
-    counts = judged(range(6))
+    counts = judged(range(5))
     assert counts["within_limits"] > 1
 
 

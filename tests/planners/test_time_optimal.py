@@ -205,9 +205,9 @@ def test_a_spatial_platform_under_gravity() -> None:
 def test_a_lap_goes_on_where_it_began() -> None:
     square = reference.square().path
     plans = [
-        plan_time_optimal(bare(), square, effort=EFFORT, lap=True, steps=150),
+        plan_time_optimal(bare(), square, effort=EFFORT, lap=True, steps=100),
         plan_time_optimal(
-            carrying(), square, effort=EFFORT, lap=True, begin="free", end="periodic", steps=150, **LIMITS
+            carrying(), square, effort=EFFORT, lap=True, begin="free", end="periodic", steps=100, **LIMITS
         ),
     ]
     for plan in plans:

@@ -101,7 +101,8 @@ ELBOW, CENTRE = '<origin xyz="${proximal_length} 0 0"', '<origin xyz="${start + 
     [
         # put together as text
         (("tail_length",), 'start="${-tail_length}"', 'start="-${tail_length}"'),
-        (("proximal_length",), f"{ELBOW}/>", ELBOW + ' rpy="0 0 ${0.1 * proximal_length}"/>'),
+        pytest.param(("proximal_length",), f"{ELBOW}/>", ELBOW + ' rpy="0 0 ${0.1 * proximal_length}"/>',
+                     marks=pytest.mark.long),
         (("distal_mass",), f"{CENTRE}/>\n        <mass",
          CENTRE + ' rpy="${0.2 * mass} 0.1 ${length}"/>\n        <mass'),
     ],

@@ -175,7 +175,7 @@ THROWN: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.long_for("short steps")
+@pytest.mark.long_for("short steps", "loose and long steps")
 @pytest.mark.parametrize("case", THROWN)
 def test_a_machine_that_is_thrown_moves_the_same(case: str) -> None:
     robot = moving.massive("2rpr")
@@ -407,6 +407,7 @@ def test_falling_parallelograms_pass_their_flat_poses_like_the_pendulum_they_are
     assert len(flat) >= 2
 
 
+@pytest.mark.long
 def test_a_crank_that_turns_many_times_keeps_its_energy() -> None:
     robot = chain_of("continuous")
     run, own = both(robot, start=closed_state(robot, xd=[9.0]), duration=1.5)

@@ -20,7 +20,7 @@ from redundancy_pin.singularities.locus import SingularLocus, singular_locus
 EXACT = 1e-9
 """What is promised of a point: the scaled singular value that is left. Newton leaves 1e-15."""
 
-GRID = 40
+GRID = 42
 """Coarse grids are enough: every point is refined."""
 
 

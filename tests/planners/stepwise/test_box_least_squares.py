@@ -73,7 +73,7 @@ def random_problem(seed, k, extra, stiffness):
     return rng.normal(size=m) * 2.0, B, ends[0], ends[1], rng
 
 
-@examples(150)
+@examples(60)
 @given(
     seed=st.integers(0, 10**6),
     k=st.integers(1, 4),
@@ -103,7 +103,7 @@ def test_affine_problem_against_lsq_linear(seed, k, extra):
     np.testing.assert_allclose(u, expected, atol=1e-7, rtol=0)  # bvls stops by the cost: half the digits
 
 
-@examples(80)
+@examples(40)
 @given(seed=st.integers(0, 10**6), k=st.integers(1, 3), extra=st.integers(0, 1), bend=st.floats(1e-6, 0.03))
 def test_curved_problem_against_slsqp(seed, k, extra, bend):
     c, B, lower, upper, rng = random_problem(seed, k, extra, 1.0)

@@ -114,7 +114,7 @@ def require_true_minimum(plan, dynamics, motion, limits, target, at):
         np.testing.assert_allclose(plan.carriers.s[j], nearest, atol=PLACE, rtol=0)
 
 
-@pytest.mark.long_for("0.0-0.013", "0.5-0.025")
+@pytest.mark.long_for("0.0-0.013", "0.5-0.025", "0.0-0.025")
 @pytest.mark.parametrize(("lam", "radius"), [(0.0, 0.025), (0.5, 0.025), (0.0, 0.013), (1.0, 0.013)])
 def test_each_step_is_the_true_minimum(lam, radius):
     dynamics = dynamics_of(backend=RneaDynamics)  # the plan from one backend, the check from the other
@@ -178,6 +178,7 @@ def require_limits(plan, limits):
     np.testing.assert_allclose(sd[stepped], sd[stepped - 1] + h * sdd[stepped], atol=1e-13)
 
 
+@pytest.mark.long_for(*(f"mode{i}" for i in range(1, 7)))
 @pytest.mark.parametrize("mode", MODES)
 def test_no_torque_until_a_limit_binds(mode):
     dynamics = dynamics_of(mode)
@@ -223,7 +224,7 @@ def test_both_backends_give_the_same_plan(settings):
     np.testing.assert_allclose(plans[0].tau, plans[1].tau, atol=1e-7, rtol=0)  # s̈ to 1e-8, times 2 N·m/(m/s²)
 
 
-@examples(6)
+@examples(3)
 @given(factor=st.floats(0.3, 3.0), lam=st.sampled_from([0.0, 0.4]))
 def test_time_scaling(factor, lam):
     """Twice as fast with twice the speed limit and four times the acceleration: same places, four times the efforts."""

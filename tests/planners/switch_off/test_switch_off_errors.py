@@ -149,22 +149,22 @@ def test_window_at_the_start_and_at_the_end():
 
 
 def test_ramp_down_that_does_not_fit():
-    free = plan_switch_off(two_rpr(), reference.circle())
+    free = plan_switch_off(two_rpr(), reference.circle(), dt=5e-3)
     entry = free.diagnostics["windows"][0]["entry"]
-    plan_switch_off(two_rpr(), reference.circle(), ramp_down=entry - 1e-6)
-    plan_switch_off(two_rpr(), reference.circle(), ramp_down=entry)
+    plan_switch_off(two_rpr(), reference.circle(), dt=5e-3, ramp_down=entry - 1e-6)
+    plan_switch_off(two_rpr(), reference.circle(), dt=5e-3, ramp_down=entry)
     with pytest.raises(InfeasiblePlanError, match="ramp down") as caught:
-        plan_switch_off(two_rpr(), reference.circle(), ramp_down=entry + 1e-3)
+        plan_switch_off(two_rpr(), reference.circle(), dt=5e-3, ramp_down=entry + 1e-3)
     assert caught.value.details["amount"] == pytest.approx(1e-3, rel=1e-6)
 
 
 def test_return_that_does_not_fit():
     trajectory = reference.circle()
-    exit_time = plan_switch_off(two_rpr(), trajectory).diagnostics["windows"][0]["exit"]
+    exit_time = plan_switch_off(two_rpr(), trajectory, dt=5e-3).diagnostics["windows"][0]["exit"]
     room = trajectory.duration - exit_time
-    plan_switch_off(two_rpr(), trajectory, return_time=room - 1e-6)
+    plan_switch_off(two_rpr(), trajectory, dt=5e-3, return_time=room - 1e-6)
     with pytest.raises(InfeasiblePlanError, match="return") as caught:
-        plan_switch_off(two_rpr(), trajectory, return_time=room + 0.01)
+        plan_switch_off(two_rpr(), trajectory, dt=5e-3, return_time=room + 0.01)
     assert caught.value.details["amount"] == pytest.approx(0.01, rel=1e-6)
 
 

@@ -88,7 +88,7 @@ def test_circle(objective, speed, arguments, most):
     assert plan.peak_effort.max() <= most
 
 
-@pytest.mark.long_for("0.025-2.27")
+@pytest.mark.long
 @pytest.mark.parametrize(("radius", "most"), [(0.025, 2.27), (0.013, 7.2)])
 def test_corner(radius, most):
     dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(radius)
@@ -286,24 +286,24 @@ def test_accelerations_jump_only_where_the_reference_does():
 
 def test_infeasible_says_how_much_would_suffice():
     """What would suffice for the efforts is the least peak, which the peak objective finds by itself."""
-    dynamics = two_rpr()
+    dynamics, circle = two_rpr(), reference.circle(0.75, 0.2, 0.075)
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_whole_trajectory(dynamics, circle(), effort=0.05, dt=0.05, refinements=0)
+        plan_whole_trajectory(dynamics, circle, effort=0.05, dt=0.05, refinements=0)
     details = caught.value.details
     assert not details["together"]
     relaxed = {event["constraint"]: event for event in details["relaxations"]}
     assert details["constraint"] in relaxed
-    assert 0.0 <= details["time"] <= circle().duration
+    assert 0.0 <= details["time"] <= circle.duration
     effort = relaxed["effort"]
     assert effort["amount"] == pytest.approx(effort["limit"] - 0.05, rel=1e-6)
     # both actuators slide, and a limit of |τ| is a size
     assert effort["unit"] == "N"
     assert f"the effort of {effort['carrier']}, from 0.05 to {effort['limit']:.6g} N " in caught.value.message
     assert effort["carrier"] in dynamics.robot.actuated
-    least = plan_whole_trajectory(dynamics, circle(), objective="peak", dt=0.05, refinements=0)
+    least = plan_whole_trajectory(dynamics, circle, objective="peak", dt=0.05, refinements=0)
     least = least.peak_effort_at_samples.max()
     assert effort["limit"] == pytest.approx(least, rel=1e-3)
-    enough = plan_whole_trajectory(dynamics, circle(), effort=1.001 * least, dt=0.05, refinements=0)
+    enough = plan_whole_trajectory(dynamics, circle, effort=1.001 * least, dt=0.05, refinements=0)
     assert enough.diagnostics["optimal"]
     assert enough.peak_effort_at_samples.max() <= 1.001 * least * (1.0 + 1e-6)
     # steps of 50 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
@@ -311,6 +311,7 @@ def test_infeasible_says_how_much_would_suffice():
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
 
+@pytest.mark.long
 def test_coarse_meshes_are_not_finished(monkeypatch):
     """Rows between the nodes and exact last steps are for the mesh that shows the efforts; it ends as exactly."""
     solved = []

@@ -91,7 +91,7 @@ def unknown_terms():
 def plan_of(robot, name, objective, **settings):
     """Plan by fits."""
     with unknown_terms():
-        return plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.03, **settings)
+        return plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.05, **settings)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def plan_of(robot, name, objective, **settings):
 def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name, objective, monkeypatch):
     monkeypatch.setattr(planner, "fit_and_solve", never)
     monkeypatch.setattr(transcription, "_loads", never)
-    plan = plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.03, refinements=0)
+    plan = plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.05, refinements=0)
     require_balanced(robot, plan)
     assert plan.diagnostics["fits"] == []
     machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)

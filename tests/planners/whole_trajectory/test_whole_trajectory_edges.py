@@ -150,7 +150,7 @@ def test_one_freedom_crosses_its_singularity(tmp_path):
     )
     dynamics, path = RneaDynamics(robot), Line((1.0,), (5.0,))
     trajectory = Trajectory(path, SpeedProfile(path.length, 2.0, 0.2))
-    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.02)
+    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.04)
     assert plan.status is PlanStatus.WITHIN_LIMITS
     (node,) = plan.diagnostics["singular_nodes"]
     for side in (-1e-5, 1e-5):
@@ -164,7 +164,7 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     path = Line((0.25, 0.6), (0.32, 0.3))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
     dynamics = RneaDynamics(robot)
-    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.02)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.05)
     assert plan.status is PlanStatus.WITHIN_LIMITS
     assert plan.diagnostics["dense_check"]["passed"]
     reduced = dynamics.reduce(plan.motion, plan.carriers)

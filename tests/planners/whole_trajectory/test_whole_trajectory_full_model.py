@@ -69,14 +69,14 @@ def test_circle(objective, masses):
 )
 def test_corner(objective, radius):
     dynamics = VirtualWork(zoo.robot_of("3rrr"))
-    compare(dynamics, symbolic_mechanisms.three_rrr(), reference.corner(radius), objective, OF_THREE_RRR, 0.045)
+    compare(dynamics, symbolic_mechanisms.three_rrr(), reference.corner(radius), objective, OF_THREE_RRR, 0.09)
 
 
 @pytest.mark.parametrize("objective", ["effort", pytest.param("peak", marks=long)])
 def test_five_bar_through_type_two(objective):
     dynamics = RneaDynamics(zoo.robot_of("five_bar"))
     trajectory = straight((0.25, 0.6), (0.32, 0.3), 0.3)
-    plan = compare(dynamics, symbolic_mechanisms.five_bar(), trajectory, objective, OF_FIVE_BAR, 0.045)
+    plan = compare(dynamics, symbolic_mechanisms.five_bar(), trajectory, objective, OF_FIVE_BAR, 0.07)
     assert len(plan.diagnostics["singular_nodes"]) == 1
 
 

@@ -69,6 +69,7 @@ def test_corner_against_a_solver_that_asks_the_backend(objective):
     np.testing.assert_allclose(objective_of(plan, objective), theirs, rtol=SAME)
 
 
+@pytest.mark.long
 def test_random_first_guesses_find_nothing_better():
     """Three random swings as first guesses end in the optimum that parked carriers lead to."""
     plan = plan_whole_trajectory(

@@ -19,7 +19,13 @@ def plan_of(**options):
     return plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), CIRCLE, **options)
 
 
-FLAT = {"objective": {"effort": 1.0, "carrier_force": 0.1}, "lam": 0.0, "speed": 1.0, "jerk": 300.0, "effort": [0.3, 0.3]}
+FLAT = {
+    "objective": {"effort": 1.0, "carrier_force": 0.1},
+    "lam": 0.0,
+    "speed": 1.0,
+    "jerk": 300.0,
+    "effort": [0.3, 0.3],
+}
 FLAT |= {"dt": 0.08, "refinements": 0, "starts": 2, "seconds": 30.0}
 
 

@@ -87,8 +87,11 @@ def test_every_first_guess_is_tried_before_the_planner_gives_up(monkeypatch):
     assert len(tried) == 3
 
 
+@pytest.mark.long
 def test_one_optimum_is_reported_as_one():
-    plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, starts=3, refinements=0)
+    plan = plan_whole_trajectory(
+        VirtualWork(zoo.robot_of("2rpr")), reference.circle(), dt=0.05, starts=3, refinements=0
+    )
     starts = plan.diagnostics["starts"]
     assert len(starts["optima"]) == 1
     assert starts["optima"][0]["starts"] == [0, 1, 2]
