@@ -54,6 +54,7 @@ def test_switch_off_is_that_of_the_python_api(tmp_path: Path) -> None:
     assert f"{expected.carrier_energy:.6g}" in result.stdout
 
 
+@pytest.mark.long
 def test_a_plan_within_limits_is_silent_on_stderr(tmp_path: Path) -> None:
     out = tmp_path / "plan.npz"
     result = call(*LINE, "--out", out)
@@ -187,7 +188,8 @@ def test_numbers_as_users_write_them() -> None:
 
 def test_a_plan_through_a_singularity_has_no_margin_left() -> None:
     """Whether a sample lies on the singular instant is chance: the plan crosses it all the same."""
-    result = call("plan", "switch-off", "--robot", "2rpr", "--trajectory", "circle", "--threshold", "20", "--json")
+    result = call("plan", "switch-off", "--robot", "2rpr", "--trajectory", "circle", "--threshold", "20",
+                  "--dt", "0.01", "--json")  # fmt: skip
     assert json.loads(result.stdout)["smallest_margin"] == 0.0
 
 

@@ -127,6 +127,7 @@ def restless(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(whole_trajectory_solver, "TOLERANCE", 1e-30)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("restless")
 def test_a_plan_that_stopped_early_is_never_an_optimum(tmp_path: Path) -> None:
     out = tmp_path / "plan.npz"

@@ -42,7 +42,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.long_for("map")
+@pytest.mark.long_for("codegen", "map", "singularities", "validate", "workspace")
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_that_loads_robots(name: str, robot: Path, tmp_path: Path) -> None:
     command = [part.format(folder=tmp_path) for part in (*COMMANDS[name], "--robot", str(robot))]

@@ -143,6 +143,7 @@ def test_a_saved_simulation_is_read_without_loss(name: str) -> None:
 
 
 @pytest.mark.long_for("replay-differences", "replay-line")
+@pytest.mark.long_for("replay-integration", "replay-line-heavy")
 @pytest.mark.parametrize("name", REPLAYS)
 def test_a_saved_plan_drives_a_robot_where_it_did(name: str) -> None:
     then, now = rp.simulation.load_simulation(DATA / f"{name}.npz"), simulated(REPLAYS[name])

@@ -208,6 +208,7 @@ def _compare(mj: Any, state: Any, force: np.ndarray, ours: dict[str, float], tol
         assert abs(along - ours[f"x of {side} heel"]) < tolerance
 
 
+@pytest.mark.long
 def test_the_squat_looks_like_one(robot: Robot) -> None:
     """Ten centimetres down and up, the edges where they were."""
     motion = example.squat(robot, 3)

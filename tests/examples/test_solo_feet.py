@@ -146,7 +146,7 @@ def _placed(values: np.ndarray, order: list[int]) -> np.ndarray:
     return placed
 
 
-@pytest.mark.long_for("0.1", "0.37")
+@pytest.mark.long
 @pytest.mark.parametrize("t", TIMES)
 def test_the_motors_supply_the_change_of_energy(robot: Robot, reader: Reader, t: float) -> None:
     _, v, _ = reader.motion(t)
@@ -156,6 +156,7 @@ def test_the_motors_supply_the_change_of_energy(robot: Robot, reader: Reader, t:
     np.testing.assert_allclose(supplied.sum(), gained, atol=DIFFERENCED * np.abs(supplied).sum())
 
 
+@pytest.mark.long
 def test_every_mesh_of_the_urdf_is_drawn(robot: Robot) -> None:
     """The folder it was declared in is gone; its meshes are in a package of example-robot-data."""
     scene = rp.show(robot, example.swing().sample(dt=0.05)).scene
@@ -165,6 +166,7 @@ def test_every_mesh_of_the_urdf_is_drawn(robot: Robot) -> None:
     assert len(meshes) == len(visuals) == 13
 
 
+@pytest.mark.long
 def test_the_script_runs_as_the_documentation_says(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -43,7 +43,7 @@ def replanned(task: DesignTask, objective: str, robot: Robot) -> float:
     return float(plan.diagnostics["objective"][objective])  # type: ignore[index]
 
 
-@pytest.mark.long_for("3rrr-base_wrench", "3rrr-peak", "3rrr-effort", "2rpr-peak")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "objective", "closeness"),
     [

@@ -41,7 +41,8 @@ def _heed_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_a_sweep_that_is_killed_goes_on_where_it_was(how: signal.Signals, tmp_path: Path, computed: list[Key]) -> None:
     store = tmp_path / "store.sqlite"
     program = KILLED.format(here=str(HERE), store=str(store))

@@ -124,6 +124,12 @@ def _said(drawn: Figure) -> dict[str, Bbox]:
     "snapshots of a corner",
     "workspace",
     "condition",
+    "efforts",
+    "carriers",
+    "locus of one coordinate",
+    "comparison",
+    "bars",
+    "speeds",
 )
 @pytest.mark.parametrize("name", FIGURES)
 def test_titles_labels_and_legends_are_whole_and_apart(name: str) -> None:

@@ -259,6 +259,7 @@ def test_no_carriers_no_panel() -> None:
         rp.plot.carriers(curves)
 
 
+@pytest.mark.long
 def test_the_same_figure_gives_the_same_svg(tmp_path: Path) -> None:
     for name in ("a", "b"):
         rp.plot.save(rp.plot.snapshots(rp.show(zoo.robot_of("2rpr"))), tmp_path / f"snapshots-{name}.svg")
