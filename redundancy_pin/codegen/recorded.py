@@ -12,7 +12,7 @@ from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, moved, row_scale
+from redundancy_pin.kinematics.coordinates import coordinates, joint_position, moved, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
@@ -85,15 +85,9 @@ def record(robot: Robot, motion: PlatformMotion | None, carriers: CarrierMotion 
         type_I_margin=tree.serial_margin_bound[kept],
         closure=ConstraintSystem(robot).evaluate(tree.q[kept[:1]]).Jc[0],
         gamma=tree.gamma[kept[0]],
-        position=_positions(robot, tree.q[kept]),
+        position=np.stack([joint_position(robot, name, tree.q[kept]) for name in robot.actuated], axis=1),
         velocity=np.einsum("Nij,Ni->Nj", reduced.W, motion.xd[kept]),
     )
-
-
-def _positions(robot: Robot, q: Array) -> Array:
-    joints = [robot.model.joints[robot.model.getJointId(name)] for name in robot.actuated]
-    columns = [q[:, j.idx_q] if j.nq == 1 else np.arctan2(q[:, j.idx_q + 1], q[:, j.idx_q]) for j in joints]
-    return np.stack(columns, axis=1)
 
 
 def _random_motion(robot: Robot) -> tuple[PlatformMotion, CarrierMotion]:
