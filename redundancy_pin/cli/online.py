@@ -11,43 +11,27 @@ import numpy as np
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES, NOT_OPTIMAL, summary, warn
-from redundancy_pin.cli.plan_problem import number, numbers
+from redundancy_pin.cli.plan_problem import flags_of, number, numbers, parameters_of, planner_options, read_parameters
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
 from redundancy_pin.studies.case import BACKENDS, COMPILED
-
-_LIMITS = {
-    "track": ("LOWER,UPPER", "Ends of the tracks in place of theirs, m."),
-    "max_speed": ("V[,V...]", "Limit of the carriers in place of theirs, m/s."),
-    "max_acceleration": ("A[,A...]", "The same, m/s²."),
-    "max_jerk": ("J[,J...]", "Limit of the carriers' jerk, m/s³."),
-    "max_effort": ("E[,E...]", "Limit of the main efforts, N or N·m."),
-    "max_carrier_force": ("F[,F...]", "Limit of the carriers' forces, N."),
-}
-
-
-def _limit_options(command: Any) -> Any:
-    for name, (metavar, text) in reversed(list(_LIMITS.items())):
-        command = click.option(options.flag(name), name, metavar=metavar, help=text)(command)
-    return command
 
 
 @click.command()
 @options.robot_options()
 @options.backend_option(COMPILED)
 @options.trajectory_options
-@click.option("--horizon", default="0.5", show_default=True, metavar="SECONDS", help="How far ahead the path is known.")
-@click.option("--step", default="0.02", show_default=True, metavar="SECONDS", help="Between the nodes of a plan.")
+@planner_options("online")
 @click.option("--tick", metavar="SECONDS", help="Between plans.  [default: a step]")
-@click.option("--objective", default="peak", show_default=True, metavar="WORD", help="peak, or effort.")
 @click.option("--start", default="0", show_default=True, metavar="S[,S...]", help="Where the carriers start, m.")
-@_limit_options
 @click.option("--out", metavar="NPZ", help="Where the plan goes that came of it; `load_plan` reads it.")
 @options.json_option
 def online(
     robot: options.RobotOptions,
     backend: str,
     motion: options.MotionOptions,
+    tick: str | None,
+    start: str,
     out: str | None,
     as_json: bool,
     **given: Any,
@@ -70,19 +54,14 @@ def online(
     if out:
         output.require_suffix("--out", out, ".npz")
         require_writable(out)
-    settings: dict[str, Any] = {name: number(options.flag(name), given[name]) for name in ("horizon", "step")}
-    names = {name: name.removeprefix("max_") for name in _LIMITS}
-    flags = {names[name]: options.flag(name) for name in _LIMITS} | {"horizon": "--horizon", "objective": "--objective"}
-    with output.progress("online") as advance, in_words(OPTIONS.knowing(flags)):
+    with output.progress("online") as advance, in_words(OPTIONS.knowing(flags_of("online"))):
         advance(0, 2, "reading")
-        limits = {names[name]: numbers(options.flag(name), given[name]) for name in _LIMITS if given[name] is not None}
-        tick = None if given["tick"] is None else number("--tick", given["tick"])
-        start = numbers("--start", given["start"])
+        parameters = read_parameters("online", parameters_of(given))
+        between, at = None if tick is None else number("--tick", tick), numbers("--start", start)
         followed = motion.follow("On-line planning")
-        dynamics = BACKENDS[backend](robot.load())
-        planner = RecedingHorizon(dynamics, objective=given["objective"], **settings, **limits)
+        planner = RecedingHorizon(BACKENDS[backend](robot.load()), **parameters)
         advance(1, 2, "ticks")
-        run = run_online(planner, followed, tick=tick, start=start)
+        run = run_online(planner, followed, tick=between, start=at)
         if out:
             run.plan.save(out)
     plan = run.plan

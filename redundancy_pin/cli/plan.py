@@ -311,9 +311,9 @@ def time_optimal(**given: Any) -> int:
 
 
 def _from_flags(planner: str, given: Mapping[str, Any]) -> int:
-    robot, motion, settings, prefix = given["robot"], given["motion"], given.get("baseline"), plan_problem.PREFIX
+    robot, motion, settings = given["robot"], given["motion"], given.get("baseline")
     baseline = replace(robot, settings={**robot.settings, **settings}) if settings else None
-    parameters = {name.removeprefix(prefix): value for name, value in given.items() if name.startswith(prefix)}
+    parameters = plan_problem.parameters_of(given)
 
     def read() -> plan_problem.Problem:
         followed, backend, step = motion.follow("A plan"), given["backend"], given.get("step")

@@ -22,6 +22,7 @@ from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.base_wrench import BASE
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.time_optimal import plan_time_optimal
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
 from redundancy_pin.robot.urdf import shipped_robots
@@ -212,13 +213,22 @@ TIME_OPTIMAL: Mapping[str, Parameter] = {
 }
 """Parameters of ``plan_time_optimal``."""
 
+ONLINE: Mapping[str, Parameter] = {
+    "horizon": Parameter(number, "SECONDS", "How far ahead the path is known."),
+    "step": Parameter(number, "SECONDS", "Between the nodes of a plan."),
+    "objective": Parameter(word, "WORD", "peak, or effort."),
+    **{name: WHOLE_TRAJECTORY[name] for name in ("track", "speed", "acceleration", "jerk", "effort", "carrier_force")},
+}
+"""Parameters of ``RecedingHorizon``."""
+
 PARAMETERS: Mapping[str, Mapping[str, Parameter]] = {
     "switch-off": SWITCH_OFF,
     "stepwise": STEPWISE,
     "whole-trajectory": WHOLE_TRAJECTORY,
     "time-optimal": TIME_OPTIMAL,
+    "online": ONLINE,
 }
-"""Parameters by planner."""
+"""Parameters by planner, that of a tick among them."""
 
 WITH_BASELINE = ("stepwise", "whole-trajectory")
 """Planners that can aim at a fraction of the efforts of a baseline robot."""
@@ -236,6 +246,11 @@ def flags_of(planner: str) -> Mapping[str, str]:
 
 def _flag(name: str, parameter: Parameter) -> str:
     return parameter.flag or f"--{name.replace('_', '-')}"
+
+
+def parameters_of(given: Mapping[str, Any]) -> dict[str, object]:
+    """Return the parameters among the arguments of a command, as written; see ``planner_options``."""
+    return {name.removeprefix(PREFIX): value for name, value in given.items() if name.startswith(PREFIX)}
 
 
 def read_parameters(planner: str, given: Mapping[str, object]) -> dict[str, Any]:
@@ -260,7 +275,8 @@ def planner_options(planner: str) -> Callable[[_Command], _Command]:
 
 
 def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command], _Command]:
-    default = inspect.signature(PLANNERS[planner]).parameters[name].default
+    make: Callable[..., Any] = RecedingHorizon if planner == "online" else PLANNERS[planner]
+    default = inspect.signature(make).parameters[name].default
     # None stands for "not given": the planner's own default applies, and the help shows it
     written = _flag(name, parameter)
     if "/" in written:
