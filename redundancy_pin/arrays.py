@@ -247,6 +247,23 @@ def positive(value: float, name: str, unit: str) -> float:
     return number
 
 
+def fraction(value: float, name: str) -> float:
+    """Return a number after checking that it is from 0 to 1."""
+    if isinstance(value, bool) or not (isinstance(value, (int, float, np.number)) and 0.0 <= value <= 1.0):
+        raise InputError(f"{name} is {shown(value)}, expected a number in [0, 1].", name=name, value=value)
+    return float(value)
+
+
+def whole(value: Any, name: str, least: int, most: int) -> int:
+    """Return a whole number after checking that it is from ``least`` to ``most``."""
+    number = isinstance(value, (int, float, np.integer)) and not isinstance(value, bool)
+    if not number or not least <= value <= most or int(value) != value:
+        raise InputError(
+            f"{name} is {shown(value)}, expected a whole number from {least} to {most}.", name=name, value=value
+        )
+    return int(value)
+
+
 def each(
     values: ArrayLike, name: str, shape: tuple[int, ...], *, above_zero: bool = False, finite: bool = False
 ) -> Array:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from redundancy_pin.arrays import positive
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
@@ -21,7 +22,7 @@ from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.curves import curves_of_run
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import configurations, make_scene, require_scale
+from redundancy_pin.visualisation.viewer.scene import configurations, make_scene
 
 SWING_DURATION = 2.0  # of the default motion of a robot that has none in the thesis, s
 SWING = 0.15  # its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow
@@ -64,7 +65,7 @@ def show(
     if isinstance(subject, (Plan, Simulation)) and (motion is not None or carriers is not None):
         kind = "plan" if isinstance(subject, Plan) else "simulation"
         raise InputError(f"A {kind} has its own motions.", remedy=f"Pass a robot instead of the {kind}, or no motion.")
-    require_scale(force_scale)  # before the lift, which takes long
+    positive(force_scale, "force_scale", "")  # before the lift, which takes long
     if isinstance(subject, Simulation):
         shown = robot or load_recorded(subject.robot)
         drawn = curves_of_run(subject, shown)

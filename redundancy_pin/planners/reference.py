@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, positive, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError
@@ -241,8 +241,7 @@ def motion_reference(
         InfeasiblePlanError: some instant has no finite efforts.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as inverse dynamics.
     """
-    if not step > 0.0:
-        raise InputError(f"step is {step} s.", remedy="Pass a positive number.")
+    positive(step, "step", "s")
     robot, source = as_robot(robot), continuous_motion(motion)
     if isinstance(carriers, CarrierMotion):
         position = _between_samples(motion, carriers, robot.k)

@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import minimize
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, positive, require_type
+from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, positive, require_type, whole
 from redundancy_pin.dynamics.base import Dynamics, require_dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.errors import (
@@ -36,7 +36,7 @@ from redundancy_pin.errors import (
     shown,
 )
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.limits import Limits, whole
+from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory.multistart import Outcome
 from redundancy_pin.planners.whole_trajectory.options import Mesh, Objective, Solver, checked_settings

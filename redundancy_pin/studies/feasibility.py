@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from redundancy_pin.arrays import require_few
+from redundancy_pin.arrays import require_few, whole
 from redundancy_pin.errors import (
     InputError,
     RedundancyPinError,
@@ -217,8 +217,7 @@ def _check(problem: MapProblem, *, jobs: int | None, refine: int, along: Directi
     """Check everything that can be checked before the first cell, and return the robot; see ``feasibility_map``."""
     if along not in ("x", "y"):
         raise InputError(f"along is {along!r}.", remedy='Pass "x" or "y".')
-    if int(refine) != refine or not 0 <= refine <= MOST_REFINE:
-        raise InputError(f"refine is {refine}.", remedy=f"Pass a whole number from zero to {MOST_REFINE}.")
+    whole(refine, "refine", 0, MOST_REFINE)
     if jobs is not None:
         require_jobs(jobs)
     cells = len(problem.x.values) * len(problem.y.values) * len(problem.planners)

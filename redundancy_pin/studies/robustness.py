@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import redundancy_pin
-from redundancy_pin.arrays import Array, require_few
+from redundancy_pin.arrays import Array, whole
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation.controllers.by_name import DRIVES, Drive
@@ -138,11 +138,9 @@ def robustness_study(
         RedundancyPinError: a process was killed from outside.
         InfeasiblePlanError: a scenario has no plan.
     """
-    if draws < 1 or (jobs is not None and jobs < 1):
-        raise InputError(f"draws is {draws}, jobs is {jobs}.", remedy="Pass positive whole numbers.")
-    require_few(draws, MOST_DRAWS, "draws is {}", "Ask for fewer.")
+    whole(draws, "draws", 1, MOST_DRAWS)
     if jobs is not None:
-        require_jobs(jobs)
+        require_jobs(whole(jobs, "jobs", 1, 2**31))
     names = [scenario.name for scenario in scenarios]
     if len(set(names)) < len(names):
         raise InputError(

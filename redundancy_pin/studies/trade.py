@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Frozen, one_of
+from redundancy_pin.arrays import Frozen, one_of, whole
 from redundancy_pin.errors import InfeasiblePlanError, InputError, optional
 from redundancy_pin.planners.base_wrench import load_at_rest
-from redundancy_pin.planners.limits import whole
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
 from redundancy_pin.studies.case import Case, Plans

@@ -151,7 +151,7 @@ def test_parked_references_of_any_robot() -> None:
     expected = rp.distribute(rp.RneaDynamics(robot).reduce(samples, carriers)).tau
     np.testing.assert_allclose([reference.loads(t)[0] for t in samples.t], expected, atol=EFFORTS)
     assert np.isnan(reference.effort_deviation)
-    with pytest.raises(InputError, match=r"step is 0\.0 s"):
+    with pytest.raises(InputError, match=r"step is 0 s"):
         motion_reference(robot, motion, step=0.0)
 
 

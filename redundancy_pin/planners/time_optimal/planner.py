@@ -10,14 +10,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, each, frozen, one_of, positive, read_only
+from redundancy_pin.arrays import Array, BoolArray, each, frozen, one_of, positive, read_only, whole
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, require_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import Actuation, CarrierModel, require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import ALLOWED, MARKED, SMALL, PlanFunctions, actuator_rates, dense_check
-from redundancy_pin.planners.limits import Limits, grouped, whole
+from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.problem import Problem, Sizes, read_model
 from redundancy_pin.planners.time_optimal.transcription import transcribe

@@ -14,12 +14,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, each, frozen, one_of, positive, require_type
+from redundancy_pin.arrays import Array, each, fraction, frozen, one_of, positive, require_type, whole
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, optional
 from redundancy_pin.planners.base_wrench import point_of, weights_of
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.limits import Limits, ResolvedLimits, fraction, whole
+from redundancy_pin.planners.limits import Limits, ResolvedLimits
 from redundancy_pin.robot import Robot
 
 

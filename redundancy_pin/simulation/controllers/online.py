@@ -7,13 +7,12 @@ from collections import Counter, deque
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, each, positive, require_type
+from redundancy_pin.arrays import Array, each, fraction, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners import receding_horizon as planning
-from redundancy_pin.planners.limits import fraction
 from redundancy_pin.planners.reference import MotionReference, ReferencePoint
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Command, Sampling

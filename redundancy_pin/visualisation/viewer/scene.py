@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, read_only
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, positive, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.lift import lift
@@ -135,7 +135,7 @@ def make_scene(
     Raises:
         InputError: a scale that is not a positive number.
     """
-    require_scale(force_scale)
+    positive(force_scale, "force_scale", "")
     frames, points = frame_samples(t), path_samples(margin)
     efforts: list[tuple[str, Group, Array]] = []
     if tau is not None:
@@ -173,12 +173,6 @@ def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Rea
         unit = "rad" if turning else "m"
         found.append(Reading(name, body, ROLE_NAMES[role], unit, read_only(position), efforts.get(name)))
     return tuple(found)
-
-
-def require_scale(force_scale: float) -> None:
-    """Check the factor on the length of arrows."""
-    if not (np.isfinite(force_scale) and force_scale > 0.0):
-        raise InputError(f"force_scale is {force_scale}.", remedy="Pass a positive number.")
 
 
 def frame_samples(t: Array) -> IntArray:
