@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from redundancy_pin.planners.functions import ALLOWED
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.studies.map_problem import MapProblem
 from redundancy_pin.studies.table import json_data
-
-if TYPE_CHECKING:
-    pass
 
 BINDS = 0.999
 """A limit is said to bind where this fraction of it is used: an interior-point solution stays a little inside."""

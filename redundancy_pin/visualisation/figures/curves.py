@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.simulation.result import Simulation, SimulationStatus
 from redundancy_pin.singularities.classify import classify
 from redundancy_pin.singularities.crossings import Crossing
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, eq=False)
