@@ -38,7 +38,7 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
+from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
 from redundancy_pin.kinematics.closure import ConstraintState, constraint_system
@@ -306,10 +306,7 @@ class RneaAlongMotion(Frozen):
         model = self.robot.model
         data = model.createData()
         q, v, a = self.tree_motion(carriers)
-        total = [
-            pin.computeKineticEnergy(model, data, q[:, i], v[:, i]) + pin.computePotentialEnergy(model, data, q[:, i])
-            for i in range(q.shape[1])
-        ]
+        total = [tree_energy(model, data, q[:, i], v[:, i]) for i in range(q.shape[1])]
         loads = tree_loads(self.robot)
         return frozen(total if loads is None else total + loads.energy(self._state(q, v, a)))
 

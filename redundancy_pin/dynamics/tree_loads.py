@@ -321,3 +321,13 @@ def tree_equations(robot: Robot, data: pin.Data, q: Array, v: Array, a: Array) -
 
 def _frame(model: pin.Model, name: str) -> pin.Frame:
     return model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+
+
+def tree_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:
+    """Return kinetic plus potential energy, J, at q (nq,), v (nv,); armature in it.
+
+    The former is ½ vᵀ M v: ``computeKineticEnergy`` leaves out the armature of joints about skew axes (Pinocchio 4.1).
+    """
+    mass = pin.crba(model, data, q)
+    kinetic = v @ (np.triu(mass) @ v) - 0.5 * np.diagonal(mass) @ v**2
+    return float(kinetic + pin.computePotentialEnergy(model, data, q))

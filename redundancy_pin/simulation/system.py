@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, one_of
 from redundancy_pin.dynamics.forward import ForwardKernel
-from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
+from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
 from redundancy_pin.robot import Closure, Payload, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
@@ -226,10 +226,7 @@ class Machine:
 
     def energy(self, state: State) -> float:
         """Return kinetic and potential energy with that of rotors and springs, J (zero height at the world origin)."""
-        model, data = self.robot.model, self.chain.data
-        energy = pin.computeKineticEnergy(model, data, state.q, state.v) + pin.computePotentialEnergy(
-            model, data, state.q
-        )
+        energy = tree_energy(self.robot.model, self.chain.data, state.q, state.v)
         return float(energy if self._loads is None else energy + self._loads.energy(_tree_state(state))[0])
 
     def _acceleration(self, state: State, force: Array, sheet: Sheet | None) -> Array:

@@ -107,6 +107,21 @@ def test_acceleration_meets_the_mass_matrix_of_kinetic_energy(name: str) -> None
     assert_close(0.5 * np.einsum("ni,nij,nj->n", motion.xd, mass, motion.xd), kinetic, 1e-9)
 
 
+def test_armature_about_a_skew_axis_is_in_the_energy() -> None:
+    """½ aᵀ (rnea(q, 0, a) − rnea(q, 0, 0)), which has it in Pinocchio."""
+    model = pin.Model()
+    for kind in (pin.JointModelRevoluteUnaligned(np.array([0.0, 0.6, 0.8])), pin.JointModelRZ()):
+        joint = model.addJoint(model.njoints - 1, kind, pin.SE3.Random(), f"joint_{model.njoints}")
+        model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    model.armature = np.array([2.0, 0.5])
+    robot = Robot.from_model(model, closures=[], actuated=["joint_1", "joint_2"])
+    q, v, still = np.array([0.3, -0.4]), np.array([1.5, -0.7]), np.zeros(2)
+    data = model.createData()
+    effort = pin.rnea(model, data, q, still, v) - pin.rnea(model, data, q, still, still)
+    along = RneaDynamics(robot, threads=1).along(PlatformMotion([0.0], q[None], v[None], still[None]))
+    assert along.energy()[0] - pin.computePotentialEnergy(model, data, q) == pytest.approx(0.5 * v @ effort, rel=1e-12)
+
+
 def momentum(robot: Robot, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return (N, 6) total linear momentum and angular momentum about the world origin, body by body."""
     data, result = robot.model.createData(), np.zeros((q.shape[1], 6))
