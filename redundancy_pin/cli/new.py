@@ -35,8 +35,9 @@ _COINCIDE = 1e-6
 def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     r"""Propose a robot.yaml for a URDF.
 
-    Nothing is asked. It looks at the tree: frames of two bodies that coincide when all joints are at zero, or the two
-    that carry nothing and weigh nothing, are where a loop was cut; joints with transmissions are driven, else as many
+    Nothing is asked. It looks at the tree: a frame that carries nothing and weighs nothing, and coincides with another
+    such one or with another chain's link when all joints are at zero, is where a loop was cut, and so are the only two
+    such frames; joints with transmissions are driven, else as many
     as there are freedoms; joints that mimic others are coupled to them; the reference is a closed configuration. What
     is written loads; read it, and correct it.
 
@@ -87,7 +88,8 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
         "actuated": loaded.actuated,
         "independent": loaded.independent_joints,
     }
-    counts = f"n = {loaded.n}, m = {loaded.m}, {len(loaded.closures)} closure(s)"
+    closures = f"{len(loaded.closures)} closure(s)" if pairs else f"no closure: {how}"
+    counts = f"n = {loaded.n}, m = {loaded.m}, {closures}"
     report(as_json, facts, f"{target}: {counts}. Read it, and correct it.")
 
 
@@ -111,11 +113,24 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
         apart = carrier[one] != carrier[other] and not {one, other} & {name for pair in pairs for name in pair}
         if apart and np.linalg.norm(at[one] - at[other]) < _COINCIDE:
             pairs.append([one, other])
+    paired = {name for pair in pairs for name in pair}
+    for end in ends:
+        # a pin marked on one of its links alone: it is where another chain's link begins
+        chain = set(model.supports[carrier[end]])
+        on = {
+            carrier[name]: name
+            for name in reversed(at)
+            if name not in ends and carrier[name] not in chain and np.linalg.norm(at[name] - at[end]) < _COINCIDE
+        }
+        on = {joint: name for joint, name in on.items() if carrier[end] not in set(model.supports[joint])}
+        if end not in paired and len(on) == 1:
+            pairs.append([end, *on.values()])
     if pairs:
         return pairs, "they coincide when all joints are at zero"
     if len(ends) == 2 and carrier[ends[0]] != carrier[ends[1]]:
         return [ends], "the only two links that carry nothing and weigh nothing"
-    return [], "no two frames coincide when all joints are at zero"
+    loose = f" (say under closures which are one point: {', '.join(ends)})" if len(ends) > 1 else ""
+    return [], f"no two frames coincide when all joints are at zero{loose}"
 
 
 def _transmissions(urdf: str, tree: Tree) -> list[str]:

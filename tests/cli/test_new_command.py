@@ -66,6 +66,31 @@ def test_frames_that_coincide_and_transmissions(urdf, tmp_path):
     assert "they coincide when all joints are at zero" in out.read_text()
 
 
+MASS = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+SLIDER = f"""<robot name="slider"><link name="base"/><link name="crank">{MASS}</link><link name="rod">{MASS}</link>
+<link name="slider">{MASS}</link><link name="end"/><link name="mark"/>
+<joint name="crank" type="continuous"><parent link="base"/><child link="crank"/><axis xyz="0 0 1"/></joint>
+<joint name="pin" type="continuous"><parent link="crank"/><child link="rod"/><origin xyz="0 0.3 0"/>
+<axis xyz="0 0 1"/></joint>
+<joint name="slide" type="prismatic"><parent link="base"/><child link="slider"/><origin xyz="0.4 0 0"/>
+<axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/></joint>
+<joint name="ends" type="fixed"><parent link="rod"/><child link="end"/><origin xyz="0.4 -0.3 0"/></joint>
+<joint name="marks" type="fixed"><parent link="rod"/><child link="mark"/></joint></robot>"""
+
+
+def test_a_pin_that_is_marked_on_one_link(tmp_path):
+    """And a mark on a link's own pin, which closes nothing."""
+    path = tmp_path / "slider.urdf"
+    path.write_text(SLIDER)
+    facts = json.loads(call("new", path, "--json").stdout)
+    assert facts["closures"] == [{"frames": ["end", "slider"], "axes": ["x", "y"]}]
+    assert len(facts["independent"]) == 1
+    path.write_text(SLIDER.replace("0.4 -0.3 0", "0.4 -0.2 0"))  # closes, but not at zero
+    said = call("new", path, "--out", tmp_path / "far.yaml").stdout
+    assert "no two frames coincide" in said
+    assert "which are one point: end, mark" in said
+
+
 def test_refusals(urdf, tmp_path):
     assert "no URDF" in refused("new", tmp_path / "model.xml")
     assert "nothing.urdf" in refused("new", tmp_path / "nothing.urdf")
