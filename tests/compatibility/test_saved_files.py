@@ -108,6 +108,17 @@ def test_a_saved_plan_is_read_without_loss(name: str) -> None:
     assert rp.load_robot_of(plan).name == plan.robot.name
 
 
+@pytest.mark.parametrize(("name", "share"), [("switch-off-differences", 1.0), ("switch-off-integration", 0.5)])
+def test_between_the_samples_of_old_files_carriers_move_by_their_scheme(name: str, share: float) -> None:
+    plan = rp.load_plan(DATA / f"{name}.npz")
+    off = plan.phase == plan.phases.index("off")
+    left = np.flatnonzero(off[:-1] & off[1:] & (np.diff(plan.t) > 0.0))
+    before, after = plan.carriers.sdd[left], plan.carriers.sdd[left + 1]
+    middle = plan.carriers_at(0.5 * (plan.t[left] + plan.t[left + 1])).sdd
+    # by differences s̈ of a sample is that of the step which ends there; integrated, it is half way between both
+    assert np.abs(middle - (before + share * (after - before))).max() < 0.1 * np.abs(after - before).max()
+
+
 @pytest.mark.parametrize("name", PLANS)
 def test_planned_anew_it_is_the_same(name: str) -> None:
     then, now, tolerance = rp.load_plan(DATA / f"{name}.npz"), PLANS[name](), TOLERANCES[name]

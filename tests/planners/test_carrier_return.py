@@ -1,5 +1,7 @@
 """The return of the carriers: boundary conditions, and the shortest duration against brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import zoo
@@ -8,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
+from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory.functions_of_time import carriers_at
 
 ROBOT = zoo.robot_of("2rpr")
@@ -54,6 +57,19 @@ def largest_use(state, durations, datum, samples=2001):
 
 def state_of(s, sd, sdd):
     return CarrierState(1.0, *(np.array(part, dtype=float) for part in (s, sd, sdd)))
+
+
+@pytest.mark.parametrize("wanted", np.geomspace(0.2, 0.23, 4))
+def test_durations_between_two_candidates_are_found(wanted):
+    """Limits that hardly any duration keeps: overshoot grows with it, acceleration falls."""
+    state, datum = state_of([0.0], [1.0], [0.0]), np.zeros(1)
+    there = carriers_at(return_polynomial(state, wanted, datum), state.t + np.linspace(0.0, wanted, 20_001))
+    track, acceleration = (1.001 * float(np.abs(part).max()) for part in (there.s, there.sdd))
+    only = CarrierLimits(lower=-track, upper=track, speed=np.inf, acceleration=acceleration, force=np.inf)
+    robot = replace(zoo.robot_of("2rpr"), carriers=ROBOT.carriers[:1], carrier_limits=(only,))
+    duration, used, _ = shortest_return(robot, no_force, state, datum, AVAILABLE)
+    assert duration == pytest.approx(wanted, rel=2e-3)
+    assert used <= 1.0 + 1e-9
 
 
 def test_boundary_conditions_and_path():

@@ -93,6 +93,11 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "np.where(np.isfinite(width), 0.5 * width, 1.0),",
         "0.5*",
     ): "the unit of an unknown, which the programme is solved in",
+    (
+        "planners/time_optimal/planner.py",
+        "acceleration = 2.0 * speed**2 / length",
+        "2.0*/",
+    ): "the unit of an unknown, which the programme is solved in",
 }
 """Path, line and operators of changes that change no result, and why: they are not drawn."""
 
