@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
 
 
@@ -93,16 +93,15 @@ class Accelerations(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Efforts less K(t) δz, where δz is (x, s, ẋ, ṡ) less a course; a pose is no x here.
+    """Efforts less K(t) δz, where δz is (x, s, ẋ, ṡ) less a course, as ``simulation.derivatives.state_error`` has it.
 
     With ``scale`` K gives accelerations, planned ones less K δz are wanted, and efforts bring them up like those of
     ``dynamics.allocation.allocate``. Where these pass the limits, or do not exist, ``Rules.loads`` is asked.
 
     Attributes:
         efforts: polynomials of main efforts and carrier forces.
-        course: (3d) of the planned (x, s, ẋ, ṡ, ẍ, s̈), on the same pieces.
+        course: of the planned (x, s, ẋ, ṡ, ẍ, s̈), on the same pieces; x may be a pose, row by row.
         gain: ((m + k) 2d) of K, row by row; (d 2d) with ``scale``.
-        turning: (n,) coordinates whose difference goes the short way round.
         limits: (m + k,) of what it commands, infinite for none.
         scale: (m + k,) τ̂ and â of the allocation.
     """
@@ -110,7 +109,6 @@ class Feedback:
     efforts: Polynomials
     course: Polynomials
     gain: Polynomials
-    turning: BoolArray
     limits: Array
     scale: Array | None = None
 

@@ -163,7 +163,7 @@ class MotionReference:
 
     @cached_property
     def states(self) -> PiecewisePolynomial:
-        """(x, s, ẋ, ṡ, ẍ, s̈) as polynomials on the pieces of the efforts; of a pose no x."""
+        """(x, s, ẋ, ṡ, ẍ, s̈) as polynomials on the pieces of the efforts."""
         n, k, x = self.robot.n, self.robot.k, self._platform.coefficients.shape[2] - 2 * self.robot.n
         both = self._platform.beside(self._carriers)
         starts = (0, x), (x + 2 * n, k), (x, n), (x + 2 * n + k, k), (x + n, n), (x + 2 * n + 2 * k, k)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import pickle
 from dataclasses import replace
@@ -14,12 +15,14 @@ import pytest
 import zoo
 from flat_linkages import GRAVITY, row_of_four_bars
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 from spatial_chains import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
+from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation import (
@@ -333,6 +336,44 @@ def test_a_computed_torque_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> N
         assert (calls > 0, calls >= run.statistics.evaluations) == (some, every)
         if one is not law:
             require_same(run, rp.simulate(robot, one, **options), 1e-10)
+
+
+@pytest.mark.long
+def test_poses_are_fed_back_in_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rotation vector between poses is scipy's, whichever part of the quaternion is the largest."""
+    robot = machine("gough")
+    rng, here = np.random.default_rng(2), np.tile(np.eye(4), (60, 1, 1))
+    here[:, :3, 3], there = rng.normal(size=(60, 3)), here.copy()
+    there[:, :3, :3] = Rotation.random(60, rng).as_matrix()
+    vectors = rng.normal(size=(60, 3))
+    vectors *= (np.resize([0.0, 1e-9, 1e-3, 0.5, 2.0, 3.14], 60) / np.linalg.norm(vectors, axis=1))[:, None]
+    here[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix() @ there[:, :3, :3]
+    found = np.zeros((60, 6))
+    for row, *poses in zip(found, here.copy(), there.copy(), strict=True):
+        kernel(robot)._library.rp_difference(*(ctypes.c_void_p(part.ctypes.data) for part in (*poses, row)))
+    np.testing.assert_allclose(found[:, 3:], vectors, atol=1e-12)
+    np.testing.assert_allclose(found, difference(robot, here, there), atol=1e-12)
+    still = closed_state(robot)
+    u = np.linspace(0.0, 1.0, 11)
+    path = (
+        0.01 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2),
+        0.3 * u**2 * (1.0 - u) ** 2,
+        0.6 * u * (1.0 - u) * (1.0 - 2.0 * u),
+    )
+    x, xd, xdd = np.tile(still.x, (11, 1, 1)), np.zeros((11, 6)), np.zeros((11, 6))
+    x[:, 0, 3] += path[0]
+    xd[:, 0], xdd[:, 0] = path[1], path[2]
+    reference = motion_reference(robot, rp.PlatformMotion(u, x, xd, xdd), step=0.5)
+    away = still.x.copy()
+    away[:3, 3] += [1e-3, 2e-3, -1e-3]
+    away[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix() @ away[:3, :3]
+    options = {"start": closed_state(robot, away), "duration": 0.01, "dt": 0.01}
+    asked = [*(spied(monkeypatch, law) for law in (ComputedTorque, TimeVaryingLqr))]
+    for law in (ComputedTorque(reference), TimeVaryingLqr(reference, step=0.5)):
+        require_same(*both(robot, law, **options), 1e-10)
+        [part.clear() for part in asked]
+        run = rp.simulate(robot, law, dynamics=compiled(robot), **options)
+        assert sum(map(len, asked)) < run.statistics.evaluations
 
 
 @pytest.mark.parametrize("sampling", [Sampling(0.02), None])

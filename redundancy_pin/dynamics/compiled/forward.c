@@ -33,10 +33,10 @@ typedef struct {
   /* what acts: polynomials of time on pieces, or a function */
   int prescribed, pieces, terms, saturates;
   const double *edges, *coefficients, *limits;
-  /* less K (x, s, x', s' less a course on the same pieces), within limits of its own; which coordinates go the short way;
-     with scales, K gives accelerations, and efforts are allotted */
+  /* less K (x, s, x', s' less a course on the same pieces), within limits of its own; with scales, K gives accelerations,
+     and efforts are allotted */
   int course_terms, gain_pieces, gain_terms;
-  const double *course, *gain_at, *gains, *feedback_limits, *turning, *scale;
+  const double *course, *gain_at, *gains, *feedback_limits, *scale;
   Loads loads;
   /* when efforts jump or kink, the last one being the end; when to record */
   int breaks, samples;
@@ -375,12 +375,50 @@ static int allot(const Run *run, const double *mass, const double *wanted, doubl
   return 1;
 }
 
+/* How far platform coordinates are from others: angles the short way, of poses translation and rotation vector. */
+void rp_difference(const double *here, const double *there, double *out) {
+  const double pi = 3.14159265358979323846;
+  double turn[3][3], quaternion[4], six[6], trace = 0.0;
+  if (!IS_POSE) {
+    for (int i = 0; i < N_FREEDOMS; ++i) {
+      out[i] = here[i] - there[i];
+      if (KINDS[i]) out[i] -= 2.0 * pi * floor((out[i] + pi) / (2.0 * pi));
+    }
+    return;
+  }
+  for (int i = 0; i < 3; ++i) {
+    six[i] = here[4 * i + 3] - there[4 * i + 3];
+    for (int j = 0; j < 3; ++j) {
+      turn[i][j] = 0.0;
+      for (int k = 0; k < 3; ++k) turn[i][j] += here[4 * i + k] * there[4 * j + k];
+    }
+    trace += turn[i][i];
+  }
+  int i = 3; /* the largest part of the quaternion is the one to divide by */
+  double most = trace;
+  for (int j = 0; j < 3; ++j)
+    if (turn[j][j] > most) most = turn[j][j], i = j;
+  int a = (i + 1) % 3, b = (i + 2) % 3;
+  if (i < 3) {
+    quaternion[i] = 1.0 - trace + 2.0 * turn[i][i];
+    quaternion[a] = turn[a][i] + turn[i][a];
+    quaternion[b] = turn[b][i] + turn[i][b];
+    quaternion[3] = turn[b][a] - turn[a][b];
+  } else {
+    for (int j = 0; j < 3; ++j) quaternion[j] = turn[(j + 2) % 3][(j + 1) % 3] - turn[(j + 1) % 3][(j + 2) % 3];
+    quaternion[3] = 1.0 + trace;
+  }
+  double sine = sqrt(quaternion[0] * quaternion[0] + quaternion[1] * quaternion[1] + quaternion[2] * quaternion[2]);
+  double sign = quaternion[3] < 0.0 ? -1.0 : 1.0, size = sine > 0.0 ? 2.0 * atan2(sine, sign * quaternion[3]) / sine : 0.0;
+  for (int j = 0; j < 3; ++j) six[3 + j] = sign * size * quaternion[j];
+  for (int j = 0; j < N_FREEDOMS; ++j) out[j] = six[KINDS[j]];
+}
+
 /* A feedback on the state, on top of the planned efforts u (M + NK); returns 0 where Python is to be asked. */
 static int feed_back(const Run *run, Progress *at, double t, const double *q, const double *v, double *u) {
   enum { D = N_FREEDOMS + NK, STATE = N_COORDINATES + N_FREEDOMS, MOST = M + NK + N_FREEDOMS };
-  const double pi = 3.14159265358979323846;
-  double read[STATE + D * D + D + N_FREEDOMS * M], z[3 * D], K[MOST * 2 * D], less[MOST];
-  const double *x = read, *xd = read + N_COORDINATES;
+  double read[STATE + D * D + D + N_FREEDOMS * M], z[2 * D], K[MOST * 2 * D], less[MOST];
+  double course[N_COORDINATES + NK + 2 * D], *s = course + N_COORDINATES, *rates = s + NK, *wanted = rates + D;
   int rows = run->scale ? D : M + NK;
   if (run->scale) {
     if (!rp_reading(q, v, run->rank_tolerance, read)) return 0;
@@ -391,15 +429,12 @@ static int feed_back(const Run *run, Progress *at, double t, const double *q, co
     double *const res[] = {read, read + N_COORDINATES};
     rp_platform(arg, res);
   }
-  polynomials(run->edges, run->pieces, run->course, run->course_terms, 3 * D, t, &at->piece, z);
-  for (int i = 0; i < N_FREEDOMS; ++i) {
-    z[i] = x[i] - z[i];
-    if (run->turning[i] != 0.0) z[i] -= 2.0 * pi * floor((z[i] + pi) / (2.0 * pi));
-    z[D + i] = xd[i] - z[D + i];
-  }
+  polynomials(run->edges, run->pieces, run->course, run->course_terms, N_COORDINATES + NK + 2 * D, t, &at->piece, course);
+  rp_difference(read, course, z);
+  for (int i = 0; i < N_FREEDOMS; ++i) z[D + i] = read[N_COORDINATES + i] - rates[i];
   for (int i = 0; i < NK; ++i) {
-    z[N_FREEDOMS + i] = q[CARRIED[i]] - z[N_FREEDOMS + i];
-    z[D + N_FREEDOMS + i] = v[CARRIERS[i]] - z[D + N_FREEDOMS + i];
+    z[N_FREEDOMS + i] = q[CARRIED[i]] - s[i];
+    z[D + N_FREEDOMS + i] = v[CARRIERS[i]] - rates[N_FREEDOMS + i];
   }
   polynomials(run->gain_at, run->gain_pieces, run->gains, run->gain_terms, rows * 2 * D, t, &at->gain_piece, K);
   for (int i = 0; i < rows; ++i) {
@@ -407,8 +442,8 @@ static int feed_back(const Run *run, Progress *at, double t, const double *q, co
     for (int j = 0; j < 2 * D; ++j) less[i] += K[i * 2 * D + j] * z[j];
   }
   if (run->scale) {
-    for (int i = 0; i < D; ++i) z[2 * D + i] -= less[i];
-    return allot(run, read + STATE, z + 2 * D, u);
+    for (int i = 0; i < D; ++i) wanted[i] -= less[i];
+    return allot(run, read + STATE, wanted, u);
   }
   for (int i = 0; i < rows; ++i) u[i] = fmin(fmax(u[i] - less[i], -run->feedback_limits[i]), run->feedback_limits[i]);
   return 1;

@@ -31,7 +31,7 @@ from redundancy_pin.dynamics.forward import (
 )
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.robot import Robot, Wrench
+from redundancy_pin.robot import AXES, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.named import is_pose
 
@@ -58,7 +58,7 @@ class _Run(ctypes.Structure):
         *_members(_INTS, "prescribed pieces terms saturates"),
         *_members(_DOUBLES, "edges coefficients limits"),
         *_members(_INTS, "course_terms gain_pieces gain_terms"),
-        *_members(_DOUBLES, "course gain_at gains feedback_limits turning scale"),
+        *_members(_DOUBLES, "course gain_at gains feedback_limits scale"),
         ("loads", _Loads),
         *_members(_INTS, "breaks samples"),
         *_members(_DOUBLES, "break_at sample_at recorded"),
@@ -104,8 +104,12 @@ def source(robot: Robot) -> str:
     ]
     text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
     text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
+    text.append(f"#define IS_POSE {int(chain.is_pose)}")
     text.append(f"#define N_FREEDOMS {robot.n}\n#define LENGTH {float(robot.characteristic_length)!r}")
     for name, values in {
+        "int KINDS": [AXES.index(axis) for axis in robot.platform.axes]
+        if chain.is_pose and robot.platform
+        else [int(i in chain.angles) for i in range(robot.n)],
         "int CARRIERS": robot.carrier_velocity,
         "int CARRIED": robot.carrier_position,
         "double SCALE": chain.velocity_scale,
@@ -341,7 +345,6 @@ class CompiledIntegration:
         self._point("gain_at", law.gain.edges)
         self._point("gains", gains)
         self._point("feedback_limits", law.limits)
-        self._point("turning", law.turning.astype(np.float64))
         if law.scale is not None:
             self._point("scale", law.scale)
         self._run.course_terms, (self._run.gain_pieces, self._run.gain_terms) = course.shape[1], gains.shape[:2]

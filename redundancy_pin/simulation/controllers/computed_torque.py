@@ -17,7 +17,7 @@ from redundancy_pin.dynamics.forward import Equations, Feedback, ForwardKernel
 from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import angle_columns, row_scale
+from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, ReferencePoint
 from redundancy_pin.robot import Robot
@@ -221,16 +221,15 @@ class ComputedTorque(Tracking):
 
     @property
     def feedback(self) -> Feedback | None:  # type: ignore[override]
-        """The law for machine code; None of a digital one, of poses, and where ``command`` is replaced."""
+        """The law for machine code; None of a digital one, and where ``command`` is replaced."""
         own = type(self).command is not ComputedTorque.command or "command" in vars(self)
-        if own or self.lead or self.reference.is_pose:
+        if own or self.lead:
             return None
         gain = np.concatenate([np.diag(self._stiffness), np.diag(self._damping)], axis=1).ravel()
         return Feedback(
             self.reference.efforts,
             self.reference.states,
             PiecewisePolynomial.constant(gain, self.reference.start, self.reference.end),
-            np.isin(np.arange(self.robot.n), angle_columns(self.robot)),
             np.concatenate([self.effort_limit, self.carrier_force_limit]),
             np.concatenate([self.effort_scale, self.carrier_scale]),
         )

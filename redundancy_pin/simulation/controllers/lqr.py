@@ -19,7 +19,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.forward import Feedback
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import angle_columns, row_scale
+from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.simulation.controllers.base import (
@@ -331,12 +331,11 @@ class TimeVaryingLqr(Tracking):
 
     @property
     def feedback(self) -> Feedback | None:  # type: ignore[override]
-        """The law for machine code; None of a digital one, of poses, and where gains are replaced."""
+        """The law for machine code; None of a digital one, and where gains are replaced."""
         own = type(self).gain is not TimeVaryingLqr.gain or "gain" in vars(self)
-        if own or self.sampling is not None or self.reference.is_pose:
+        if own or self.sampling is not None:
             return None
-        turning = np.isin(np.arange(self.robot.n), angle_columns(self.robot))
-        return Feedback(self.reference.efforts, self.reference.states, self._gain, turning, self._limit)
+        return Feedback(self.reference.efforts, self.reference.states, self._gain, self._limit)
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
