@@ -355,20 +355,16 @@ def test_poses_are_fed_back_in_machine_code(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_allclose(found, difference(robot, here, there), atol=1e-12)
     still = closed_state(robot)
     u = np.linspace(0.0, 1.0, 11)
-    path = (
-        0.01 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2),
-        0.3 * u**2 * (1.0 - u) ** 2,
-        0.6 * u * (1.0 - u) * (1.0 - 2.0 * u),
-    )
+    path = np.poly1d([0.06, -0.15, 0.1, 0.0, 0.0, 0.0])  # a centimetre along x, from rest to rest
     x, xd, xdd = np.tile(still.x, (11, 1, 1)), np.zeros((11, 6)), np.zeros((11, 6))
-    x[:, 0, 3] += path[0]
-    xd[:, 0], xdd[:, 0] = path[1], path[2]
+    x[:, 0, 3] += path(u)
+    xd[:, 0], xdd[:, 0] = path.deriv()(u), path.deriv(2)(u)
     reference = motion_reference(robot, rp.PlatformMotion(u, x, xd, xdd), step=0.5)
     away = still.x.copy()
     away[:3, 3] += [1e-3, 2e-3, -1e-3]
     away[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix() @ away[:3, :3]
     options = {"start": closed_state(robot, away), "duration": 0.01, "dt": 0.01}
-    asked = [*(spied(monkeypatch, law) for law in (ComputedTorque, TimeVaryingLqr))]
+    asked = [spied(monkeypatch, law) for law in (ComputedTorque, TimeVaryingLqr)]
     for law in (ComputedTorque(reference), TimeVaryingLqr(reference, step=0.5)):
         require_same(*both(robot, law, **options), 1e-10)
         [part.clear() for part in asked]
