@@ -13,6 +13,7 @@ from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.visualisation.figures.comparisons import plot_efforts
 from redundancy_pin.visualisation.figures.curves import Curves
+from redundancy_pin.visualisation.figures.page import Page, RepeatableLayout
 from redundancy_pin.visualisation.figures.paths import plot_path
 from redundancy_pin.visualisation.figures.plots import plot_comparison
 from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES, figure, save
@@ -116,6 +117,25 @@ def test_saving_twice_gives_the_same_bytes(suffix: str, tmp_path: Path) -> None:
     for name in ("a", "b"):
         save(_efforts(), tmp_path / f"{name}{suffix}")
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_a_figure_is_laid_out_once_and_drawn_once_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawings, layouts = [], []
+    real, lay_out = Page.draw, RepeatableLayout.execute
+    monkeypatch.setattr(RepeatableLayout, "execute", lambda *given: layouts.append(0) or lay_out(*given))
+    with figure(3.0, 2.0) as drawn:
+        axes = drawn.subplots()
+        axes.set_ylabel("a label\nof three\nlines")
+    before, engine = axes.get_position(original=True), drawn.get_layout_engine()
+    # which file a drawing is for, and where the label is then, in fractions of the page
+    monkeypatch.setattr(Page, "draw", lambda self, to: (real(self, to), drawings.append(
+        (type(to).__name__, axes.yaxis.label.get_window_extent(to).x0 / drawn.bbox.width)))[0])  # fmt: skip
+    save(drawn, tmp_path / "a.png", tmp_path / "a.svg")
+    assert [kind for kind, _ in drawings] == ["RendererAgg", "MixedModeRenderer"]
+    assert len(layouts) == 1
+    assert all(0.0 < left < 0.05 for _, left in drawings)
+    assert axes.get_position(original=True).x0 > before.x0
+    assert (drawn.get_layout_engine(), drawn.dpi) == (engine, 100)
 
 
 def test_user_defaults_do_not_leak_in_or_out() -> None:
