@@ -366,11 +366,11 @@ def carry(
     """
     robot, unit = system.robot, row_scale(system.robot)
     centre = x[len(x) // 2]
-    ways = (difference(robot, centre[None], here.x[None])[0], *np.eye(robot.n)) if along is None else (along,)
-    for way in ways:
-        size = float(np.linalg.norm(way * unit))
+    directions = (difference(robot, centre[None], here.x[None])[0], *np.eye(robot.n)) if along is None else (along,)
+    for direction in directions:
+        size = float(np.linalg.norm(direction * unit))
         for spacing in _NODE_SPACINGS if size > 0.0 else ():
-            line = _line(system, here, centre, way / size * spacing * robot.characteristic_length)
+            line = _line(system, here, centre, direction / size * spacing * robot.characteristic_length)
             result = None if line is None else _interpolated(system, line, x, xd, xdd)
             if result is not None:
                 return result
@@ -383,16 +383,16 @@ def crosses(system: ConstraintSystem, before: Point, after: Point) -> bool:
     det K changes its sign there, and so may the indicator of a working mode: the legs do not change over, the branch
     leads from one mode to the other.
     """
-    way = difference(system.robot, after.x[None], before.x[None])
+    chord = difference(system.robot, after.x[None], before.x[None])
     sign, log = np.linalg.slogdet(system.evaluate(np.stack([before.q, after.q])).K)
     if not np.isfinite(log).any():
         return False
     size = np.exp(log - log.max())
     if sign[0] * sign[1] > 0.0 and size.min() > ROUNDING:
         return False
-    root = moved(system.robot, before.x[None], way * (size[0] / size.sum()))
-    still = np.zeros_like(way)
-    carried = carry(system, before, root, still, still, way[0])
+    root = moved(system.robot, before.x[None], chord * (size[0] / size.sum()))
+    still = np.zeros_like(chord)
+    carried = carry(system, before, root, still, still, chord[0])
     if carried is None:
         return False
     # all but linear on a branch that goes through zero; on one that keeps its side nothing vanishes there

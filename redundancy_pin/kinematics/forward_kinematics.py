@@ -184,12 +184,12 @@ def forward_kinematics(
     before = u0, np.zeros(u0.shape), np.zeros(u0.shape)  # the motors come from the start
     path = [np.concatenate([first, part[:, followed]]) for first, part in zip(before, (u, ud, udd), strict=True)]
     first = Point(u0[0], q0, home.gamma[0])
-    way = _without_whole_turns(driven, path[0])
-    tree, branch = _lifted(driven, way, path, first)
-    if not way.leads_back(branch):  # as behind a gear: few turns are followed as they are
-        way = _every_turn(driven, path[0], "and a turn of its motor does not lead back to the same configuration")
-        tree, branch = _lifted(driven, way, path, first)
-    places = way.places[1:]
+    route = _without_whole_turns(driven, path[0])
+    tree, branch = _lifted(driven, route, path, first)
+    if not route.leads_back(branch):  # as behind a gear: few turns are followed as they are
+        route = _every_turn(driven, path[0], "and a turn of its motor does not lead back to the same configuration")
+        tree, branch = _lifted(driven, route, path, first)
+    places = route.places[1:]
     v, a, gamma, gap, margin = (
         part[places] for part in (tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
     )
@@ -199,14 +199,14 @@ def forward_kinematics(
     if end < len(u):
         v[end:], a[end:], gamma[end:] = np.nan, np.nan, np.nan
         rest = q[end:], status[end:], gap[end:], margin[end:]
-        _judge_rest(motors, way.u[places[end:]], tree.q[way.places[end]], rest)
+        _judge_rest(motors, route.u[places[end:]], tree.q[route.places[end]], rest)
         branch[places[end:]] = q[end:]
     x = _platform_at(system, branch)
     xd, xdd = _platform_rates(system, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
-    q, x = way.turned(branch, q), x[places] if is_pose(robot) else way.turned(x, x[places])
+    q, x = route.turned(branch, q), x[places] if is_pose(robot) else route.turned(x, x[places])
     gap = np.fmax(gap, _contradiction(system, followed, u, q))
     status[(status == ForwardStatus.CONVERGED) & (gap > _AGREE)] = ForwardStatus.OUT_OF_REACH
     excess = range_excess(robot, q)
@@ -259,7 +259,7 @@ def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Arr
     q[:passed], gap[:], margin[:] = solved.q[:passed], solved.gap, np.where(singular, 0.0, np.nan)
 
 
-class _Way(NamedTuple):
+class _Route(NamedTuple):
     """Positions u (A, n) of the motors that are followed, and ``places`` (N + 1,) of the samples, the start first.
 
     ``jumps`` say where whole turns are left out: places before and behind one turn, and how many more follow.
@@ -287,11 +287,11 @@ def _whole(angles: Array) -> Array:
     return np.asarray(2.0 * np.pi * np.round(angles / (2.0 * np.pi)))
 
 
-def _lifted(driven: Robot, way: _Way, path: list[Array], first: Point) -> tuple[TreeMotion, Array]:
-    """Return the motion along a way, with rates of the path at samples, and its (A, nq), NaN where the branch ends."""
-    rate, second = np.zeros((2, *way.u.shape))
-    rate[way.places], second[way.places] = path[1:]
-    motion = PlatformMotion(np.arange(len(way.u)), way.u, rate, second, check_rates=False)
+def _lifted(driven: Robot, route: _Route, path: list[Array], first: Point) -> tuple[TreeMotion, Array]:
+    """Return the motion along a route, rates of the path at samples, and its (A, nq), NaN where the branch ends."""
+    rate, second = np.zeros((2, *route.u.shape))
+    rate[route.places], second[route.places] = path[1:]
+    motion = PlatformMotion(np.arange(len(route.u)), route.u, rate, second, check_rates=False)
     tree = lift(driven, motion, mark_unreachable=True, start=first)
     good = np.logical_and.accumulate(tree.reachable)
     return tree, np.where(good[:, None], tree.q, np.nan)  # what lift takes up again behind a gap is on any branch
@@ -315,8 +315,8 @@ def _whole_turns(driven: Robot, u: Array) -> IntArray:
     return (np.abs(np.diff(angles, axis=0)) // (2.0 * np.pi)).astype(int)
 
 
-def _every_turn(driven: Robot, u: Array, why: str) -> _Way:
-    """Return the way along positions (N + 1, n) as they are.
+def _every_turn(driven: Robot, u: Array, why: str) -> _Route:
+    """Return the route along positions (N + 1, n) as they are.
 
     Raises:
         InputError: the motors turn too often between samples.
@@ -328,11 +328,11 @@ def _every_turn(driven: Robot, u: Array, why: str) -> _Way:
             remedy="Pass samples in between, or take whole turns off.",
             turns=turns,
         )
-    return _Way(u, np.arange(len(u)), ())
+    return _Route(u, np.arange(len(u)), ())
 
 
-def _without_whole_turns(driven: Robot, u: Array) -> _Way:
-    """Return the way along positions of motors (N + 1, n), the start first, in bounded length.
+def _without_whole_turns(driven: Robot, u: Array) -> _Route:
+    """Return the route along positions of motors (N + 1, n), the start first, in bounded length.
 
     One motor that turns comes to the same place after a turn, if it does after the first: all but this one and the last
     are left out. What several motors do has no such period.
@@ -342,19 +342,19 @@ def _without_whole_turns(driven: Robot, u: Array) -> _Way:
     """
     whole = _whole_turns(driven, u)
     if whole.max(initial=0) < _FEW_TURNS:
-        return _Way(u, np.arange(len(u)), ())
+        return _Route(u, np.arange(len(u)), ())
     if driven.n > 1 or driven.model.nq != driven.model.nv:
         return _every_turn(driven, u, "which has to be followed turn by turn")
-    way, places, jumps, away = [u[0]], [0], [], 0.0
+    route, places, jumps, away = [u[0]], [0], [], 0.0
     for target, last, count in zip(u[1:], u[:-1], whole[:, 0].tolist(), strict=True):
         if count >= _FEW_TURNS:
             turn = np.copysign(2.0 * np.pi, target - last)
-            jumps.append((len(way) - 1, len(way), count - 1))
-            way.append(way[-1] + turn)
+            jumps.append((len(route) - 1, len(route), count - 1))
+            route.append(route[-1] + turn)
             away = away + (count - 1) * turn
-        way.append(target - away)
-        places.append(len(way) - 1)
-    return _Way(np.array(way), np.array(places), tuple(jumps))
+        route.append(target - away)
+        places.append(len(route) - 1)
+    return _Route(np.array(route), np.array(places), tuple(jumps))
 
 
 def _platform_at(system: ConstraintSystem, q: Array) -> Array:

@@ -276,7 +276,7 @@ class Sheet:
         return self.follower.line(guesses, rate, self.nodes, self._weights)
 
 
-class _Way:
+class _SheetLine:
     """The sheet along a line in z through a closed configuration: points one by one, each from those next to it.
 
     Args:
@@ -333,8 +333,8 @@ class _Way:
                     return float(roots.real[np.abs(roots - at).argmin()])
         return None
 
-    def steepest(self, loss: float) -> _Way | None:
-        """Return the way from beside a rank loss along the gradient of the ratio of singular values, if it has one.
+    def steepest(self, loss: float) -> _SheetLine | None:
+        """Return the line from beside a rank loss along the gradient of the ratio of singular values, if it has one.
 
         A line along it meets the rank loss at the same place when it is shifted, to first order. It is taken beside the
         rank loss, for elsewhere another loop may be the one that is nearer to its own.
@@ -354,7 +354,7 @@ class _Way:
         if not length > 1e-9:
             return None
         along *= np.copysign(1.0, along @ (self._tangent[new.independent] * new.scale)) / length
-        return _Way(new, start[:, 1:-1] @ (along / new.scale))
+        return _SheetLine(new, start[:, 1:-1] @ (along / new.scale))
 
     def position(self, q: Array) -> float:
         """Return how far along the line a configuration (nq,) is."""
@@ -419,20 +419,20 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     length = float(np.linalg.norm(along))
     if not length > 1e-9 * size:
         return None
-    way = _Way(_Follower(chain, q.copy(), independent, dependent), moving / length)
-    centre = way.rank_loss(reach)
+    line = _SheetLine(_Follower(chain, q.copy(), independent, dependent), moving / length)
+    centre = line.rank_loss(reach)
     if centre is None or centre > WITHIN * WIDEST:
         return centre
     if count > 1:
-        steepest = way.steepest(centre)
+        steepest = line.steepest(centre)
         centre = None if steepest is None else steepest.rank_loss(WIDEST)
         if steepest is None or centre is None:
             return None
-        way = steepest
-    ahead = centre - way.position(q)
+        line = steepest
+    ahead = centre - line.position(q)
     half = WIDEST
     while half >= NARROWEST:
-        sheet = way.sheet(centre, half) if abs(ahead) <= WITHIN * half else None
+        sheet = line.sheet(centre, half) if abs(ahead) <= WITHIN * half else None
         if sheet is not None:
             return sheet
         half *= 0.7
