@@ -217,8 +217,8 @@ def _load_model(request: _Request, data: Mapping[str, Any]) -> Robot:
     robot = replace(robot, notes=(*mechanism.notes, *robot.notes), urdf_folder=str(file.resolve().parent))
     if data.get("urdf_dynamics") is False:
         return replace(robot, notes=(*robot.notes, f"Friction and springs of {file.name} are not in force."))
-    said = {load.joint for load in robot.loads if isinstance(load, JointForces)}  # the declaration comes first
-    return robot.loaded(*(load for load in mechanism.forces if load.joint not in said))
+    named = {load.joint for load in robot.loads if isinstance(load, JointForces)}  # the declaration comes first
+    return robot.loaded(*(load for load in mechanism.forces if load.joint not in named))
 
 
 def _of_mechanism(
@@ -368,7 +368,7 @@ def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> 
 
 def robot_from_model(
     model: pin.Model,
-    said: Mapping[str, Any],
+    arguments: Mapping[str, Any],
     *,
     working_modes: Any = None,
     working_mode: Sequence[int] | None = None,
@@ -376,13 +376,13 @@ def robot_from_model(
     urdf: str = "",
     urdf_folder: str = "",
 ) -> Robot:
-    """Return a robot as ``Robot.from_model`` says, which puts its named arguments into ``said``."""
-    reference, closures = said["reference"], said["closures"]
+    """Return a robot as ``Robot.from_model`` says, which has its named ``arguments`` here."""
+    reference, closures = arguments["reference"], arguments["closures"]
     given, (model, at) = model, depth_first(model)
     data: dict[str, Any] = {
-        "name": said["name"] or str(getattr(model, "name", "")) or "robot",
+        "name": arguments["name"] or str(getattr(model, "name", "")) or "robot",
         "urdf": "model",
-        **declared(model, said, at),
+        **declared(model, arguments, at),
         "working_modes": working_modes,
         "characteristic_length": characteristic_length,
         "reference": reference if isinstance(reference, Mapping) else {},

@@ -17,7 +17,7 @@ from redundancy_pin.cli.plan_problem import PARAMETERS, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
 from redundancy_pin.studies.case import BACKENDS, RNEA, VIRTUAL_WORK, WHOLE, Case, load
-from redundancy_pin.studies.case import options as plain
+from redundancy_pin.studies.case import options as as_options
 from redundancy_pin.studies.co_design import DesignTask, compare_machines
 from redundancy_pin.studies.reproduce import reproduce as run_job
 from redundancy_pin.studies.reproduce import tables
@@ -144,11 +144,11 @@ def trade(**given: Any) -> None:
         name=f"{robot}-{name}",
         robot=given["robot"],
         path=name,
-        path_options=plain(**path_options),
+        path_options=as_options(**path_options),
         planner="whole_trajectory",
-        options=plain(**json_data(parameters)),
+        options=as_options(**json_data(parameters)),
         working_mode=given["mode"] or (),
-        arguments=plain(**given["settings"]),
+        arguments=as_options(**given["settings"]),
         dt=step,
         title=f"{robot}, {given['trajectory']}",
         gravity=given["gravity"],
@@ -201,7 +201,7 @@ def design(**given: Any) -> None:
     ranges = dict(map(_range, given["ranges"]))
     parameters = _planner_parameters(given["parameters"])
     folder = expanded(given["out"] or f"design-{Path(given['robot']).stem}")
-    robot = load(given["robot"], given["mode"] or (), plain(**given["settings"]), given["gravity"], given["trust"])
+    robot = load(given["robot"], given["mode"] or (), as_options(**given["settings"]), given["gravity"], given["trust"])
     dynamics = BACKENDS[given["backend"] or (VIRTUAL_WORK if robot.closed_form else RNEA)](robot)
     tasks = {
         text: DesignTask(dynamics, options.make_trajectory(*trajectory_of(text)), parameters) for text in given["tasks"]

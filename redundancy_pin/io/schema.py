@@ -62,7 +62,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
-def typed(kind: type[_T], data: object) -> _T:
+def record_of(kind: type[_T], data: object) -> _T:
     """Return a dataclass of numbers and text from a mapping of its fields; ValueError where it is none."""
     try:
         known: Any = kind  # hashable, as every class, which its type does not say

@@ -445,10 +445,10 @@ def _verdict_deviations(plan: Plan, again: Plan) -> list[Deviation]:
             j = int(apart.argmax())
             message = f"The peak effort of {plan.robot.actuated[j]} is {theirs[j]:.6g}, not {ours[j]:.6g}."
             deviations.append(Deviation("peak effort", float(again.between.time[j]), float(apart[j]), message))
-    said = {(one.carrier, one.quantity) for one in plan.limits.violated}
-    unsaid = {(one.carrier, one.quantity): one for one in reversed(again.limits.violated)}  # the first of each counts
-    for (carrier, quantity), event in sorted(unsaid.items(), key=lambda item: item[0]):
-        if (carrier, quantity) not in said:
+    reported = {(one.carrier, one.quantity) for one in plan.limits.violated}
+    seen = {(one.carrier, one.quantity): one for one in reversed(again.limits.violated)}  # the first of each counts
+    for (carrier, quantity), event in sorted(seen.items(), key=lambda item: item[0]):
+        if (carrier, quantity) not in reported:
             message = f"The {quantity} of {carrier} exceeds its limit by {event.amount:.4g} at t = {event.worst:.6g} s."
             deviations.append(Deviation("limits", event.worst, event.amount, message))
     unseen = plan.between is None and again.status is PlanStatus.UNRESOLVED  # version 0.1.0 did not look there

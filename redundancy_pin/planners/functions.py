@@ -411,6 +411,6 @@ def actuator_rates(dynamics: Dynamics, platform: ContinuousMotion, t: Array) -> 
 
 def least_effort(reduced: ReducedDynamics) -> float:
     """Return the effort below which efforts count as zero, N or N·m: a fraction of what f asks for."""
-    asked = float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
+    needed = float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
     largest = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
-    return SMALL * asked / max(float(np.median(largest)), np.finfo(float).tiny)
+    return SMALL * needed / max(float(np.median(largest)), np.finfo(float).tiny)

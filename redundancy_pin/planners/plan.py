@@ -17,7 +17,7 @@ from redundancy_pin.dynamics.base import Dynamics, require_dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
-from redundancy_pin.io.schema import typed
+from redundancy_pin.io.schema import record_of
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DenseCheck, PlanFunctions
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
@@ -362,7 +362,9 @@ def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
         # looked at, or vouched for, when they were planned
         "motion": PlatformMotion(**values["motion"], check_rates=False),
         "carriers": CarrierMotion(**values["carriers"], check_rates=False),
-        "limits": LimitReport(**{key: tuple(typed(kind, one) for one in limits[key]) for key, kind in kinds.items()}),
+        "limits": LimitReport(
+            **{key: tuple(record_of(kind, one) for one in limits[key]) for key, kind in kinds.items()}
+        ),
         "status": PlanStatus(values["status"]),
         "robot": read_robot(values["robot"], path),
         "functions": None if values["functions"] is None else _functions(values["functions"]),

@@ -112,8 +112,8 @@ def put_together(
     """
     entries = tuple(entry for entry in declaration.carriers if entry.when)
     carriers = tuple(entry.joint for entry in entries)
-    said = {each.joint for each in declaration.coupled}
-    coupled = (*declaration.coupled, *(each for each in couplings if each.joint not in said))
+    own = {each.joint for each in declaration.coupled}
+    coupled = (*declaration.coupled, *(each for each in couplings if each.joint not in own))
     _check_roles(declaration, carriers, model, of)
     _check_couplings(coupled, declaration, carriers, model, of)
     guess = _guess(model, declaration.reference.guess, start)

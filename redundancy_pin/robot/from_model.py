@@ -65,7 +65,7 @@ def _span(model: pin.Model, index: int, kind: str) -> slice:
     return slice(int(first), int(first + count))
 
 
-def declared(model: pin.Model, said: Mapping[str, Any], at: list[int]) -> dict[str, Any]:
+def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> dict[str, Any]:
     """Return the part of a declaration that says what closes the loops and which role each joint has.
 
     Frames that are named and are no links become links, and the frames of Pinocchio's constraint models are added to
@@ -80,10 +80,10 @@ def declared(model: pin.Model, said: Mapping[str, Any], at: list[int]) -> dict[s
                 f"The joint {name!r} mimics another.", remedy="Build the model without (mimic=False).", joint=str(name)
             )
     loops, couplings, actuated, carriers = (
-        _several(said[what], what) for what in ("closures", "couplings", "actuated", "carriers")
+        _several(arguments[what], what) for what in ("closures", "couplings", "actuated", "carriers")
     )
     loops = [_closure(model, each, number, at) for number, each in enumerate(loops)]
-    roles = _independent(said["independent"])
+    roles = _independent(arguments["independent"])
     for frame in (*(name for loop in loops for name in loop["frames"]), roles.get("platform")):
         _make_link(model, frame)
     return {

@@ -207,10 +207,10 @@ class Robot(Frozen):
                 reference that does not close.
             UnsupportedRobotError: a joint of a type that closed chains do not cover.
         """
-        said = {"actuated": actuated, "closures": closures, "carriers": carriers, "couplings": couplings}
-        said |= {"independent": independent, "reference": reference, "name": name}
+        arguments = {"actuated": actuated, "closures": closures, "carriers": carriers, "couplings": couplings}
+        arguments |= {"independent": independent, "reference": reference, "name": name}
         # a closed reference needs kinematics, which is above this room: looked up when it is called
-        made: Robot = importlib.import_module("redundancy_pin.loading").robot_from_model(model, said, **more)
+        made: Robot = importlib.import_module("redundancy_pin.loading").robot_from_model(model, arguments, **more)
         return made
 
     def with_parameters(
