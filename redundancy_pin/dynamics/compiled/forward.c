@@ -153,8 +153,8 @@ void rp_dynamics(const double *q, const double *v, double *K, double *bias, doub
 /* Accelerations of the tree under generalised forces; `given` are those of carriers driven by motion, or nothing.
    *inertia: smallest pivot of the mass matrix over the largest. Closure forces (R) and what the forces miss (NV) are for
    those who ask. */
-static int accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
-                         double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
+int rp_accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
+                     double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
   double K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV], rest[NV];
   double A[(R + 1) * (NP + 1 + R)], N[NV][FREE + 1] = {{0.0}}, product[NV][FREE + 1], reduced[FREE * FREE + 1], z[FREE + 1];
   int order[R + 1], dependent[NP + 1] = {0}, width = NP + 1 + (closure_force ? R : 0), d = 0;
@@ -297,11 +297,6 @@ int rp_reading(const double *q, const double *v, double rank_tolerance, double *
   for (int i = 0; i < N_FREEDOMS; ++i)
     for (int j = 0; j < M; ++j) *out++ = basis[ACTUATED[j]][i];
   return 1;
-}
-
-int rp_accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
-                     double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
-  return accelerations(q, v, force, given, rank_tolerance, least_inertia, a, inertia, closure_force, missing);
 }
 
 /* Values of piecewise polynomials at an instant, those at the ends outside; *piece is where the last one was. */
@@ -481,7 +476,8 @@ static void rate(const Run *run, Progress *at, double t, double end, const doubl
   int known = loads_at(run, at, t, end, q, v, out);
   if (known && run->prescribed)
     for (int i = 0; i < NK; ++i) state[CARRIED[i]] = out[NV + i], state[NQ + CARRIERS[i]] = out[NV + NK + i];
-  if (!known || accelerations(q, v, out, given, run->rank_tolerance, run->least_inertia, result + NQ, &inertia, 0, 0)) {
+  if (!known ||
+      rp_accelerations(q, v, out, given, run->rank_tolerance, run->least_inertia, result + NQ, &inertia, 0, 0)) {
     none(result);
     return;
   }
