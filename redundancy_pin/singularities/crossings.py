@@ -29,9 +29,6 @@ from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedT
 _FEWEST_STEPS = 400
 """Steps in time at least, however short the path."""
 
-_BISECTIONS = 50
-"""Halvings of a step that reach the rounding of its time."""
-
 _SAME_CONFIGURATION = 1e-6
 """Configurations nearer than this (rad, m) are the same one, computed twice."""
 
@@ -254,17 +251,16 @@ def _require_closed(times: Array, gap: Array) -> None:
 def _raise_border(
     system: ConstraintSystem, law: ContinuousMotion, t: Array, q: Array, bad: int, gap: float
 ) -> NoReturn:
-    """Bisect for the time at which the path leaves the workspace, and say so."""
+    """Close in on the time at which the path leaves the workspace, and say so: sixteen parts of an interval at once."""
     if bad == 0:
         _require_closed(t[:1], np.array([gap]))
     inside, outside, at = float(t[bad - 1]), float(t[bad]), q[bad - 1]
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (inside + outside)
-        solution = assemble(system, at[None], law.sample_at(np.array([middle])).x, max_iterations=_SLOW_NEWTON)
-        if solution.closed[0]:
-            inside, at = middle, solution.q[0]
-        else:
-            outside = middle
+    while len(times := np.unique(np.linspace(inside, outside, 17))) > 2:
+        poses = law.sample_at(times[1:-1]).x
+        solution = assemble(system, np.repeat(at[None], len(poses), axis=0), poses, max_iterations=_SLOW_NEWTON)
+        reached = int(np.argmin(np.append(solution.closed, False)))
+        inside, outside = float(times[reached]), float(times[reached + 1])
+        at = solution.q[reached - 1] if reached else at
     raise UnreachablePoseError(
         f"The path leaves the workspace at t = {inside:.9g} s: by t = {t[bad]:.6g} s the chains stay open by "
         f"{gap:.3g} m.",

@@ -1,5 +1,7 @@
 """``simulate`` against outside engines: the same torques and carrier forces, planned or not, give the same motion."""
 
+import functools
+
 import numpy as np
 import pytest
 import zoo
@@ -39,7 +41,8 @@ def engine(request):
 
 @pytest.fixture(scope="module")
 def planned():
-    return {case.robot: prepare(case, rp.RneaDynamics) for case in (SHORT, TURN)}
+    cases = {case.robot: case for case in (SHORT, TURN)}
+    return functools.cache(lambda name: prepare(cases[name], rp.RneaDynamics))
 
 
 def waves(robot, size):
@@ -87,7 +90,7 @@ def test_the_same_efforts_give_the_same_motion_through_a_type_ii_pose(engine, na
 @pytest.mark.long_for("exudyn-3rrr", "mujoco-3rrr", "exudyn-2rpr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_planned_efforts_too(engine, planned, name):
-    task = planned[name].task
+    task = planned(name).task
     own = rp.simulate(task.robot, TaskEfforts(task), stop_at=(), dt=0.01)
     assert len(crossings(own)) == 1
     assert np.abs(difference(own, engine(task, step=1e-3))).max() < TOLERANCE
@@ -109,7 +112,7 @@ def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample
 @pytest.mark.parametrize("method", ["projected", "constraint_dynamics"])
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_a_plan_is_followed_by_the_efforts_that_engines_get(planned, name, method):
-    drive = planned[name]
+    drive = planned(name)
     run = run_own(drive.task, method=method)
     assert run.status is RunStatus.COMPLETED
     assert run.engine == "redundancy_pin"
@@ -120,7 +123,7 @@ def test_a_plan_is_followed_by_the_efforts_that_engines_get(planned, name, metho
 
 @pytest.mark.long
 def test_steps_may_reach_across_kinks_where_the_tolerance_is_loose(planned):
-    drive = planned["3rrr"]
+    drive = planned("3rrr")
     loose = {"integrator": "RK45", "rtol": 1e-7, "atol": 1e-8}
     every, jumps = (run_own(drive.task, restart_at=where, **loose) for where in ("breaks", "jumps"))
     assert jumps.steps < every.steps / 2

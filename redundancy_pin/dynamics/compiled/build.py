@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import hashlib
 import importlib.metadata
 import importlib.resources
@@ -73,6 +74,12 @@ class Definition:
 
 def define(robot: Robot) -> Definition:
     """Write the functions of a robot. Matrices are laid out row by row, but for K, which LAPACK's way suits."""
+    casadi()  # says so where it is missing, whatever was written before
+    return _defined(robot)
+
+
+@functools.lru_cache(maxsize=8)
+def _defined(robot: Robot) -> Definition:
     ca = casadi()
     chain = SymbolicChain(robot)
     carriers = [ca.SX.sym(name, robot.k) for name in ("s", "sd", "sdd")]
