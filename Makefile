@@ -45,7 +45,9 @@ test: $(STAMP) ## lint, types, import contracts, tests (eight minutes on two cor
 	@if $(BIN)/python -c '$(TYPED)'; then echo "$(BIN)/mypy --strict"; $(BIN)/mypy --strict; \
 	  else echo "mypy --strict: left out, the newest numpy for Python 3.10 has types too coarse for it"; fi
 	$(BIN)/lint-imports
-	$(COMPILED) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+	@# without pytest's rewriting of asserts, which each worker does anew; what fails is told by a second run, with it
+	$(COMPILED) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal --assert=plain \
+	  || { $(COMPILED) $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; false; }
 
 reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: results)
 	$(BIN)/redundancy-pin reproduce --out "$(OUT)"
