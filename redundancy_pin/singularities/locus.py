@@ -31,11 +31,9 @@ from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.singularities.classify import (
     SingularityKind,
-    actuation_matrix,
     locked_matrix,
     margins_of,
     serial_matrix,
-    signed_margin,
 )
 from redundancy_pin.singularities.tracing import MatrixOf, Tracer, singular_value
 from redundancy_pin.singularities.workspace import Slice, WorkspaceGrid, default_axes, slice_of, solve_grid
@@ -51,7 +49,6 @@ _ON_CURVE = 1e-12
 
 _ITERATIONS = 20
 _LONGEST_NEWTON_STEP = 0.3
-_MARGIN_BISECTIONS = 25
 _BORDER_BISECTIONS = 5
 """They bring the leg within a thirtieth of a grid cell of the border; from there Newton converges."""
 
@@ -243,7 +240,7 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
     edges = np.concatenate([np.zeros((0, 2), dtype=np.intp), *curves])
     edges = np.where(grid.reachable[edges[:, :1]], edges, edges[:, ::-1])
     start, end = grid.x[edges[:, 0]], grid.x[edges[:, 1]]
-    near = _bisected(system, grid.q[edges[:, 0]], start, end, _BORDER_BISECTIONS, None)
+    near = _bisected(system, grid.q[edges[:, 0]], start, end)
     points = _refined(system, serial_matrix, near, start, end, _free_column(grid, edges))
     chains, missing = _curves(system, SingularityKind.TYPE_I, points, curves)
     return chains, len(missing)
@@ -261,15 +258,7 @@ def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -
     nearer = np.where(fraction < 0.5, edges[:, 0], edges[:, 1])
     solution = assemble(system, grid.q[nearer], start + fraction[:, None] * (end - start))
     near = np.where(solution.closed[:, None], solution.q, grid.q[nearer])
-    columns = _free_column(grid, edges)
-    points = _refined(system, locked_matrix, near, start, end, columns)
-    again = np.flatnonzero(~points.exact)
-    if len(again):
-        # next to the border of the workspace Newton may leave the working mode: slowly bring it nearer first
-        start, end = start[again], end[again]
-        near = _bisected(system, grid.q[edges[again, 0]], start, end, _MARGIN_BISECTIONS, left[again])
-        for part, new in zip(points, _refined(system, locked_matrix, near, start, end, columns[again]), strict=True):
-            part[again] = new
+    points = _refined(system, locked_matrix, near, start, end, _free_column(grid, edges))
     chains, missing = _curves(system, SingularityKind.TYPE_II, points, curves)
     return chains, grid.x[edges[missing, 0]]
 
@@ -377,24 +366,16 @@ def _refined(
     return _Refined(x, q, sigma, (gap < CLOSURE_TOLERANCE) & (sigma < SINGULAR) & on_edge & in_mode)
 
 
-def _bisected(system: ConstraintSystem, q: Array, start: Array, end: Array, steps: int, margin: Array | None) -> Array:
-    """Return (E, nq) configurations near a singularity, by bisection along edges: slow, and hard to mislead.
-
-    q (E, nq) are the configurations at ``start`` (E, n), ``margin`` (E,) the signed margins there, which have the other
-    sign at ``end``; None where ``end`` is unreachable.
-    """
-    # towards an end out of reach every other target is: the next bisection is cheaper than a patient Newton
-    iterations, shortest = (10, 2.0**-3) if margin is None else (50, 2.0**-12)
+def _bisected(system: ConstraintSystem, q: Array, start: Array, end: Array) -> Array:
+    """Return (E, nq) configurations near the border, by bisection along edges from q (E, nq) at ``start`` (E, n)."""
     low, high = np.zeros(len(q)), np.ones(len(q))
     best = q.copy()
-    for _ in range(steps):
+    for _ in range(_BORDER_BISECTIONS):
         middle = 0.5 * (low + high)
         target = start + middle[:, None] * (end - start)
-        solution = assemble(system, best, target, max_iterations=iterations, shortest_step=shortest)
-        near = usable = solution.closed & solution.in_mode
-        if margin is not None:
-            W = actuation_matrix(system, serial_matrix(system, solution.state))
-            near = usable & (np.sign(signed_margin(W)) == np.sign(margin))
+        # every other target is out of reach: the next bisection is cheaper than a patient Newton
+        solution = assemble(system, best, target, max_iterations=10, shortest_step=2.0**-3)
+        usable = solution.closed & solution.in_mode
         best[usable] = solution.q[usable]
-        low, high = np.where(near, middle, low), np.where(near, high, middle)
+        low, high = np.where(usable, middle, low), np.where(usable, high, middle)
     return best
