@@ -104,6 +104,7 @@ class Feedback:
         gain: ((m + k) 2d) of K, row by row; (d 2d) with ``scale``.
         limits: (m + k,) of what it commands, infinite for none.
         scale: (m + k,) τ̂ and â of the allocation.
+        robot: whose equations the allocation takes; of any other machine it is asked in Python.
     """
 
     efforts: Polynomials
@@ -111,6 +112,7 @@ class Feedback:
     gain: Polynomials
     limits: Array
     scale: Array | None = None
+    robot: Robot | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.forward import Advance, ForwardKernel, Integration, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import velocity_scale
-from redundancy_pin.simulation.controllers.base import Command, Sampling
+from redundancy_pin.simulation.controllers.base import Command, Sampling, is_same
 from redundancy_pin.simulation.events import (
     BETWEEN,
     BRIEF,
@@ -279,6 +279,8 @@ class OrdinarySteps:
         amplifiers = machine.amplifiers
         self._by_time = machine.heeds_time_only and (self._held or amplifiers.open_loop is not None)
         law = amplifiers.feedback if machine.heeds_time_only and not self._held else None
+        if law is not None and law.robot is not None and not is_same(law.robot, machine.robot):
+            law = None  # the kernel has the equations of the machine, not those that the controller knows
         nothing = PiecewisePolynomial.constant(np.zeros(len(amplifiers.limits)), grid[0], grid[-1])
         self._hold: Command | None = None
         rules = Rules(

@@ -258,9 +258,9 @@ def test_plans_are_played_back_by_their_polynomials_and_saturate() -> None:
 
 
 @functools.cache
-def off_course() -> tuple[MotionReference, dict[str, Any]]:
+def off_course(**changed: float) -> tuple[MotionReference, dict[str, Any]]:
     """A reference of the 3-RRR with angles a turn from those of the state to start from, which is off it."""
-    robot = moving.massive("3rrr")
+    robot = zoo.robot_of("3rrr", **changed) if changed else moving.massive("3rrr")
     motion = rp.trajectory.reference.corner(0.025).sample(0.02)[:5]
     turned = rp.PlatformMotion(motion.t, motion.x + np.array([0.0, 0.0, 2.0 * np.pi]), motion.xd, motion.xdd)
     reference = motion_reference(robot, turned, step=0.05)
@@ -329,6 +329,7 @@ def test_a_computed_torque_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> N
         (ComputedTorque(reference, **scales, effort_limit=1.5), True, False),
         (ComputedTorque(reference, **scales, carrier_force_limit=10.0), True, False),
         (Softer(reference, **scales), True, True),
+        (ComputedTorque(off_course(carrier_mass=3.5)[0], **scales), True, True),  # it knows another machine
     ):
         asked.clear()
         run = rp.simulate(robot, one, dynamics=compiled(robot), **options)

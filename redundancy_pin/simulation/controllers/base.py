@@ -296,6 +296,11 @@ def load_limits(robot: Robot, effort: ArrayLike | None, carrier_force: ArrayLike
     return tau, force
 
 
+def is_same(one: Robot, other: Robot) -> bool:
+    """Return whether two robots are the same machine."""
+    return one is other or robot_record(one).describes(other)
+
+
 def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
     """Return the machine code of a backend's forward dynamics, if it has any.
 
@@ -304,7 +309,7 @@ def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
     """
     if dynamics is None:
         return None
-    if dynamics.robot is not robot and not robot_record(dynamics.robot).describes(robot):
+    if not is_same(dynamics.robot, robot):
         raise InputError(
             f"dynamics are those of another {dynamics.robot.name} than the robot they are for.",
             remedy="simulate takes those of the robot that is simulated, a controller those of the robot it knows.",

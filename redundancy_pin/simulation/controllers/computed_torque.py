@@ -232,6 +232,7 @@ class ComputedTorque(Tracking):
             PiecewisePolynomial.constant(gain, self.reference.start, self.reference.end),
             np.concatenate([self.effort_limit, self.carrier_force_limit]),
             np.concatenate([self.effort_scale, self.carrier_scale]),
+            self.robot,
         )
 
     def effort(self, t: float, state: State) -> Command:
