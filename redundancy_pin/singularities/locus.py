@@ -178,7 +178,7 @@ def singular_locus(
     inner, missing = _zero_margin(system, grid, parallel) if robot.n == robot.m else ((), np.zeros((0, robot.n)))
     if robot.n == robot.m and len(place.free) == 2:
         inner = _followed(system, place, grid, inner, border)
-        missing = _not_beside(missing, inner, grid)
+    missing = _not_beside(np.concatenate([border_missing, missing]), border + inner, grid)
     return SingularLocus(
         robot=robot,
         names=place.names,
@@ -191,7 +191,7 @@ def singular_locus(
         margin=read_only(parallel.reshape(grid.shape)),
         serial_margin=read_only(serial.reshape(grid.shape)),
         curves=border + inner,
-        unresolved=border_missing + len(missing),
+        unresolved=len(missing),
     )
 
 
@@ -233,8 +233,8 @@ def _pieces(values: NDArray[np.intp], keep: BoolArray) -> list[IntArray]:
     return [values[start:stop] for start, stop in zip(bounds[::2], bounds[1::2], strict=True)]
 
 
-def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusCurve, ...], int]:
-    """Return the type I curves, the border of the reachable nodes, and the number of edges without an exact one."""
+def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusCurve, ...], Array]:
+    """Return the type I curves, the border of the reachable nodes, and where edges without one begin (E, n)."""
     shaped = grid.reachable.reshape(grid.shape)
     curves = crossed_edges(shaped, np.ones_like(shaped))
     edges = np.concatenate([np.zeros((0, 2), dtype=np.intp), *curves])
@@ -243,7 +243,7 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
     near = _bisected(system, grid.q[edges[:, 0]], start, end)
     points = _refined(system, serial_matrix, near, start, end, _free_column(grid, edges))
     chains, missing = _curves(system, SingularityKind.TYPE_I, points, curves)
-    return chains, len(missing)
+    return chains, grid.x[edges[missing, 0]]
 
 
 def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], Array]:
