@@ -215,6 +215,11 @@ class Problem:
         u, zero = self.scales, np.zeros((len(self.grid.t), self.model.k))
         return CarrierMotion(*(values.get(name, zero) * getattr(u, name) for name in ("s", "sd", "sdd")))
 
+    def position(self, values: Mapping[str, Array]) -> PiecewisePolynomial:
+        """Return the positions, m, as a function of time, of scaled s, ṡ and s̈: s̈ is linear in a step."""
+        carriers = self.carriers(values)
+        return PiecewisePolynomial.linear(self.grid.t, carriers.s, carriers.sd, carriers.sdd)
+
     def scaled(self, carriers: CarrierMotion) -> dict[str, Array]:
         """Return scaled s, ṡ and s̈ of a motion at the nodes."""
         return {name: getattr(carriers, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}

@@ -9,16 +9,17 @@ it is solved again from where it was. The carriers' forces become variables only
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.planners.whole_trajectory.least_peak import least_peak, serves
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Progress, casadi
 from redundancy_pin.planners.whole_trajectory.problem import Problem, widened
-from redundancy_pin.planners.whole_trajectory.transcription import NLP, RESERVE, scaled_bounds, transcribe
+from redundancy_pin.planners.whole_trajectory.transcription import NLP, PEAK, RESERVE, scaled_bounds, transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Options = dict[str, Any]
@@ -51,7 +52,7 @@ class Solution:
     whether every constraint holds; ``message``: the solver's own word for how it ended; ``cost``: the scaled objective;
     ``violation``: largest violation of a scaled constraint; ``iterations``: number of iterations; ``seconds``: time
     taken; ``point``: x and the multipliers of its bounds and of the rows, to begin from with more rows; ``rows``: which
-    rows these are (``NLP``).
+    rows these are (``NLP``); ``centre``: of ``least_peak``, from where IPOPT goes on, the barrier parameter, else zero.
     """
 
     values: dict[str, Array]
@@ -64,6 +65,7 @@ class Solution:
     seconds: float
     point: tuple[Array, Array, Array]
     rows: Mapping[str, Any]
+    centre: float = 0.0
 
     @property
     def infeasible(self) -> bool:
@@ -77,8 +79,7 @@ class Solution:
 
     def position(self, problem: Problem) -> PiecewisePolynomial:
         """Return the carriers' positions, m, as a function of time: s̈ is linear in a step."""
-        carriers = problem.carriers(self.values)
-        return PiecewisePolynomial.linear(problem.grid.t, carriers.s, carriers.sd, carriers.sdd)
+        return problem.position(self.values)
 
     def tau(self, problem: Problem) -> Array:
         """Return (M, m) the main efforts, N or N·m."""
@@ -146,6 +147,20 @@ def solve_nlp(
     )
 
 
+def _now_and_then(progress: Progress) -> Callable[[int, float], None]:
+    """Return what reports an iteration and the scaled objective there twice a second at most."""
+    began, last = time.perf_counter(), -PERIOD
+
+    def report(iteration: int, cost: float) -> None:
+        nonlocal last
+        now = time.perf_counter() - began
+        if now - last >= PERIOD:
+            last = now
+            progress(f"iteration {iteration}, {now:.0f} s: scaled objective {cost:.6g}")
+
+    return report
+
+
 def _reporter(variables: int, rows: int, progress: Progress) -> Any:
     """Return what the solver calls at every iteration: it reports the iteration and the scaled objective now and then.
 
@@ -158,7 +173,7 @@ def _reporter(variables: int, rows: int, progress: Progress) -> Any:
     class Reporter(base):  # type: ignore[misc] # the base class exists only once the library is loaded
         def __init__(self) -> None:
             ca.Callback.__init__(self)
-            self.count, self.began, self.last = 0, time.perf_counter(), -PERIOD
+            self.count, self.report = 0, _now_and_then(progress)
             self.error: BaseException | None = None
             self.construct("reporter", {})
 
@@ -175,14 +190,11 @@ def _reporter(variables: int, rows: int, progress: Progress) -> Any:
             return ca.Sparsity.dense(sizes[ca.nlpsol_out(i)], 1)
 
         def eval(self, arguments: Any) -> list[int]:
-            now = time.perf_counter() - self.began
-            if now - self.last >= PERIOD:
-                self.last = now
-                try:
-                    progress(f"iteration {self.count}, {now:.0f} s: scaled objective {float(arguments[1]):.6g}")
-                except BaseException as error:  # an interruption too would be lost in the library
-                    self.error = error
-                    return [1]
+            try:
+                self.report(self.count, float(arguments[1]))
+            except BaseException as error:  # an interruption too would be lost in the library
+                self.error = error
+                return [1]
             self.count += 1
             return [0]
 
@@ -233,6 +245,13 @@ FINISH: Options = {
 is more than the tolerance can ask for, so their number is given. Efforts from two backends then agree to 1e-11. (Pushes
 of 1e-12 would accept the point as it is.)"""
 
+CENTRED: Options = {
+    "ipopt.bound_mult_init_method": "mu-based",
+    **{f"ipopt.{name}": 1e-14 for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")},
+}
+"""For going on from a point on the central path: the multipliers of inequalities follow from the barrier parameter, and
+IPOPT makes those of the equations by itself."""
+
 LAST_STEPS, LAST_STEPS_OF_MANY = 2, 4
 """Numbers of these steps within tolerance. At 3000 nodes two leave 3e-5 of the efforts, four 3e-12."""
 
@@ -243,13 +262,15 @@ class Strategies:
 
     ``first``: what to try in turn, before the problem is built with every row; ``more_rows``: to go on from the
     solution of a programme with fewer rows; ``refined``: to go on, with refined steps, from a point that is near an
-    optimum and no further; ``later``: what to try in turn with every row, where the first ones did not end at an
+    optimum and no further; ``centred``: to go on from the central path, its barrier parameter for an objective of size
+    one being given; ``later``: what to try in turn with every row, where the first ones did not end at an
     optimum; ``last_steps``: the exact steps that end on a flat optimum; None where the optimum is sharp.
     """
 
     first: tuple[Options, ...]
     more_rows: Options
     refined: Options
+    centred: Callable[[float], Options]
     later: tuple[Options, ...]
     last_steps: Options | None
 
@@ -272,6 +293,7 @@ def strategies(problem: Problem) -> Strategies:
         first=(careful,) if kinked else ({**fast, **PREDICTED}, fast),
         more_rows={**fast, **WARM},
         refined={**careful, **WARM},
+        centred=lambda centre: {**careful, **CENTRED, "ipopt.mu_init": centre * nodes},
         later=(careful, {**careful, **ADAPTIVE}),
         last_steps={**scaling, **LINEAR_SYSTEM, **FINISH, **steps} if flat else None,
     )
@@ -279,6 +301,10 @@ def strategies(problem: Problem) -> Strategies:
 
 ROUNDS = 4
 """Rounds of adding rows, after which all are."""
+
+CLOSE = -1e-4
+"""Distance from a limit, as a fraction of its size, within which the steps of a course of ``least_peak`` get rows: on its
+way to a flat optimum IPOPT would reach it."""
 
 AROUND = 2
 """Steps on both sides of one that leaves a limit that get rows as well: the next solution would leave it there."""
@@ -289,11 +315,50 @@ def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
 
     ``guess``, ``seconds``: as for ``solve``, which goes on from there. None where that would save nothing.
     """
-    strategy = strategies(problem)
+    strategy, deadline = strategies(problem), time.perf_counter() + seconds
     if strategy.last_steps is None:
         return None
+    if serves(problem):
+        # rows that cost nothing here, where a course that is known comes near to limits
+        near = _leaves_limits(problem, problem.position(guess), CLOSE)
+        quick = _least_peak(problem, guess, [widened(near, AROUND)], deadline)
+        if quick is not None:
+            return quick
+    seconds = max(deadline - time.perf_counter(), LEAST_SECONDS)
     nlp = transcribe(problem, between=[], limit_force=False)
     return solve_nlp(nlp, guess, seconds, strategy.first[0], problem.settings.solver.progress)
+
+
+def _least_peak(
+    problem: Problem, guess: dict[str, Array], groups: list[BoolArray], deadline: float
+) -> Solution | None:
+    """Solve by ``least_peak``, with limits between the nodes in groups of steps; None where it ends without."""
+    began = time.perf_counter()
+    progress = problem.settings.solver.progress
+    report = None if progress is None or len(problem.grid.t) < LONG else _now_and_then(progress)
+
+    def go_on(iteration: int, cost: float) -> bool:
+        if report is not None:
+            report(iteration, cost)
+        return time.perf_counter() < deadline
+
+    between = np.any([np.zeros(len(problem.grid.h), dtype=bool), *groups], axis=0)
+    found = least_peak(problem, guess, between, go_on)
+    if found is None:
+        return None
+    return Solution(
+        values=found.values | {PEAK: np.array(found.peak)},
+        optimal=True,
+        feasible=True,
+        message="Solve_Succeeded",
+        cost=found.cost,
+        violation=0.0,
+        iterations=found.iterations,
+        seconds=time.perf_counter() - began,
+        point=(np.empty(0),) * 3,
+        rows={"between": tuple(groups)},
+        centre=found.centre,
+    )
 
 
 def solve(problem: Problem, guess: dict[str, Array], seconds: float, begun: Solution | None = None) -> Solution:
@@ -306,12 +371,15 @@ def solve(problem: Problem, guess: dict[str, Array], seconds: float, begun: Solu
     """
     deadline = time.perf_counter() + seconds - (0.0 if begun is None else begun.seconds)
     attempts = [_with_needed_rows(problem, guess, deadline, begun)]
+    if begun is not None and begun.centre and not attempts[0].optimal and time.perf_counter() < deadline:
+        attempts.append(_with_needed_rows(problem, guess, deadline, None))
+    known = len(attempts)
     # the other strategy often ends where the first one crawls
-    for options in () if attempts[0].optimal else strategies(problem).later:
+    for options in () if attempts[-1].optimal else strategies(problem).later:
         left = deadline - time.perf_counter()
         if attempts[-1].optimal or attempts[-1].infeasible or left <= 0.0:
             break
-        start = guess if len(attempts) == 1 else attempts[-1].values
+        start = guess if len(attempts) == known else attempts[-1].values
         attempts.append(solve_nlp(transcribe(problem), start, left, options, problem.settings.solver.progress))
     best = min(attempts, key=lambda solution: (not solution.optimal, not solution.feasible))
     return _with_totals(best, attempts)
@@ -332,8 +400,20 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
     start: dict[str, Array] | Solution = guess
     # a draft is what the first one leads to
     ways = strategy.first[len(attempts) :] if begun is None or not begun.optimal else ()
+    while begun is not None and begun.centre:
+        start, ways, groups = begun.values, (strategy.centred(begun.centre),), list(begun.rows["between"])
+        position = begun.position(problem)
+        new = _new_rows(_leaves_limits(problem, position, CLOSE), groups)
+        if new.any():
+            groups.append(new)
+        if not (new & _leaves_limits(problem, position)).any() or len(groups) > ROUNDS:
+            break
+        begun = _least_peak(problem, start, groups, deadline)
+        attempts += [] if begun is None else [begun]
     while True:
         nlp = transcribe(problem, between=groups, limit_force=limit_force)
+        if isinstance(start, dict) and PEAK in start:
+            start = start | {name: start[PEAK] for name in nlp.blocks if name.startswith(PEAK)}
         for options in ways:
             if attempt(nlp, options, start).optimal or time.perf_counter() > deadline:
                 break
@@ -341,37 +421,46 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
         if solution.acceptable:
             solution = attempt(nlp, strategy.refined, solution)
         if not solution.optimal:
-            kept = not _leaves_limits(problem, solution).any() and not exceeds_force(problem, solution)
+            kept = not _leaves_limits(problem, solution.position(problem)).any() and not exceeds_force(problem, solution)
             return _with_totals(replace(solution, feasible=solution.feasible and kept), attempts)
         if not limit_force and exceeds_force(problem, solution):
             # more variables, so that the multipliers are of no use
             limit_force, start, ways = True, solution.values, strategy.first
             continue
-        leaves = _leaves_limits(problem, solution)
+        leaves = _leaves_limits(problem, solution.position(problem))
         if not leaves.any() and strategy.last_steps is not None:
             exact = attempt(nlp, strategy.last_steps, solution)
             if not (exact.optimal or exact.acceptable):
                 return _with_totals(solution, attempts)
             # the barrier parameter stays, so that the solver cannot call it more than acceptable
             solution = replace(exact, optimal=True, message=solution.message)
-            leaves = _leaves_limits(problem, solution)
+            leaves = _leaves_limits(problem, solution.position(problem))
         if not leaves.any():
             return _with_totals(solution, attempts)
-        new = widened(leaves, AROUND) & ~np.any([np.zeros_like(leaves), *groups], axis=0)
+        new = _new_rows(leaves, groups)
         if len(groups) == ROUNDS or not new.any():
             return _with_totals(replace(solution, optimal=False, feasible=False), attempts)
         groups.append(new)
         start, ways = solution, (strategy.more_rows,)
 
 
-def _leaves_limits(problem: Problem, solution: Solution) -> BoolArray:
-    """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve."""
-    position, bounds = solution.position(problem), scaled_bounds(problem)
+def _new_rows(leaves: BoolArray, groups: list[BoolArray]) -> BoolArray:
+    """Return the steps (M − 1,) that get rows where some leave limits, and others have theirs."""
+    new: BoolArray = widened(leaves, AROUND) & ~np.any([np.zeros_like(leaves), *groups], axis=0)
+    return new
+
+
+def _leaves_limits(problem: Problem, position: PiecewisePolynomial, least: float = 0.0) -> BoolArray:
+    """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve.
+
+    ``least``: by how much more, as a fraction of their sizes.
+    """
+    bounds = scaled_bounds(problem)
     exceeded = np.zeros(len(problem.grid.h), dtype=bool)
     for name, function in (("s", position), ("sd", position.derivative())):
         (lower, upper), size = bounds[name], getattr(problem.scales, name)
         width = upper - lower
-        spare = 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
+        spare = least + 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
         least, most = function.ranges()
         exceeded[problem.grid.h > 0.0] |= ((most / size > upper + spare) | (least / size < lower - spare)).any(axis=1)
     return exceeded

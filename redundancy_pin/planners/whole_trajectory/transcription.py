@@ -38,6 +38,9 @@ REGULARISATION = 1e-5
 """Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the
 carriers open they take the gentlest motion, and the plan is unique."""
 
+PEAK = "largest"
+"""With what the names of the copies of a largest value begin."""
+
 SHARED = 8
 """Nodes that share one copy of the peak; 8 and 32 are a tenth faster than 1 and than all."""
 
@@ -346,7 +349,7 @@ class Transcription(Quantities):
 
     def largest(self, values: Any, size: float) -> Any:
         """Bound all |values| by one variable, of which there is a copy every few nodes."""
-        copies = self._copies(f"largest_{len(self.nlp.blocks)}", -(-values.shape[0] // SHARED))
+        copies = self._copies(f"{PEAK}_{len(self.nlp.blocks)}", -(-values.shape[0] // SHARED))
         top = casadi().repmat(copies[np.arange(values.shape[0]) // SHARED], 1, values.shape[1])
         for sign in (1.0, -1.0):
             self.nlp.within(sign * values / size - top, -np.inf, 0.0)

@@ -1,0 +1,527 @@
+"""Least peak in few unknowns: an interior-point method whose steps are banded systems.
+
+What IPOPT solves has a dozen unknowns and as many rows a node, for equations and inequalities alike. Here the carriers
+are splines, s̈ linear in a step and s, ṡ whole by construction: one coefficient a knot and carrier, with fixed ones at
+the ends; middle nodes, across which the jerk is continuous, add none. The efforts are τ = W⁻¹ f, at singular nodes what
+uᵀ Ẇ τ = uᵀ ḟ makes of it (``problem``), with uᵀ f = 0 as an equation. There remain inequalities,
+
+    minimise p + ε ∫ Σ s̈² dt    subject to    −p ≤ τ(c) ≤ p,  limits of s, ṡ and s̈, which are linear in c,
+
+and with slacks w and multipliers z a Newton step is (H + Gᵀ (z/w) G) dc = …, as wide as a spline's support, beside one
+column for p and rows for uᵀ f: a tenth of the time of one of IPOPT. Predictor and corrector are Mehrotra's, without a
+line search, as in ``solver.PREDICTED``, and the last barrier parameter stays, so that IPOPT can go on from w z = μ: it
+has the last word on every plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array
+
+from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.planners.carrier_model import CarrierModel
+from redundancy_pin.planners.whole_trajectory.problem import Problem
+from redundancy_pin.planners.whole_trajectory.transcription import REGULARISATION, scaled_bounds
+
+NEAR = 1e-5
+"""Sum of all w z at the end over the peak: by so much it is from the least one."""
+
+EXACT = 1e-9
+"""Of equations and dual conditions at the end."""
+
+FEW = 3000
+"""Nodes up to which s̈ keeps its digits in the coefficients of a spline."""
+
+MOST = 80
+"""Iterations; where it takes more it has wandered."""
+
+SPLINE = 4
+"""Derivatives 0 to 3 of a cubic spline, and as many basis functions that are not zero."""
+
+SHIFTS = (1e-15, 1e-13, 1e-11, 1e-9)
+"""By which fractions of itself the diagonal grows until rounding leaves the matrix positive definite. The steps are
+refined with the matrix as it is."""
+
+REFINED, REFINEMENTS = 1e-14, 10
+"""What is left of Newton's equations; with 1e-11 rounding makes the iterations a third more."""
+
+CORRECTORS, FARTHER, CENTRAL = 2, 0.3, (0.01, 100.0)
+"""Gondzio's correctors for each step (1996), the longer step they aim at, and which products w z, over the mean aimed
+at, they leave alone. A third fewer iterations."""
+
+EQUATIONS = 1e3
+"""Weight of the squares of the equations in the matrix, which keep it positive definite across them."""
+
+
+class _Splines:
+    """The course of the carriers as a linear function of x, the free coefficients (knot by knot, then by carrier).
+
+    y (M, k, 4) are scaled s, ṡ and s̈ and the jerk over the size of s̈ at the nodes: ``matrix`` x + ``constant``.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        grid, u, settings, k = problem.grid, problem.scales, problem.settings, problem.model.k
+        t, h, count = grid.t, grid.h, len(grid.t)
+        # a jump is two nodes and so two knots, across which s and ṡ are continuous
+        knots = np.concatenate([[t[0]] * SPLINE, t[1:-1][~grid.smooth[1:-1]], [t[-1]] * SPLINE])
+        step = np.minimum(np.arange(count), count - 2)
+        step = np.where(h[step] > 0.0, step, step - 1)
+        last = np.searchsorted(knots, 0.5 * (t[step] + t[step + 1]), side="right") - 1
+        basis = np.stack([_basis(knots, last, t, order) for order in range(SPLINE)], axis=1)
+        self.size = np.stack([np.broadcast_to(size, k) for size in (u.s, u.sd, u.sdd, u.sdd)], axis=-1)
+        by_carrier = basis[:, None] * (self.size[:, :1] / self.size)[:, :, None]  # (M, k, 4, 4)
+
+        coefficients = len(knots) - SPLINE
+        fixed, free = np.zeros((coefficients, k)), np.arange(coefficients) - 2
+        fixed[:2] = settings.start / u.s
+        fixed[1] += settings.start_speed / u.s * (knots[4] - knots[3]) / 3.0
+        free[:2] = -1
+        if settings.end == "datum":
+            fixed[-2:], free[-2:] = settings.datum / u.s, -1
+        elif settings.end == "rest":  # ṡ is the difference of the last two
+            free[-1] = free[-2]
+        places = last[:, None] + np.arange(1 - SPLINE, 1)  # (M, 4) the coefficients at each node
+        number = np.where(free[places] >= 0, free[places] * k + np.arange(k)[:, None, None], -1)  # (k, M, 4)
+        self.columns: IntArray = np.moveaxis(number, 0, 1).reshape(count, -1)  # (M, 4 k)
+        self.count = (int(free.max()) + 1) * k
+        self.blocks = np.zeros((count, k, SPLINE, k, SPLINE))
+        self.blocks[:, np.arange(k), :, np.arange(k)] = np.moveaxis(by_carrier, 1, 0)
+        self.blocks = self.blocks.reshape(count, k * SPLINE, k * SPLINE)
+        self.constant = np.einsum("mkqb,mbk->mkq", by_carrier, fixed[places])
+        at = np.broadcast_to(self.columns[:, None], self.blocks.shape)
+        rows = np.broadcast_to(np.arange(count * k * SPLINE).reshape(count, -1, 1), self.blocks.shape)
+        used = (self.blocks != 0.0) & (at >= 0)
+        shape = (count * k * SPLINE, self.count)
+        self.matrix = csr_array((self.blocks[used], (rows[used], at[used])), shape=shape)
+        self.transposed = self.matrix.T.tocsr()
+        # where an entry of a node's matrix goes in the lower band; what is above or fixed goes beyond
+        self.width = SPLINE * k
+        i, j = self.columns[:, :, None], self.columns[:, None]
+        self._band = np.where((i >= j) & (j >= 0), (i - j) * self.count + j, self.width * self.count).ravel()
+
+    def course(self, x: Array) -> Array:
+        """Return y (M, k, 4)."""
+        return self.constant + self.change(x)
+
+    def change(self, dx: Array) -> Array:
+        """Return the change (M, k, 4) of y with that of x."""
+        return np.asarray(self.matrix @ dx).reshape(self.constant.shape)
+
+    def gather(self, slopes: Array) -> Array:
+        """Return the slope by x of what has slopes (M, k, 4) by y."""
+        return np.asarray(self.transposed @ slopes.ravel())
+
+    def band(self, form: Array) -> Array:
+        """Return the lower band of a quadratic form in x from that in y, (M, 4 k, 4 k)."""
+        values = self.blocks.swapaxes(1, 2) @ form @ self.blocks
+        size = self.width * self.count
+        return np.bincount(self._band, values.ravel(), size + 1)[:size].reshape(self.width, self.count)
+
+    def fitted(self, course: Array) -> Array:
+        """Return x whose course is nearest to scaled s, ṡ and s̈ (M, k, 3)."""
+        form = np.zeros(self.blocks.shape)
+        form[:] = np.diag(np.tile([1.0, 1.0, 1.0, 0.0], self.constant.shape[1]))
+        missed = np.zeros_like(self.constant)
+        missed[..., :3] = course - self.constant[..., :3]
+        return np.asarray(cho_solve_banded((cholesky_banded(self.band(form), lower=True), True), self.gather(missed)))
+
+
+def _basis(knots: Array, last: IntArray, t: Array, order: int) -> Array:
+    """Return a derivative (M, 4) of the cubic B-splines at times in the spans before knots ``last`` + 1 (de Boor)."""
+    values = np.ones((len(t), 1))
+    for degree in range(1, SPLINE):
+        raised = np.zeros((len(t), degree + 1))
+        for i in range(degree):
+            low, high = knots[last + i + 1 - degree], knots[last + i + 1]
+            if degree > SPLINE - 1 - order:
+                rise, fall = degree / (high - low), degree / (low - high)
+            else:
+                rise, fall = (t - low) / (high - low), (high - t) / (high - low)
+            raised[:, i + 1] += rise * values[:, i]
+            raised[:, i] += fall * values[:, i]
+        values = raised
+    return values
+
+
+_WAVES_AND_RATES = [(1, 0), (2, 0), (0, 1), (1, 1), (0, 3), (0, 2), (1, 3)] + [
+    (wave, rate) for rate in range(4) for wave in (3, 4, 5, 6)
+]
+"""``carrier_model.terms`` as products: 1, s, s², cos s − 1, sin s, cos 2s − 1 or sin 2s with 1, ṡ, ṡ² or s̈."""
+
+
+class _Loads:
+    """f and its first and second derivatives by the carriers' motion, from its terms."""
+
+    def __init__(self, model: CarrierModel) -> None:
+        count, n, k, each = model.f_terms.shape
+        by_wave = np.zeros((count, k, n, 4, 7))
+        for j, (wave, rate) in enumerate(_WAVES_AND_RATES[:each]):
+            by_wave[..., rate, wave] += model.f_terms[..., j].swapaxes(1, 2)
+        self.waves = np.flatnonzero(by_wave.any(axis=(0, 1, 2, 3)))
+        self.by_wave = by_wave[..., self.waves].reshape(count, k, 4 * n, -1)
+        self.f0, self.shape = model.f0, (count, k, n, 4, 3)
+
+    def __call__(self, motion: Array) -> tuple[Array, Array, Array]:
+        """Return f (M, n) and its derivatives (M, n, k, 3) and (M, n, k, 3, 3) at s, ṡ and s̈ (M, k, 3)."""
+        s, sd, sdd = np.moveaxis(motion, -1, 0)
+        one, zero, twice = np.ones_like(s), np.zeros_like(s), 2.0 * s
+        c, d, c2, d2 = np.cos(s), np.sin(s), np.cos(twice), np.sin(twice)
+        waves = np.array(
+            [
+                [one, s, s * s, c - 1.0, d, c2 - 1.0, d2],
+                [zero, one, twice, -d, c, -2.0 * d2, 2.0 * c2],
+                [zero, zero, 2.0 * one, -c, -d, -4.0 * c2, -4.0 * d2],
+            ]
+        )[:, self.waves]
+        by_rate = (self.by_wave @ np.moveaxis(waves, (0, 1), (3, 2))).reshape(self.shape).swapaxes(1, 2)
+        rates = np.stack([one, sd, sd * sd, sdd], axis=-1)[:, None]
+        value, by_s, by_ss = np.moveaxis(np.einsum("mnkrd,mjkr->mnkd", by_rate, rates), -1, 0)
+        faster = 2.0 * sd[:, None]
+        first = np.stack([by_s, by_rate[..., 1, 0] + faster * by_rate[..., 2, 0], by_rate[..., 3, 0]], axis=-1)
+        second = np.zeros((*first.shape, 3))
+        second[..., 0, 0], second[..., 1, 1] = by_ss, 2.0 * by_rate[..., 2, 0]
+        second[..., 0, 1] = second[..., 1, 0] = by_rate[..., 1, 1] + faster * by_rate[..., 2, 1]
+        second[..., 0, 2] = second[..., 2, 0] = by_rate[..., 3, 1]
+        return self.f0 + value.sum(axis=2), first, second
+
+
+@dataclass(frozen=True, eq=False)
+class _At:
+    """The efforts at a course, over their size, and the equations e = 0 of the singular nodes.
+
+    ``tau`` (M, m), ``slopes`` (M, m, k, 4) by y; ``second`` (M, n, k, 3, 3) derivatives of f by scaled s, ṡ and s̈;
+    ``e`` (r,), ``by_y`` (r, k, 4) their slopes by y at their nodes.
+    """
+
+    tau: Array
+    slopes: Array
+    second: Array
+    e: Array
+    by_y: Array
+
+
+class _Efforts:
+    """τ and uᵀ f as functions of y."""
+
+    def __init__(self, problem: Problem, size: Array) -> None:
+        model, u = problem.model, problem.scales
+        self.f, self.size = _Loads(model), size
+        inverse = np.zeros(model.W.swapaxes(1, 2).shape)
+        regular = np.setdiff1d(np.arange(len(model.W)), problem.grid.singular)
+        inverse[regular] = np.linalg.inv(model.W[regular])
+        self.nodes: list[tuple[int, Array, Array, _Loads]] = []
+        for node in problem.singular:
+            W, rank = model.W[node.index], len(model.W[node.index]) - len(node.lost)
+            across = np.linalg.svd(node.lost)[2][len(node.lost) :]  # the directions that are left
+            both = np.linalg.inv(np.concatenate([across @ W, node.lost @ node.rate.W[0]]))
+            inverse[node.index] = both[:, :rank] @ across
+            self.nodes.append((node.index, node.lost, both[:, rank:] / u.tau, _Loads(node.rate)))
+        self.inverse = inverse / u.tau
+        self.at = np.array([index for index, lost, *_ in self.nodes for _ in lost], dtype=np.intp)
+        lost = [row for _, rows, *_ in self.nodes for row in rows]
+        self.lost = np.array([row / (u.row @ np.abs(row)) for row in lost]).reshape(-1, model.W.shape[1])
+
+    def __call__(self, y: Array) -> _At:
+        count, k, _ = y.shape
+        motion = y * self.size
+        value, first, second = self.f(motion[..., :3])
+        first = first * self.size[:, :3]
+        second = second * (self.size[:, :3, None] * self.size[:, None, :3])
+        tau = np.einsum("mji,mi->mj", self.inverse, value)
+        slopes = np.zeros((count, self.inverse.shape[1], k, SPLINE))
+        slopes[..., :3] = (self.inverse @ first.reshape(*first.shape[:2], -1)).reshape(*slopes.shape[:3], 3)
+        for i, lost, inverse, rate in self.nodes:
+            # ḟ = ∂f/∂t + Σ ∂f/∂y ẏ, ẏ = (ṡ, s̈, s⃛) in the scales of y
+            ratio = self.size[:, 1:] / self.size[:, :3]
+            flow = y[i, :, 1:] * ratio
+            by_time, by_time_y, _ = rate(motion[i : i + 1, :, :3])
+            by_y = np.zeros((*first.shape[1:3], SPLINE))
+            by_y[..., :3] = by_time_y[0] * self.size[:, :3] + np.einsum("nkqr,kq->nkr", second[i], flow)
+            by_y[..., 1:] += first[i] * ratio
+            to_tau = inverse @ lost
+            tau[i] += to_tau @ (by_time[0] + np.einsum("nkq,kq->n", first[i], flow))
+            slopes[i] += np.einsum("mn,nkq->mkq", to_tau, by_y)
+        by_y = np.zeros((len(self.at), k, SPLINE))
+        by_y[..., :3] = np.einsum("rn,rnkq->rkq", self.lost, first[self.at])
+        return _At(tau, slopes, second, np.einsum("rn,rn->r", self.lost, value[self.at]), by_y)
+
+
+@dataclass(frozen=True, eq=False)
+class LeastPeak:
+    """A course of least peak: scaled s, ṡ and s̈ (M, k) and τ (M, m) by name.
+
+    ``peak`` largest |τ|, scaled; ``centre``: the barrier parameter, w z of every inequality; ``cost``, ``iterations``.
+    """
+
+    values: dict[str, Array]
+    peak: float
+    centre: float
+    cost: float
+    iterations: int
+
+
+class _Inequalities:
+    """g ≥ 0: p − τ, p + τ, and the limits at nodes, and between them in some steps (M − 1,), one after another."""
+
+    def __init__(self, problem: Problem, between: BoolArray) -> None:
+        h, settings, bounds = problem.grid.h, problem.settings, scaled_bounds(problem)
+        u, (count, _, m), k = problem.scales, problem.model.W.shape, problem.model.k
+        self.efforts = count * m
+        # s, ṡ, s̈ and the inner Bézier points of ṡ and s, see ``Transcription.limits_between_nodes``
+        self.form = np.zeros((count, k, 6, SPLINE))
+        self.form[:, :, np.arange(3), np.arange(3)] = 1.0
+        ahead, behind = np.append(h, 0.0)[:, None], np.append(0.0, h)[:, None]
+        for row, base in ((3, 1), (4, 0), (5, 0)):
+            self.form[:, :, row, base] = 1.0
+        self.form[:, :, 3, 2], self.form[:, :, 4, 1] = ahead / 2.0 * u.sdd / u.sd, ahead / 3.0 * u.sd / u.s
+        self.form[:, :, 5, 1] = -behind / 3.0 * u.sd / u.s
+        limits = [bounds[name] for name in ("s", "sd", "sdd", "sd", "s", "s")]
+        self.low, self.high = (
+            np.array(np.broadcast_to(np.stack([np.broadcast_to(one[i], k) for one in limits], -1), (count, k, 6)))
+            for i in (0, 1)
+        )
+        for side in (self.low, self.high):
+            side[~np.append(between, False), :, 3:5] = np.nan
+            side[~np.append(False, between), :, 5] = np.nan
+            # what is fixed keeps its limits
+            side[0, :, :2] = np.nan
+            side[-1, :, : {"datum": 2, "rest": 0, "free": 0}[settings.end]] = np.nan
+            if settings.end == "rest":
+                side[-1, :, 1] = np.nan
+        self.lower, self.upper = (np.flatnonzero(np.isfinite(side)) for side in (self.low, self.high))
+
+    def __call__(self, p: float, tau: Array, y: Array) -> Array:
+        limited = np.einsum("mkrq,mkq->mkr", self.form, y)
+        low, high = (limited - self.low).ravel()[self.lower], (self.high - limited).ravel()[self.upper]
+        return np.concatenate([(p - tau).ravel(), (p + tau).ravel(), low, high])
+
+    def change(self, dp: float, dtau: Array, dy: Array) -> Array:
+        """Return the change of g to first order."""
+        limited = np.einsum("mkrq,mkq->mkr", self.form, dy).ravel()
+        return np.concatenate([(dp - dtau).ravel(), (dp + dtau).ravel(), limited[self.lower], -limited[self.upper]])
+
+    def parts(self, v: Array) -> tuple[Array, Array, Array, Array]:
+        """Return what of one number an inequality belongs to p − τ, p + τ, lower and upper limits (M k 6,)."""
+        ends = np.cumsum([self.efforts, self.efforts, len(self.lower)])
+        below, above, low, high = np.split(v, ends)
+        size = self.low.size
+        return below, above, np.bincount(self.lower, low, size), np.bincount(self.upper, high, size)
+
+
+def serves(problem: Problem) -> bool:
+    """Return whether a problem is one of these: nothing but the peak, efforts that f determines, no further limits."""
+    settings, limits, (count, n, m) = problem.settings, problem.settings.limits, problem.model.W.shape
+    return (
+        set(settings.objective) == {"peak"}
+        and not settings.at_most
+        and settings.end != "periodic"
+        and problem.exact is None
+        and n == m
+        and count < FEW
+        and not np.isfinite([*limits.effort, *limits.jerk]).any()
+    )
+
+
+def least_peak(
+    problem: Problem, guess: Mapping[str, Array], between: BoolArray, go_on: Callable[[int, float], bool]
+) -> LeastPeak | None:
+    """Return the course of least peak, or None where the method ends without.
+
+    ``guess``: scaled s, ṡ and s̈ to begin with; ``between`` (M − 1,): steps in which track and speed limits hold
+    between the nodes as well; ``go_on``: asked before each iteration, with its number and the cost.
+    """
+    splines = _Splines(problem)
+    efforts, limits = _Efforts(problem, splines.size), _Inequalities(problem, between)
+    zero = np.zeros((len(problem.grid.t), problem.model.k))
+    x = splines.fitted(np.stack([guess.get(name, zero) for name in ("s", "sd", "sdd")], axis=-1))
+    half = 0.5 * problem.grid.h
+    gentle = 2.0 * REGULARISATION * (np.append(half, 0.0) + np.append(0.0, half)) / problem.scales.duration
+    y = splines.course(x)
+    at = efforts(y)
+    p = float(np.quantile(np.abs(at.tau).max(axis=1), 0.9))
+    g = limits(p, at.tau, y)
+    of_efforts = np.arange(len(g)) < 2 * limits.efforts
+    w = np.maximum(g, np.where(of_efforts, 0.3 * p, 0.1))
+    z = np.where(of_efforts, 1.0, w[of_efforts].mean() / w) / (2 * limits.efforts)
+    nu = np.zeros(len(at.e))
+    for iteration in range(MOST):
+        cost = p + 0.5 * float((gentle[:, None] * y[..., 2] ** 2).sum())
+        system = _System(splines, limits, gentle, y, p, at, efforts, w, z, nu)
+        mu, centre = float(w @ z) / len(w), NEAR * p / len(w)
+        if system.error <= EXACT and np.abs(w * z - centre).max() <= 0.5 * centre:
+            values = {"s": y[..., 0], "sd": y[..., 1], "sdd": y[..., 2], "tau": at.tau}
+            return LeastPeak(values, p, centre, cost, iteration)
+        if not (np.isfinite(cost) and go_on(iteration, cost) and system.factorise()):
+            return None
+        dx, dp, dnu, dw, dz = system.step_towards(centre, mu)
+        primal, dual = (1.0 if (far := _longest(*one)) == 1.0 else max(0.99, 1.0 - mu) * far for one in ((w, dw), (z, dz)))
+        x, p, w = x + primal * dx, p + primal * dp, w + primal * dw
+        nu, z = nu + dual * dnu, z + dual * dz
+        y = splines.course(x)
+        at = efforts(y)
+    return None
+
+
+def _longest(values: Array, step: Array) -> float:
+    """Return how much of a step keeps positive values so."""
+    return min(1.0, 1.0 / max(float((-step / values).max()), 1e-300))
+
+
+class _System:
+    """Newton's equations at a point: residuals, the factors, and steps from them."""
+
+    def __init__(
+        self,
+        splines: _Splines,
+        limits: _Inequalities,
+        gentle: Array,
+        y: Array,
+        p: float,
+        at: _At,
+        efforts: _Efforts,
+        w: Array,
+        z: Array,
+        nu: Array,
+    ) -> None:
+        self.splines, self.limits, self.at, self.w, self.z = splines, limits, at, w, z
+        self.nodes, self.gentle, self.efforts, self.nu = efforts.at, gentle, efforts, nu
+        self.left = limits(p, at.tau, y) - w
+        self.dual_p, by_y = self._adjoint(-z)
+        self.dual_p += 1.0
+        by_y[..., 2] += gentle[:, None] * y[..., 2]
+        np.subtract.at(by_y, self.nodes, nu[:, None, None] * at.by_y)
+        self.dual = splines.gather(by_y)
+        self.error = max(np.abs(part).max(initial=0.0) for part in (self.left, at.e, self.dual, [self.dual_p]))
+
+    def _adjoint(self, v: Array) -> tuple[float, Array]:
+        """Return the slopes of v g by p and y."""
+        below, above, low, high = self.limits.parts(v)
+        shape = self.at.tau.shape
+        by_y = np.einsum("mi,mikq->mkq", (above - below).reshape(shape), self.at.slopes)
+        by_y += np.einsum("mkr,mkrq->mkq", (low - high).reshape(self.limits.low.shape), self.limits.form)
+        return float(below.sum() + above.sum()), by_y
+
+    def factorise(self) -> bool:
+        """Make the factors; return whether the matrix is positive definite, if only without the curvature of τ."""
+        at, limits, splines = self.at, self.limits, self.splines
+        count, m, k, _ = at.slopes.shape
+        below, above, low, high = limits.parts(self.z / self.w)
+        flat = at.slopes.reshape(count, m, -1)
+        form = flat.swapaxes(1, 2) @ ((below + above).reshape(count, m, 1) * flat)
+        by_node = at.by_y.reshape(len(self.nodes), k * SPLINE)
+        np.add.at(form, self.nodes, EQUATIONS * by_node[:, :, None] * by_node[:, None])
+        own = form.reshape(count, k, SPLINE, k, SPLINE)
+        weighted = (low + high).reshape(limits.low.shape)[..., None] * limits.form
+        kinds = np.arange(k)
+        blocks = limits.form.swapaxes(2, 3) @ weighted
+        blocks[..., 2, 2] += self.gentle[:, None]
+        own[:, kinds, :, kinds] += np.moveaxis(blocks, 1, 0)
+        below, above, *_ = limits.parts(self.z)
+        price = np.einsum("mi,min->mn", (below - above).reshape(count, m), self.efforts.inverse)
+        np.subtract.at(price, self.nodes, self.nu[:, None] * self.efforts.lost)
+        curved = np.einsum("mn,mnkqr->kmqr", price, at.second)
+        for curvature in (curved, 0.0 * curved):
+            self.form = form.copy()
+            self.form.reshape(own.shape)[:, kinds, :3, kinds, :3] += curvature
+            band = splines.band(self.form)
+            for shift in SHIFTS:
+                shifted = band.copy()
+                shifted[0] *= 1.0 + shift
+                try:
+                    self.factors = cholesky_banded(shifted, overwrite_ab=True, lower=True, check_finite=False)
+                except (LinAlgError, ValueError):
+                    continue
+                self._border()
+                return True
+        return False
+
+    def _border(self) -> None:
+        """Eliminate the spline's coefficients from the equations of p and of the singular nodes."""
+        below, above, *_ = self.limits.parts(self.z / self.w)
+        shape = self.at.tau.shape
+        rows = [np.einsum("mi,mikq->mkq", (above - below).reshape(shape), self.at.slopes)]
+        for node, slopes in zip(self.nodes, self.at.by_y, strict=True):
+            rows.append(np.zeros_like(rows[0]))
+            rows[-1][node] = -slopes
+        self.rows = np.array([self.splines.gather(row) for row in rows])
+        self.corner = np.zeros((len(rows), len(rows)))
+        self.corner[0, 0] = below.sum() + above.sum()
+        self.solved = self._banded(self.rows.T)
+        self.small = self.corner - self.rows @ self.solved
+
+    def _banded(self, right: Array) -> Array:
+        return np.asarray(cho_solve_banded((self.factors, True), right, check_finite=False))
+
+    def _product(self, v: Array) -> Array:
+        """Return the matrix times (dx, dp, dν), by its factors at the nodes: the banded one has lost digits."""
+        n = self.splines.count
+        dy = self.splines.change(v[:n])
+        product = (self.form @ dy.reshape(*self.form.shape[:2], 1)).reshape(dy.shape)
+        below = self.splines.gather(product) + v[n:] @ self.rows
+        return np.concatenate([below, self.rows @ v[:n] + self.corner @ v[n:]])
+
+    def _solve(self, right: Array) -> Array:
+        """Return (dx, dp, dν): generalised conjugate residuals, begun and led by the factors."""
+        n = self.splines.count
+        solution, missing = np.zeros_like(right), right
+        tried: list[tuple[Array, Array]] = []
+        for _ in range(REFINEMENTS):
+            first = self._banded(missing[:n])
+            rest = np.linalg.solve(self.small, missing[n:] - self.rows @ first)
+            direction = np.concatenate([first - self.solved @ rest, rest])
+            product = self._product(direction)
+            for other, image in tried:
+                along = product @ image
+                product, direction = product - along * image, direction - along * other
+            length = np.linalg.norm(product)
+            if not length > 0.0:
+                break
+            tried.append((direction / length, product / length))
+            along = missing @ tried[-1][1]
+            solution, missing = solution + along * tried[-1][0], missing - along * tried[-1][1]
+            if np.abs(missing).max() <= REFINED * np.abs(right).max():
+                break
+        return solution
+
+    def step_towards(self, centre: float, mu: float) -> tuple[Array, float, Array, Array, Array]:
+        """Return the step to products w z of ``centre``, or nearer to it; ``mu`` their mean."""
+        w, z = self.w, self.z
+        if mu <= 5.0 * centre:
+            return self.step(centre - w * z)
+        *_, dw, dz = self.step(-w * z)
+        ahead = (w + _longest(w, dw) * dw) @ (z + _longest(z, dz) * dz) / len(w)
+        aim = max((ahead / mu) ** 3 * mu, centre)
+        products = aim - w * z - dw * dz
+        chosen = self.step(products)
+        low, high = (aim * bound for bound in CENTRAL)
+        for _ in range(CORRECTORS):
+            *_, dw, dz = chosen
+            lengths = _longest(w, dw), _longest(z, dz)
+            if min(lengths) > 0.9:
+                break
+            reached = np.prod([v + min(1.0, far + FARTHER) * dv for v, dv, far in zip((w, z), (dw, dz), lengths)], axis=0)
+            products = products + np.maximum(np.clip(reached, low, high) - reached, -high)
+            other = self.step(products)
+            if _longest(w, other[3]) + _longest(z, other[4]) < sum(lengths) + 0.1 * FARTHER:
+                break
+            chosen = other
+        return chosen
+
+    def step(self, products: Array) -> tuple[Array, float, Array, Array, Array]:
+        """Return the steps of x, p, ν, w and z towards changes of the products w z."""
+        t = (products - self.z * self.left) / self.w
+        by_p, by_y = self._adjoint(t)
+        np.subtract.at(by_y, self.nodes, EQUATIONS * self.at.e[:, None, None] * self.at.by_y)
+        n = self.splines.count
+        right = np.concatenate([self.splines.gather(by_y) - self.dual, [by_p - self.dual_p], self.at.e])
+        solution = self._solve(right)
+        dx, rest = solution[:n], solution[n:]
+        dy = self.splines.change(dx)
+        dtau = np.einsum("mikq,mkq->mi", self.at.slopes, dy)
+        dw = self.limits.change(rest[0], dtau, dy) + self.left
+        return dx, float(rest[0]), rest[1:], dw, (products - self.z * dw) / self.w
