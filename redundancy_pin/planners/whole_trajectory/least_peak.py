@@ -17,10 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.sparse import csr_array
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
@@ -28,10 +28,10 @@ from redundancy_pin.planners.carrier_model import CarrierModel
 from redundancy_pin.planners.whole_trajectory.problem import Problem
 from redundancy_pin.planners.whole_trajectory.transcription import REGULARISATION, scaled_bounds
 
-NEAR = 1e-5
+NEAR = 1e-6
 """Sum of all w z at the end over the peak: by so much it is from the least one."""
 
-EXACT = 1e-9
+EXACT = 1e-8
 """Of equations and dual conditions at the end."""
 
 FEW = 3000
@@ -106,11 +106,8 @@ class _Splines:
 
     def course(self, x: Array) -> Array:
         """Return y (M, k, 4)."""
-        return self.constant + self.change(x)
-
-    def change(self, dx: Array) -> Array:
-        """Return the change (M, k, 4) of y with that of x."""
-        return np.asarray(self.matrix @ dx).reshape(self.constant.shape)
+        course: Array = self.constant + (self.matrix @ x).reshape(self.constant.shape)
+        return course
 
     def gather(self, slopes: Array) -> Array:
         """Return the slope by x of what has slopes (M, k, 4) by y."""
@@ -128,7 +125,7 @@ class _Splines:
         form[:] = np.diag(np.tile([1.0, 1.0, 1.0, 0.0], self.constant.shape[1]))
         missed = np.zeros_like(self.constant)
         missed[..., :3] = course - self.constant[..., :3]
-        return np.asarray(cho_solve_banded((cholesky_banded(self.band(form), lower=True), True), self.gather(missed)))
+        return np.asarray(dpbtrs(dpbtrf(self.band(form), lower=1)[0], self.gather(missed), lower=1)[0])
 
 
 def _basis(knots: Array, last: IntArray, t: Array, order: int) -> Array:
@@ -266,51 +263,58 @@ class LeastPeak:
 
 
 class _Inequalities:
-    """g ≥ 0: p − τ, p + τ, and the limits at nodes, and between them in some steps (M − 1,), one after another."""
+    """g ≥ 0: p − τ, p + τ, and then limits of y at nodes, and between them in some steps (M − 1,): ``rows`` y + ``rest``.
+
+    ``squares`` makes of weights of the limits' rows what they add to a quadratic form in y, (M, 4 k, 4 k).
+    """
 
     def __init__(self, problem: Problem, between: BoolArray) -> None:
-        h, settings, bounds = problem.grid.h, problem.settings, scaled_bounds(problem)
+        h, end, bounds = problem.grid.h, problem.settings.end, scaled_bounds(problem)
         u, (count, _, m), k = problem.scales, problem.model.W.shape, problem.model.k
         self.efforts = count * m
         # s, ṡ, s̈ and the inner Bézier points of ṡ and s, see ``Transcription.limits_between_nodes``
-        self.form = np.zeros((count, k, 6, SPLINE))
-        self.form[:, :, np.arange(3), np.arange(3)] = 1.0
+        points = np.zeros((count, k, 6, SPLINE))
+        for row, base in enumerate((0, 1, 2, 1, 0, 0)):
+            points[:, :, row, base] = 1.0
         ahead, behind = np.append(h, 0.0)[:, None], np.append(0.0, h)[:, None]
-        for row, base in ((3, 1), (4, 0), (5, 0)):
-            self.form[:, :, row, base] = 1.0
-        self.form[:, :, 3, 2], self.form[:, :, 4, 1] = ahead / 2.0 * u.sdd / u.sd, ahead / 3.0 * u.sd / u.s
-        self.form[:, :, 5, 1] = -behind / 3.0 * u.sd / u.s
-        limits = [bounds[name] for name in ("s", "sd", "sdd", "sd", "s", "s")]
-        self.low, self.high = (
-            np.array(np.broadcast_to(np.stack([np.broadcast_to(one[i], k) for one in limits], -1), (count, k, 6)))
-            for i in (0, 1)
-        )
-        for side in (self.low, self.high):
-            side[~np.append(between, False), :, 3:5] = np.nan
-            side[~np.append(False, between), :, 5] = np.nan
-            # what is fixed keeps its limits
-            side[0, :, :2] = np.nan
-            side[-1, :, : {"datum": 2, "rest": 0, "free": 0}[settings.end]] = np.nan
-            if settings.end == "rest":
-                side[-1, :, 1] = np.nan
-        self.lower, self.upper = (np.flatnonzero(np.isfinite(side)) for side in (self.low, self.high))
+        points[:, :, 3, 2], points[:, :, 4, 1] = ahead / 2.0 * u.sdd / u.sd, ahead / 3.0 * u.sd / u.s
+        points[:, :, 5, 1] = -behind / 3.0 * u.sd / u.s
+        held = np.ones((count, k, 6), dtype=bool)
+        held[~np.append(between, False), :, 3:5] = held[~np.append(False, between), :, 5] = False
+        # what is fixed keeps its limits
+        held[0, :, :2] = held[-1, :, {"datum": [0, 1], "rest": [1], "free": []}[end]] = False
+        rows, rest = [], []
+        for side, sign in ((0, -1.0), (1, 1.0)):
+            limits = [np.broadcast_to(bounds[name][side], k) for name in ("s", "sd", "sdd", "sd", "s", "s")]
+            limit = np.broadcast_to(np.stack(limits, axis=-1), held.shape)
+            at = np.nonzero(held & np.isfinite(limit))
+            rest.append(sign * limit[at])
+            values = np.zeros((len(at[0]), k, SPLINE))
+            values[np.arange(len(at[0])), at[1]] = -sign * points[at]
+            rows.append((at[0], values.reshape(len(at[0]), k * SPLINE)))
+        self.rest, node = np.concatenate(rest), np.concatenate([at for at, _ in rows])
+        values, width = np.concatenate([part for _, part in rows]), k * SPLINE
+        self.rows = _by_node(values[:, None], node, count)
+        self.back = self.rows.T.tocsr()
+        row, i, j = np.nonzero((values[:, :, None] != 0.0) & (values[:, None] != 0.0))
+        place = (node[row] * width + i) * width + j
+        shape = (count * width**2, len(values))
+        self.squares = csr_array((values[row, i] * values[row, j], (place, row)), shape=shape)
 
     def __call__(self, p: float, tau: Array, y: Array) -> Array:
-        limited = np.einsum("mkrq,mkq->mkr", self.form, y)
-        low, high = (limited - self.low).ravel()[self.lower], (self.high - limited).ravel()[self.upper]
-        return np.concatenate([(p - tau).ravel(), (p + tau).ravel(), low, high])
+        return np.concatenate([(p - tau).ravel(), (p + tau).ravel(), self.rows @ y.ravel() + self.rest])
 
-    def change(self, dp: float, dtau: Array, dy: Array) -> Array:
-        """Return the change of g to first order."""
-        limited = np.einsum("mkrq,mkq->mkr", self.form, dy).ravel()
-        return np.concatenate([(dp - dtau).ravel(), (dp + dtau).ravel(), limited[self.lower], -limited[self.upper]])
+    def parts(self, v: Array) -> tuple[Array, Array, Array]:
+        """Return what of one number an inequality belongs to p − τ, to p + τ, and to limits."""
+        return v[: self.efforts], v[self.efforts : 2 * self.efforts], v[2 * self.efforts :]
 
-    def parts(self, v: Array) -> tuple[Array, Array, Array, Array]:
-        """Return what of one number an inequality belongs to p − τ, p + τ, lower and upper limits (M k 6,)."""
-        ends = np.cumsum([self.efforts, self.efforts, len(self.lower)])
-        below, above, low, high = np.split(v, ends)
-        size = self.low.size
-        return below, above, np.bincount(self.lower, low, size), np.bincount(self.upper, high, size)
+
+def _by_node(blocks: Array, node: IntArray, count: int) -> Any:
+    """Return the matrix with blocks (B, r, 4 k) of rows one below another, each in the columns of its node."""
+    parts, rows, width = blocks.shape
+    columns = np.broadcast_to(node[:, None, None] * width + np.arange(width), blocks.shape).ravel()
+    starts = np.arange(0, blocks.size + 1, width)
+    return csr_array((blocks.ravel(), columns, starts), shape=(parts * rows, count * width))
 
 
 def serves(problem: Problem) -> bool:
@@ -358,7 +362,8 @@ def least_peak(
             return LeastPeak(values, p, centre, cost, iteration)
         if not (np.isfinite(cost) and go_on(iteration, cost) and system.factorise()):
             return None
-        dx, dp, dnu, dw, dz = system.step_towards(centre, mu)
+        step, dw, dz = system.step(centre, mu)
+        dx, dp, dnu = step[: splines.count], float(step[splines.count]), step[splines.count + 1 :]
         primal, dual = (1.0 if (far := _longest(*one)) == 1.0 else max(0.99, 1.0 - mu) * far for one in ((w, dw), (z, dz)))
         x, p, w = x + primal * dx, p + primal * dp, w + primal * dw
         nu, z = nu + dual * dnu, z + dual * dz
@@ -370,6 +375,10 @@ def least_peak(
 def _longest(values: Array, step: Array) -> float:
     """Return how much of a step keeps positive values so."""
     return min(1.0, 1.0 / max(float((-step / values).max()), 1e-300))
+
+
+_Step = tuple[Array, Array, Array]
+"""(dx, dp, dν), and the steps of w and z."""
 
 
 class _System:
@@ -390,6 +399,11 @@ class _System:
     ) -> None:
         self.splines, self.limits, self.at, self.w, self.z = splines, limits, at, w, z
         self.nodes, self.gentle, self.efforts, self.nu = efforts.at, gentle, efforts, nu
+        count, self.m, *_ = at.slopes.shape
+        self.every = np.arange(count)
+        self.flat = at.slopes.reshape(count, self.m, -1)
+        self.slopes = _by_node(self.flat, self.every, count)
+        self.slopes_back = self.slopes.T
         self.left = limits(p, at.tau, y) - w
         self.dual_p, by_y = self._adjoint(-z)
         self.dual_p += 1.0
@@ -400,80 +414,71 @@ class _System:
 
     def _adjoint(self, v: Array) -> tuple[float, Array]:
         """Return the slopes of v g by p and y."""
-        below, above, low, high = self.limits.parts(v)
-        shape = self.at.tau.shape
-        by_y = np.einsum("mi,mikq->mkq", (above - below).reshape(shape), self.at.slopes)
-        by_y += np.einsum("mkr,mkrq->mkq", (low - high).reshape(self.limits.low.shape), self.limits.form)
-        return float(below.sum() + above.sum()), by_y
+        below, above, limited = self.limits.parts(v)
+        by_y = self.slopes_back @ (above - below) + self.limits.back @ limited
+        return float(below.sum() + above.sum()), by_y.reshape(self.splines.constant.shape)
 
     def factorise(self) -> bool:
         """Make the factors; return whether the matrix is positive definite, if only without the curvature of τ."""
         at, limits, splines = self.at, self.limits, self.splines
         count, m, k, _ = at.slopes.shape
-        below, above, low, high = limits.parts(self.z / self.w)
-        flat = at.slopes.reshape(count, m, -1)
-        form = flat.swapaxes(1, 2) @ ((below + above).reshape(count, m, 1) * flat)
+        below, above, limited = limits.parts(self.z / self.w)
+        form = self.flat.swapaxes(1, 2) @ ((below + above).reshape(count, m, 1) * self.flat)
+        form += (limits.squares @ limited).reshape(form.shape)
         by_node = at.by_y.reshape(len(self.nodes), k * SPLINE)
         np.add.at(form, self.nodes, EQUATIONS * by_node[:, :, None] * by_node[:, None])
-        own = form.reshape(count, k, SPLINE, k, SPLINE)
-        weighted = (low + high).reshape(limits.low.shape)[..., None] * limits.form
-        kinds = np.arange(k)
-        blocks = limits.form.swapaxes(2, 3) @ weighted
-        blocks[..., 2, 2] += self.gentle[:, None]
-        own[:, kinds, :, kinds] += np.moveaxis(blocks, 1, 0)
+        by_carrier, kinds = (count, k, SPLINE, k, SPLINE), np.arange(k)
+        form.reshape(by_carrier)[:, kinds, 2, kinds, 2] += self.gentle[:, None]
         below, above, *_ = limits.parts(self.z)
         price = np.einsum("mi,min->mn", (below - above).reshape(count, m), self.efforts.inverse)
         np.subtract.at(price, self.nodes, self.nu[:, None] * self.efforts.lost)
         curved = np.einsum("mn,mnkqr->kmqr", price, at.second)
-        for curvature in (curved, 0.0 * curved):
-            self.form = form.copy()
-            self.form.reshape(own.shape)[:, kinds, :3, kinds, :3] += curvature
-            band = splines.band(self.form)
-            for shift in SHIFTS:
+        for shifts, curvature in ((SHIFTS[:2], curved), (SHIFTS, 0.0)):
+            whole = form.copy()
+            whole.reshape(by_carrier)[:, kinds, :3, kinds, :3] += curvature
+            band = splines.band(whole)
+            for shift in shifts:
                 shifted = band.copy()
                 shifted[0] *= 1.0 + shift
-                try:
-                    self.factors = cholesky_banded(shifted, overwrite_ab=True, lower=True, check_finite=False)
-                except (LinAlgError, ValueError):
-                    continue
-                self._border()
-                return True
+                self.factors, failed = dpbtrf(shifted, lower=1, overwrite_ab=1)
+                if not failed:
+                    self.form = _by_node(whole, self.every, count)
+                    self._border()
+                    return True
         return False
 
     def _border(self) -> None:
         """Eliminate the spline's coefficients from the equations of p and of the singular nodes."""
         below, above, *_ = self.limits.parts(self.z / self.w)
-        shape = self.at.tau.shape
-        rows = [np.einsum("mi,mikq->mkq", (above - below).reshape(shape), self.at.slopes)]
+        rows = [self.slopes_back @ (above - below)]
         for node, slopes in zip(self.nodes, self.at.by_y, strict=True):
-            rows.append(np.zeros_like(rows[0]))
-            rows[-1][node] = -slopes
+            rows.append(np.zeros(len(rows[0])))
+            rows[-1].reshape(len(self.every), -1)[node] = -slopes.ravel()
         self.rows = np.array([self.splines.gather(row) for row in rows])
         self.corner = np.zeros((len(rows), len(rows)))
         self.corner[0, 0] = below.sum() + above.sum()
-        self.solved = self._banded(self.rows.T)
-        self.small = self.corner - self.rows @ self.solved
+        self.solved = dpbtrs(self.factors, self.rows.T, lower=1)[0]
+        self.small = np.linalg.inv(self.corner - self.rows @ self.solved)
 
-    def _banded(self, right: Array) -> Array:
-        return np.asarray(cho_solve_banded((self.factors, True), right, check_finite=False))
+    def _rough(self, right: Array) -> Array:
+        """Return (dx, dp, dν) from the factors."""
+        n = self.splines.count
+        first = dpbtrs(self.factors, right[:n], lower=1)[0]
+        rest = self.small @ (right[n:] - self.rows @ first)
+        return np.concatenate([first - self.solved @ rest, rest])
 
     def _product(self, v: Array) -> Array:
         """Return the matrix times (dx, dp, dν), by its factors at the nodes: the banded one has lost digits."""
         n = self.splines.count
-        dy = self.splines.change(v[:n])
-        product = (self.form @ dy.reshape(*self.form.shape[:2], 1)).reshape(dy.shape)
-        below = self.splines.gather(product) + v[n:] @ self.rows
+        below = self.splines.gather(self.form @ (self.splines.matrix @ v[:n])) + v[n:] @ self.rows
         return np.concatenate([below, self.rows @ v[:n] + self.corner @ v[n:]])
 
-    def _solve(self, right: Array) -> Array:
-        """Return (dx, dp, dν): generalised conjugate residuals, begun and led by the factors."""
-        n = self.splines.count
-        solution, missing = np.zeros_like(right), right
+    def _refined(self, solution: Array, right: Array) -> Array:
+        """Return (dx, dp, dν) by generalised conjugate residuals, led by the factors."""
+        missing = right - self._product(solution)
         tried: list[tuple[Array, Array]] = []
-        for _ in range(REFINEMENTS):
-            first = self._banded(missing[:n])
-            rest = np.linalg.solve(self.small, missing[n:] - self.rows @ first)
-            direction = np.concatenate([first - self.solved @ rest, rest])
+        while len(tried) < REFINEMENTS and np.abs(missing).max() > REFINED * np.abs(right).max():
+            direction = self._rough(missing)
             product = self._product(direction)
             for other, image in tried:
                 along = product @ image
@@ -481,47 +486,47 @@ class _System:
             length = np.linalg.norm(product)
             if not length > 0.0:
                 break
-            tried.append((direction / length, product / length))
-            along = missing @ tried[-1][1]
-            solution, missing = solution + along * tried[-1][0], missing - along * tried[-1][1]
-            if np.abs(missing).max() <= REFINED * np.abs(right).max():
-                break
+            direction, product = direction / length, product / length
+            tried.append((direction, product))
+            along = missing @ product
+            solution, missing = solution + along * direction, missing - along * product
         return solution
 
-    def step_towards(self, centre: float, mu: float) -> tuple[Array, float, Array, Array, Array]:
+    def step(self, centre: float, mu: float) -> _Step:
         """Return the step to products w z of ``centre``, or nearer to it; ``mu`` their mean."""
         w, z = self.w, self.z
-        if mu <= 5.0 * centre:
-            return self.step(centre - w * z)
-        *_, dw, dz = self.step(-w * z)
-        ahead = (w + _longest(w, dw) * dw) @ (z + _longest(z, dz) * dz) / len(w)
-        aim = max((ahead / mu) ** 3 * mu, centre)
-        products = aim - w * z - dw * dz
-        chosen = self.step(products)
-        low, high = (aim * bound for bound in CENTRAL)
-        for _ in range(CORRECTORS):
-            *_, dw, dz = chosen
-            lengths = _longest(w, dw), _longest(z, dz)
-            if min(lengths) > 0.9:
-                break
-            reached = np.prod([v + min(1.0, far + FARTHER) * dv for v, dv, far in zip((w, z), (dw, dz), lengths)], axis=0)
-            products = products + np.maximum(np.clip(reached, low, high) - reached, -high)
-            other = self.step(products)
-            if _longest(w, other[3]) + _longest(z, other[4]) < sum(lengths) + 0.1 * FARTHER:
-                break
-            chosen = other
-        return chosen
+        right, products = self._right(centre - w * z), centre - w * z
+        chosen = self._changes(self._rough(right), products)
+        if mu > 5.0 * centre:
+            _, dw, dz = self._changes(self._rough(self._right(-w * z)), -w * z)
+            ahead = (w + _longest(w, dw) * dw) @ (z + _longest(z, dz) * dz) / len(w)
+            aim = max((ahead / mu) ** 3 * mu, centre)
+            products = aim - w * z - dw * dz
+            chosen = self._changes(self._rough(self._right(products)), products)
+            low, high = (aim * bound for bound in CENTRAL)
+            for _ in range(CORRECTORS):
+                _, dw, dz = chosen
+                lengths = _longest(w, dw), _longest(z, dz)
+                if min(lengths) > 0.9:
+                    break
+                farther = (min(1.0, far + FARTHER) for far in lengths)
+                reached = (w + next(farther) * dw) * (z + next(farther) * dz)
+                further = products + np.maximum(np.clip(reached, low, high) - reached, -high)
+                other = self._changes(self._rough(self._right(further)), further)
+                if _longest(w, other[1]) + _longest(z, other[2]) < sum(lengths) + 0.1 * FARTHER:
+                    break
+                products, chosen = further, other
+        return self._changes(self._refined(chosen[0], self._right(products)), products)
 
-    def step(self, products: Array) -> tuple[Array, float, Array, Array, Array]:
-        """Return the steps of x, p, ν, w and z towards changes of the products w z."""
-        t = (products - self.z * self.left) / self.w
-        by_p, by_y = self._adjoint(t)
+    def _right(self, products: Array) -> Array:
+        """Return the right side of Newton's equations for changes of the products w z."""
+        by_p, by_y = self._adjoint((products - self.z * self.left) / self.w)
         np.subtract.at(by_y, self.nodes, EQUATIONS * self.at.e[:, None, None] * self.at.by_y)
+        return np.concatenate([self.splines.gather(by_y) - self.dual, [by_p - self.dual_p], self.at.e])
+
+    def _changes(self, solution: Array, products: Array) -> _Step:
         n = self.splines.count
-        right = np.concatenate([self.splines.gather(by_y) - self.dual, [by_p - self.dual_p], self.at.e])
-        solution = self._solve(right)
-        dx, rest = solution[:n], solution[n:]
-        dy = self.splines.change(dx)
-        dtau = np.einsum("mikq,mkq->mi", self.at.slopes, dy)
-        dw = self.limits.change(rest[0], dtau, dy) + self.left
-        return dx, float(rest[0]), rest[1:], dw, (products - self.z * dw) / self.w
+        dy, dp = self.splines.matrix @ solution[:n], solution[n]
+        dtau = self.slopes @ dy
+        dw = np.concatenate([dp - dtau, dp + dtau, self.limits.rows @ dy]) + self.left
+        return solution, dw, (products - self.z * dw) / self.w

@@ -293,7 +293,7 @@ def strategies(problem: Problem) -> Strategies:
         first=(careful,) if kinked else ({**fast, **PREDICTED}, fast),
         more_rows={**fast, **WARM},
         refined={**careful, **WARM},
-        centred=lambda centre: {**careful, **CENTRED, "ipopt.mu_init": centre * nodes},
+        centred=lambda centre: {**fast, **CENTRED, "ipopt.mu_init": centre * nodes},
         later=(careful, {**careful, **ADAPTIVE}),
         last_steps={**scaling, **LINEAR_SYSTEM, **FINISH, **steps} if flat else None,
     )
@@ -450,17 +450,17 @@ def _new_rows(leaves: BoolArray, groups: list[BoolArray]) -> BoolArray:
     return new
 
 
-def _leaves_limits(problem: Problem, position: PiecewisePolynomial, least: float = 0.0) -> BoolArray:
+def _leaves_limits(problem: Problem, position: PiecewisePolynomial, by: float = 0.0) -> BoolArray:
     """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve.
 
-    ``least``: by how much more, as a fraction of their sizes.
+    ``by``: by how much more, as a fraction of their sizes.
     """
     bounds = scaled_bounds(problem)
     exceeded = np.zeros(len(problem.grid.h), dtype=bool)
     for name, function in (("s", position), ("sd", position.derivative())):
         (lower, upper), size = bounds[name], getattr(problem.scales, name)
         width = upper - lower
-        spare = least + 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
+        spare = by + 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
         least, most = function.ranges()
         exceeded[problem.grid.h > 0.0] |= ((most / size > upper + spare) | (least / size < lower - spare)).any(axis=1)
     return exceeded
