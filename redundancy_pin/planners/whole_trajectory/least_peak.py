@@ -89,43 +89,52 @@ class _Splines:
         number = np.where(free[places] >= 0, free[places] * k + np.arange(k)[:, None, None], -1)  # (k, M, 4)
         self.columns: IntArray = np.moveaxis(number, 0, 1).reshape(count, -1)  # (M, 4 k)
         self.count = (int(free.max()) + 1) * k
-        self.blocks = np.zeros((count, k, SPLINE, k, SPLINE))
-        self.blocks[:, np.arange(k), :, np.arange(k)] = np.moveaxis(by_carrier, 1, 0)
-        self.blocks = self.blocks.reshape(count, k * SPLINE, k * SPLINE)
+        self.by_carrier = np.where(np.moveaxis(number, 0, 1)[:, :, None] >= 0, by_carrier, 0.0)
         self.constant = np.einsum("mkqb,mbk->mkq", by_carrier, fixed[places])
-        at = np.broadcast_to(self.columns[:, None], self.blocks.shape)
-        rows = np.broadcast_to(np.arange(count * k * SPLINE).reshape(count, -1, 1), self.blocks.shape)
-        used = (self.blocks != 0.0) & (at >= 0)
-        shape = (count * k * SPLINE, self.count)
-        self.matrix = csr_array((self.blocks[used], (rows[used], at[used])), shape=shape)
-        self.transposed = self.matrix.T.tocsr()
-        # where an entry of a node's matrix goes in the lower band; what is above or fixed goes beyond
+        at = np.broadcast_to(np.maximum(np.moveaxis(number, 0, 1), 0)[:, :, None], by_carrier.shape)
+        ends = np.arange(0, by_carrier.size + 1, SPLINE)
+        self.matrix = csr_array((self.by_carrier.ravel(), at.ravel(), ends), shape=(len(ends) - 1, self.count))
+        self.back = self.matrix.T.tocsr()
+        # where entries of the nodes' matrices go in the lower band
         self.width = SPLINE * k
-        i, j = self.columns[:, :, None], self.columns[:, None]
-        self._band = np.where((i >= j) & (j >= 0), (i - j) * self.count + j, self.width * self.count).ravel()
+        self._all, self._own = (
+            self._places(numbers) for numbers in (self.columns, self.columns.reshape(count, k, SPLINE))
+        )
+
+    def _places(self, numbers: IntArray) -> tuple[IntArray, IntArray]:
+        """Return which entries of matrices (…, c, c) in coefficients (…, c) are below the diagonal, and where there."""
+        i, j = numbers[..., :, None], numbers[..., None, :]
+        used = np.flatnonzero((i >= j) & (j >= 0))
+        return used, ((i - j) * self.count + j).ravel()[used]
 
     def course(self, x: Array) -> Array:
         """Return y (M, k, 4)."""
         course: Array = self.constant + (self.matrix @ x).reshape(self.constant.shape)
         return course
 
-    def gather(self, slopes: Array) -> Array:
-        """Return the slope by x of what has slopes (M, k, 4) by y."""
-        return np.asarray(self.transposed @ slopes.ravel())
+    def of_carriers(self, slopes: Array) -> Array:
+        """Return slopes (M, …, k, 4) by y as those (M, …, 4 k) by the coefficients at each node."""
+        between = (1,) * (slopes.ndim - 3)
+        basis = self.by_carrier.reshape(len(slopes), *between, *self.by_carrier.shape[1:])
+        return np.asarray((slopes[..., None, :] @ basis).reshape(*slopes.shape[:-2], -1))
 
-    def band(self, form: Array) -> Array:
-        """Return the lower band of a quadratic form in x from that in y, (M, 4 k, 4 k)."""
-        values = self.blocks.swapaxes(1, 2) @ form @ self.blocks
-        size = self.width * self.count
-        return np.bincount(self._band, values.ravel(), size + 1)[:size].reshape(self.width, self.count)
+    def band(self, forms: Array) -> Array:
+        """Return the lower band of a sum of quadratic forms.
+
+        ``forms`` (M, 4 k, 4 k) in the coefficients at each node, or (M, k, 4, 4) in y, a carrier's with its own.
+        """
+        used, places = self._all
+        if forms.ndim == 4:
+            forms, (used, places) = self.by_carrier.swapaxes(2, 3) @ forms @ self.by_carrier, self._own
+        return np.bincount(places, forms.ravel()[used], self.width * self.count).reshape(self.width, self.count)
 
     def fitted(self, course: Array) -> Array:
         """Return x whose course is nearest to scaled s, ṡ and s̈ (M, k, 3)."""
-        form = np.zeros(self.blocks.shape)
-        form[:] = np.diag(np.tile([1.0, 1.0, 1.0, 0.0], self.constant.shape[1]))
+        forms = np.broadcast_to(np.diag([1.0, 1.0, 1.0, 0.0]), (*course.shape[:2], SPLINE, SPLINE))
         missed = np.zeros_like(self.constant)
         missed[..., :3] = course - self.constant[..., :3]
-        return np.asarray(dpbtrs(dpbtrf(self.band(form), lower=1)[0], self.gather(missed), lower=1)[0])
+        factors = dpbtrf(self.band(forms), lower=1)[0]
+        return np.asarray(dpbtrs(factors, self.back @ missed.ravel(), lower=1)[0])
 
 
 def _basis(knots: Array, last: IntArray, t: Array, order: int) -> Array:
@@ -263,15 +272,15 @@ class LeastPeak:
 
 
 class _Inequalities:
-    """g ≥ 0: p − τ, p + τ, and then limits of y at nodes, and between them in some steps (M − 1,): ``rows`` y + ``rest``.
+    """g ≥ 0: p − τ, p + τ, and then limits of y at nodes, and between them in some steps (M − 1,).
 
-    ``squares`` makes of weights of the limits' rows what they add to a quadratic form in y, (M, 4 k, 4 k).
+    ``squares`` makes of weights of the limits what they add to the band of a quadratic form.
     """
 
-    def __init__(self, problem: Problem, between: BoolArray) -> None:
+    def __init__(self, problem: Problem, splines: _Splines, between: BoolArray) -> None:
         h, end, bounds = problem.grid.h, problem.settings.end, scaled_bounds(problem)
         u, (count, _, m), k = problem.scales, problem.model.W.shape, problem.model.k
-        self.efforts = count * m
+        self.splines, self.efforts = splines, count * m
         # s, ṡ, s̈ and the inner Bézier points of ṡ and s, see ``Transcription.limits_between_nodes``
         points = np.zeros((count, k, 6, SPLINE))
         for row, base in enumerate((0, 1, 2, 1, 0, 0)):
@@ -283,38 +292,39 @@ class _Inequalities:
         held[~np.append(between, False), :, 3:5] = held[~np.append(False, between), :, 5] = False
         # what is fixed keeps its limits
         held[0, :, :2] = held[-1, :, {"datum": [0, 1], "rest": [1], "free": []}[end]] = False
-        rows, rest = [], []
-        for side, sign in ((0, -1.0), (1, 1.0)):
+        rest, values, columns = [], [], []
+        for side, sign in ((0, 1.0), (1, -1.0)):
             limits = [np.broadcast_to(bounds[name][side], k) for name in ("s", "sd", "sdd", "sd", "s", "s")]
             limit = np.broadcast_to(np.stack(limits, axis=-1), held.shape)
             at = np.nonzero(held & np.isfinite(limit))
-            rest.append(sign * limit[at])
-            values = np.zeros((len(at[0]), k, SPLINE))
-            values[np.arange(len(at[0])), at[1]] = -sign * points[at]
-            rows.append((at[0], values.reshape(len(at[0]), k * SPLINE)))
-        self.rest, node = np.concatenate(rest), np.concatenate([at for at, _ in rows])
-        values, width = np.concatenate([part for _, part in rows]), k * SPLINE
-        self.rows = _by_node(values[:, None], node, count)
-        self.back = self.rows.T.tocsr()
-        row, i, j = np.nonzero((values[:, :, None] != 0.0) & (values[:, None] != 0.0))
-        place = (node[row] * width + i) * width + j
-        shape = (count * width**2, len(values))
-        self.squares = csr_array((values[row, i] * values[row, j], (place, row)), shape=shape)
+            rest.append(sign * (np.einsum("mkrq,mkq->mkr", points, splines.constant) - limit)[at])
+            values.append(sign * (points @ splines.by_carrier)[at])
+            columns.append(splines.columns.reshape(count, k, SPLINE)[at[:2]])
+        self.rest, self.values, by = np.concatenate(rest), np.concatenate(values), np.concatenate(columns)
+        # of rows with the coefficients at their node and p, p's last; what is fixed has zeros
+        own = np.concatenate([splines.columns, np.full((count, 1), splines.count)], axis=1).repeat(m, axis=0)
+        self._columns = np.maximum(np.concatenate([part.ravel() for part in (own, own, by)]), 0)
+        lengths = np.repeat([own.shape[1], SPLINE], [2 * self.efforts, len(by)])
+        self._ends = np.append(0, np.cumsum(lengths))
+        row, i, j = np.nonzero((by[:, :, None] >= by[:, None]) & (by[:, None] >= 0))
+        place = (by[row, i] - by[row, j]) * splines.count + by[row, j]
+        shape = (splines.width * splines.count, len(by))
+        self.squares = csr_array((self.values[row, i] * self.values[row, j], (place, row)), shape=shape)
+        self._limits = csr_array(
+            (self.values.ravel(), np.maximum(by, 0).ravel(), np.arange(0, by.size + 1, SPLINE)),
+            shape=(len(by), splines.count),
+        )
 
-    def __call__(self, p: float, tau: Array, y: Array) -> Array:
-        return np.concatenate([(p - tau).ravel(), (p + tau).ravel(), self.rows @ y.ravel() + self.rest])
+    def __call__(self, x: Array, p: float, tau: Array) -> Array:
+        return np.concatenate([(p - tau).ravel(), (p + tau).ravel(), self._limits @ x + self.rest])
 
-    def parts(self, v: Array) -> tuple[Array, Array, Array]:
-        """Return what of one number an inequality belongs to p − τ, to p + τ, and to limits."""
-        return v[: self.efforts], v[self.efforts : 2 * self.efforts], v[2 * self.efforts :]
-
-
-def _by_node(blocks: Array, node: IntArray, count: int) -> Any:
-    """Return the matrix with blocks (B, r, 4 k) of rows one below another, each in the columns of its node."""
-    parts, rows, width = blocks.shape
-    columns = np.broadcast_to(node[:, None, None] * width + np.arange(width), blocks.shape).ravel()
-    starts = np.arange(0, blocks.size + 1, width)
-    return csr_array((blocks.ravel(), columns, starts), shape=(parts * rows, count * width))
+    def slopes(self, slopes: Array) -> Any:
+        """Return those of g by (x, p), from those (M, m, 4 k) of τ by the coefficients at each node."""
+        by_coefficient = slopes.reshape(self.efforts, -1)
+        ones = np.ones((self.efforts, 1))
+        below, above = (np.concatenate([sign * by_coefficient, ones], axis=1).ravel() for sign in (-1.0, 1.0))
+        values = np.concatenate([below, above, self.values.ravel()])
+        return csr_array((values, self._columns, self._ends), shape=(len(self._ends) - 1, self.splines.count + 1))
 
 
 def serves(problem: Problem) -> bool:
@@ -340,7 +350,7 @@ def least_peak(
     between the nodes as well; ``go_on``: asked before each iteration, with its number and the cost.
     """
     splines = _Splines(problem)
-    efforts, limits = _Efforts(problem, splines.size), _Inequalities(problem, between)
+    efforts, limits = _Efforts(problem, splines.size), _Inequalities(problem, splines, between)
     zero = np.zeros((len(problem.grid.t), problem.model.k))
     x = splines.fitted(np.stack([guess.get(name, zero) for name in ("s", "sd", "sdd")], axis=-1))
     half = 0.5 * problem.grid.h
@@ -348,14 +358,14 @@ def least_peak(
     y = splines.course(x)
     at = efforts(y)
     p = float(np.quantile(np.abs(at.tau).max(axis=1), 0.9))
-    g = limits(p, at.tau, y)
+    g = limits(x, p, at.tau)
     of_efforts = np.arange(len(g)) < 2 * limits.efforts
     w = np.maximum(g, np.where(of_efforts, 0.3 * p, 0.1))
     z = np.where(of_efforts, 1.0, w[of_efforts].mean() / w) / (2 * limits.efforts)
     nu = np.zeros(len(at.e))
     for iteration in range(MOST):
         cost = p + 0.5 * float((gentle[:, None] * y[..., 2] ** 2).sum())
-        system = _System(splines, limits, gentle, y, p, at, efforts, w, z, nu)
+        system = _System(efforts, limits, gentle, at, y, limits(x, p, at.tau) - w, w, z, nu)
         mu, centre = float(w @ z) / len(w), NEAR * p / len(w)
         if system.error <= EXACT and np.abs(w * z - centre).max() <= 0.5 * centre:
             values = {"s": y[..., 0], "sd": y[..., 1], "sdd": y[..., 2], "tau": at.tau}
@@ -382,96 +392,88 @@ _Step = tuple[Array, Array, Array]
 
 
 class _System:
-    """Newton's equations at a point: residuals, the factors, and steps from them."""
+    """Newton's equations at a point: residuals, the factors, and steps from them. ``left`` is g − w."""
 
     def __init__(
         self,
-        splines: _Splines,
+        efforts: _Efforts,
         limits: _Inequalities,
         gentle: Array,
-        y: Array,
-        p: float,
         at: _At,
-        efforts: _Efforts,
+        y: Array,
+        left: Array,
         w: Array,
         z: Array,
         nu: Array,
     ) -> None:
-        self.splines, self.limits, self.at, self.w, self.z = splines, limits, at, w, z
-        self.nodes, self.gentle, self.efforts, self.nu = efforts.at, gentle, efforts, nu
-        count, self.m, *_ = at.slopes.shape
-        self.every = np.arange(count)
-        self.flat = at.slopes.reshape(count, self.m, -1)
-        self.slopes = _by_node(self.flat, self.every, count)
-        self.slopes_back = self.slopes.T
-        self.left = limits(p, at.tau, y) - w
-        self.dual_p, by_y = self._adjoint(-z)
-        self.dual_p += 1.0
-        by_y[..., 2] += gentle[:, None] * y[..., 2]
-        np.subtract.at(by_y, self.nodes, nu[:, None, None] * at.by_y)
-        self.dual = splines.gather(by_y)
-        self.error = max(np.abs(part).max(initial=0.0) for part in (self.left, at.e, self.dual, [self.dual_p]))
-
-    def _adjoint(self, v: Array) -> tuple[float, Array]:
-        """Return the slopes of v g by p and y."""
-        below, above, limited = self.limits.parts(v)
-        by_y = self.slopes_back @ (above - below) + self.limits.back @ limited
-        return float(below.sum() + above.sum()), by_y.reshape(self.splines.constant.shape)
+        self.limits, self.efforts, self.splines = limits, efforts, limits.splines
+        self.at, self.left, self.w, self.z, self.nu = at, left, w, z, nu
+        self.nodes, self.gentle = efforts.at, gentle
+        self.n = self.splines.count
+        self.by_node = self.splines.of_carriers(at.slopes)
+        self.slopes = limits.slopes(self.by_node)
+        self.back = self.slopes.T
+        columns = self.splines.columns
+        self.crossing = np.zeros((len(self.nodes), columns.shape[1]))
+        self.equations = np.zeros((len(self.nodes), self.n + 1))
+        for i, node in enumerate(self.nodes):
+            self.crossing[i] = (at.by_y[i, :, None] @ self.splines.by_carrier[node]).ravel()
+            np.add.at(self.equations[i], np.maximum(columns[node], 0), self.crossing[i])
+        slope = np.zeros_like(y)
+        slope[..., 2] = gentle[:, None] * y[..., 2]
+        self.dual = np.append(self.splines.back @ slope.ravel(), 1.0) - self.back @ z - nu @ self.equations
+        self.error = max(np.abs(part).max(initial=0.0) for part in (left, at.e, self.dual))
 
     def factorise(self) -> bool:
         """Make the factors; return whether the matrix is positive definite, if only without the curvature of τ."""
-        at, limits, splines = self.at, self.limits, self.splines
-        count, m, k, _ = at.slopes.shape
-        below, above, limited = limits.parts(self.z / self.w)
-        form = self.flat.swapaxes(1, 2) @ ((below + above).reshape(count, m, 1) * self.flat)
-        form += (limits.squares @ limited).reshape(form.shape)
-        by_node = at.by_y.reshape(len(self.nodes), k * SPLINE)
-        np.add.at(form, self.nodes, EQUATIONS * by_node[:, :, None] * by_node[:, None])
-        by_carrier, kinds = (count, k, SPLINE, k, SPLINE), np.arange(k)
-        form.reshape(by_carrier)[:, kinds, 2, kinds, 2] += self.gentle[:, None]
-        below, above, *_ = limits.parts(self.z)
+        limits, splines, (count, m, k, _) = self.limits, self.splines, self.at.slopes.shape
+        self.weights = self.z / self.w
+        below, above, limited = np.split(self.weights, [limits.efforts, 2 * limits.efforts])
+        form = self.by_node.swapaxes(1, 2) @ ((below + above).reshape(count, m, 1) * self.by_node)
+        np.add.at(form, self.nodes, EQUATIONS * self.crossing[:, :, None] * self.crossing[:, None])
+        band = splines.band(form) + (limits.squares @ limited).reshape(splines.width, -1)
+        below, above = self.z[: limits.efforts], self.z[limits.efforts : 2 * limits.efforts]
         price = np.einsum("mi,min->mn", (below - above).reshape(count, m), self.efforts.inverse)
         np.subtract.at(price, self.nodes, self.nu[:, None] * self.efforts.lost)
-        curved = np.einsum("mn,mnkqr->kmqr", price, at.second)
+        curved = np.einsum("mn,mnkqr->mkqr", price, self.at.second)
         for shifts, curvature in ((SHIFTS[:2], curved), (SHIFTS, 0.0)):
-            whole = form.copy()
-            whole.reshape(by_carrier)[:, kinds, :3, kinds, :3] += curvature
-            band = splines.band(whole)
+            self.curvature = np.zeros((count, k, SPLINE, SPLINE))
+            self.curvature[..., :3, :3] = curvature
+            self.curvature[..., 2, 2] += self.gentle[:, None]
+            whole = band + splines.band(self.curvature)
             for shift in shifts:
-                shifted = band.copy()
+                shifted = whole.copy()
                 shifted[0] *= 1.0 + shift
                 self.factors, failed = dpbtrf(shifted, lower=1, overwrite_ab=1)
                 if not failed:
-                    self.form = _by_node(whole, self.every, count)
                     self._border()
                     return True
         return False
 
     def _border(self) -> None:
-        """Eliminate the spline's coefficients from the equations of p and of the singular nodes."""
-        below, above, *_ = self.limits.parts(self.z / self.w)
-        rows = [self.slopes_back @ (above - below)]
-        for node, slopes in zip(self.nodes, self.at.by_y, strict=True):
-            rows.append(np.zeros(len(rows[0])))
-            rows[-1].reshape(len(self.every), -1)[node] = -slopes.ravel()
-        self.rows = np.array([self.splines.gather(row) for row in rows])
-        self.corner = np.zeros((len(rows), len(rows)))
-        self.corner[0, 0] = below.sum() + above.sum()
+        """Eliminate the splines' coefficients from the equations of p and of the singular nodes."""
+        of_efforts = np.arange(len(self.w)) < 2 * self.limits.efforts
+        by_p = self.back @ (self.weights * of_efforts)
+        self.rows = np.concatenate([by_p[None, :-1], -self.equations[:, :-1]])
+        corner = np.zeros((len(self.rows), len(self.rows)))
+        corner[0, 0] = by_p[-1]
         self.solved = dpbtrs(self.factors, self.rows.T, lower=1)[0]
-        self.small = np.linalg.inv(self.corner - self.rows @ self.solved)
+        self.small = np.linalg.inv(corner - self.rows @ self.solved)
 
     def _rough(self, right: Array) -> Array:
         """Return (dx, dp, dν) from the factors."""
-        n = self.splines.count
-        first = dpbtrs(self.factors, right[:n], lower=1)[0]
-        rest = self.small @ (right[n:] - self.rows @ first)
+        first = dpbtrs(self.factors, right[: self.n], lower=1)[0]
+        rest = self.small @ (right[self.n :] - self.rows @ first)
         return np.concatenate([first - self.solved @ rest, rest])
 
     def _product(self, v: Array) -> Array:
-        """Return the matrix times (dx, dp, dν), by its factors at the nodes: the banded one has lost digits."""
-        n = self.splines.count
-        below = self.splines.gather(self.form @ (self.splines.matrix @ v[:n])) + v[n:] @ self.rows
-        return np.concatenate([below, self.rows @ v[:n] + self.corner @ v[n:]])
+        """Return the matrix times (dx, dp, dν), by its factors: in their product, the band, digits are lost."""
+        step, nu = v[: self.n + 1], v[self.n + 1 :]
+        dy = (self.splines.matrix @ step[:-1]).reshape(*self.curvature.shape[:3], 1)
+        met = self.equations @ step
+        product = self.back @ (self.weights * (self.slopes @ step)) + (EQUATIONS * met - nu) @ self.equations
+        product[:-1] += self.splines.back @ (self.curvature @ dy).ravel()
+        return np.concatenate([product, -met])
 
     def _refined(self, solution: Array, right: Array) -> Array:
         """Return (dx, dp, dν) by generalised conjugate residuals, led by the factors."""
@@ -520,13 +522,9 @@ class _System:
 
     def _right(self, products: Array) -> Array:
         """Return the right side of Newton's equations for changes of the products w z."""
-        by_p, by_y = self._adjoint((products - self.z * self.left) / self.w)
-        np.subtract.at(by_y, self.nodes, EQUATIONS * self.at.e[:, None, None] * self.at.by_y)
-        return np.concatenate([self.splines.gather(by_y) - self.dual, [by_p - self.dual_p], self.at.e])
+        by_step = self.back @ ((products - self.z * self.left) / self.w) - self.dual
+        return np.concatenate([by_step - EQUATIONS * self.at.e @ self.equations, self.at.e])
 
     def _changes(self, solution: Array, products: Array) -> _Step:
-        n = self.splines.count
-        dy, dp = self.splines.matrix @ solution[:n], solution[n]
-        dtau = self.slopes @ dy
-        dw = np.concatenate([dp - dtau, dp + dtau, self.limits.rows @ dy]) + self.left
+        dw = self.slopes @ solution[: self.n + 1] + self.left
         return solution, dw, (products - self.z * dw) / self.w

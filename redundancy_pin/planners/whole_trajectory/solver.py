@@ -321,7 +321,7 @@ def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
     if serves(problem):
         # rows that cost nothing here, where a course that is known comes near to limits
         near = _leaves_limits(problem, problem.position(guess), CLOSE)
-        quick = _least_peak(problem, guess, [widened(near, AROUND)], deadline)
+        quick = _least_peak(problem, guess, widened(near, AROUND), deadline)
         if quick is not None:
             return quick
     seconds = max(deadline - time.perf_counter(), LEAST_SECONDS)
@@ -330,9 +330,9 @@ def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
 
 
 def _least_peak(
-    problem: Problem, guess: dict[str, Array], groups: list[BoolArray], deadline: float
+    problem: Problem, guess: dict[str, Array], between: BoolArray, deadline: float
 ) -> Solution | None:
-    """Solve by ``least_peak``, with limits between the nodes in groups of steps; None where it ends without."""
+    """Solve by ``least_peak``, with limits between the nodes in some steps; None where it ends without."""
     began = time.perf_counter()
     progress = problem.settings.solver.progress
     report = None if progress is None or len(problem.grid.t) < LONG else _now_and_then(progress)
@@ -342,7 +342,6 @@ def _least_peak(
             report(iteration, cost)
         return time.perf_counter() < deadline
 
-    between = np.any([np.zeros(len(problem.grid.h), dtype=bool), *groups], axis=0)
     found = least_peak(problem, guess, between, go_on)
     if found is None:
         return None
@@ -356,7 +355,7 @@ def _least_peak(
         iterations=found.iterations,
         seconds=time.perf_counter() - began,
         point=(np.empty(0),) * 3,
-        rows={"between": tuple(groups)},
+        rows={"between": (between,)},
         centre=found.centre,
     )
 
@@ -401,14 +400,12 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
     # a draft is what the first one leads to
     ways = strategy.first[len(attempts) :] if begun is None or not begun.optimal else ()
     while begun is not None and begun.centre:
-        start, ways, groups = begun.values, (strategy.centred(begun.centre),), list(begun.rows["between"])
-        position = begun.position(problem)
-        new = _new_rows(_leaves_limits(problem, position, CLOSE), groups)
-        if new.any():
-            groups.append(new)
-        if not (new & _leaves_limits(problem, position)).any() or len(groups) > ROUNDS:
+        start, ways, position = begun.values, (strategy.centred(begun.centre),), begun.position(problem)
+        rows = begun.rows["between"][0]
+        groups = [rows | widened(_leaves_limits(problem, position, CLOSE), AROUND)]
+        if len(attempts) > ROUNDS or not (_leaves_limits(problem, position) & ~rows).any():
             break
-        begun = _least_peak(problem, start, groups, deadline)
+        begun = _least_peak(problem, start, groups[0], deadline)
         attempts += [] if begun is None else [begun]
     while True:
         nlp = transcribe(problem, between=groups, limit_force=limit_force)
