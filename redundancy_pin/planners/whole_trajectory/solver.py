@@ -34,6 +34,9 @@ FEASIBLE = 1e-7
 LEAST_SECONDS = 1e-3
 """Time the solver is given when there is none left; it accepts none of zero."""
 
+SOLVED = "Solve_Succeeded"
+"""The solver's word for an optimum."""
+
 OUT_OF_TIME = "Maximum_WallTime_Exceeded"
 """The solver's word for it."""
 
@@ -135,7 +138,7 @@ def solve_nlp(
     violation = float(np.maximum(bounds["lbg"] - g, g - bounds["ubg"]).max(initial=0.0))
     return Solution(
         values=nlp.split(x),
-        optimal=message in ("Solve_Succeeded", "Feasible_Point_Found"),
+        optimal=message in (SOLVED, "Feasible_Point_Found"),
         feasible=violation <= FEASIBLE,
         message=message,
         cost=float(result["f"]),
@@ -246,11 +249,12 @@ is more than the tolerance can ask for, so their number is given. Efforts from t
 of 1e-12 would accept the point as it is.)"""
 
 CENTRED: Options = {
+    "ipopt.warm_start_init_point": "no",
     "ipopt.bound_mult_init_method": "mu-based",
     **{f"ipopt.{name}": 1e-14 for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")},
 }
-"""For going on from a point on the central path: the multipliers of inequalities follow from the barrier parameter, and
-IPOPT makes those of the equations by itself."""
+"""For the last steps from a point on the central path: the multipliers of inequalities follow from the barrier parameter,
+and IPOPT makes those of the equations by itself."""
 
 LAST_STEPS, LAST_STEPS_OF_MANY = 2, 4
 """Numbers of these steps within tolerance. At 3000 nodes two leave 3e-5 of the efforts, four 3e-12."""
@@ -262,8 +266,8 @@ class Strategies:
 
     ``first``: what to try in turn, before the problem is built with every row; ``more_rows``: to go on from the
     solution of a programme with fewer rows; ``refined``: to go on, with refined steps, from a point that is near an
-    optimum and no further; ``centred``: to go on from the central path, its barrier parameter for an objective of size
-    one being given; ``later``: what to try in turn with every row, where the first ones did not end at an
+    optimum and no further; ``centred``: the last steps from a point on the central path, whose barrier parameter is
+    given; ``later``: what to try in turn with every row, where the first ones did not end at an
     optimum; ``last_steps``: the exact steps that end on a flat optimum; None where the optimum is sharp.
     """
 
@@ -289,13 +293,14 @@ def strategies(problem: Problem) -> Strategies:
     # with the linear solver's own scaling only where the number of nodes leaves time for it
     careful = {**scaling, **(LINEAR_SYSTEM if many else {})}
     steps = {"ipopt.acceptable_iter": LAST_STEPS_OF_MANY if many else LAST_STEPS}
+    exact = {**scaling, **LINEAR_SYSTEM, **FINISH, **steps}
     return Strategies(
         first=(careful,) if kinked else ({**fast, **PREDICTED}, fast),
         more_rows={**fast, **WARM},
         refined={**careful, **WARM},
-        centred=lambda centre: {**fast, **CENTRED, "ipopt.mu_init": centre * nodes},
+        centred=lambda centre: {**exact, **CENTRED, "ipopt.mu_init": centre * nodes},
         later=(careful, {**careful, **ADAPTIVE}),
-        last_steps={**scaling, **LINEAR_SYSTEM, **FINISH, **steps} if flat else None,
+        last_steps=exact if flat else None,
     )
 
 
@@ -303,8 +308,8 @@ ROUNDS = 4
 """Rounds of adding rows, after which all are."""
 
 CLOSE = -1e-4
-"""Distance from a limit, as a fraction of its size, within which the steps of a course of ``least_peak`` get rows: on its
-way to a flat optimum IPOPT would reach it."""
+"""Minus the distance from a limit, as a fraction of its size, at which steps of a course of ``least_peak`` get rows:
+IPOPT would leave the limit there on its way to the end of a flat optimum."""
 
 AROUND = 2
 """Steps on both sides of one that leaves a limit that get rows as well: the next solution would leave it there."""
@@ -329,9 +334,7 @@ def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
     return solve_nlp(nlp, guess, seconds, strategy.first[0], problem.settings.solver.progress)
 
 
-def _least_peak(
-    problem: Problem, guess: dict[str, Array], between: BoolArray, deadline: float
-) -> Solution | None:
+def _least_peak(problem: Problem, guess: dict[str, Array], between: BoolArray, deadline: float) -> Solution | None:
     """Solve by ``least_peak``, with limits between the nodes in some steps; None where it ends without."""
     began = time.perf_counter()
     progress = problem.settings.solver.progress
@@ -349,7 +352,7 @@ def _least_peak(
         values=found.values | {PEAK: np.array(found.peak)},
         optimal=True,
         feasible=True,
-        message="Solve_Succeeded",
+        message=SOLVED,
         cost=found.cost,
         violation=0.0,
         iterations=found.iterations,
@@ -409,27 +412,31 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
         attempts += [] if begun is None else [begun]
     while True:
         nlp = transcribe(problem, between=groups, limit_force=limit_force)
-        if isinstance(start, dict) and PEAK in start:
+        centred = isinstance(start, dict) and PEAK in start
+        if isinstance(start, dict) and centred:
             start = start | {name: start[PEAK] for name in nlp.blocks if name.startswith(PEAK)}
         for options in ways:
             if attempt(nlp, options, start).optimal or time.perf_counter() > deadline:
                 break
         solution = attempts[-1]
-        if solution.acceptable:
+        # where the barrier parameter stays, the solver cannot call it more than acceptable
+        if solution.acceptable and centred:
+            solution = replace(solution, optimal=True, message=SOLVED)
+        elif solution.acceptable:
             solution = attempt(nlp, strategy.refined, solution)
         if not solution.optimal:
-            kept = not _leaves_limits(problem, solution.position(problem)).any() and not exceeds_force(problem, solution)
+            leaves = _leaves_limits(problem, solution.position(problem))
+            kept = not leaves.any() and not exceeds_force(problem, solution)
             return _with_totals(replace(solution, feasible=solution.feasible and kept), attempts)
         if not limit_force and exceeds_force(problem, solution):
             # more variables, so that the multipliers are of no use
             limit_force, start, ways = True, solution.values, strategy.first
             continue
         leaves = _leaves_limits(problem, solution.position(problem))
-        if not leaves.any() and strategy.last_steps is not None:
+        if not leaves.any() and strategy.last_steps is not None and not centred:
             exact = attempt(nlp, strategy.last_steps, solution)
             if not (exact.optimal or exact.acceptable):
                 return _with_totals(solution, attempts)
-            # the barrier parameter stays, so that the solver cannot call it more than acceptable
             solution = replace(exact, optimal=True, message=solution.message)
             leaves = _leaves_limits(problem, solution.position(problem))
         if not leaves.any():
