@@ -253,8 +253,8 @@ CENTRED: Options = {
     "ipopt.bound_mult_init_method": "mu-based",
     **{f"ipopt.{name}": 1e-14 for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")},
 }
-"""For the last steps from a point on the central path: the multipliers of inequalities follow from the barrier parameter,
-and IPOPT makes those of the equations by itself."""
+"""For the last steps from a point on the central path: the multipliers of inequalities follow from the barrier
+parameter, and IPOPT makes those of the equations by itself."""
 
 LAST_STEPS, LAST_STEPS_OF_MANY = 2, 4
 """Numbers of these steps within tolerance. At 3000 nodes two leave 3e-5 of the efforts, four 3e-12."""

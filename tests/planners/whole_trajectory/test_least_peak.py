@@ -1,0 +1,211 @@
+"""Least peak in the coefficients of splines: courses, efforts and their slopes, and plans against IPOPT's own."""
+
+import numpy as np
+import pytest
+import zoo
+from test_whole_trajectory_curved import MASSES, declared
+
+import redundancy_pin.planners.whole_trajectory.planner as planner
+import redundancy_pin.planners.whole_trajectory.solver as solver
+from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
+from redundancy_pin.planners.carrier_model import carrier_model, turning_model
+from redundancy_pin.planners.whole_trajectory.least_peak import least_peak, serves
+from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
+from redundancy_pin.planners.whole_trajectory.problem import Task, grid_of, read_coefficients, with_middles
+from redundancy_pin.planners.whole_trajectory.splines import EffortsAlong, Loads, Splines
+from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+
+CIRCLE = reference.circle(0.5, 0.2, 0.05)
+SAME = 1e-7
+"""Relative difference of the peaks of two ways to one optimum; found are 1e-9 and less."""
+
+
+@pytest.fixture(scope="module")
+def arms(tmp_path_factory):
+    """The 2-RPR with carriers on turning arms."""
+    return load_robot(declared(tmp_path_factory.mktemp("arms"), "revolute", '"0 0 ${across}"'), **MASSES)
+
+
+def problem_of(dynamics, trajectory, dt=0.05, turning=False, objective="peak", middles=True, limits=None, **settings):
+    robot, source = dynamics.robot, continuous_motion(trajectory)
+    checked = checked_settings(robot, Objective(objective), limits or Limits(), Mesh(dt, 0), **settings)
+    instants = planner.Actuation.along(dynamics, source).singular_instants
+    grid = grid_of(source, instants, dt)
+    if middles:
+        steps = np.zeros(len(grid.h), dtype=bool)
+        steps[3:9] = True
+        grid = with_middles(grid, steps)
+    return read_coefficients(Task(dynamics, source, checked), grid, turning=turning)
+
+
+@pytest.fixture(scope="module")
+def crossing(arms):
+    """Turning carriers through singular instants, jumps of the acceleration and middle nodes."""
+    problem = problem_of(RneaDynamics(arms), CIRCLE, turning=True)
+    assert len(problem.singular) == 2
+    assert problem.grid.smooth.sum() > 6
+    return problem
+
+
+@pytest.mark.parametrize("end", ["datum", "rest", "free"])
+def test_any_coefficients_are_a_course_of_the_transcription(end):
+    settings = {"start": 0.05, "start_speed": 0.3, "end": end}
+    problem = problem_of(VirtualWork(zoo.robot_of("2rpr")), CIRCLE, **settings)
+    splines, grid, size = Splines(problem), problem.grid, problem.scales
+    y = splines.course(np.random.default_rng(0).normal(size=splines.count))
+    s, sd, sdd = (y[..., i] * getattr(size, name) for i, name in enumerate(("s", "sd", "sdd")))
+    h = grid.h[:, None]
+    np.testing.assert_allclose(np.diff(s, axis=0), h * sd[:-1] + h**2 / 6.0 * (2.0 * sdd[:-1] + sdd[1:]), atol=1e-12)
+    rounding = 1e-12 * np.abs(sd).max()
+    np.testing.assert_allclose(np.diff(sd, axis=0), h / 2.0 * (sdd[:-1] + sdd[1:]), atol=rounding)
+    at, steps = np.flatnonzero(grid.smooth), np.flatnonzero(grid.h > 0.0)
+    jerk = np.zeros((len(grid.h), 2))
+    jerk[steps] = np.diff(sdd, axis=0)[steps] / h[steps]
+    largest = np.abs(jerk).max()
+    np.testing.assert_allclose(jerk[at], jerk[at - 1], atol=1e-9 * largest)
+    np.testing.assert_allclose(y[at, :, 3] * size.sdd, jerk[at], atol=1e-9 * largest)
+    np.testing.assert_allclose([s[0], sd[0]], [[0.05] * 2, [0.3] * 2], rtol=1e-12)
+    if end != "free":
+        np.testing.assert_allclose(sd[-1], 0.0, atol=rounding)
+    if end == "datum":
+        np.testing.assert_allclose(s[-1], 0.0, atol=1e-12)
+    # nothing is missing: a knot at each node that is neither smooth nor an end, and a cubic, less what is fixed
+    fixed = {"datum": 4, "rest": 3, "free": 2}[end]
+    assert splines.count == 2 * (len(grid.t) - 2 - len(at) + 4 - fixed)
+    np.testing.assert_allclose(splines.course(splines.fitted(y[..., :3])), y, atol=1e-7 * np.abs(y).max())
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_loads_and_their_derivatives(arms, turning):
+    robot = arms if turning else zoo.robot_of("2rpr")
+    along = RneaDynamics(robot).along(CIRCLE.sample(0.4))
+    model = (turning_model if turning else carrier_model)(along)
+    motion = np.random.default_rng(2).normal(size=(len(model.t), 2, 3)) * [0.4, 3.0, 30.0]
+    value, first, second = Loads(model)(motion)
+    true = along.reduce(CarrierMotion(*np.moveaxis(motion, -1, 0)))
+    np.testing.assert_allclose(value, true.f, atol=1e-10 * np.abs(true.f).max())
+    for q, step in enumerate((1e-5, 1e-4, 1e-3)):
+        for k in range(2):
+            move = np.zeros_like(motion)
+            move[:, k, q] = step
+            ahead, behind = Loads(model)(motion + move), Loads(model)(motion - move)
+            for order, exact in ((0, first[:, :, k, q]), (1, second[:, :, k, :, q])):
+                difference = (ahead[order] - behind[order]) / (2.0 * step)
+                if order:
+                    difference = difference[:, :, k]
+                atol = 1e-6 * np.abs(exact).max() + 1e-9 * np.abs(ahead[order]).max() / step * 1e-3
+                np.testing.assert_allclose(difference, exact, atol=atol)
+
+
+def test_efforts_are_those_of_the_backend_and_their_slopes_right_through_singular_instants(crossing, arms):
+    splines = Splines(crossing)
+    efforts = EffortsAlong(crossing, splines.size)
+    rng = np.random.default_rng(1)
+    y = splines.course(0.1 * rng.normal(size=splines.count))
+    at = efforts(y)
+    u, t = crossing.scales, crossing.grid.t
+    source = continuous_motion(CIRCLE)
+    carriers = CarrierMotion(y[..., 0] * u.s, y[..., 1] * u.sd, y[..., 2] * u.sdd)
+    reduced = RneaDynamics(arms).reduce(source.sample_at(t), carriers)
+    # a random course leaves the range of W at the singular instants
+    far = np.setdiff1d(np.arange(len(t)), crossing.grid.singular)
+    tau = distribute(reduced).tau
+    np.testing.assert_allclose(at.tau[far] * u.tau, tau[far], rtol=1e-8, atol=1e-8 * np.abs(tau[far]).max())
+    missed = np.einsum("rn,rn->r", np.concatenate([node.lost for node in crossing.singular]), reduced.f[efforts.at])
+    np.testing.assert_array_less(1e-4, np.abs(at.e))
+    np.testing.assert_allclose(np.sign(at.e), np.sign(missed))
+    change = rng.normal(size=splines.count)
+    ahead, behind = (efforts(splines.course(0.0 * change + x)) for x in _beside(splines, y, change, 1e-6))
+    dy = (splines.matrix @ change).reshape(y.shape)
+    exact = np.einsum("mikq,mkq->mi", at.slopes, dy)
+    np.testing.assert_allclose((ahead.tau - behind.tau) / 2e-6, exact, rtol=1e-5, atol=1e-7 * np.abs(exact).max())
+    by_e = np.einsum("rkq,rkq->r", at.by_y, dy[efforts.at])
+    np.testing.assert_allclose((ahead.e - behind.e) / 2e-6, by_e, rtol=1e-5)
+
+
+def _beside(splines, y, change, step):
+    x = splines.fitted(y[..., :3])
+    return x + step * change, x - step * change
+
+
+def without(monkeypatch):
+    """Leave planning to IPOPT."""
+    monkeypatch.setattr(solver, "serves", lambda problem: False)
+
+
+@pytest.mark.long_for("sliding", "turning", "through", "rest")
+@pytest.mark.parametrize("case", ["sliding", "turning", "through", "rest", "free", "speeds"])
+def test_plans_are_those_of_ipopt_alone(arms, case, monkeypatch):
+    turning = case == "turning"
+    dynamics = RneaDynamics(arms) if turning else VirtualWork(zoo.robot_of("3rrr" if case == "sliding" else "2rpr"))
+    trajectory = reference.corner(0.025) if case == "sliding" else CIRCLE
+    settings = {"dt": 0.05, "refinements": 0, "objective": "peak"}
+    settings |= {"end": case} if case in ("rest", "free") else {}
+    settings |= {"speed": 0.3, "start": 0.05, "start_speed": 0.1} if case == "speeds" else {}
+    used = []
+
+    def counted(*given):
+        used.append(least_peak(*given))
+        return used[-1]
+
+    monkeypatch.setattr(solver, "least_peak", counted)
+    ours = plan_whole_trajectory(dynamics, trajectory, **settings)
+    assert used
+    assert None not in used
+    without(monkeypatch)
+    theirs = plan_whole_trajectory(dynamics, trajectory, **settings)
+    assert ours.status is theirs.status
+    assert ours.diagnostics["optimal"]
+    np.testing.assert_allclose(
+        ours.diagnostics["objective"]["peak"], theirs.diagnostics["objective"]["peak"], rtol=SAME
+    )
+    # rows between the nodes may be those of other steps, and then efforts of a flat optimum are a little others
+    apart = 1e-3 if case == "speeds" else 1e-6
+    np.testing.assert_allclose(ours.tau, theirs.tau, atol=apart * np.abs(theirs.tau).max())
+    # it was near before IPOPT had a look: within its own promise
+    np.testing.assert_allclose(used[-1].cost, ours.diagnostics["cost"], rtol=1e-5)
+
+
+def test_where_it_ends_without_an_optimum_the_plan_is_ipopts(monkeypatch):
+    dynamics, settings = VirtualWork(zoo.robot_of("2rpr")), {"dt": 0.05, "refinements": 0, "objective": "peak"}
+    monkeypatch.setattr(solver, "least_peak", lambda *given: None)
+    ours = plan_whole_trajectory(dynamics, CIRCLE, **settings)
+    without(monkeypatch)
+    theirs = plan_whole_trajectory(dynamics, CIRCLE, **settings)
+    np.testing.assert_array_equal(ours.tau, theirs.tau)
+
+
+def test_what_it_serves():
+    dynamics = VirtualWork(zoo.robot_of("2rpr"))
+
+    def served(**settings):
+        return serves(problem_of(dynamics, CIRCLE, dt=0.3, middles=False, **settings))
+
+    assert served()
+    assert not served(objective={"peak": 1.0, "effort": 1.0})
+    assert not served(at_most={"energy": 9.0})
+    assert not served(end="periodic")
+    assert not served(limits=Limits(jerk=900.0))
+    assert not served(limits=Limits(effort=(9.0, np.inf)))
+
+
+def test_progress_and_the_time_bound_end_it(monkeypatch):
+    dynamics, settings = VirtualWork(zoo.robot_of("2rpr")), {"dt": 0.05, "refinements": 0, "objective": "peak"}
+    monkeypatch.setattr(solver, "LONG", 1)
+
+    def stop(line):
+        if line.startswith("iteration"):
+            raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        plan_whole_trajectory(dynamics, CIRCLE, progress=stop, **settings)
+    problem = problem_of(dynamics, CIRCLE)
+    asked = []
+
+    def two(iteration, cost):
+        asked.append(iteration)
+        return iteration < 2
+
+    assert least_peak(problem, {}, np.zeros(len(problem.grid.h), dtype=bool), two) is None
+    assert asked == [0, 1, 2]
