@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import zoo
-from test_whole_trajectory_curved import MASSES, declared
+from turning_carriers import two_rpr
 
 import redundancy_pin.planners.whole_trajectory.planner as planner
 import redundancy_pin.planners.whole_trajectory.solver as solver
@@ -24,7 +24,7 @@ SAME = 1e-7
 @pytest.fixture(scope="module")
 def arms(tmp_path_factory):
     """The 2-RPR with carriers on turning arms."""
-    return load_robot(declared(tmp_path_factory.mktemp("arms"), "revolute", '"0 0 ${across}"'), **MASSES)
+    return load_robot(two_rpr(tmp_path_factory.mktemp("arms")), end_effector_mass=0.5, cylinder_mass=0.3)
 
 
 def problem_of(dynamics, trajectory, dt=0.05, turning=False, objective="peak", middles=True, limits=None, **settings):
@@ -134,12 +134,12 @@ def without(monkeypatch):
     monkeypatch.setattr(solver, "serves", lambda problem: False)
 
 
-@pytest.mark.long_for("sliding", "turning", "through", "rest")
+@pytest.mark.long_for("sliding", "turning", "through", "rest", "free")
 @pytest.mark.parametrize("case", ["sliding", "turning", "through", "rest", "free", "speeds"])
 def test_plans_are_those_of_ipopt_alone(arms, case, monkeypatch):
     turning = case == "turning"
     dynamics = RneaDynamics(arms) if turning else VirtualWork(zoo.robot_of("3rrr" if case == "sliding" else "2rpr"))
-    trajectory = reference.corner(0.025) if case == "sliding" else CIRCLE
+    trajectory = {"sliding": reference.corner(0.025), "turning": reference.line(0.5, 0.2)}.get(case, CIRCLE)
     settings = {"dt": 0.05, "refinements": 0, "objective": "peak"}
     settings |= {"end": case} if case in ("rest", "free") else {}
     settings |= {"speed": 0.3, "start": 0.05, "start_speed": 0.1} if case == "speeds" else {}

@@ -321,7 +321,7 @@ def test_coarse_meshes_are_not_finished(monkeypatch):
         return solved[-1][1]
 
     monkeypatch.setattr(planner, "solve", solve)
-    plan = plan_whole_trajectory(two_rpr(), circle(), objective="peak", dt=0.05)
+    plan = plan_whole_trajectory(two_rpr(), circle(), objective="peak", dt=0.06)
     ratios = plan.diagnostics["dense_ratios"]
     assert len(ratios) > len(solved) == 1
     assert ratios[0] > 1.05 >= ratios[-1]

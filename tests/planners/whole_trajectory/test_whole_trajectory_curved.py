@@ -6,13 +6,13 @@ or fits f: both are tried on the same robot, without the terms.
 
 import contextlib
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
 import symbolic_mechanisms
 import symbolic_plans
 import yaml
+from turning_carriers import ARM, LIMITS, two_rpr
 
 import redundancy_pin.planners.whole_trajectory.multistart as curved
 import redundancy_pin.planners.whole_trajectory.planner as planner
@@ -35,10 +35,7 @@ from redundancy_pin.planners.whole_trajectory.multistart import BALANCED
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
-ARM = 0.15
-REACH = 1.2
 MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
-LIMITS = {"speed": 8.0, "track": REACH, "acceleration": 60.0}
 SAME = 1e-3
 """Relative difference of the objectives, as for straight tracks; found are 1e-6 or less."""
 
@@ -46,34 +43,7 @@ SAME = 1e-3
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
     """The shipped 2-RPR, its carrier joints made revolute and the masses put on arms."""
-    return load_robot(declared(tmp_path_factory.mktemp("arms"), "revolute", '"0 0 ${across}"'), **MASSES)
-
-
-def declared(folder, joint, axis):
-    shipped = Path(__file__).parents[3] / "models" / "2rpr"
-    urdf = (shipped / "2rpr.urdf.xacro").read_text()
-    for old, new in (
-        ('<joint name="carrier_${name}" type="prismatic">', f'<joint name="carrier_${{name}}" type="{joint}">'),
-        ('<axis xyz="${along} ${across} 0"/>', f"<axis xyz={axis}/>"),
-        (
-            '<limit lower="${-track_half_length}" upper="${track_half_length}" velocity="2.5" effort="1000"/>',
-            f'<limit lower="-{REACH}" upper="{REACH}" velocity="{LIMITS["speed"]}" effort="1000"/>',
-        ),
-        (
-            '<origin xyz="0 0 0"/>\n        <mass value="${carrier_mass}"/>',
-            f'<origin xyz="0 {ARM} 0"/>\n        <mass value="${{carrier_mass}}"/>',
-        ),
-    ):
-        assert urdf.count(old) == 1, old
-        urdf = urdf.replace(old, new)
-    (folder / "arms.urdf.xacro").write_text(urdf)
-    declaration = yaml.safe_load((shipped / "robot.yaml").read_text())
-    declaration.pop("closed_form")
-    declaration |= {"name": "arms", "urdf": "arms.urdf.xacro"}
-    for carrier in declaration["carriers"]:
-        carrier["acceleration"] = LIMITS["acceleration"]
-    (folder / "robot.yaml").write_text(yaml.safe_dump(declaration))
-    return folder / "robot.yaml"
+    return load_robot(two_rpr(tmp_path_factory.mktemp("arms")), **MASSES)
 
 
 @contextlib.contextmanager
@@ -111,9 +81,7 @@ def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name
 
 def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path):
     """One of each, on an oblique axis and with gravity, far from the motions that the terms are read from."""
-    mixed = declared(
-        tmp_path, "${'revolute' if name == 1 else 'prismatic'}", '"${2-name} ${across} ${across*(2-name)}"'
-    )
+    mixed = two_rpr(tmp_path, "${'revolute' if name == 1 else 'prismatic'}", '"${2-name} ${across} ${across*(2-name)}"')
     mixed.write_text(yaml.safe_dump(yaml.safe_load(mixed.read_text()) | {"gravity": [1.0, -9.0, 0.5]}))
     robot = load_robot(mixed, **MASSES)
     rng = np.random.default_rng(1)
