@@ -8,14 +8,17 @@ of setting up and solving; reading the coefficients off the backend is reported 
 
 import statistics
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import symbolic_mechanisms
 import symbolic_plans
+import turning_carriers
 
 import redundancy_pin as rp
+import redundancy_pin.planners.whole_trajectory.solver as whole_solver
 from redundancy_pin.planners.whole_trajectory.options import checked_settings
 from redundancy_pin.planners.whole_trajectory.planner import Mesh, Objective, Solver
 from redundancy_pin.planners.whole_trajectory.problem import Task, grid_of, read_coefficients
@@ -144,10 +147,51 @@ def growth(objective):
     return row
 
 
+def turning(objective):
+    """Processor time of whole plans with carriers that turn, of those that slide, and of IPOPT alone with the former."""
+    cases = {
+        "2rpr": (turning_carriers.two_rpr, rp.trajectory.reference.circle(0.5, 0.2, 0.05)),
+        "3rrr": (turning_carriers.three_rrr, rp.trajectory.reference.corner(0.025)),
+    }
+    for name, (declared, trajectory) in cases.items():
+        with tempfile.TemporaryDirectory() as folder:
+            arms = rp.CompiledDynamics(rp.load_robot(declared(Path(folder))))
+        tracks = rp.CompiledDynamics(rp.load_robot(name))
+
+        def planned(dynamics, trajectory=trajectory):
+            began = time.process_time()
+            plan = rp.plan_whole_trajectory(dynamics, trajectory, objective=objective)
+            return time.process_time() - began, plan.diagnostics["objective"][objective]
+
+        planned(arms)  # the kernels are compiled
+        (ours, peak), (sliding, _) = planned(arms), planned(tracks)
+        serves, whole_solver.serves = whole_solver.serves, lambda problem: False
+        try:
+            alone, same = planned(arms)
+        finally:
+            whole_solver.serves = serves
+        what = f"whole-trajectory plan with turning carriers, {name}, {objective}"
+        print(f"{what}: {ours:.2f} s (target 2), sliding ones {sliding:.2f} s, by IPOPT alone {alone:.2f} s")
+        yield {
+            "what": what,
+            "seconds": ours,
+            "target": 2.0,
+            "sliding_seconds": sliding,
+            "ipopt_alone_seconds": alone,
+            "relative_difference": abs(peak - same) / same,
+        }
+
+
 def rows():
-    """The corner of the thesis at 280 nodes, and its square at 1000 and 10 000."""
+    """The corner of the thesis at 280 nodes, its square at 1000 and 10 000, and carriers that turn."""
     cases = [(radius, objective) for objective in ("effort", "peak") for radius in (0.025, 0.013)]
-    return [*(row for case in cases for row in compared(*case)), growth("effort"), growth("peak")]
+    return [
+        *(row for case in cases for row in compared(*case)),
+        growth("effort"),
+        growth("peak"),
+        *turning("effort"),
+        *turning("peak"),
+    ]
 
 
 if __name__ == "__main__":
