@@ -148,7 +148,7 @@ def growth(objective):
 
 
 def turning(objective):
-    """Processor time of whole plans with carriers that turn, of those that slide, and of IPOPT alone with the former."""
+    """Processor time of plans with carriers that turn, with those that slide, and by IPOPT alone with the former."""
     cases = {
         "2rpr": (turning_carriers.two_rpr, rp.trajectory.reference.circle(0.5, 0.2, 0.05)),
         "3rrr": (turning_carriers.three_rrr, rp.trajectory.reference.corner(0.025)),
