@@ -23,8 +23,9 @@ from redundancy_pin.planners.whole_trajectory.problem import Problem
 from redundancy_pin.planners.whole_trajectory.splines import SPLINE, Efforts, EffortsAlong, Inequalities, Splines
 from redundancy_pin.planners.whole_trajectory.transcription import REGULARISATION
 
-NEAR = 1e-6
-"""Sum of all w z at the end over the peak: by so much it is from the least one."""
+NEAR, CENTRE = 1e-7, 2.5e-13
+"""Sum of all w z at the end over the peak: by so much it is from the least one. But no w z is less than what rounding
+leaves of it, which is about IPOPT's last barrier parameter over the nodes."""
 
 EXACT = 1e-8
 """Of equations and dual conditions at the end."""
@@ -113,7 +114,7 @@ def _least_peak(
     for iteration in range(MOST):
         cost = p + 0.5 * float((gentle[:, None] * y[..., 2] ** 2).sum())
         system = _System(efforts, limits, gentle, at, y, limits(x, p, at.tau) - w, w, z, nu)
-        mu, centre = float(w @ z) / len(w), NEAR * p / len(w)
+        mu, centre = float(w @ z) / len(w), max(NEAR * p / len(w), CENTRE)
         if system.error <= EXACT and np.abs(w * z - centre).max() <= 0.5 * centre:
             values = {"s": y[..., 0], "sd": y[..., 1], "sdd": y[..., 2], "tau": at.tau}
             return LeastPeak(values, p, centre, cost, iteration)
