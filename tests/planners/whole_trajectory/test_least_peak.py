@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import zoo
+from scipy.interpolate import BPoly
 from turning_carriers import two_rpr
 
 import redundancy_pin.planners.whole_trajectory.planner as planner
@@ -12,7 +13,8 @@ from redundancy_pin.planners.carrier_model import carrier_model, turning_model
 from redundancy_pin.planners.whole_trajectory.least_peak import least_peak, serves
 from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import Task, grid_of, read_coefficients, with_middles
-from redundancy_pin.planners.whole_trajectory.splines import EffortsAlong, Loads, Splines
+from redundancy_pin.planners.whole_trajectory.splines import EffortsAlong, Inequalities, Loads, Splines
+from redundancy_pin.planners.whole_trajectory.transcription import scaled_bounds
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
@@ -127,6 +129,27 @@ def test_efforts_are_those_of_the_backend_and_their_slopes_right_through_singula
 def _beside(splines, y, change, step):
     x = splines.fitted(y[..., :3])
     return x + step * change, x - step * change
+
+
+def test_limits_between_the_nodes_hold_the_inner_control_points():
+    problem = problem_of(VirtualWork(zoo.robot_of("2rpr")), CIRCLE, end="free", limits=Limits(acceleration=np.inf))
+    splines, steps = Splines(problem), problem.grid.h > 0.0
+    x = np.random.default_rng(3).normal(size=splines.count)
+    y = splines.course(x)
+    g = Inequalities(problem, splines, steps)(x, 0.0, np.zeros((len(y), 2)))[4 * len(y) :]
+    position, u = problem.position({name: y[..., i] for i, name in enumerate(("s", "sd", "sdd"))}), problem.scales
+    inner = [
+        BPoly.from_power_basis(function.ppoly).c[1:-1] / size
+        for function, size in ((position, u.s), (position.derivative(), u.sd))
+    ]
+    bounds = scaled_bounds(problem)
+    expected = []
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        for i, name in enumerate(("s", "sd")):
+            # the first node's are given
+            values = np.concatenate([y[1:, :, i].ravel(), inner[i].ravel()]).reshape(-1, 2)
+            expected.append(sign * (values - bounds[name][side]).ravel())
+    np.testing.assert_allclose(np.sort(g), np.sort(np.concatenate(expected)), rtol=1e-7, atol=1e-9)
 
 
 def without(monkeypatch):
