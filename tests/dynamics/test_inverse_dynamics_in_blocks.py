@@ -186,6 +186,17 @@ def test_a_file_is_refused_as_it_is_in_one_piece(line: int, column: int, cell: s
     assert dict(found.value.details) == dict(expected.value.details)
 
 
+def test_progress_is_the_part_of_the_file_that_is_read(tmp_path: Path) -> None:
+    parts: list[float] = []
+    path = write_motion(tmp_path / "motion.csv", CIRCLE, 0.01)
+    MotionFile(path, block=20, progress=parts.append)
+    read_ahead = 2 * 8192 / path.stat().st_size
+    expected = np.minimum(20.0 * np.arange(1, len(parts) + 1) / (len(path.read_text().splitlines()) - 1), 1.0)
+    assert parts[0] < 0.5
+    assert parts[-1] == 1.0
+    assert np.abs(parts - expected).max() < read_ahead + 0.1
+
+
 @pytest.mark.long_for("2", "3")
 @pytest.mark.parametrize("size", [1, 2, 3, 50])
 def test_rates_are_compared_over_all_blocks(size: int) -> None:
