@@ -54,7 +54,8 @@ def online(
     if out:
         output.require_suffix("--out", out, ".npz")
         require_writable(out)
-    with output.progress("online") as advance, in_words(OPTIONS.knowing(flags_of("online"))):
+    flags = {**flags_of("online"), "tick": "--tick", "start": "--start"}
+    with output.progress("online") as advance, in_words(OPTIONS.knowing(flags)):
         advance(0, 2, "reading")
         parameters = read_parameters("online", parameters_of(given))
         between, at = None if tick is None else number("--tick", tick), numbers("--start", start)

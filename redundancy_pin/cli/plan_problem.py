@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,7 +24,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.time_optimal import plan_time_optimal
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
-from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.robot.urdf import source_in
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory, from_csv
@@ -448,10 +447,8 @@ def _robot(data: Mapping[str, Any], folder: Path) -> options.RobotOptions:
         if not isinstance(value, (bool, int, float, str)):
             remedy = "Write a number, true, false or text."
             raise InputError(f"{name} in `set` is {shown(value)}.", remedy=remedy, key=f"set.{name}")
-    source = word("robot", data["robot"])
-    known = shipped_robots(gallery=not os.path.exists(folder / source))  # somebody's own comes first
     return options.RobotOptions(
-        source if source in known or Path(source).is_absolute() else str(folder / source),
+        source_in(folder, word("robot", data["robot"])),
         dict(options.parse_setting(f"{name}={value}") for name, value in settings.items()),  # YAML reads 1e-3 as text
         None if mode is None else options.parse_mode(word("mode", mode)),
         None if gravity is None else options.parse_vector(gravity),

@@ -12,10 +12,8 @@ import numpy as np
 from redundancy_pin.cli.errors import FAILED_CHECK, OPTIONS, in_words
 from redundancy_pin.cli.options import backend_option, json_option, recorded_robot_options
 from redundancy_pin.cli.output import TextTable, number, report, row, same_file
-from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable
-from redundancy_pin.planners.check import check_plan
 from redundancy_pin.planners.export import write_csv, write_json, write_mat, write_ros
 from redundancy_pin.planners.plan import load_plan, load_robot_of
 from redundancy_pin.studies.case import BACKENDS, RNEA
@@ -41,6 +39,10 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
     Example:
       redundancy-pin check plan.npz --backend virtual-work
     """
+    # what plans and judges takes as long to import as an export takes
+    from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES
+    from redundancy_pin.planners.check import check_plan
+
     plan = load_plan(path)
     result = check_plan(plan, BACKENDS[backend](load_robot_of(plan, source, trust=trust)))
     facts = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from math import inf
 from pathlib import Path
@@ -20,7 +21,7 @@ from redundancy_pin.robot import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
-from redundancy_pin.robot.urdf import declaration_path, shipped_robots
+from redundancy_pin.robot.urdf import declaration_path, known_values, shipped_sources
 
 _SAME_BODIES = 1e-9
 """Relative deviation of mass properties that xacro's arithmetic may show between two machines."""
@@ -91,17 +92,14 @@ class RobotRecord:
         """Return the arguments of a newer record but for those that came since and have their defaults."""
         later = {name: value for name, value in now.arguments.items() if name not in self.arguments}
         if later:  # lengths and frames are not in a record: an argument may change what nothing else here shows
-            try:
-                usual = load_with(now.source, self.arguments).parameters
-            except RedundancyPinError:
-                usual = {}
+            usual = _usual(now.source, self.arguments)
             later = {name: value for name, value in later.items() if usual.get(name) == value}
         return {name: value for name, value in now.arguments.items() if name not in later}
 
     def saved_beside(self, path: str | Path) -> RobotRecord:
         """Return the record as it goes into the file of that path: a source in its folder as the path from there."""
         source, folder = self.source, _folder_of(path)
-        if source and source not in shipped_robots() and (self.folder is not None or os.path.isabs(source)):
+        if source and source not in shipped_sources() and (self.folder is not None or os.path.isabs(source)):
             place = _real(self.folder or "", source)
             if place.is_relative_to(folder):
                 source = place.relative_to(folder).as_posix()
@@ -150,6 +148,16 @@ def robot_record(robot: Robot) -> RobotRecord:
         couplings=robot.couplings,
         ranges=tuple((joint.name, joint.lower, joint.upper) for joint in ranges),
     )
+
+
+def _usual(source: str, given: Mapping[str, float | bool | str]) -> Mapping[str, float | bool | str]:
+    """Return all arguments of a robot where some are given; of files that must be trusted, those not calculated."""
+    with suppress(RedundancyPinError):
+        return load_with(source, given).parameters
+    with suppress(RedundancyPinError):
+        path = declaration_path(source)
+        return known_values(path.parent / read_declaration(path).data["urdf"], given)
+    return {}
 
 
 _Floats = Annotated[tuple[Annotated[float, Field(allow_inf_nan=False)], ...], Field(description="finite numbers")]
@@ -276,7 +284,7 @@ def _own_source(record: RobotRecord) -> str:
         raise PlanFileError(
             f"The plan does not say where its robot {shown(record.name)} was loaded from.", remedy=_PASS_SOURCE
         )
-    if record.folder is None or record.source in shipped_robots():
+    if record.folder is None or record.source in shipped_sources():
         return record.source
     place = _real(record.folder, record.source)
     _require_inside(place, record.folder)

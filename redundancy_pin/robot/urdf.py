@@ -7,7 +7,7 @@ import itertools
 import math
 import os
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
@@ -135,8 +135,24 @@ _GALLERY = "gallery"
 
 def shipped_robots(*, gallery: bool = True) -> tuple[str, ...]:
     """Return the names of the shipped robots, sorted; the worked examples of the gallery may be left out."""
-    patterns = ("*/robot.yaml", f"{_GALLERY}/*/robot.yaml")[: 1 + gallery]
-    return tuple(sorted(path.parent.name for pattern in patterns for path in models_root().glob(pattern)))
+    return tuple(sorted(PurePosixPath(name).name for name in shipped_sources() if gallery or "/" not in name))
+
+
+def shipped_sources() -> tuple[str, ...]:
+    """Return what names each shipped robot whatever folders there are: ``2rpr``, ``gallery/delta``."""
+    root = models_root()
+    found = (path for pattern in ("*/robot.yaml", f"{_GALLERY}/*/robot.yaml") for path in root.glob(pattern))
+    return tuple(path.parent.relative_to(root).as_posix() for path in found)
+
+
+def source_in(folder: Path, source: str) -> str:
+    """Return what finds a robot that a file in a folder names; somebody's own comes before the gallery."""
+    own = folder / source
+    if source in shipped_sources() or Path(source).is_absolute():
+        return source
+    if source in shipped_robots() and not (is_file(own) or is_file(own / "robot.yaml")):
+        return f"{_GALLERY}/{source}"
+    return str(own)
 
 
 def declaration_path(source: str | Path) -> Path:
@@ -145,7 +161,7 @@ def declaration_path(source: str | Path) -> Path:
     Raises:
         ModelFileError: there is no such robot or file.
     """
-    if isinstance(source, str) and source in shipped_robots(gallery=False):
+    if isinstance(source, str) and source in shipped_sources():
         return models_root() / source / "robot.yaml"
     if not isinstance(source, (str, Path)):
         raise ModelFileError(
@@ -170,9 +186,11 @@ def declaration_path(source: str | Path) -> Path:
 
 
 def source_of(path: Path) -> str:
-    """Return what finds a declaration again from any folder: the name of a shipped robot, or an absolute path."""
+    """Return what finds a declaration again from any folder: one of ``shipped_sources``, or an absolute path."""
     absolute = path.resolve()
-    return absolute.parent.name if absolute.name == "robot.yaml" and is_shipped(path) else str(absolute)
+    if absolute.name == "robot.yaml" and is_shipped(path):
+        return absolute.parent.relative_to(models_root().resolve()).as_posix()
+    return str(absolute)
 
 
 def is_shipped(path: Path) -> bool:

@@ -29,3 +29,6 @@ def test_mistakes_are_one_line():
     assert "--horizon" in refused("online", "--robot", "2rpr", *MASSES, "--trajectory", "circle", "--horizon", "soon")
     assert "no carriers" in refused("online", "--robot", "four_bar", "--trajectory", "circle")
     assert "objective is" in refused("online", "--robot", "2rpr", "--trajectory", "circle", "--objective", "beauty")
+    mistaken = ("online", "--robot", "2rpr", *MASSES, "--trajectory", "circle")
+    assert "--tick is -1 s" in refused(*mistaken, "--tick", "-1")
+    assert "--start is [0.0, 0.0, 0.0]" in refused(*mistaken, "--start", "0,0,0")

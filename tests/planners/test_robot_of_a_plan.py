@@ -19,6 +19,7 @@ from command_line import call, refused
 import redundancy_pin as rp
 from redundancy_pin.errors import PlanFileError
 from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
+from redundancy_pin.planners.robot_record import load_recorded, record_difference, robot_record
 from redundancy_pin.robot.urdf import models_root
 
 DATA = Path(__file__).resolve().parents[1] / "compatibility" / "data"
@@ -102,6 +103,34 @@ def test_a_record_describes_its_robot_wherever_that_lies(shipped_plan: Plan, tmp
     assert record.describes(here)
     heavier = {**record.arguments, "carrier_mass": 1.5 * float(record.arguments["carrier_mass"])}
     assert not record.describes(rp.load_robot("2rpr", **given, **heavier))
+
+
+def test_a_robot_of_the_gallery_is_found_again_beside_a_folder_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = rp.load_robot("excavator")
+    record = replace(robot_record(robot).saved_beside(tmp_path / "plan.npz"), folder=str(tmp_path))
+    (tmp_path / "excavator").mkdir()
+    (tmp_path / "excavator" / "robot.yaml").write_text("urdf: [", encoding="utf-8")
+    with pytest.raises(rp.errors.RedundancyPinError):
+        rp.load_robot("excavator")  # somebody's own, which comes first
+    again = load_recorded(record)
+    assert (again.name, again.source) == ("excavator", robot.source)
+    assert record.saved_beside(tmp_path / "plan.npz").source == robot.source
+
+
+def test_an_argument_that_came_since_is_known_of_files_that_are_trusted_too(tmp_path: Path) -> None:
+    robot = copy_of(tmp_path / "own")
+    xacro = robot.parent / "2rpr.urdf.xacro"
+    text = xacro.read_text(encoding="utf-8").replace("</robot>", '<gazebo n="${(lambda: 1)()}"/></robot>')
+    xacro.write_text(text, encoding="utf-8")
+    now = robot_record(rp.load_robot(robot, trust=True))
+    older = replace(now, arguments={k: v for k, v in now.arguments.items() if k != "end_effector_carriers"})
+    assert not record_difference(older, now)
+    assert "arguments" in record_difference(
+        older, replace(now, arguments={**now.arguments, "end_effector_carriers": True})
+    )
 
 
 def test_old_plans_with_an_absolute_path_in_their_folder(shipped_plan: Plan, tmp_path: Path) -> None:

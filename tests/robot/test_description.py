@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from redundancy_pin.errors import InputError, ModelFileError
-from redundancy_pin.robot.urdf import declaration_path, known_values, models_root, render, shipped_robots
+from redundancy_pin.robot.urdf import declaration_path, known_values, models_root, render, shipped_robots, source_in
 
 XACRO = """<?xml version="1.0"?>
 <robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -112,6 +112,8 @@ def test_a_folder_of_somebodys_own_comes_before_the_gallery(tmp_path, monkeypatc
     (tmp_path / "delta").mkdir()
     (tmp_path / "delta" / "robot.yaml").write_text("")
     assert (tmp_path / declaration_path("delta")).samefile(tmp_path / "delta" / "robot.yaml")
+    assert source_in(tmp_path, "delta") == str(tmp_path / "delta")
+    assert source_in(tmp_path / "elsewhere", "delta") == "gallery/delta"
 
 
 def test_defaults_are_evaluated_by_xacro_and_whole_numbers_stay_whole(tmp_path):

@@ -74,10 +74,10 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
       about its own; ``"LINK.origin.x"``, ... likewise for a link of a closure or of the platform.
 
     The tree's own are exact, and so are numbers of the xacro file: it is expanded once with dual numbers
-    (``robot.duals``), of which placements and inertias are put together in complex steps. Where the file does more with
-    a number than has a derivative (rounds it, say, or writes it by a layout), or expands by Python alone (``trust``),
-    it is loaded seven times or less with changed arguments, and placements and inertias are differenced, to order six:
-    smooth functions to 1e-14 or so. All other arguments are held, also those whose defaults would follow.
+    (``robot.formats.duals``), of which placements and inertias are put together in complex steps. Where the file does
+    more with a number than has a derivative (rounds it, say, or writes it by a layout), or expands by Python alone
+    (``trust``), it is loaded seven times or less with changed arguments, and placements and inertias are differenced,
+    to order six: smooth functions to 1e-14 or so. All other arguments are held, also those whose defaults would follow.
 
     Args:
         robot: the robot.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Frozen, positive
+from redundancy_pin.arrays import Frozen, each, positive
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import PlatformMotion
@@ -77,11 +77,11 @@ def run_online(
         )
     if planner.started:
         raise InputError("The planner has plans of another run.", remedy="Pass a new RecedingHorizon.")
-    source = continuous_motion(motion)
+    source, at = continuous_motion(motion), each(start, "start", (planner.robot.k,), finite=True)
     times = np.append(np.arange(source.start, source.end - 1e-9, tick), source.end)
     commands, pieces = [], []
     for i, (t, until) in enumerate(zip(times[:-1].tolist(), times[1:].tolist(), strict=True)):
-        commands.append(planner.update(t, motion, *((start, 0.0) if i == 0 else ())))
+        commands.append(planner.update(t, motion, *((at, 0.0) if i == 0 else ())))
         if commands[-1].status is PlanningStatus.REFUSED:
             raise InfeasiblePlanError(
                 f"The planner refuses to go on at t = {t:.6g} s: {commands[-1].reason}.",
