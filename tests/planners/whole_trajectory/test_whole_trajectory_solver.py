@@ -182,6 +182,7 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
     settings = {"objective": objective, "dt": 0.05, "refinements": 0}
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
+    monkeypatch.setattr(solver, "serves", lambda problem: False)  # strategies of IPOPT alone
     monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 3)
     other = plan_whole_trajectory(dynamics, trajectory, **settings)
     assert other.diagnostics["optimal"]
@@ -191,6 +192,7 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
 
 def test_flat_optima_are_finished_whatever_led_to_them(monkeypatch):
     """Within tolerance the efforts of two strategies are 2e-5 of the peak apart; the last steps mend it."""
+    monkeypatch.setattr(solver, "serves", lambda problem: False)  # strategies of IPOPT alone
     dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.013)
     settings = {"objective": "peak", "dt": 0.03, "refinements": 0}
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
@@ -202,6 +204,7 @@ def test_flat_optima_are_finished_whatever_led_to_them(monkeypatch):
 @pytest.mark.long
 def test_a_first_strategy_that_wanders_is_given_up(monkeypatch):
     """On this line of the five-bar it nearly always does, and once, let for 80 iterations, ended a third worse."""
+    monkeypatch.setattr(solver, "serves", lambda problem: False)  # strategies of IPOPT alone
     path = Line((0.36395008276923135, 0.3972365808628847), (0.16252613968460775, 0.6383251732788081))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.2562291898747395, 0.2))
     dynamics, dt = RneaDynamics(zoo.robot_of("five_bar")), trajectory.duration / 352
