@@ -184,7 +184,7 @@ def test_plans_are_those_of_ipopt_alone(arms, case, monkeypatch):
         ours.diagnostics["objective"]["peak"], theirs.diagnostics["objective"]["peak"], rtol=SAME
     )
     # rows between the nodes may be those of other steps, and then efforts of a flat optimum are a little others
-    apart = 1e-3 if case == "speeds" else 1e-6
+    apart = {"speeds": 1e-3, "turning": 1e-4}.get(case, 1e-6)
     np.testing.assert_allclose(ours.tau, theirs.tau, atol=apart * np.abs(theirs.tau).max())
     # it was near before IPOPT had a look: within its own promise
     np.testing.assert_allclose(used[-1].cost, ours.diagnostics["cost"], rtol=1e-5)
