@@ -94,8 +94,8 @@ class SingularLocus(Frozen):
             index along the first coordinate; NaN where not reachable.
         serial_margin: same shape, scaled margin to type I; NaN where not reachable.
         curves: the curves.
-        unresolved: number of grid edges on which a singularity was announced, and no exact one found there or within a
-            cell; the curves are cut there. A finer grid leaves fewer.
+        unresolved: number of grid edges on which a singularity was announced and no exact one found: where a type I
+            curve is cut, or no type II curve is within a cell. A finer grid leaves fewer.
     """
 
     robot: Robot
@@ -174,11 +174,11 @@ def singular_locus(
     parallel, serial = np.full(len(grid.x), np.nan), np.full(len(grid.x), np.nan)
     margins = margins_of(system, system.evaluate(grid.q[grid.reachable]))
     parallel[grid.reachable], serial[grid.reachable] = margins.parallel, margins.serial
-    border, border_missing = _border(system, grid)
+    border, cut, lone = _border(system, grid)
     inner, missing = _zero_margin(system, grid, parallel) if robot.n == robot.m else ((), np.zeros((0, robot.n)))
     if robot.n == robot.m and len(place.free) == 2:
         inner = _followed(system, place, grid, inner, border)
-    missing = _not_beside(np.concatenate([border_missing, missing]), border + inner, grid)
+        lone, missing = (_not_beside(part, inner, grid) for part in (lone, missing))
     return SingularLocus(
         robot=robot,
         names=place.names,
@@ -191,7 +191,7 @@ def singular_locus(
         margin=read_only(parallel.reshape(grid.shape)),
         serial_margin=read_only(serial.reshape(grid.shape)),
         curves=border + inner,
-        unresolved=len(missing),
+        unresolved=cut + len(lone) + len(missing),
     )
 
 
@@ -233,8 +233,12 @@ def _pieces(values: NDArray[np.intp], keep: BoolArray) -> list[IntArray]:
     return [values[start:stop] for start, stop in zip(bounds[::2], bounds[1::2], strict=True)]
 
 
-def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusCurve, ...], Array]:
-    """Return the type I curves, the border of the reachable nodes, and where edges without one begin (E, n)."""
+def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusCurve, ...], int, Array]:
+    """Return the type I curves, the border of the reachable nodes, and the edges without an exact one.
+
+    These are the number of those where a curve is cut, and where those begin (E, n) that belong to none, as round a
+    single node that was not reached.
+    """
     shaped = grid.reachable.reshape(grid.shape)
     curves = crossed_edges(shaped, np.ones_like(shaped))
     edges = np.concatenate([np.zeros((0, 2), dtype=np.intp), *curves])
@@ -243,7 +247,9 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
     near = _bisected(system, grid.q[edges[:, 0]], start, end)
     points = _refined(system, serial_matrix, near, start, end, _free_column(grid, edges))
     chains, missing = _curves(system, SingularityKind.TYPE_I, points, curves)
-    return chains, grid.x[edges[missing, 0]]
+    contour = np.repeat(np.arange(len(curves)), [len(curve) for curve in curves])
+    cuts = np.isin(contour[missing], np.delete(contour, missing))
+    return chains, int(cuts.sum()), grid.x[edges[missing[~cuts], 0]]
 
 
 def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], Array]:

@@ -70,6 +70,14 @@ def test_every_point_is_a_singularity_of_its_kind(name: str, mode, orientation) 
             np.testing.assert_allclose(x[:, 2], orientation, atol=1e-11)
 
 
+def test_a_border_that_is_cut_is_not_resolved() -> None:
+    """A border is closed or ends on the rim of the grid; where it ends within, an edge has no exact point."""
+    locus = singular_locus(zoo.robot_of("five_bar", proximal_length=0.4, distal_length=0.4), resolution=13)
+    ends = np.concatenate([c.points[[0, -1]] for c in locus.of_kind(SingularityKind.TYPE_I)])
+    assert np.linalg.norm(ends[::2] - ends[1::2], axis=1).max() > 0.1
+    assert locus.unresolved > 0
+
+
 def test_two_rpr_is_singular_on_its_base_line() -> None:
     locus = locus_of("2rpr")
     assert {curve.kind for curve in locus.curves} == {SingularityKind.TYPE_II}
