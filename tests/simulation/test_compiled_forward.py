@@ -339,6 +339,15 @@ def test_a_computed_torque_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> N
             require_same(run, rp.simulate(robot, one, **options), 1e-10)
 
 
+def test_a_rotor_makes_another_machine() -> None:
+    """Armature is in no record of a robot; code without it would simulate the bare machine."""
+    robot = moving.massive("2rpr")
+    geared = robot.model.copy()
+    geared.armature = np.full(geared.nv, 0.5)
+    with pytest.raises(InputError, match="another 2rpr"):
+        rp.simulate(replace(robot, model=geared), duration=0.1, dynamics=compiled(robot))
+
+
 @pytest.mark.long
 def test_poses_are_fed_back_in_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rotation vector between poses is scipy's, whichever part of the quaternion is the largest."""

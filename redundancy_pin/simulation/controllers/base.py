@@ -297,8 +297,8 @@ def load_limits(robot: Robot, effort: ArrayLike | None, carrier_force: ArrayLike
 
 
 def is_same(one: Robot, other: Robot) -> bool:
-    """Return whether two robots are the same machine."""
-    return one is other or robot_record(one).describes(other)
+    """Return whether two robots are the same machine; a record has no rotors, and no lengths that no file gave."""
+    return one is other or (bool(one.model == other.model) and robot_record(one).describes(other))
 
 
 def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
