@@ -224,17 +224,6 @@ def test_a_size_that_lies_in_the_directory(tmp_path: Path) -> None:
     refused(path, "archive")
 
 
-@pytest.mark.parametrize("sizes", [(1000,), (90,) * 10])
-def test_what_would_unpack_to_too_much_is_refused_before_it_is(
-    sizes: tuple[int, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One array or many: the sum of what the directory says counts, beside the size of the file."""
-    for name, most in {"_UNPACKED": 5000, "_RATIO": 0}.items():
-        monkeypatch.setattr(archive, name, most)
-    contents = [(f"{i}.npy", npy(np.zeros(size))) for i, size in enumerate(sizes)]
-    refused(pack(tmp_path / "a.npz", *contents), "when unpacked, of at most 5000")
-
-
 BOMBS = {
     "one member of 140 MB": [("a.npy", 140_000_000)],
     "fourteen members of 10 MB": [(f"{i}.npy", 10_000_000) for i in range(14)],
