@@ -98,11 +98,13 @@ def load_with(
 
     Among keywords, a file could name ``trust`` as one of them.
     """
-    written = repr((sorted(arguments.items()), gravity, working_mode))
-    request = _Request(declaration_path(source), written, arguments, gravity, working_mode, trust)
-    if is_model_file(request.path):
+    written, path = repr((sorted(arguments.items()), gravity, working_mode)), declaration_path(source)
+    kept = is_shipped(path) and not trust
+    # what is kept is known by a path that means the same in all folders
+    request = _Request(path.resolve() if kept else path, written, arguments, gravity, working_mode, trust)
+    if is_model_file(path):
         return _load_model(request, {})
-    if trust or not is_shipped(request.path):
+    if not kept:
         return _declared(request)
     robot = _shipped(request)
     return replace(robot, model=robot.model.copy())  # of what is shared, all that can be changed

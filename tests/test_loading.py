@@ -473,3 +473,9 @@ def test_moments_of_inertia_of_no_body_say_the_rule(tmp_path):
         rp.load_robot(write(tmp_path, tree=FIVE_BAR.replace('izz="0.02"', 'izz="5"', 1)))
     with pytest.raises(ModelFileError, match="no body can have: a negative one"):
         rp.load_robot(write(tmp_path, tree=FIVE_BAR.replace('ixx="0"', 'ixx="-1"', 1)))
+
+
+def test_a_path_means_the_robot_of_the_folder_one_is_in(monkeypatch):
+    for name in ("four_bar", "2rpr"):
+        monkeypatch.chdir(models_root() / name)
+        assert rp.load_robot("robot.yaml").name == name
