@@ -119,6 +119,17 @@ def short_line():
 TRAJECTORIES = {"line": short_line(), "circle": reference.circle(0.5, 0.2, 0.05)}
 
 
+SEVERAL = ("circle", "peak")
+"""It has three optima: 0.9969, 0.9982, at which IPOPT ends with the full model, and 1.0095 N."""
+
+
+def require_least(plan, theirs, name, objective):
+    ours = plan.diagnostics["objective"][objective]
+    assert ours <= (1.0 + SAME) * theirs
+    if (name, objective) != SEVERAL:
+        assert ours >= (1.0 - SAME) * theirs
+
+
 @pytest.mark.long_for("circle-effort")
 @pytest.mark.parametrize(
     ("name", "objective"),
@@ -137,10 +148,7 @@ def test_optimum_is_that_of_the_full_model(planned, name, objective):
     assert len(plan.diagnostics["singular_nodes"]) == (2 if name == "circle" else 0)
     machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
     theirs, _ = symbolic_plans.solve(machine, trajectory, plan, objective, LIMITS)
-    ours = plan.diagnostics["objective"][objective]
-    assert ours <= (1.0 + SAME) * theirs
-    if (name, objective) != ("circle", "peak"):  # it has several optima, and theirs is a worse one
-        assert ours >= (1.0 - SAME) * theirs
+    require_least(plan, theirs, name, objective)
 
 
 @pytest.mark.long
@@ -220,14 +228,14 @@ def require_balanced(robot, plan):
 @pytest.mark.parametrize(("name", "objective"), [("line", "peak"), ("circle", "effort"), ("circle", "peak")])
 def test_with_expressions_one_solution_finds_the_optimum_of_the_full_model(robot, exact, name, objective, monkeypatch):
     monkeypatch.setattr(planner, "fit_and_solve", never)
-    plan = exact(name, objective)
+    plan = exact(name, objective, starts=4 if (name, objective) == SEVERAL else 1)
     require_balanced(robot, plan)
     if objective == "effort":  # a peak comes to lie between nodes so far apart
         assert plan.status is PlanStatus.WITHIN_LIMITS
         assert plan.diagnostics["dense_check"]["passed"]
     machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
     theirs, _ = symbolic_plans.solve(machine, TRAJECTORIES[name], plan, objective, LIMITS)
-    np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
+    require_least(plan, theirs, name, objective)
 
 
 @pytest.mark.long
