@@ -204,6 +204,42 @@ def test_empty_ranges_count_as_none(numbers, compiler, tmp_path):
     assert np.isfinite(limits["k"]["effort"]) == model.actuator_forcelimited[0] == model.actuator_ctrllimited[0]
 
 
+@pytest.mark.parametrize(
+    ("motors", "driven", "limit", "says"),
+    [
+        ([(2, "-1 3", "")], "", 2.0, "from -2 to 6: their limit here, 2 both ways, is the smaller"),
+        ([(-2, "-1 3", "")], "", 2.0, "from -6 to 2: their limit here, 2 both ways, is the smaller"),
+        ([(2, "-5 5", "-3 1")], "", 2.0, "from -6 to 2: their limit here, 2 both ways, is the smaller"),
+        ([(2, "-5 5", "")], "-4 3", 3.0, "from -4 to 3: their limit here, 3 both ways, is the smaller"),
+        ([(2, "0 3", "")], "", 6.0, "from 0 to 6: their limit here, 6 both ways, allows the other sign"),
+        ([(2, "0 3", ""), (-2, "0 3", "")], "", 6.0, ""),  # one pulls, the other pushes
+    ],
+)
+def test_efforts_within_the_limit_are_mujocos_too(motors, driven, limit, says, tmp_path):
+    """The limit has no sign: no motor may be asked for what its range does not allow, and what is lost is said."""
+    text = _model().replace('name="k"', f'name="k" actuatorfrcrange="{driven}"' if driven else 'name="k"')
+    lines = [
+        f'<motor joint="k" gear="{gear}" ctrlrange="{control}"' + (f' forcerange="{force}"/>' if force else "/>")
+        for gear, control, force in motors
+    ]
+    text = text.replace('<motor joint="k" />', "".join(lines))
+    engine = mujoco.MjModel.from_xml_string(text)
+    data, reached = mujoco.MjData(engine), []
+    for control in ((-9.0, 9.0), (9.0, -9.0)):
+        data.ctrl[:] = control[: engine.nu]
+        mujoco.mj_forward(engine, data)
+        reached.append(data.qfrc_actuator[1])
+    mechanism = read_mjcf(write(tmp_path, text))
+    (joint,) = (joint for joint in mechanism.joints if joint.name == "k")
+    assert joint.limits["effort"] == limit
+    if "allows" not in says:
+        assert min(reached) <= -limit < limit <= max(reached)
+        assert limit in np.abs(reached)
+    notes = [note for note in mechanism.notes if note.startswith("Efforts of k")]
+    assert len(notes) == bool(says)
+    assert says in "".join(notes)
+
+
 def test_an_empty_range_replaces_one_by_default(tmp_path):
     text = _model(DEFAULT.format('<joint range="-1 1"/>'), joint='range="0 0"')
     limits = {joint.name: joint.limits for joint in read_mjcf(write(tmp_path, text)).joints}

@@ -31,7 +31,7 @@ from redundancy_pin.robot.formats.mjcf_file import (
     about,
     from_quaternion,
 )
-from redundancy_pin.robot.formats.mjcf_forces import Forces, largest_force
+from redundancy_pin.robot.formats.mjcf_forces import Forces, effort_limit, forces_of
 from redundancy_pin.robot.formats.mjcf_masses import POSE, body_mass, place_of_geom, shape_of
 from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry
 from redundancy_pin.robot.formats.xml_files import Element
@@ -397,7 +397,7 @@ class _Reader:
         if part.limited("limited", "range"):
             limits["lower"], limits["upper"] = (unit * part.numbers("range", 2)).tolist()
         if part.limited("actuatorfrclimited", "actuatorfrcrange"):
-            limits["effort"] = float(np.abs(part.numbers("actuatorfrcrange", 2)).max())
+            self.forces.ranges[name] = part.numbers("actuatorfrcrange", 2)
         entry = JointEntry(
             name, "revolute" if turning else "prismatic", parent, f"{name}::link", anchored @ mounted, axis, limits
         )
@@ -505,7 +505,7 @@ class _Reader:
         return above[link].name if link in above else ""
 
     def _actuators(self) -> tuple[str, ...]:
-        efforts: dict[str, float] = {}
+        efforts: dict[str, Array] = {}
         kinds = {joint.name: joint.kind for joint in self.joints}
         feedback = []
         for part in self._elements("actuator"):
@@ -519,16 +519,15 @@ class _Reader:
                 part.refuse(f"{part} drives {shown(name)}, which is no joint", did_you_mean(name, self.names).strip())
             if len(made) != 1 or kinds.get(name) == "ball":
                 part.refuse(f"{part} drives {name!r}, a joint of several freedoms", _NO_JOINT)
-            gear = abs(float(part.numbers("gear", 1, 6, default="1")[0]))
-            if not gear > 0.0:
-                part.refuse(f"{part} has a gear of zero")
-            efforts[name] = efforts.get(name, 0.0) + gear * largest_force(part)
+            efforts[name] = efforts.get(name, np.zeros(2)) + forces_of(part)
             if part.tag in ("position", "velocity", "intvelocity"):
                 feedback.append(name)
+        bounds = {**self.forces.ranges, **efforts}
+        for name in self.forces.ranges.keys() & efforts.keys():
+            bounds[name] = efforts[name].clip(*self.forces.ranges[name])
+        limits = {name: effort_limit(name, ends, self.notes) for name, ends in bounds.items()}
         self.joints = [
-            replace(joint, limits={**joint.limits, "effort": min(joint.limits["effort"], efforts[joint.name])})
-            if joint.name in efforts
-            else joint
+            replace(joint, limits={**joint.limits, "effort": limits[joint.name]}) if joint.name in limits else joint
             for joint in self.joints
         ]
         if feedback:

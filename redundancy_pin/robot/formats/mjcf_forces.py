@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import shown
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.mjcf_file import Part
@@ -39,12 +40,14 @@ class Forces:
     Attributes:
         disabled: flags of the model that are disabled.
         loads: in force, of joints.
+        ranges: least and largest effort (2,) by joint, N or N·m, of joints that bound what all their actuators do.
         armature: by joint, kg·m² or kg.
         left_out: names of what has a force that is not in force, by what it is.
     """
 
     disabled: set[str]
     loads: list[JointForces] = field(default_factory=list)
+    ranges: dict[str, Array] = field(default_factory=dict)
     armature: dict[str, float] = field(default_factory=dict)
     left_out: dict[str, list[str]] = field(default_factory=dict)
 
@@ -91,11 +94,11 @@ class Forces:
         return notes
 
 
-def largest_force(part: Part) -> float:
-    """Return the largest force of an actuator, before its gear; infinite where nothing bounds it."""
-    most = math.inf
-    if part.limited("forcelimited", "forcerange"):
-        most = float(np.abs(part.numbers("forcerange", 2)).max())
+def forces_of(part: Part) -> Array:
+    """Return the least and largest effort (2,) of an actuator on its joint, N or N·m; infinite if not bounded."""
+    gear, ends = float(part.numbers("gear", 1, 6, default="1")[0]), np.array([-math.inf, math.inf])
+    if not gear:
+        part.refuse(f"{part} has a gear of zero")
     plain = part.tag == "motor" or (
         part.tag == "general"
         and part.text("gaintype", "fixed") == "fixed"
@@ -104,5 +107,22 @@ def largest_force(part: Part) -> float:
     )
     if plain and part.limited("ctrllimited", "ctrlrange"):
         gain = 1.0 if part.tag == "motor" else float(part.numbers("gainprm", 1, 10, default="1")[0])
-        most = min(most, abs(gain) * float(np.abs(part.numbers("ctrlrange", 2)).max()))
-    return most
+        ends = gain * part.numbers("ctrlrange", 2)
+    if part.limited("forcelimited", "forcerange"):
+        ends = ends.clip(*part.numbers("forcerange", 2))
+    return np.sort(gear * ends)
+
+
+def effort_limit(name: str, ends: Array, notes: list[str]) -> float:
+    """Return the limit of |effort|, N or N·m, for efforts between two ends (2,); what does not fit is noted.
+
+    It is the smaller end, which is allowed both ways; where efforts have one sign only there is none: the larger end.
+    """
+    both = ends[0] < 0.0 < ends[1]
+    limit = float(np.abs(ends).min() if both else np.abs(ends).max())
+    if ends[0] != -ends[1]:
+        why = "is the smaller one" if both else "allows the other sign too, which the file does not"
+        notes.append(
+            f"Efforts of {name} are from {ends[0]:g} to {ends[1]:g}: their limit here, {limit:g} both ways, {why}."
+        )
+    return limit
