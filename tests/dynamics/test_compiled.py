@@ -135,7 +135,7 @@ def test_type_two_poses_are_as_finite_as_elsewhere() -> None:
     np.testing.assert_array_equal(rank_lost.status, distribute(RneaDynamics(robot).reduce(at)).status)
 
 
-def test_machine_code_says_what_the_interpreter_says() -> None:
+def test_machine_code_says_what_the_interpreter_says(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = robot_of("3rrr")
     t = np.linspace(0.0, 1.0, 40)
     motion, carriers = zoo.smooth_motion(robot, 5).at(t), zoo.carriers_at(robot, t)
@@ -148,6 +148,21 @@ def test_machine_code_says_what_the_interpreter_says() -> None:
         row = (motion.x[k], motion.xd[k], motion.xdd[k], carriers.s[k], carriers.sd[k], carriers.sdd[k])
         for got, want in zip(one.sample(*row), other.sample(*row), strict=True):
             assert_equal(got, want, "sample")
+    kernel: Any = other._kernel
+    followed, follow = [], kernel._follow
+    monkeypatch.setattr(kernel, "_follow", lambda *given: (followed.append(given), follow(*given))[1])
+    other.along(motion)
+    assert len(followed) < 5  # to the first sample; others are found from the ones before
+    # from far away, to a pose and to one that is out of reach: not whole turns round, nor given up at once
+    random = np.random.default_rng(0)
+    for x in (motion.x[0], motion.x[0] + [2.0, 0.0, 0.0]):
+        for _ in range(3):
+            step = random.uniform(-3.0, 3.0, robot.model.nv)
+            step[robot.carrier_velocity] = 0.0
+            mine, theirs = (pin.integrate(robot.model, one._loops.reference[0], step) for _ in range(2))
+            gaps = one._kernel.assemble(mine, x), other._kernel.assemble(theirs, x)
+            np.testing.assert_allclose(*gaps, rtol=1e-6, atol=1e-12)
+            np.testing.assert_allclose(mine, theirs, atol=1e-4)
 
 
 def test_plans_are_those_of_rnea() -> None:
@@ -383,12 +398,15 @@ def test_rates_that_overflow_are_no_singularity() -> None:
         CompiledDynamics(robot).sample(zoo.home_of(robot), [1e200] * 3, [0.0] * 3)
 
 
-def test_a_motion_in_parts_is_the_motion_in_one() -> None:
+def test_a_motion_in_parts_is_the_motion_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = robot_of("3rrr")
     t = np.linspace(0.0, 3.0, 5000)
     motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t)
-    one, many = (CompiledDynamics(robot, threads=threads).reduce(motion, carriers) for threads in (1, 4))
-    assert_equal(many.f, one.f, "f")
+    one, many = (CompiledDynamics(robot, threads=threads) for threads in (1, 4))
+    calls, call = [], many._kernel.call
+    monkeypatch.setattr(many._kernel, "call", lambda name, *given: (calls.append(name), call(name, *given))[1])
+    assert_equal(many.reduce(motion, carriers).f, one.reduce(motion, carriers).f, "f")
+    assert calls.count("rp_lift") == 4
 
 
 def test_two_sided_samples_and_sparse_ones() -> None:

@@ -119,6 +119,15 @@ def test_an_edited_plan_is_not_what_it_says(name: str, whole: Plan) -> None:
         assert np.isnan(deviation.time) or whole.t[0] <= deviation.time <= whole.t[-1]
 
 
+def test_the_imbalance_is_relative_to_the_largest_f(whole: Plan) -> None:
+    """Without efforts all of f is left."""
+    dynamics = other(whole)
+    result = rp.check_plan(replace(whole, tau=0.0 * whole.tau), dynamics)
+    reduced = dynamics.reduce(whole.motion, whole.carriers)
+    f = reduced.f / reduced.row_scale
+    assert result.imbalance == pytest.approx(np.linalg.norm(f, axis=1).max() / np.abs(f).max(), rel=1e-9)
+
+
 def test_the_dynamics_of_another_robot_are_refused(whole: Plan) -> None:
     with pytest.raises(InputError, match="for another robot"):
         rp.check_plan(whole, rp.VirtualWork(rp.load_robot("3rrr", platform_mass=2.0)))

@@ -180,6 +180,8 @@ def test_quaternions_of_keyframes(joint, length, tmp_path):
     mujoco.mj_resetDataKeyframe(engine, data, 0)
     mujoco.mj_forward(engine, data)
     mechanism = read_mjcf(path, keyframe="k")
+    lengths = [np.linalg.norm(value) for value in mechanism.start.values() if isinstance(value, np.ndarray)]
+    np.testing.assert_allclose(lengths, 1.0, rtol=1e-15)
     own = mechanism.model("x")
     place = own.createData()
     pin.framesForwardKinematics(own, place, mechanism.configuration(own))

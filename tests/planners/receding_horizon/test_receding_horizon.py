@@ -2,10 +2,12 @@
 
 import itertools
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import online
 import pytest
+import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
@@ -18,7 +20,10 @@ from redundancy_pin.planners.receding_horizon import (
     run_online,
 )
 from redundancy_pin.planners.receding_horizon.linearised import Linearised, nodes_from
+from redundancy_pin.planners.receding_horizon.run import _through
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path
 
 MISSING = 1e-4
@@ -99,6 +104,36 @@ def test_efforts_are_continuous_through_the_singular_instant_and_those_of_the_ot
         before, after = tau[1] + 1.5 * (tau[1] - tau[0]), tau[2] + 1.5 * (tau[2] - tau[3])
         np.testing.assert_allclose(before, after, atol=0.03 * run.plan.peak_effort.max())
         np.testing.assert_allclose(run.plan.efforts_at(t, dynamics), tau, rtol=1e-6, atol=1e-9)
+
+
+def test_the_peak_is_that_of_efforts_of_either_sign(monkeypatch):
+    planner, solutions = RecedingHorizon(machine()[0]), []
+    programme = planner.programme(False)
+    solve = programme.solve
+    monkeypatch.setattr(programme, "solve", lambda values: solutions.append(solve(values)) or solutions[-1])
+    planner.update(0.2, ACROSS)
+    for x, _ in solutions:  # one motor pushes as hard as the other pulls
+        np.testing.assert_allclose([x[programme.tau].max(), -x[programme.tau].min()], x[programme.peak], rtol=1e-6)
+
+
+def test_where_w_is_next_to_singular_only_the_lost_direction_is_not_balanced():
+    """Of a platform that turns: moments count over the characteristic length."""
+    robot, t = zoo.robot_of("3rrr"), np.linspace(0.0, 1.0, 40)
+    rate = np.array([0.0, 0.0, -2.0])
+    x = zoo.home_of(robot) + t[:, None] * rate
+    motion = rp.PlatformMotion(t, x, np.tile(rate, (40, 1)), np.zeros((40, 3)))
+    source = continuous_motion(motion)
+    dynamics, ends = rp.RneaDynamics(robot), np.array([0.0, 1.0])
+    (crossing,) = rp.find_crossings(robot, motion)
+    efforts = PiecewisePolynomial.linear(ends, np.array([[1.0, 2.0, 3.0], [2.0, 1.0, 0.0]]))
+    command = SimpleNamespace(t=0.0, efforts=efforts, singular=np.array([crossing.t]))
+    carriers = PiecewisePolynomial.linear(ends, np.zeros((2, 3)))
+    ((part, _),) = _through(SimpleNamespace(dynamics=dynamics, robot=robot), source, carriers, [command])
+    reduced = rp.VirtualWork(robot).reduce(source.sample_at(part.edges))
+    W, f = reduced.W / reduced.row_scale[:, None], reduced.f / reduced.row_scale
+    left = np.einsum("nij,ni->nj", np.linalg.svd(W)[0], np.einsum("nij,nj->ni", W, part(part.edges)) - f)
+    assert np.abs(left[:, :2]).max() < 1e-9 * np.abs(f).max()
+    assert np.abs(left[:, 2]).max() > 1e-3 * np.abs(f).max()
 
 
 def test_commands_say_what_the_machine_does_until_the_next_tick():
@@ -228,6 +263,12 @@ def test_a_preview_may_be_a_function_or_samples_and_may_end_on_the_way():
     assert 0.25 < ends.known_until <= 0.3 < first.known_until
     with pytest.raises(InputError, match="preview is str"):
         RecedingHorizon(dynamics).update(0.0, "straight on")
+
+
+def test_singular_instants_before_the_zero_of_time_are_as_dense(monkeypatch):
+    monkeypatch.setattr(Preview, "determinant", lambda self, dynamics, times: np.cos(20.0 * times))
+    found = Preview.of(ACROSS.sample_at).singular_instants(machine()[0], -2.0, -1.0, 0.02)
+    np.testing.assert_allclose(found, np.pi / 20.0 * (np.arange(-13, -6) + 0.5), atol=1e-9)
 
 
 def test_the_rate_of_f_at_a_singular_instant_is_that_of_differences_by_the_other_backend():

@@ -50,6 +50,14 @@ def crossing(arms):
     return problem
 
 
+def test_a_singular_instant_next_to_a_kink_is_one_node_with_it():
+    source = continuous_motion(CIRCLE)
+    kink = sorted(source.kinks)[len(source.kinks) // 2]
+    grid = grid_of(source, [kink + 1e-12 * (source.end - source.start)], 0.05)
+    assert len(grid.singular) in (1, 2)  # two where the acceleration jumps
+    assert grid.h[grid.h > 0.0].min() > 1e-3
+
+
 @pytest.mark.parametrize("end", ["datum", "rest", "free"])
 def test_any_coefficients_are_a_course_of_the_transcription(end):
     settings = {"start": 0.05, "start_speed": 0.3, "end": end}
