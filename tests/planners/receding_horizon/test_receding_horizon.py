@@ -120,7 +120,7 @@ def test_where_w_is_next_to_singular_only_the_lost_direction_is_not_balanced():
     """Of a platform that turns: moments count over the characteristic length."""
     robot, t = zoo.robot_of("3rrr"), np.linspace(0.0, 1.0, 40)
     rate = np.array([0.0, 0.0, -2.0])
-    x = zoo.home_of(robot) + [0.1, 0.2, 0.0] + t[:, None] * rate  # away from the centre, where W would lose rotation alone
+    x = zoo.home_of(robot) + [0.1, 0.2, 0.0] + t[:, None] * rate  # at the centre W would lose rotation alone
     motion = rp.PlatformMotion(t, x, np.tile(rate, (40, 1)), np.zeros((40, 3)))
     source = continuous_motion(motion)
     dynamics, ends = rp.RneaDynamics(robot), np.array([0.0, 1.0])
