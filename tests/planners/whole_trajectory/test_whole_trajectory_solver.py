@@ -161,8 +161,9 @@ def square_plan(nodes, backend=VirtualWork, objective="peak"):
 
 
 @pytest.mark.long
-def test_iterations_do_not_grow_with_the_nodes():
+def test_iterations_do_not_grow_with_the_nodes(monkeypatch):
     """Ten times as many nodes. An objective that does not grow with them takes twice the iterations, 49 and 96."""
+    monkeypatch.setattr(solver, "serves", lambda problem: False)  # IPOPT's: at 3000 nodes it is alone
     few, many = (square_plan(nodes).diagnostics["iterations"] for nodes in (300, 3000))
     assert many <= 1.35 * few
 
