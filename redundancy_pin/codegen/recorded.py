@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -75,8 +75,7 @@ def record(robot: Robot, motion: PlatformMotion | None, carriers: CarrierMotion 
     # the whole motion is lifted, which is followed from sample to sample; some of it is kept
     tree = lift(robot, motion, mark_unreachable=True)
     kept = reachable[np.unique(np.linspace(0, len(reachable) - 1, SAMPLES).round().astype(int))]
-    each = ("t", "f", "W", "carrier_force", "reachable", "gap")
-    reduced = replace(whole, **{name: getattr(whole, name)[kept] for name in each})
+    reduced = whole.at(kept)
     return Recorded(
         motion=(motion.x[kept], motion.xd[kept], motion.xdd[kept]),
         carriers=(carriers.s[kept], carriers.sd[kept], carriers.sdd[kept]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Protocol, TypeGuard, TypeVar, cast
 
 import numpy as np
@@ -13,6 +13,7 @@ from redundancy_pin.arrays import (
     Array,
     BoolArray,
     Frozen,
+    IntArray,
     peak,
 )
 from redundancy_pin.dynamics.forward import ForwardKernel
@@ -69,6 +70,13 @@ class ReducedDynamics(Frozen):
             f"ReducedDynamics(N={len(self.t)}, n={self.W.shape[1]}, m={self.W.shape[2]}, "
             f"k={self.carrier_force.shape[1]}{unreached}; {peak('f', self.f, 'N or N·m')})"
         )
+
+    def at(self, samples: slice | IntArray) -> ReducedDynamics:
+        """Return some of the samples."""
+        names = ("t", "f", "W", "carrier_force", "reachable", "gap", "out_of_range")
+        parts = {name: getattr(self, name) for name in names}
+        chosen: dict[str, Any] = {name: part if part is None else part[samples] for name, part in parts.items()}
+        return replace(self, **chosen)
 
 
 class ReducedSample(Protocol):

@@ -265,15 +265,11 @@ def _without(result: InverseDynamics, again: int, until: float) -> InverseDynami
     """Return a part without the samples, and the instants up to a time, that the part before it has given."""
     if not again:
         return result
-    per_sample = ("t", "f", "W", "carrier_force", "reachable", "gap", "out_of_range")
-    of_efforts = [field.name for field in fields(result.efforts)]
-
-    def rest(whole: Any, names: Iterable[str]) -> Any:
-        parts = {name: getattr(whole, name) for name in names}
-        return replace(whole, **{name: part if part is None else part[again:] for name, part in parts.items()})
-
+    whole = {field.name: getattr(result.efforts, field.name) for field in fields(result.efforts)}
+    rest: dict[str, Any] = {name: part if part is None else part[again:] for name, part in whole.items()}
+    efforts = replace(result.efforts, **rest)
+    reduced = result.reduced.at(slice(again, None))
     instants = tuple(one for one in result.instants if one.until > until)
-    reduced, efforts = rest(result.reduced, per_sample), rest(result.efforts, of_efforts)
     return replace(result, reduced=reduced, efforts=efforts, instants=instants)
 
 

@@ -154,10 +154,15 @@ def require_agreement(
     check = crosscheck.run(robots, samples, CROSS_CHECK_SEED, progress, jobs if jobs > 0 else os.cpu_count() or 1)
     if not check.passed:
         failed = [row for row in check.rows if not row.passed]
-        first = failed[0]
+        what = f"finds nothing to judge {', '.join(check.unjudged)} by"
+        if failed:
+            first = failed[0]
+            what = (
+                f"fails {len(failed)} of {len(check.rows)} checks; the first is {first.check!r} on {first.robot}: "
+                f"worst {first.worst:.3g}, allowed {first.tolerance:.3g}"
+            )
         raise CrossCheckError(
-            f"The cross-check fails {len(failed)} of {len(check.rows)} checks; the first is {first.check!r} on "
-            f"{first.robot}: worst {first.worst:.3g}, allowed {first.tolerance:.3g}. Nothing was written.",
+            f"The cross-check {what}. Nothing was written.",
             remedy="Run `redundancy-pin validate` for the whole table.",
             failed=tuple(failed),
         )

@@ -20,7 +20,7 @@ from redundancy_pin.studies.figures import Picture
 from redundancy_pin.studies.measures import MotionRun, run
 from redundancy_pin.studies.reproduce import Reproduction
 
-PASSED = CrossCheckReport((CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True),), 0)
+PASSED = CrossCheckReport((CheckRow("2rpr", "power balance", 10, 1e-15, 1e-10, True),), 0)
 """The cross-check has tests of its own."""
 
 

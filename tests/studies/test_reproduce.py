@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from quick_results import motion, reproduction, require_self_contained
 
 from redundancy_pin import crosscheck
+from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
 from redundancy_pin.dynamics.virtual_work import VirtualWorkAlongMotion
 from redundancy_pin.errors import CrossCheckError, OutputError
 from redundancy_pin.studies import reproduce as job
@@ -25,6 +26,7 @@ from redundancy_pin.studies.reproduce import Reproduction, html
 from redundancy_pin.visualisation.figures import style
 from redundancy_pin.visualisation.figures.style import save
 
+DPI = style._SETTINGS["savefig.dpi"]
 ALONE = replace(FULL, chapters=(), jobs=1)
 reproduce = functools.partial(job.reproduce, extent=ALONE, samples=1)
 """The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
@@ -115,9 +117,13 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("names", [NAMES[:1], pytest.param(NAMES, marks=pytest.mark.long)])
-def test_the_same_run_gives_the_same_bytes(names: tuple[str, ...], done: Reproduction, tmp_path: Path) -> None:
+def test_the_same_run_gives_the_same_bytes(
+    names: tuple[str, ...], done: Reproduction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of one motion the files of its own; of all of them summary and report too, and by several processes."""
-    if names == NAMES:  # other processes draw all pictures
+    if names == NAMES:  # other processes draw all pictures, and in all their pixels
+        monkeypatch.setattr(job, "save", save)
+        monkeypatch.setitem(style._SETTINGS, "savefig.dpi", DPI)
         done = reproduce(tmp_path / "first", [motion(name) for name in names])
     again = reproduce(tmp_path / "again", [motion(name) for name in names], extent=replace(ALONE, jobs=len(names)))
     same = [path for path in done.folder.iterdir() if names == NAMES or path.name.startswith(names[0])]
@@ -224,6 +230,14 @@ def test_disagreeing_backends_stop_the_job(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(job, "compute", lambda *_: pytest.fail("an experiment was run"))
     with pytest.raises(CrossCheckError, match="cross-check fails"):
         reproduce(tmp_path / "results", [motion(BASELINE)], extent=replace(QUICK, jobs=1))  # others know no patch
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_robots_that_nothing_judges_stop_the_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    agree = CrossCheckReport((CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True),), 0)
+    monkeypatch.setattr(crosscheck, "run", lambda *_: agree)
+    with pytest.raises(CrossCheckError, match="nothing to judge 2rpr by"):
+        reproduce(tmp_path / "results", [motion(BASELINE)])
     assert list(tmp_path.iterdir()) == []
 
 
