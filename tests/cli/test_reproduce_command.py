@@ -19,7 +19,7 @@ from redundancy_pin.studies.figures import Picture
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two coarse experiments, a passing cross-check, no pictures: the job has tests of its own."""
-    rows = (CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True),)
+    rows = (CheckRow("2rpr", "power balance", 10, 1e-15, 1e-10, True),)
     monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
     small = tuple(replace(BY_NAME[name], dt=0.02) for name in ("circle-0.5-parked", "corner-r0.025-baseline"))
     monkeypatch.setattr(job.reproduce, "__defaults__", (small,))

@@ -236,7 +236,7 @@ def test_a_plan_that_hardly_uses_its_main_actuators_crosses_against_friction():
 
 @pytest.mark.parametrize("changed", [{"draws": 0}, {"jobs": 0}])
 def test_numbers_out_of_their_domain(changed):
-    with pytest.raises(InputError, match="positive whole numbers"):
+    with pytest.raises(InputError, match="a whole number from 1"):
         robustness_study(**{"draws": 1, "jobs": 1, **changed})
 
 
