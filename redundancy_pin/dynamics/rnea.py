@@ -261,12 +261,13 @@ class RneaAlongMotion(Frozen):
         q, v, a = self.tree_motion(carriers)
         columns = robot.carrier_velocity
         samples = len(self.motion)
-        by_q, by_v, by_a = (np.empty((samples, model.nv, robot.k)) for _ in range(3))
+        by_q, by_v, by_a, mirrored = (np.empty((samples, model.nv, robot.k)) for _ in range(4))
         for i in range(samples):
             dq, dv, da = pin.computeRNEADerivatives(model, data, q[:, i], v[:, i], a[:, i])
-            by_q[i], by_v[i] = dq[:, columns], dv[:, columns]
-            # Pinocchio fills the upper triangle of the mass matrix only
-            by_a[i] = (np.triu(da) + np.triu(da, 1).T)[:, columns]
+            by_q[i], by_v[i], by_a[i], mirrored[i] = dq[:, columns], dv[:, columns], da[:, columns], da[columns].T
+        # Pinocchio fills the upper triangle of the mass matrix only
+        rows = np.arange(model.nv)
+        by_a = np.where(rows[:, None] > rows[columns], mirrored, by_a)
         loads = tree_loads(robot)
         if loads is not None:
             more = loads.carrier_derivatives(self._state(q, v, a))
