@@ -39,7 +39,7 @@ help: ## list the targets
 	@echo
 	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES and JOBS (of validate), DRAWS (of study)."
 
-test: $(STAMP) ## lint, types, import contracts, tests (eight minutes on two cores)
+test: $(STAMP) ## lint, types, import contracts, tests (five minutes on two cores)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	@if $(BIN)/python -c '$(TYPED)'; then echo "$(BIN)/mypy --strict"; $(BIN)/mypy --strict; \
