@@ -133,8 +133,9 @@ class Tracer:
             step = min(step, _LONGEST, self.cell / max(self._speed(q, tangent), 1e-9))
             new = self._solved(self._moved(q, step * tangent), tangent)
             ahead = tangent if new is None else self._tangents(new)[0]
-            last = None if new is None or self._in_mode(new) else self._end(q, new, step)
-            if new is None or abs(ahead @ tangent) < _TURN or (last is None and not self._in_mode(new)):
+            inside = new is not None and self._in_mode(new)
+            last = None if new is None or inside else self._end(q, new, step)
+            if new is None or abs(ahead @ tangent) < _TURN or (last is None and not inside):
                 step *= 0.5
                 if step < _SHORTEST:
                     break

@@ -441,17 +441,12 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
             leaves = _leaves_limits(problem, solution.position(problem))
         if not leaves.any():
             return _with_totals(solution, attempts)
-        new = _new_rows(leaves, groups)
+        # steps that get rows: where some leave limits, but for those that have theirs
+        new: BoolArray = widened(leaves, AROUND) & ~np.any([np.zeros_like(leaves), *groups], axis=0)
         if len(groups) == ROUNDS or not new.any():
             return _with_totals(replace(solution, optimal=False, feasible=False), attempts)
         groups.append(new)
         start, ways = solution, (strategy.more_rows,)
-
-
-def _new_rows(leaves: BoolArray, groups: list[BoolArray]) -> BoolArray:
-    """Return the steps (M − 1,) that get rows where some leave limits, and others have theirs."""
-    new: BoolArray = widened(leaves, AROUND) & ~np.any([np.zeros_like(leaves), *groups], axis=0)
-    return new
 
 
 def _leaves_limits(problem: Problem, position: PiecewisePolynomial, by: float = 0.0) -> BoolArray:
