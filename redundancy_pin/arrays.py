@@ -20,7 +20,7 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.intp]
 
 CLOSURE_TOLERANCE = 1e-11
-"""Largest closure gap (metres, or radians for rotation rows) a configuration may leave and still
+"""Largest closure residual (metres, or radians for rotation rows) a configuration may leave and still
 count as closed: a hundred roundings of a one-metre machine above what Newton reaches."""
 
 RANK_TOLERANCE = 1e-9

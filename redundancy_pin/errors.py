@@ -97,7 +97,7 @@ def numbered_from(first: int) -> Iterator[None]:
             raise
         message = re.sub(
             r"(?i)(\bsample |\bt\[|(?<=\d) to )(\d+)(?=\b(?!\.\d))",
-            lambda found: f"{found[1]}{int(found[2]) + first}",
+            lambda match: f"{match[1]}{int(match[2]) + first}",
             error.message,
         )
         details = {**error.details, "sample": sample + first}

@@ -30,7 +30,7 @@ from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, selected
 from redundancy_pin.robot import Coupling, Robot
-from redundancy_pin.robot.build import build, characteristic_length, put_together
+from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
@@ -254,7 +254,7 @@ def _of_mechanism(
         mode=request.working_mode,
         parameters=parameters,
         source=source_of(request.path),
-        drive_independent=not (mechanism.driven_is_said or data.get("actuated") or data.get("independent")),
+        drive_independent=not (mechanism.drives_declared or data.get("actuated") or data.get("independent")),
         couplings=mechanism.couplings,
     )
 
@@ -428,7 +428,7 @@ def made(
     chosen = dict(data)
     chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
     declaration = parse(chosen, {})
-    robot = put_together(
+    robot = robot_of_tree(
         declaration,
         model,
         name=str(declaration.name),
@@ -450,10 +450,10 @@ def made(
         selection = selected(provisional, np.array(robot.q_reference), redundant=loose, rounded=bool(source))
         kept = selection.robot
         robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
-        if selection.held:
+        if selection.fixed_spins:
             notes.append(
-                f"The spin of {', '.join(selection.held)} about the line between two balls, which moves nothing else, "
-                "is held: the second ball is a universal joint."
+                f"The spin of {', '.join(selection.fixed_spins)} about the line between two balls, which moves nothing "
+                "else, is held: the second ball is a universal joint."
             )
         if selection.left_out:
             # rows that are left say less of the side on which a weld closes: what follows starts on the right one

@@ -243,18 +243,18 @@ class Consistency:
             _require_rates(name, levels, [one.compared() for one in levels])
 
 
-def _require_rates(of: str, levels: Sequence[_Rates], found: Sequence[_Compared]) -> None:
+def _require_rates(of: str, levels: Sequence[_Rates], compared: Sequence[_Compared]) -> None:
     """Raise what ``Consistency.require`` does; levels are ``of`` and its rate, and that and its rate."""
-    bad = [(level, int(k)) for level, one in enumerate(found) for k in np.flatnonzero(one.wrong)]
+    bad = [(level, int(k)) for level, one in enumerate(compared) for k in np.flatnonzero(one.wrong)]
     if not bad:
         return
     level, k = bad[0]
     of, name = of + level * "d", of + (level + 1) * "d"
-    one = found[level]
+    one = compared[level]
     factor, sample, time = float(one.factor[k]), int(one.sample[k]), float(one.time[k])
     shown = f"as sample {sample} (t = {time:.6g} s) shows"
     # other units of time show in both rates
-    in_time = level == 0 and not (found[-1].moves & ~found[-1].wrong).any()
+    in_time = level == 0 and not (compared[-1].moves & ~compared[-1].wrong).any()
     if levels[level].still[k]:
         message = f"{of}{k} moves while {name}{k} is zero, {shown}."
     elif not one.change[k]:

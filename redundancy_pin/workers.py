@@ -220,7 +220,7 @@ def _on_cluster(
         # not waited for: a cluster that loses its last worker finishes nothing, and says so above
         if not (batch := finished.next_batch(block=False)):
             time.sleep(_POLL)
-        together: list[R] = []
+        completed: list[R] = []
         for future, result in batch:
             index = running.pop(future)
             if future.status == "error":
@@ -237,11 +237,11 @@ def _on_cluster(
             elif ordered:
                 results[index] = result
             else:
-                together.append(result)
+                completed.append(result)
         while following in results:
-            together.append(results.pop(following))
+            completed.append(results.pop(following))
             following += 1
-        yield together
+        yield completed
 
 
 def _threads(client: Any) -> int:

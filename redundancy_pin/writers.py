@@ -174,15 +174,15 @@ def constraint_of(robot: Robot, closure: Closure) -> tuple[str, list[Array]]:
     Raises:
         UnsupportedRobotError: no constraint of MuJoCo's has this mask.
     """
-    held = set(closure.axes) | _idle(robot, closure)
-    rotations = [axis for axis in AXES[3:] if axis in held]
-    if {"x", "y", "z"} <= held:
+    constrained = set(closure.axes) | _idle(robot, closure)
+    rotations = [axis for axis in AXES[3:] if axis in constrained]
+    if {"x", "y", "z"} <= constrained:
         if not any(axis.startswith("r") for axis in closure.axes):
             return "connect", [np.zeros(3)]
         if len(rotations) == 3:
             return "weld", [np.zeros(3)]
         if len(rotations) == 2:  # a hinge: two points on its axis
-            free = next(i for i in range(3) if AXES[3 + i] not in held)
+            free = next(i for i in range(3) if AXES[3 + i] not in constrained)
             return "connect", [np.zeros(3), robot.characteristic_length * np.eye(3)[free]]
     raise UnsupportedRobotError(
         f"The closure {closure.name!r} holds {', '.join(closure.axes)}, which no constraint of MuJoCo does.",
@@ -224,7 +224,7 @@ def _require_inertia(robot: Robot) -> None:
 
 def _forces(robot: Robot, *, reflected: bool) -> tuple[dict[str, dict[str, float]], Array]:
     """Return what acts in each joint, as attributes of MuJoCo's, and the armature (nv,), that of rotors in it."""
-    found: dict[str, dict[str, float]] = {}
+    forces: dict[str, dict[str, float]] = {}
     model, armature = robot.model, np.array(robot.model.armature)
     for load in robot.loads:
         if isinstance(load, Payload):  # the model has it
@@ -242,14 +242,14 @@ def _forces(robot: Robot, *, reflected: bool) -> tuple[dict[str, dict[str, float
                 joint=load.joint,
             )
         armature[model.joints[index].idx_v] += load.gear**2 * load.rotor_inertia
-        have = found.setdefault(load.joint, {"damping": 0.0, "frictionloss": 0.0})
+        have = forces.setdefault(load.joint, {"damping": 0.0, "frictionloss": 0.0})
         have["damping"] += load.damping
         have["frictionloss"] += load.friction
         if load.stiffness:  # springs side by side are one
             before, rest = have.get("stiffness", 0.0), have.get("springref", 0.0)
             have["stiffness"] = before + load.stiffness
             have["springref"] = (before * rest + load.stiffness * load.rest) / have["stiffness"]
-    return found, armature
+    return forces, armature
 
 
 def _turns_with_its_rotor(model: pin.Model, index: int) -> bool:
@@ -276,10 +276,10 @@ def _inertial(body: ElementTree.Element, inertia: pin.Inertia) -> None:
 
 
 def _site(bodies: list[ElementTree.Element], model: pin.Model, name: str, frame: str, offset: Array) -> None:
-    found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
-    place = found.placement
+    entry = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+    place = entry.placement
     quat = _quaternion(place.rotation)
-    _add(bodies[found.parentJoint], "site", name=name, pos=place.act(offset), quat=quat)
+    _add(bodies[entry.parentJoint], "site", name=name, pos=place.act(offset), quat=quat)
 
 
 def _position(model: pin.Model, q: Array) -> Array:
@@ -354,12 +354,12 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
     for index in range(1, model.njoints):
         _urdf_joint(root, model, data, index, names, forces, mimics)
     for frame in _named_frames(robot):
-        found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+        entry = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
         _add(root, "link", name=frame)
         joint = _add(root, "joint", name=f"{frame}::fixed", type="fixed")
-        _add(joint, "parent", link=names[found.parentJoint])
+        _add(joint, "parent", link=names[entry.parentJoint])
         _add(joint, "child", link=frame)
-        _origin(joint, found.placement)
+        _origin(joint, entry.placement)
     write_text(target, _xml(root))
     write_text(beside, _declaration(robot, target.name))
     return target

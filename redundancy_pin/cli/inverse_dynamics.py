@@ -174,14 +174,14 @@ class _Whole:
         self.statuses: Counter[str] = Counter()
         self.instants: list[SingularInstant] = []
         self._limits: dict[tuple[str, float], JointExcess] = {}
-        self._found: set[EffortStatus] = set()
+        self._statuses: set[EffortStatus] = set()
         self.tau = self.force = np.zeros(0)
         self.margin = self.gap = np.nan
 
     @property
     def status(self) -> EffortStatus:
         """As ``InverseDynamics.status``."""
-        return next(one for one in _WORST_FIRST if one in self._found)
+        return next(one for one in _WORST_FIRST if one in self._statuses)
 
     @property
     def joint_limits(self) -> list[JointExcess]:
@@ -201,12 +201,12 @@ class _Whole:
         tau, force = _largest(efforts.tau), _largest(reduced.carrier_force)
         self.tau, self.force = (
             (np.fmax(one, other) for one, other in ((self.tau, tau), (self.force, force)))
-            if len(self._found)
+            if len(self._statuses)
             else (tau, force)
         )
         self.margin = float(np.fmin(self.margin, np.fmin.reduce(efforts.margin)))
         self.gap = float(np.fmax(self.gap, np.fmax.reduce(reduced.gap)))
-        self._found.add(part.status)
+        self._statuses.add(part.status)
         self.unresolved = self.unresolved or part.unresolved
         for one in part.instants:
             last = self.instants[-1] if self.instants else None

@@ -78,13 +78,13 @@ def online(
 
 
 def _table(facts: Mapping[str, Any], unit: str) -> output.TextTable:
-    found: Any = facts["diagnostics"]
+    diagnostics: Any = facts["diagnostics"]
     rows = [
         ("status", facts["status"].replace("_", " ")),
         ("ticks", ", ".join(f"{count} {status}" for status, count in facts["ticks"].items() if count)),
         ("time of a tick, p50 and p99 [ms]", output.row(facts["milliseconds"].values())),
-        ("singular instants [s]", output.row(found["singular_instants"]) or "none"),
-        ("force missing there [N]", output.number(found["missing_force"])),
+        ("singular instants [s]", output.row(diagnostics["singular_instants"]) or "none"),
+        ("force missing there [N]", output.number(diagnostics["missing_force"])),
         (f"peak main effort [{unit}]", output.row(facts["peak_effort"])),
         *((name, facts[key]) for name, key in (("plan written to", "out"),) if facts[key]),
     ]

@@ -215,18 +215,18 @@ def design(**given: Any) -> None:
             iterations=given["iterations"],
             progress=lambda line: advance(min(next(steps), total - 1), total, line),
         )
-    found = table("machines", records, "what tasks cost", [Column(name, name, format=".4g") for name in ranges])
+    costs = table("machines", records, "what tasks cost", [Column(name, name, format=".4g") for name in ranges])
     facts = {"robot": given["robot"], "ranges": ranges, "parameters": parameters, "records": records}
-    _write(folder, "design", f"Machines for {', '.join(tasks)}", found, facts)
+    _write(folder, "design", f"Machines for {', '.join(tasks)}", costs, facts)
     written = f"Tables are in {folder}: design.md, design.csv, design.json."
-    report(given["as_json"], {**facts, "folder": str(folder)}, found, written)
+    report(given["as_json"], {**facts, "folder": str(folder)}, costs, written)
 
 
-def _write(folder: Path, stem: str, title: str, found: Table, facts: Mapping[str, Any]) -> None:
+def _write(folder: Path, stem: str, title: str, rows: Table, facts: Mapping[str, Any]) -> None:
     """Write a table as Markdown and CSV, and facts as JSON."""
     make_folder(folder)
-    write_text(folder / f"{stem}.md", f"# {title}\n\n{found.markdown()}\n")
-    write_text(folder / f"{stem}.csv", found.csv())
+    write_text(folder / f"{stem}.md", f"# {title}\n\n{rows.markdown()}\n")
+    write_text(folder / f"{stem}.csv", rows.csv())
     _write_json(folder / f"{stem}.json", facts)
 
 

@@ -79,22 +79,22 @@ def workspace(
             wanted["at"] = checked_poses(np.array([wanted["at"]]), "--at")[0]
         advance(0, 2, "grid")
         modes = "all" if all_modes else "own"
-        found = reached(loaded, **wanted, resolution=resolution, modes=modes)
+        space = reached(loaded, **wanted, resolution=resolution, modes=modes)
         advance(1, 2, "writing")
         if out:
-            write_text(out, csv_text(_columns(found)))
+            write_text(out, csv_text(_columns(space)))
         if plot:
             from redundancy_pin.visualisation.figures.style import save
             from redundancy_pin.visualisation.figures.workspace_map import draw_workspace
 
-            save(draw_workspace(found), plot)
-    facts = _facts(found)
-    unit = "·".join(found.units).replace("m·m·m", "m³").replace("m·m", "m²").replace("rad·rad", "rad²")
+            save(draw_workspace(space), plot)
+    facts = _facts(space)
+    unit = "·".join(space.units).replace("m·m·m", "m³").replace("m·m", "m²").replace("rad·rad", "rad²")
     rows = [
         (f"{name} [{one}]", f"{low:.6g} to {high:.6g}")
-        for (name, (low, high)), one in zip(facts["bounds"].items(), found.units, strict=True)
+        for (name, (low, high)), one in zip(facts["bounds"].items(), space.units, strict=True)
     ]
-    rows += [(f"size [{unit}]", f"{found.size:.6g}")]
+    rows += [(f"size [{unit}]", f"{space.size:.6g}")]
     for mode, one in facts["modes"].items():
         parts = f", {one['islands']} island(s) not reached from the reference" if one["islands"] else ""
         rows.append(
@@ -102,7 +102,7 @@ def workspace(
         )
     rows += [("written to", path) for path in (out, plot) if path]
     facts |= {"out": out, "plot": plot}
-    output.report(as_json, facts, output.TextTable(f"{loaded.name}: workspace over {', '.join(found.names)}", (), rows))
+    output.report(as_json, facts, output.TextTable(f"{loaded.name}: workspace over {', '.join(space.names)}", (), rows))
 
 
 def _numbers(flag: str, text: str | None, between: str = ",", count: int | None = None) -> list[float] | None:
@@ -123,27 +123,27 @@ def _numbers(flag: str, text: str | None, between: str = ",", count: int | None 
     return numbers
 
 
-def _columns(found: Workspace) -> dict[str, Any]:
-    x = found.x[:, :3, 3] if found.x.ndim == 3 else found.x
-    many = len(found.modes)
+def _columns(space: Workspace) -> dict[str, Any]:
+    x = space.x[:, :3, 3] if space.x.ndim == 3 else space.x
+    many = len(space.modes)
     return {
-        "mode": np.repeat([mode_name(mode) if mode else "" for mode in found.modes], len(x)),
+        "mode": np.repeat([mode_name(mode) if mode else "" for mode in space.modes], len(x)),
         "x": np.tile(x, (many, 1)),
-        "reachable": found.reachable.ravel().astype(int),
-        "in_range": found.in_range.ravel().astype(int),
-        "margin": found.margin.ravel(),
-        "serial_margin": found.serial_margin.ravel(),
-        "island": found.island.ravel(),
+        "reachable": space.reachable.ravel().astype(int),
+        "in_range": space.in_range.ravel().astype(int),
+        "margin": space.margin.ravel(),
+        "serial_margin": space.serial_margin.ravel(),
+        "island": space.island.ravel(),
     }
 
 
-def _facts(found: Workspace) -> dict[str, Any]:
-    parts = zip(found.modes, found.reachable, found.in_range, found.island, strict=True)
+def _facts(space: Workspace) -> dict[str, Any]:
+    parts = zip(space.modes, space.reachable, space.in_range, space.island, strict=True)
     return {
-        "robot": found.robot.name,
-        "bounds": {name: [axis[0], axis[-1]] for name, axis in zip(found.names, found.axes, strict=True)},
-        "nodes": int(found.reachable[0].size),
-        "size": found.size,
+        "robot": space.robot.name,
+        "bounds": {name: [axis[0], axis[-1]] for name, axis in zip(space.names, space.axes, strict=True)},
+        "nodes": int(space.reachable[0].size),
+        "size": space.size,
         "modes": {
             mode_name(mode) if mode else "": {
                 "reachable": int(reachable.sum()),

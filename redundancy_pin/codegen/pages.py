@@ -55,7 +55,7 @@ def source(robot: Robot, prefix: str) -> str:
     named = re.sub(r"\brobot_(?=[a-z])", f"{prefix}_", re.sub(r"\bROBOT_(?=[A-Z])", f"{prefix.upper()}_", text))
     return "\n".join(
         [
-            f"/* {_plain(robot.name)}, written by redundancy_pin {redundancy_pin.__version__}; see {prefix}.h. */",
+            f"/* {_as_comment(robot.name)}, written by redundancy_pin {redundancy_pin.__version__}; see {prefix}.h. */",
             f'#include "{prefix}.h"',
             driver_source(definition, functions, "static"),
             *(f"#define {name} {value!r}" for name, value in constants.items()),
@@ -102,13 +102,13 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
     names = list(platform.axes) if platform else list(robot.independent_joints)
     turning = [axis.startswith("r") for axis in platform.axes] if platform else _turning(robot, names)
     lengths = [name for name, turns in zip(names, turning, strict=True) if not turns or not platform]
-    frame = f"of frame {_plain(platform.frame)} in the base frame" if platform else "of the independent joints"
+    frame = f"of frame {_as_comment(platform.frame)} in the base frame" if platform else "of the independent joints"
     rates = _units(names, turning, "m/s", "rad/s")
-    closures = [_plain(name) for name in robot.constraint_names]
+    closures = [_as_comment(name) for name in robot.constraint_names]
     jacobian = recorded.closure
     return {
         "version": redundancy_pin.__version__,
-        "title": _plain(robot.name),
+        "title": _as_comment(robot.name),
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "n": robot.n,
@@ -135,8 +135,8 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "efforts": _of_joints(robot, robot.actuated, "N", "N m"),
         "drives": _of_joints(robot, robot.actuated, "m", "rad"),
         "closures": ", ".join(closures),
-        "velocities": ", ".join(_plain(name) for name in model.names[1:]),
-        "parameters": [(_plain(name), _plain(str(value))) for name, value in robot.parameters.items()],
+        "velocities": ", ".join(_as_comment(name) for name in model.names[1:]),
+        "parameters": [(_as_comment(name), _as_comment(str(value))) for name, value in robot.parameters.items()],
         "samples": len(recorded),
         "recorded": ",\n".join(_record(robot, recorded, i) for i in range(len(recorded))),
         "closure": _listed([*jacobian.tolist(), [0.0] * model.nv]),
@@ -145,12 +145,12 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "gamma_scale": repr(float(np.abs(recorded.gamma).max())),
         "row_scale": _listed(row_scale(robot)),
         "residual_scale": repr(float(1.0 / row_scale(robot).min())),
-        "far": next((i for i, name in enumerate(names) if name in lengths and _is_plain(robot, name)), None),
-        "far_drive": next((i for i, name in enumerate(robot.actuated) if _is_plain(robot, name)), None),
+        "far": next((i for i, name in enumerate(names) if name in lengths and _is_scalar(robot, name)), None),
+        "far_drive": next((i for i, name in enumerate(robot.actuated) if _is_scalar(robot, name)), None),
     } | ({"far": 3} if pose else {})
 
 
-def _is_plain(robot: Robot, name: str) -> bool:
+def _is_scalar(robot: Robot, name: str) -> bool:
     """Whether a coordinate has one number that does not come back to itself: no endless joint."""
     model = robot.model
     return not model.existJointName(name) or int(model.joints[model.getJointId(name)].nq) == 1
@@ -190,7 +190,7 @@ def _listed(values: ArrayLike) -> str:
     return repr(number) if np.isfinite(number) else "INFINITY" if number > 0.0 else "-INFINITY"
 
 
-def _plain(text: str) -> str:
+def _as_comment(text: str) -> str:
     """Return a name from a file as a comment can hold it: nothing that ends one, no line, no trigraph."""
     return re.sub(r"[^A-Za-z0-9_.:+ -]", "_", text)[:80]
 
@@ -204,5 +204,7 @@ def _of_joints(robot: Robot, names: Sequence[str], straight: str, turned: str) -
 
 
 def _units(names: Sequence[str], turning: Sequence[bool], straight: str, turned: str) -> str:
-    listed = (f"{_plain(name)} [{turned if turns else straight}]" for name, turns in zip(names, turning, strict=True))
+    listed = (
+        f"{_as_comment(name)} [{turned if turns else straight}]" for name, turns in zip(names, turning, strict=True)
+    )
     return ", ".join(listed)

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
 from redundancy_pin.crosscheck.cases import Case
-from redundancy_pin.crosscheck.closed_forward import ClosedForward, held_in_planes
+from redundancy_pin.crosscheck.closed_forward import ClosedForward, confined_to_planes
 from redundancy_pin.crosscheck.load_power import load_efforts, load_energy, load_power
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
@@ -214,7 +214,7 @@ def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Dev
     effort[robot.carrier_velocity] = reduced.carrier_force.T
     if robot.loads:  # Pinocchio's solver knows none
         effort -= load_efforts(robot, motion, q, v, a)
-    pointed = has_point_closures(robot) and held_in_planes(robot, q[:, 0], v[:, 0])
+    pointed = has_point_closures(robot) and confined_to_planes(robot, q[:, 0], v[:, 0])
     solve = ConstraintDynamics(robot) if pointed else ClosedForward(robot)
     forward = np.array([solve(q[:, k], v[:, k], effort[:, k]) for k in keep]).reshape(len(keep), len(v))
     yield name, relative(forward, a.T[keep]), ROUND_TRIP

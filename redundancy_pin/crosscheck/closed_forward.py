@@ -26,7 +26,7 @@ _IDLE = 1e-12
 """Rounding of a row of a one-metre machine."""
 
 
-def held_in_planes(robot: Robot, q: Array, v: Array) -> bool:
+def confined_to_planes(robot: Robot, q: Array, v: Array) -> bool:
     """Return whether points that are held along x and y cannot leave that plane at all, as in a plane machine.
 
     A third row that only rounding makes independent would be a constraint of its own for Pinocchio's solver.
@@ -64,11 +64,11 @@ class ClosedForward:
 
     def rows(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return J (r, nv) and J̇ v (r,) of closures and couplings."""
-        model, data, found = self._model, self._data, []
+        model, data, rows = self._model, self._data, []
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         pin.computeJointJacobians(model, data)
         for closure in self._robot.closures:
-            found += self._closure(closure)
+            rows += self._closure(closure)
         for each in self._robot.couplings:
             powers = np.polynomial.Polynomial(each.polynomial)
             row, own = np.zeros(model.nv), model.joints[model.getJointId(each.joint)]
@@ -77,8 +77,8 @@ class ClosedForward:
                 other = model.joints[model.getJointId(each.of)]
                 row[other.idx_v] -= powers.deriv()(q[other.idx_q])
                 bend = -float(powers.deriv(2)(q[other.idx_q])) * v[other.idx_v] ** 2
-            found.append((row, bend))
-        return np.array([row for row, _ in found]), np.array([bias for _, bias in found])
+            rows.append((row, bend))
+        return np.array([row for row, _ in rows]), np.array([bias for _, bias in rows])
 
     def _closure(self, closure: Closure) -> list[tuple[Array, float]]:
         model, data, world = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
@@ -90,7 +90,7 @@ class ClosedForward:
         (first, second), (Ja, Jb) = places, jacobians
         r = second.translation - first.translation
         omega, alpha = speeds[0].angular, seconds[0].angular
-        found = []
+        rows = []
         for axis in closure.axes:
             place = AXES.index(axis)
             e = first.rotation[:, place % 3]
@@ -110,5 +110,5 @@ class ClosedForward:
                     )
                 row = e @ (Jb - Ja)[3:]
                 bias = e @ (seconds[1].angular - alpha) + turned @ (speeds[1].angular - omega)
-            found.append((row, float(bias)))
-        return found
+            rows.append((row, float(bias)))
+        return rows

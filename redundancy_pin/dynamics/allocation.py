@@ -206,8 +206,8 @@ def fit_into_bounds(
     rows = np.broadcast_to(np.eye(m), (len(efforts), m, m)) if rows is None else rows
     directions = np.linalg.svd(matrices, full_matrices=True)[2]
     # y = √cost u / size: the cost is then a length, and tolerances are relative to the largest effort at stake
-    held = np.einsum("Ncj,Nj->Nc", rows, efforts)
-    size = np.maximum(np.abs(efforts).max(axis=1), np.abs(np.clip(held, lower, upper)).max(axis=1))[:, None]
+    row_values = np.einsum("Ncj,Nj->Nc", rows, efforts)
+    size = np.maximum(np.abs(efforts).max(axis=1), np.abs(np.clip(row_values, lower, upper)).max(axis=1))[:, None]
     bounded = rows / root
     reach = np.linalg.norm(bounded, axis=2)
     for freedom in np.unique(rank[rank < m]):
@@ -239,7 +239,7 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, r
         return np.array([np.linalg.norm(A @ least_miss(A, g, low, high) - g) for A, g, low, high in boxes])
     import daqp
 
-    found = []
+    residuals = []
     for A, g, C, low, high in zip(matrices, forces, rows, lower, upper, strict=True):
         H = A.T @ A
         H += _STEADY * max(np.trace(H), 1.0) * np.eye(m)
@@ -247,8 +247,8 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, r
         sides = (np.clip(high / size, -_FAR, _FAR), np.clip(low / size, -_FAR, _FAR))
         sense = np.zeros(len(C), dtype=np.int32)
         u, _, flag, _ = daqp.solve(H, -A.T @ g / size, np.ascontiguousarray(C), *sides, sense, **_SETTINGS)
-        found.append(float(np.linalg.norm(size * (A @ u) - g)) if flag > 0 else np.inf)
-    return np.array(found)
+        residuals.append(float(np.linalg.norm(size * (A @ u) - g)) if flag > 0 else np.inf)
+    return np.array(residuals)
 
 
 class AllocationStatus(Enum):

@@ -45,7 +45,7 @@ class ReducedDynamics(Frozen):
         W: (N, n, m) actuation matrix; its transpose maps ẋ to the actuated joint rates.
         carrier_force: (N, k) force of each carrier's own actuator, N.
         reachable: (N,) false where no configuration closes the chains (f, W, carrier_force are NaN there).
-        gap: (N,) closure gap left by the kinematics, m; the distance to the nearest closed configuration
+        gap: (N,) closure residual left by the kinematics, m; the distance to the nearest closed configuration
             found where ``reachable`` is false.
         row_scale: (n,) the characteristic length for rotations, 1 for translations: dividing row i of W and f by it
             turns moments into forces.

@@ -459,9 +459,9 @@ def _check_tolerances(**tolerances: float) -> None:
 def _within_bounds(problem: _Problem, efforts: Array, rank: IntArray) -> tuple[Array, BoolArray]:
     """Return (N, m) efforts within the bounds, and (N,) where there are none although there are efforts."""
     bounded = np.clip(efforts, problem.lower, problem.upper)
-    held = np.einsum("Ncj,Nj->Nc", problem.rows, efforts)
+    row_values = np.einsum("Ncj,Nj->Nc", problem.rows, efforts)
     both = (np.concatenate(pair, axis=1) for pair in (
-        (efforts, held), (problem.lower, problem.row_lower), (problem.upper, problem.row_upper)
+        (efforts, row_values), (problem.lower, problem.row_lower), (problem.upper, problem.row_upper)
     ))  # fmt: skip
     at = leaves_bounds(*both)
     if at.any():

@@ -134,7 +134,7 @@ class Rules:
         between: rad; joints move no farther between two looks at the rank of the closures.
         near_rank: ratio of singular values below which a rank loss may be near.
         shortest: s; the shortest ordinary step.
-        gap, gap_limit: m; what a projection is to reach, and what it must not leave.
+        tolerance, largest_residual: m; what a projection is to reach, and what it must not leave.
         jump, stir: share of the largest velocity, and amount, that a projection may change a velocity by.
         rank_tolerance, least_inertia: below which closures count as lost, and a motion as massless.
     """
@@ -156,8 +156,8 @@ class Rules:
     between: float
     near_rank: float
     shortest: float
-    gap: float
-    gap_limit: float
+    tolerance: float
+    largest_residual: float
     jump: float
     stir: float
     rank_tolerance: float
@@ -222,8 +222,8 @@ class ForwardKernel(Protocol):
     ) -> Accelerations | None:
         """Return the same with the forces that go with it."""
 
-    def project(self, y: Array, gap: float) -> tuple[Array, float, float] | None:
-        """Return the closed state nearest to y (nq + nv,), the gap that y had and the gap left, m; None if none is."""
+    def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
+        """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
 
     def equations(self, q: Array, v: Array) -> Equations:
         """Return the equations of the tree and its closures at a state."""

@@ -332,13 +332,13 @@ def _instants(
         dynamics = dynamics.for_robot(replace(dynamics.robot, loads=loads))
     reduced = dynamics.reduce(among, moved, unreachable=unreachable, check_track=False)
     solved = distribute(reduced, consistency_tolerance=_CONSISTENT, rank_tolerance=_AT_INSTANT)
-    found = []
+    instants = []
     for one, k in zip(met, np.searchsorted(time, t).tolist(), strict=True):
         if solved.rank[k] == min(reduced.W.shape[1:]):
             continue  # the closures lose rank there, W on the branch that goes through does not
         status, residual = SampleStatus(solved.status[k]), float(solved.residual[k])
-        found.append(SingularInstant(one.t, one.until, one.kind, one.crosses, status, residual))
-    return tuple(found)
+        instants.append(SingularInstant(one.t, one.until, one.kind, one.crosses, status, residual))
+    return tuple(instants)
 
 
 def _is_sampled(load: Load) -> TypeGuard[Wrench]:

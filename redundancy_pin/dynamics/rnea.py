@@ -66,7 +66,7 @@ class RneaSample(Frozen):
         f: (n,) generalised force, N and N·m, in the base frame.
         carrier_force: (k,) force of each carrier's own actuator, N.
         point: the pose, its configuration q (nq,) with carriers at zero, and Γ (nv, n).
-        gap: closure gap, m or rad.
+        gap: closure residual, m or rad.
         serial_margin_bound: lower bound of the distance to a type I singularity, scaled.
     """
 
@@ -138,9 +138,9 @@ class RneaDynamics(Dynamics):
                 f"start is a {type(start).__name__}, expected what an earlier sample of RneaDynamics returned.",
                 remedy="Pass that, or leave it out.",
             )
-        plain = self._plain_sample((x, xd, xdd, s, sd, sdd), start, t)
-        if plain is not None:
-            return plain
+        sample = self._direct_sample((x, xd, xdd, s, sd, sdd), start, t)
+        if sample is not None:
+            return sample
         motion, carriers = one_sample(robot, x, xd, xdd, s, sd, sdd, t=t)
         tree = lift(robot, motion, start=None if start is None else start.point)
         one = RneaAlongMotion(tree).reduce(carriers)
@@ -150,7 +150,7 @@ class RneaDynamics(Dynamics):
         point = Point(motion.x[0], tree.q[0], tree.gamma[0], side)
         return RneaSample(one.W[0], one.f[0], one.carrier_force[0], point, float(tree.gap[0]), margin)
 
-    def _plain_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
+    def _direct_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
         """Return a sample that needs neither a second look at its kinematics nor a word about its input."""
         robot, follower = self._robot, tracker(self._robot, many=True)
         try:
@@ -411,8 +411,8 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     rest = along.tree_effort(carriers).T.copy()
     rest[:, robot.actuated_velocity] -= effort
     rest[~usable] = 0.0
-    found, left, determined = closure_multipliers(robot, state, rest[:, :, None], usable)
-    multipliers = found[:, :, 0]
+    stacked, left, determined = closure_multipliers(robot, state, rest[:, :, None], usable)
+    multipliers = stacked[:, :, 0]
     forces = _closure_wrenches(robot, state, multipliers)
     loads, (q, v, a) = tree_loads(robot), along.tree_motion(carriers)
     for joint, load in ({} if loads is None else loads.bodies(along._state(q, v, a))).items():

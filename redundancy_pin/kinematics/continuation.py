@@ -304,7 +304,7 @@ def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, mo
 
 
 class Carried(NamedTuple):
-    """M poses at a rank loss: q (M, nq), Γ (M, nv, n), v and a (M, nv), closure gap (M,)."""
+    """M poses at a rank loss: q (M, nq), Γ (M, nv, n), v and a (M, nv), closure residual (M,)."""
 
     q: Array
     gamma: Array

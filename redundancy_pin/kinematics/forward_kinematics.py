@@ -99,7 +99,7 @@ class ForwardKinematics(Frozen):
         jacobian: (N, n, m) ẋ per rate of each main actuator; of redundant ones those that were followed have columns,
             the others zeros.
         status: (N,) a ``ForwardStatus`` each.
-        gap: (N,) closure gap, m or rad; of redundant motors also what they contradict each other by.
+        gap: (N,) closure residual, m or rad; of redundant motors also what they contradict each other by.
         margin: (N,) lower bound of the scaled distance to type II, as ``TreeMotion.serial_margin_bound``.
         excess: (N, joints) how far each joint of the model is beyond its range, m or rad, not positive inside.
     """
@@ -392,8 +392,8 @@ def _turns(system: ConstraintSystem, q: Array) -> Array:
     first, last = np.repeat(before, parts, axis=0), np.cumsum(parts)
     share = (np.arange(last[-1]) - np.repeat(last - parts, parts) + 1.0) / np.repeat(parts, parts)
     path = integrate(robot.model, first, share[:, None] * np.repeat(step, parts, axis=0))
-    on_the_way = np.concatenate([before[:1], path])
-    x = np.concatenate([coordinates(robot, system.evaluate(on_the_way[part])) for part in blocks(len(on_the_way))])
+    between = np.concatenate([before[:1], path])
+    x = np.concatenate([coordinates(robot, system.evaluate(between[part])) for part in blocks(len(between))])
     for column in columns:
         turns[:, column] = (np.unwrap(x[:, column]) - x[:, column])[last]
     return turns
@@ -409,7 +409,7 @@ class AssemblyModes(Frozen):
         x: (M, n) coordinates or (M, 4, 4) poses of the platform.
         margin: (M,) lower bound of the scaled distance to type II, where modes meet.
         in_range: (M,) whether all joints are within their limits.
-        found: (M,) how many random starts led to each.
+        hits: (M,) how many random starts led to each.
         unseen: estimated chance that one more start finds another mode (Good and Turing: the share of modes that were
             found once among all successful starts).
     """
@@ -419,7 +419,7 @@ class AssemblyModes(Frozen):
     x: Array
     margin: Array
     in_range: BoolArray
-    found: IntArray
+    hits: IntArray
     unseen: float
 
     def __len__(self) -> int:
@@ -450,7 +450,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     motors = constraint_system(_driven(robot, tuple(robot.actuated[j] for j in followed)))
     model, columns, rng = robot.model, motors.pose_columns, np.random.default_rng(_SEED)
     spread = np.where(turning_velocities(robot)[columns], np.pi, robot.characteristic_length)
-    q, keys, found = np.zeros((0, model.nq)), np.zeros((0, 0)), np.zeros(0, dtype=np.intp)
+    q, keys, hits = np.zeros((0, model.nq)), np.zeros((0, 0)), np.zeros(0, dtype=np.intp)
     gap, starts = np.inf, 0
     while starts < (most_starts if len(q) else min(most_starts, _IN_VAIN)):
         steps = np.zeros((_STARTS, model.nv))
@@ -465,10 +465,10 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
             keys = keys.reshape(len(q), key.shape[1])
             same = np.flatnonzero(np.abs(keys - key).max(axis=1) < _SAME_MODE * robot.characteristic_length)
             if len(same):
-                found[same[0]] += 1
+                hits[same[0]] += 1
             else:
-                q, keys, found = np.concatenate([q, one[None]]), np.concatenate([keys, key]), np.append(found, 1)
-        if (found == 1).sum() < _SEEN * found.sum() and found.mean() >= _OFTEN:
+                q, keys, hits = np.concatenate([q, one[None]]), np.concatenate([keys, key]), np.append(hits, 1)
+        if (hits == 1).sum() < _SEEN * hits.sum() and hits.mean() >= _OFTEN:
             break
     if not len(q):
         raise UnreachablePoseError(
@@ -481,14 +481,14 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     order = np.argsort(np.abs(keys - _frames(robot, reference)).max(axis=1), kind="stable")
     q = q[order]
     margin = project(motors, motors.evaluate(q)).margin
-    unseen = float((found == 1).sum() / found.sum())
+    unseen = float((hits == 1).sum() / hits.sum())
     x = coordinates(robot, system.evaluate(q))
     shown = (
         read_only(q),
         read_only(x),
         margin,
         read_only(~out_of_range(robot, q, motion=False)),
-        read_only(found[order]),
+        read_only(hits[order]),
     )
     return AssemblyModes(robot, *shown, unseen)
 

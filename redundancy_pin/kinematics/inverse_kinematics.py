@@ -34,7 +34,7 @@ class PoseSolution(NamedTuple):
 
     Attributes:
         q: (nq,) the configuration; where none closes in the working mode, the one with the smallest gap.
-        gap: its closure gap, m or rad.
+        gap: its closure residual, m or rad.
         in_mode: whether it closes in the working mode.
     """
 

@@ -79,7 +79,7 @@ class TreeMotion(Frozen):
         a: (N, nv) tree accelerations, a = Γ ẍ + the part due to J̇_c v and J̇_x v.
         gamma: (N, nv, n) velocity per unit of each independent velocity, J_c Γ = 0.
         W: (N, n, m) actuation matrix, Γᵀ Sᵀ.
-        gap: (N,) closure gap, m or rad.
+        gap: (N,) closure residual, m or rad.
         reachable: (N,) false where no configuration was found in the working mode, and at a type I singularity; q, v,
             a, gamma and W are NaN there.
         serial_margin_bound: (N,) lower bound of the distance to a type I singularity, scaled; see

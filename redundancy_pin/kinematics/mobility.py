@@ -67,8 +67,8 @@ def _left_free(system: ConstraintSystem) -> str:
         for name, joint in zip(robot.model.names, robot.model.joints, strict=True)
         if moving & set(range(joint.idx_v, joint.idx_v + joint.nv))
     ]
-    held = f"{robot.platform.frame!r} held along its axes" if robot.platform else "the independent joints held"
-    return f" With {held}, these joints still move: {', '.join(names)}." if names else ""
+    fixed = f"{robot.platform.frame!r} held along its axes" if robot.platform else "the independent joints held"
+    return f" With {fixed}, these joints still move: {', '.join(names)}." if names else ""
 
 
 def check_reference_rank(system: ConstraintSystem) -> None:

@@ -56,7 +56,7 @@ class Selection(NamedTuple):
     robot: Robot
     left_out: tuple[str, ...]
     opened: float
-    held: tuple[str, ...]
+    fixed_spins: tuple[str, ...]
     independent: tuple[str, ...]
     q: Array
 
@@ -80,10 +80,10 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool) -> Selec
     if redundant and (robot.closures or robot.couplings):
         robot, left_out, opened = _without_redundant_rows(robot, q, _ROUNDED if rounded else STAYS_CLOSED)
     independent, loose = _independent(robot, q)
-    held = tuple(name for name in loose if redundant and _spins(robot, name, q) is not None)
-    for name in held:
-        robot = _with_spin_held(robot, name, q)
-    if held:
+    fixed_spins = tuple(name for name in loose if redundant and _spins(robot, name, q) is not None)
+    for name in fixed_spins:
+        robot = _with_spin_fixed(robot, name, q)
+    if fixed_spins:
         independent, loose = _independent(robot, q)
     if loose:
         balls = tuple(name for name in loose if robot.model.joints[robot.model.getJointId(name)].nq == 4)
@@ -94,7 +94,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool) -> Selec
             joints=loose,
             **({"balls": balls} if balls == loose else {}),
         )
-    return Selection(robot, left_out, opened, held, independent, q)
+    return Selection(robot, left_out, opened, fixed_spins, independent, q)
 
 
 def _spins(robot: Robot, joint: str, q: Array) -> tuple[int, Array, Array] | None:
@@ -117,12 +117,12 @@ def _spins(robot: Robot, joint: str, q: Array) -> tuple[int, Array, Array] | Non
     return (ends[0][0], near, far) if np.linalg.norm(far - near) > RANK_TOLERANCE else None
 
 
-def _with_spin_held(robot: Robot, joint: str, q: Array) -> Robot:
+def _with_spin_fixed(robot: Robot, joint: str, q: Array) -> Robot:
     """Return the robot with one row more: a universal joint in place of the second of two balls on a rod."""
-    found = _spins(robot, joint, q)
-    if found is None:
+    rod = _spins(robot, joint, q)
+    if rod is None:
         return robot
-    number, near, far = found
+    number, near, far = rod
     closure, model = robot.closures[number], pin.Model(robot.model)
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)

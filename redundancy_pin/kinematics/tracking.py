@@ -41,7 +41,7 @@ _REACHED, _ROUNDED = 1e-13, 1e-14
 
 
 class Tracked(NamedTuple):
-    """A pose reached on a branch: the point, the rows there, K⁻¹ (p, r + n), closure gap (m or rad), scaled margin."""
+    """A pose reached on a branch: the point, the rows there, K⁻¹ (p, r + n), residual (m or rad), scaled margin."""
 
     point: Point
     rows: PlacedRows

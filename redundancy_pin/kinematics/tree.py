@@ -189,12 +189,12 @@ class TreeKinematics:
                 jacobian[:3, at] = cross(origin, axis)
             rotations.append(_wide(rotation, samples))
             origins.append(_wide(origin, samples))
-        found: list[tuple[Array, Array]] = [(columns, columns)] * len(self._names)
+        placements: list[tuple[Array, Array]] = [(columns, columns)] * len(self._names)
         for numbers, fixed in self._ends:
             turned, origin = (_wide(part, samples) for part in fixed.place(rotations, origins))
             for k, number in enumerate(numbers):
-                found[number] = turned[:, :, k], origin[:, k]
-        by_name = dict(zip(self._names, found, strict=True))
+                placements[number] = turned[:, :, k], origin[:, k]
+        by_name = dict(zip(self._names, placements, strict=True))
         frame_rotation, frame_origin = ({name: one[k] for name, one in by_name.items()} for k in (0, 1))
         return TreePose(frame_rotation, frame_origin, jacobian, samples)
 
@@ -217,13 +217,13 @@ class TreeKinematics:
             else:
                 velocities.append(joints.fixed.source.of(velocities) + own)
                 accelerations.append(joints.fixed.source.of(accelerations) + _spatial_cross(velocities[-1], own))
-        found = [(np.zeros((6, pose.samples)),) * 2] * len(self._names)
+        motions = [(np.zeros((6, pose.samples)),) * 2] * len(self._names)
         for numbers, fixed in self._ends:
             if fixed.constant is None:
                 velocity, acceleration = fixed.source.of(velocities), fixed.source.of(accelerations)
                 for k, number in enumerate(numbers):
-                    found[number] = velocity[:, k], acceleration[:, k]
-        return dict(zip(self._names, found, strict=True))
+                    motions[number] = velocity[:, k], acceleration[:, k]
+        return dict(zip(self._names, motions, strict=True))
 
 
 _FEW = 300

@@ -190,8 +190,8 @@ def closure_rank_losses(
         there = dynamics.along(platform.sample_at(every), unreachable="mark").closure_margin()
         return there[np.searchsorted(every, times)]
 
-    found = [zero.t for zero in zeros(margin, t, RANK_LOST)] if len(t) > 1 else []
-    return [{"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in found]
+    roots = [zero.t for zero in zeros(margin, t, RANK_LOST)] if len(t) > 1 else []
+    return [{"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in roots]
 
 
 def _too_fast(

@@ -75,14 +75,14 @@ class PlanTable(Frozen):
 
     def columns(self) -> dict[str, tuple[str, Array]]:
         """Return unit and values (N,) of each column by its name: ``t``, ``joint.position``, ..., ``platform.x``."""
-        found: dict[str, tuple[str, Array]] = {"t": ("s", self.t)}
+        columns: dict[str, tuple[str, Array]] = {"t": ("s", self.t)}
         for j, joint in enumerate(self.joints):
             for quantity in QUANTITIES:
                 values = getattr(self, quantity)[:, j]
-                found[f"{joint}.{quantity}"] = (self.joint_units[quantity][j], values)
+                columns[f"{joint}.{quantity}"] = (self.joint_units[quantity][j], values)
         for j, (name, unit) in enumerate(zip(self.coordinates, self.coordinate_units, strict=True)):
-            found[name] = (unit, self.x[:, j])
-        return found
+            columns[name] = (unit, self.x[:, j])
+        return columns
 
 
 def plan_table(
@@ -166,8 +166,8 @@ def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> tuple[Ar
     reference, functions = plan_reference(plan, robot=robot), plan.functions_of_time
     start, end = float(plan.t[0]), float(plan.t[-1])
     slack = ROUNDED * (end - start)  # jumps of one instant, from different functions, differ by rounding
-    found = [functions.platform.breaks, functions.carriers.derivative(2).jumps(), reference.jumps]
-    inner = np.concatenate(found)
+    breaks = [functions.platform.breaks, functions.carriers.derivative(2).jumps(), reference.jumps]
+    inner = np.concatenate(breaks)
     jumps = apart(np.concatenate([[start], inner[(inner > start + slack) & (inner < end - slack)], [end]]))[1:-1]
     times = start + sample_times(end - start, jumps - start if two_sided else jumps[:0], 1.0 / rate, None, two_sided)
     times[-1] = end
@@ -254,9 +254,9 @@ def write_mat(table: PlanTable, path: str | Path) -> None:
     from scipy.io import savemat
 
     def cells(names: tuple[str, ...]) -> Any:
-        found = np.empty(len(names), dtype=object)
-        found[:] = names
-        return found
+        column = np.empty(len(names), dtype=object)
+        column[:] = names
+        return column
 
     data = {
         **{key: value for key, value in table.about.items() if value is not None},

@@ -356,13 +356,13 @@ _Entry = tuple[tuple[str, ...], tuple[float, ...]]
 
 
 def _by_name(entries: Sequence[Coupling | tuple[str, float, float]]) -> dict[str, _Entry]:
-    found: dict[str, _Entry] = {}
+    entries_by_name: dict[str, _Entry] = {}
     for each in entries:
         if isinstance(each, Coupling):
-            found[each.name] = (each.joint, each.of), each.polynomial
+            entries_by_name[each.name] = (each.joint, each.of), each.polynomial
         else:
-            found[each[0]] = (), each[1:]
-    return found
+            entries_by_name[each[0]] = (), each[1:]
+    return entries_by_name
 
 
 def _alike(one: _Entry | None, other: _Entry | None) -> bool:

@@ -57,7 +57,7 @@ def build(
         tree = replace(tree, joints=tuple(joint for joint in tree.joints if joint.name not in replaced))
     model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
     name = path.parent.name if declaration.name is None else str(declaration.name)
-    robot = put_together(
+    robot = robot_of_tree(
         declaration,
         model,
         name=name,
@@ -75,21 +75,21 @@ def build(
 
 def _frictions(declaration: Declaration, tree: Tree) -> tuple[list[JointForces], tuple[str, ...]]:
     """Return what the URDF says of friction in joints, but for joints that the declaration speaks of; and notes."""
-    stated = [joint for joint in tree.joints if joint.dynamics and joint.kind != "fixed"]
-    if stated and not declaration.urdf_dynamics:
-        names = ", ".join(joint.name for joint in stated)
+    with_friction = [joint for joint in tree.joints if joint.dynamics and joint.kind != "fixed"]
+    if with_friction and not declaration.urdf_dynamics:
+        names = ", ".join(joint.name for joint in with_friction)
         return [], (f"Friction of the URDF is not in force (urdf_dynamics: false): {names}.",)
     declared = {entry.joint for entry in declaration.joint_forces}
-    single = [joint for joint in stated if joint.kind not in ("planar", "floating")]
+    single = [joint for joint in with_friction if joint.kind not in ("planar", "floating")]
     notes = tuple(
         f"Friction of the {joint.kind} joint {joint.name} is not in force: it has several freedoms."
-        for joint in stated
+        for joint in with_friction
         if joint not in single
     )
     return [JointForces(joint.name, **joint.dynamics) for joint in single if joint.name not in declared], notes
 
 
-def put_together(
+def robot_of_tree(
     declaration: Declaration,
     model: pin.Model,
     *,

@@ -121,7 +121,7 @@ class CouplingEntry(Schema):
 
     @field_validator("polynomial")
     @classmethod
-    def _held(cls, polynomial: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    def _one_number_if_fixed(cls, polynomial: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         if len(polynomial) > 1 and not info.data.get("of", "?"):
             raise ValueError("one number, where the joint is held; `of` names a joint to follow")
         return polynomial

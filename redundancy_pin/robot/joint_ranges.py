@@ -96,15 +96,15 @@ def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
     Carriers have tracks, which ``reduce`` and planners hold against their motion. A URDF gives equal ends where it
     knows no limits; joints of several freedoms have none here.
     """
-    model, found = robot.model, []
+    model, ranges = robot.model, []
     for column, (name, joint) in enumerate(zip(list(model.names)[1:], list(model.joints)[1:], strict=True)):
         if joint.nq != 1 or name in robot.carriers:
             continue
         lower, upper = (float(ends[joint.idx_q]) for ends in (model.lowerPositionLimit, model.upperPositionLimit))
         if lower < upper:
             turns = not slides(joint)
-            found.append(JointRange(column, str(name), int(joint.idx_q), turns, lower, upper))
-    return tuple(found)
+            ranges.append(JointRange(column, str(name), int(joint.idx_q), turns, lower, upper))
+    return tuple(ranges)
 
 
 def range_excess(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = MappingProxyType({})) -> Array:
@@ -137,7 +137,7 @@ def beyond_limits(robot: Robot, q: Array, t: Array, turns: Turns = MappingProxyT
         t: (N,) their times, s.
         turns: those of earlier parts of the motion.
     """
-    found = []
+    excesses = []
     known = np.isfinite(q).all(axis=1)
     if not known.any():
         return ()
@@ -149,5 +149,5 @@ def beyond_limits(robot: Robot, q: Array, t: Array, turns: Turns = MappingProxyT
             if excess.max() > ROUNDING:
                 first, worst = int(np.argmax(excess > ROUNDING)), int(np.argmax(excess))
                 when = float(t[first]), float(t[worst]), float(value[worst])
-                found.append(JointExcess(joint.name, *when, limit, "rad" if joint.turns else "m"))
-    return tuple(found)
+                excesses.append(JointExcess(joint.name, *when, limit, "rad" if joint.turns else "m"))
+    return tuple(excesses)

@@ -141,8 +141,8 @@ def shipped_robots(*, gallery: bool = True) -> tuple[str, ...]:
 def shipped_sources() -> tuple[str, ...]:
     """Return what names each shipped robot whatever folders there are: ``2rpr``, ``gallery/delta``."""
     root = models_root()
-    found = (path for pattern in ("*/robot.yaml", f"{_GALLERY}/*/robot.yaml") for path in root.glob(pattern))
-    return tuple(path.parent.relative_to(root).as_posix() for path in found)
+    declarations = (path for pattern in ("*/robot.yaml", f"{_GALLERY}/*/robot.yaml") for path in root.glob(pattern))
+    return tuple(path.parent.relative_to(root).as_posix() for path in declarations)
 
 
 def source_in(folder: Path, source: str) -> str:

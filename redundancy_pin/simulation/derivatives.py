@@ -276,10 +276,10 @@ def linearise_along(
     With machine code its derivatives, of the same symbols, are taken for all states at once.
     """
     loads = list(zip(states, tau, carrier_force, strict=True))
-    found = None if kernel is None else [_code_acceleration(robot, kernel, *one) for one in loads]
-    if kernel is None or found is None or any(a is None for a in found):
+    accelerations = None if kernel is None else [_code_acceleration(robot, kernel, *one) for one in loads]
+    if kernel is None or accelerations is None or any(a is None for a in accelerations):
         return [linearise(robot, *one) for one in loads]  # which says what is wrong, if something is
-    q, v, a = np.array([s.q for s in states]), np.array([s.v for s in states]), np.array(found)
+    q, v, a = np.array([s.q for s in states]), np.array([s.v for s in states]), np.array(accelerations)
     parts = kernel.linear(q, v, a, np.asarray(tau, dtype=float))
     result = []
     for i, state in enumerate(states):

@@ -41,7 +41,7 @@ from redundancy_pin.simulation.events import (
 from redundancy_pin.simulation.forward import LEAST_INERTIA
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import SimulationStatus
-from redundancy_pin.simulation.state import GAP
+from redundancy_pin.simulation.state import PROJECTION_TOLERANCE
 from redundancy_pin.simulation.system import Machine
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -66,8 +66,8 @@ _DIFFERENCE = 1e-7
 _LITTLE_INERTIA = 1e-3
 """Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
 
-GAP_LIMIT = 1e-9
-"""Closure gap, m, that the projection must not leave."""
+LARGEST_RESIDUAL = 1e-9
+"""Closure residual, m, that the projection must not leave."""
 
 _JUMP, _STIR = 0.05, 1e-3
 """The projection may change a velocity by this share of the largest, and this much, m/s or rad/s. It takes away what a
@@ -275,10 +275,10 @@ class OrdinarySteps:
 
     def __init__(self, kernel: ForwardKernel, problem: Problem, parts: list[Stretch]) -> None:
         machine, grid, sampling = problem.machine, problem.grid, problem.sampling
-        self._problem, self._held = problem, sampling is not None
+        self._problem, self._sampled = problem, sampling is not None
         amplifiers = machine.amplifiers
-        self._by_time = machine.heeds_time_only and (self._held or amplifiers.open_loop is not None)
-        law = amplifiers.feedback if machine.heeds_time_only and not self._held else None
+        self._by_time = machine.heeds_time_only and (self._sampled or amplifiers.open_loop is not None)
+        law = amplifiers.feedback if machine.heeds_time_only and not self._sampled else None
         if law is not None and law.robot is not None and not is_same(law.robot, machine.robot):
             law = None  # the kernel has the equations of the machine, not those that the controller knows
         nothing = PiecewisePolynomial.constant(np.zeros(len(amplifiers.limits)), grid[0], grid[-1])
@@ -299,8 +299,8 @@ class OrdinarySteps:
             between=BETWEEN,
             near_rank=NEAR,
             shortest=SHORTEST,
-            gap=GAP,
-            gap_limit=GAP_LIMIT,
+            tolerance=PROJECTION_TOLERANCE,
+            largest_residual=LARGEST_RESIDUAL,
             jump=_JUMP,
             stir=_STIR,
             rank_tolerance=RANK_TOLERANCE,
@@ -317,7 +317,7 @@ class OrdinarySteps:
         self._hold = hold
         if hold is not None and self._by_time:
             self._code.hold(np.concatenate(hold))
-        end = stretch.end if self._held else float(grid[-1])
+        end = stretch.end if self._sampled else float(grid[-1])
         at = Advance(
             progress.t,
             progress.y,
@@ -428,7 +428,7 @@ def _step(
     largest = max(progress.largest_correction, gap)
     progress = replace(progress, y=y, values=values, largest_correction=largest)
     progress = replace(progress, near=near if ratios[-1] < NEAR else NEAR)
-    if left > GAP_LIMIT:
+    if left > LARGEST_RESIDUAL:
         return progress.failed(f"the closures leave a gap of {left:.3g} m")
     if rate.sheet is not None:
         q, v = np.split(y, [machine.robot.model.nq])
@@ -469,8 +469,8 @@ def _require_no_rank_loss(problem: Problem, earlier: Progress, step: Step) -> No
     """Raise RetryStep where the closures lose rank in a step, with the sheet that leads across if it is near enough."""
     machine, functions, length = problem.machine, problem.functions, step.end - step.start
     q, v = np.split(earlier.y, [machine.robot.model.nq])
-    way = velocity_scale(machine.robot) / machine.robot.characteristic_length
-    moved = pin.difference(machine.robot.model, q, step.at(1.0)[: len(q)]) * way
+    scale = velocity_scale(machine.robot) / machine.robot.characteristic_length
+    moved = pin.difference(machine.robot.model, q, step.at(1.0)[: len(q)]) * scale
     moved[machine.robot.carrier_velocity] = 0.0
     travel = float(np.linalg.norm(moved))
     if travel > _FARTHEST:  # the way ahead is followed point by point

@@ -46,7 +46,7 @@ WITHIN, BEYOND = 0.85, 0.6
 its way out, so that its steps have room."""
 
 GAP = 1e-11
-"""Closure gap, m, of the interpolated sheet; two sheets that miss each other by more do not meet."""
+"""Closure residual, m, of the interpolated sheet; two sheets that miss each other by more do not meet."""
 
 SLOPE = 1e-7
 """Rate at which closures part, m/s per unit of speed, on the interpolated sheet."""

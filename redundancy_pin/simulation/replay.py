@@ -70,7 +70,7 @@ class Replay:
         off_track: largest distance of a carrier beyond an end of its track, m; a machine would have hit its stop.
         effort: largest |τ|, N or N·m.
         carrier_force: largest |F|, N.
-        gap: largest closure gap, m.
+        gap: largest closure residual, m.
     """
 
     plan: str

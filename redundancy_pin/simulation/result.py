@@ -49,7 +49,7 @@ class Statistics:
         steps: accepted steps.
         evaluations: evaluations of the accelerations.
         restarts: how often the integrator started anew, at breaks and samples of a controller.
-        largest_correction: largest closure gap, m, at the end of a step before the projection took it away.
+        largest_correction: largest closure residual, m, at the end of a step before the projection took it away.
         seconds: time it took, s.
     """
 
@@ -81,7 +81,7 @@ class Simulation(Frozen):
             motion took.
         actuated_rate: (N, m) rates of the main actuators, m/s or rad/s.
         closure_force: (N, r) forces of the closure rows on their second frame, along the axes of the first, N or N·m.
-        gap: (N,) closure gap, m (rotation rows: sine of the angle).
+        gap: (N,) closure residual, m (rotation rows: sine of the angle).
         energy: (N,) kinetic plus potential energy, J (zero height at the world origin).
         events: what happened, in order of time.
         status: how it ended.

@@ -49,8 +49,8 @@ ATOL = 1e-12
 LEAST_RTOL = 2.5e-14
 """Below this scipy's step control sees rounding only."""
 
-START_GAP = 1e-6
-"""Closure gap, m, and speed at which closures part, m/s, that a start state may have; it is projected."""
+START_RESIDUAL = 1e-6
+"""Closure residual, m, and speed at which closures part, m/s, that a start state may have; it is projected."""
 
 
 def simulate(
@@ -255,7 +255,7 @@ def _require_closed(machine: Machine, state: State) -> None:
     chain.update(state.q, state.v)
     gap = float(np.abs(chain.residual()).max(initial=0.0))
     rate = float(np.abs(chain.jacobian() @ state.v).max(initial=0.0))
-    if gap > START_GAP or rate > START_GAP:
+    if gap > START_RESIDUAL or rate > START_RESIDUAL:
         raise InputError(
             f"The start is not closed: a gap of {gap:.3g} m, opening at {rate:.3g} m/s.",
             remedy="Make it with closed_state(robot, x, xd, s, sd).",
@@ -271,7 +271,7 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float) -> Sheet | Non
     sheet = sheet_ahead(machine.chain, start.q, start.v, WIDEST)
     motion = sheet.at(start.q, start.v) if isinstance(sheet, Sheet) else None
     away = 0.0 if motion is None else float(np.abs(motion.v - start.v).max())
-    if away > START_GAP * max(1.0, float(np.abs(start.v).max())):
+    if away > START_RESIDUAL * max(1.0, float(np.abs(start.v).max())):
         raise SingularPoseError(
             f"The start is where the closures of {machine.robot.name} lose rank, and its velocity, though allowed, "
             f"is {away:.3g} from that of the nearest smooth motion through there.",

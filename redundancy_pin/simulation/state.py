@@ -18,8 +18,8 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 
-GAP = 1e-13
-"""Closure gap, m, at which the projection is done: rounding of a machine of a metre is 1e-16 a row."""
+PROJECTION_TOLERANCE = 1e-13
+"""Closure residual, m, at which the projection is done: rounding of a machine of a metre is 1e-16 a row."""
 
 _MOST_STEPS = 8
 """From the end of an integration step, 1e-9 off, two Newton steps reach rounding."""
@@ -39,17 +39,17 @@ class Manifold:
         self._turning_numbers = chain.model.nq != chain.model.nv
 
     def project(self, q: Array, v: Array) -> tuple[Array, Array, float, float]:
-        """Return a closed configuration (nq,), a velocity (nv,) it allows, the gap that q had and the gap left, m."""
+        """Return a closed configuration (nq,), a velocity (nv,) it allows, the closure residual before and after, m."""
         chain = self.chain
         q = pin.normalize(chain.model, q) if self._turning_numbers else q.copy()
         v = v.copy()
-        gap, before = 0.0, -1.0
+        largest, before = 0.0, -1.0
         for _ in range(_MOST_STEPS):
             chain.update(q, v)
             residual = chain.residual()
-            gap = float(np.abs(residual).max(initial=0.0))
-            before = gap if before < 0.0 else before
-            if gap <= GAP:
+            largest = float(np.abs(residual).max(initial=0.0))
+            before = largest if before < 0.0 else before
+            if largest <= PROJECTION_TOLERANCE:
                 break
             step = np.zeros(len(v))
             step[self._columns] = -self._shortest(chain.jacobian(), residual)
@@ -57,7 +57,7 @@ class Manifold:
         # velocities last: those that the closures allow are those of the projected configuration
         jacobian = chain.jacobian()
         v[self._columns] -= self._shortest(jacobian, jacobian.dot(v))
-        return q, v, before, gap
+        return q, v, before, largest
 
     def _shortest(self, jacobian: Array, rate: Array) -> Array:
         """Return the shortest scaled velocity of the pose with J_c v = rate."""

@@ -19,7 +19,7 @@ from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
-from redundancy_pin.simulation.state import GAP, Manifold, State
+from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, State
 
 DAMPING = 1e-8
 """Proximal damping μ. The out-of-plane row of a planar closure is empty, and μ = 0 gives NaN there."""
@@ -151,11 +151,11 @@ class Machine:
     def loads(self, state: State, command: Command, sheet: Sheet | None = None) -> Acceleration:
         """Return accelerations and forces at a closed state under a command; raises like ``rate``."""
         force = self._force(state, command)
-        found = None
+        solved = None
         if self.kernel is not None and sheet is None:
-            found = self.kernel.loads(state.q, state.v, force, self._given(state.t))
-        if found is not None:
-            loads = Acceleration(found.a, found.closure_force, found.missing[self.robot.carrier_velocity])
+            solved = self.kernel.loads(state.q, state.v, force, self._given(state.t))
+        if solved is not None:
+            loads = Acceleration(solved.a, solved.closure_force, solved.missing[self.robot.carrier_velocity])
         else:
             a = self._acceleration(state, force, sheet)
             loads = self.dynamics.forces(state.q, state.v, force, a, sheet=sheet)
@@ -170,9 +170,9 @@ class Machine:
         if motion is not None:
             return np.concatenate([motion.q, motion.v]), self._gap(state.q), self._gap(motion.q)
         if self.kernel is not None and motion is None:
-            found = self.kernel.project(np.concatenate([state.q, state.v]), GAP)
-            if found is not None:
-                return found
+            projected = self.kernel.project(np.concatenate([state.q, state.v]), PROJECTION_TOLERANCE)
+            if projected is not None:
+                return projected
         q, v, before, left = self.manifold.project(state.q, state.v)
         return np.concatenate([q, v]), before, left
 

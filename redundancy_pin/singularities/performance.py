@@ -221,6 +221,6 @@ def _svd(matrices: Array) -> tuple[Array, Array]:
     good = np.isfinite(matrices).all(axis=(1, 2))
     N, n = matrices.shape[:2]
     u, values = np.full((N, n, n), np.nan), np.full((N, n), np.nan)
-    found = np.linalg.svd(matrices[good], full_matrices=False)
-    u[good], values[good] = found.U, found.S
+    decomposed = np.linalg.svd(matrices[good], full_matrices=False)
+    u[good], values[good] = decomposed.U, decomposed.S
     return u, values

@@ -79,11 +79,11 @@ class Tracer:
         """
         pool, curves = [piece for part in parts for piece in self._smooth(part)], list[Array]()
         while pool:
-            curves.append(self._both_ways(pool.pop(0), pool, curves))
+            curves.append(self._extended(pool.pop(0), pool, curves))
         for end in self._ends_on(borders):
             known = np.concatenate([self.place.q[None], *(each[[0, -1]] for each in curves)])[1:]
             if (np.abs(self._apart(end, known)).max(axis=1) > _SAME).all():
-                curves.append(self._both_ways(end, pool, curves))
+                curves.append(self._extended(end, pool, curves))
         return [curve for curve in curves if len(curve) > 1]
 
     def _smooth(self, part: Array) -> list[Array]:
@@ -95,7 +95,7 @@ class Tracer:
         aligned &= np.sign(share) == np.sign((along[:-1] * along[1:]).sum(axis=1))
         return np.split(part, np.flatnonzero(~aligned) + 1)
 
-    def _both_ways(self, curve: Array, pool: list[Array], known: list[Array]) -> Array:
+    def _extended(self, curve: Array, pool: list[Array], known: list[Array]) -> Array:
         """Return a curve with what follows at its ends; pieces of the pool that are part of it are taken out.
 
         It ends where it comes upon one that is ``known``.
@@ -211,12 +211,12 @@ class Tracer:
     def _equations(self, q: Array, *matrices: MatrixOf) -> tuple[Array, Array]:
         """Return closures, held coordinates and smallest singular values (N, r) at q (N, nq), and derivatives."""
         state, place, columns = self.system.evaluate(q), self.place, self.system.pose_columns
-        held = [k for k in range(self.system.robot.n) if k not in place.free]
+        fixed = [k for k in range(self.system.robot.n) if k not in place.free]
         target = np.broadcast_to(place.x, (len(q), len(place.x)))
-        off = difference(self.system.robot, coordinates(self.system.robot, state), target)[:, held]
+        off = difference(self.system.robot, coordinates(self.system.robot, state), target)[:, fixed]
         singular = [singular_value(self.system, matrix, state) for matrix in matrices]
         values = [state.phi, off, *(value[:, None] for value, _ in singular)]
-        rows = [state.Jc[:, :, columns], state.Jx[:, held][:, :, columns], *(slope[:, None] for _, slope in singular)]
+        rows = [state.Jc[:, :, columns], state.Jx[:, fixed][:, :, columns], *(slope[:, None] for _, slope in singular)]
         return np.concatenate(values, axis=1), np.concatenate(rows, axis=1) / self._scale
 
     def _tangents(self, q: Array) -> Array:

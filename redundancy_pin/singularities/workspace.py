@@ -244,10 +244,10 @@ class _Flood:
         hit = np.ravel_multi_index(tuple(k[inside].astype(int) for k in near), self.shape)
         targets, guess = np.append(targets, hit), np.concatenate([guess, closed.q[inside]])
         targets, guess = targets[~self.solved[targets]], guess[~self.solved[targets]]
-        found = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
-        for k in np.flatnonzero(found.usable):
+        assembled = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
+        for k in np.flatnonzero(assembled.usable):
             if not self.solved[targets[k]]:
-                self.q[targets[k]], self.gamma[targets[k]] = found.q[k], found.gamma[k]
+                self.q[targets[k]], self.gamma[targets[k]] = assembled.q[k], assembled.gamma[k]
                 earlier = self.solved.copy()
                 self.solved[targets[k]] = True
                 self._spread(targets[k : k + 1])

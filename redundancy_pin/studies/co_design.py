@@ -174,7 +174,7 @@ def co_design(
                 radius *= 0.5  # not convex: the slopes there say nothing about here
         if radius < _LEAST:
             break
-    pressed = zip(search.names, here.held, strict=True)
+    pressed = zip(search.names, here.at_bound, strict=True)
     return CoDesign(
         parameters=MappingProxyType(here.parameters),
         plans=tuple(plan for plan, _ in here.solved),
@@ -267,7 +267,7 @@ class _Machine:
         return slope
 
     @property
-    def held(self) -> BoolArray:
+    def at_bound(self) -> BoolArray:
         """(d,) which parameters are on a bound that the cost presses on."""
         pressed: BoolArray = ((self.u <= 0.0) & (self.slope > 0.0)) | ((self.u >= 1.0) & (self.slope < 0.0))
         return pressed

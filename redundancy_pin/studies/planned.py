@@ -364,22 +364,22 @@ def working_modes(plans: Plans, modes: Sequence[Mode]) -> dict[str, list[Record]
         for name, run in of_mode.items()
     ]  # fmt: skip
     claims = []
-    for stated in thesis()["claims"]:
-        test: Callable[[Runs], Outcome] = globals()[stated["test"]]
+    for entry in thesis()["claims"]:
+        test: Callable[[Runs], Outcome] = globals()[entry["test"]]
         outcomes = {mode_text(mode): test(of_mode) for mode, of_mode in runs.items()}
         shown = {mode: {"holds": bool(holds), "found": number} for mode, (holds, number) in outcomes.items()}
-        claims.append({**stated, "modes": shown})
-    return {"working_modes": records, "claims": claims, "judged": [_judged(stated) for stated in claims]}
+        claims.append({**entry, "modes": shown})
+    return {"working_modes": records, "claims": claims, "judged": [_judged(entry) for entry in claims]}
 
 
-def _judged(stated: Record) -> Record:
-    outcomes: Mapping[str, Record] = stated["modes"]
+def _judged(entry: Record) -> Record:
+    outcomes: Mapping[str, Record] = entry["modes"]
     first, holding = next(iter(outcomes)), [mode for mode, outcome in outcomes.items() if outcome["holds"]]
     reason = f"in {len(holding) or 'none'} of {len(outcomes)} working modes"
-    return {"row": stated["row"], "source": stated["source"], "condition": thesis()["rows"][stated["row"]],
-            "quantity": stated["claim"], "stated": "in words", "ours": f"{first}: {outcomes[first]['found']}",
+    return {"row": entry["row"], "source": entry["source"], "condition": thesis()["rows"][entry["row"]],
+            "quantity": entry["claim"], "stated": "in words", "ours": f"{first}: {outcomes[first]['found']}",
             "deviation": "", "covered": "", "verdict": "reproduced" if holding else "differs",
-            "reason": f"{reason}: {', '.join(holding)}" if holding else f"{reason} ({stated['criterion']})",
+            "reason": f"{reason}: {', '.join(holding)}" if holding else f"{reason} ({entry['criterion']})",
             "as_run": first in holding}  # fmt: skip
 
 

@@ -33,18 +33,18 @@ thesis = functools.partial(data, "thesis")
 # --- the rule ------------------------------------------------------------------------------------------------------
 
 
-def interval(stated: str) -> tuple[float, float]:
+def interval(printed: str) -> tuple[float, float]:
     """Return what printed digits can stand for: ± half a unit of the last one; with a ``~``, a factor of √10."""
-    if stated.startswith("~"):
-        value = float(stated[1:])
+    if printed.startswith("~"):
+        value = float(printed[1:])
         return value / math.sqrt(10.0), value * math.sqrt(10.0)
-    half = 0.5 * 10.0 ** -len(stated.partition(".")[2])
-    return float(stated) - half, float(stated) + half
+    half = 0.5 * 10.0 ** -len(printed.partition(".")[2])
+    return float(printed) - half, float(printed) + half
 
 
-def gap(stated: str, low: float, high: float) -> float:
+def excess(printed: str, low: float, high: float) -> float:
     """Return how far a stated number is beyond a range of ours, 0 inside; infinite if there is no such number."""
-    bottom, top = interval(stated)
+    bottom, top = interval(printed)
     return math.inf if math.isnan(low) else max(0.0, low - top, bottom - high)
 
 
@@ -54,13 +54,13 @@ def limits_of(values: Sequence[float]) -> tuple[float, float]:
     return (min(known), max(known)) if known else (math.nan, math.nan)
 
 
-def given_by(stated: Sequence[str], values: Numbers, late: float = 0.0) -> bool:
+def given_by(printed: Sequence[str], values: Numbers, late: float = 0.0) -> bool:
     """Return whether one run gives all the numbers, as printed, that are stated together.
 
     Besides its rounding, a stated number may be larger than the run's by ``late``.
     """
-    gaps = (gap(digits, value, value + late) for digits, value in zip(stated, values, strict=True))
-    return max(gaps) <= ROUNDING
+    excesses = (excess(digits, value, value + late) for digits, value in zip(printed, values, strict=True))
+    return max(excesses) <= ROUNDING
 
 
 # --- what is unstated ----------------------------------------------------------------------------------------------
@@ -189,20 +189,20 @@ def judge_all(plans: Plans, extent: Extent) -> list[Record]:
 
 def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
     case, reading, late = _own(entry), measure(*entry["measure"]), entry.get("late", 0.0)
-    stated, unit = [str(digits) for digits in entry["stated"]], entry["unit"]
+    printed, unit = [str(digits) for digits in entry["stated"]], entry["unit"]
     grids = [grid(name, extent) for name in entry["grids"]]
     plan = plans.plan(case)
     ours = reading(plan)
-    as_run = given_by(stated, ours, late)
+    as_run = given_by(printed, ours, late)
     variations = [(ours, ""), *_varied(case, grids, reading, plans)]
     values = [varied for varied, _ in variations]
     # the nearest run: one that gives the numbers before one that does not
     _, _, nearest = min(
-        (not given_by(stated, varied, late), _miss(stated, varied), label) for varied, label in variations
+        (not given_by(printed, varied, late), _miss(printed, varied), label) for varied, label in variations
     )
     ranges = [limits_of(column) for column in zip(*values, strict=True)]
-    reproduced = any(given_by(stated, varied, late) for varied in values)
-    beyond = max(gap(digits, low, high + late) for digits, (low, high) in zip(stated, ranges, strict=True))
+    reproduced = any(given_by(printed, varied, late) for varied in values)
+    beyond = max(excess(digits, low, high + late) for digits, (low, high) in zip(printed, ranges, strict=True))
     if reproduced:
         reason = "" if as_run else f"with {nearest}"
     elif beyond <= ROUNDING:
@@ -211,10 +211,10 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
         reason = f"{beyond:.2g} {unit} beyond the range" if math.isfinite(beyond) else "never happens here"
         reason += "; " + entry["why"].format(*measure(*entry["of"])(plan)) if "why" in entry else ""
     over = [varied.parameter for varied in grids] + ([f"step up to {late:g} s"] if late else [])
-    deviations = [text(value - _value(digits), "+.2g") for value, digits in zip(ours, stated, strict=True)]
+    deviations = [text(value - _value(digits), "+.2g") for value, digits in zip(ours, printed, strict=True)]
     covered = ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}"
     return {"row": entry["row"], "source": entry["source"], "condition": thesis()["rows"][entry["row"]],
-            "quantity": f"{entry['quantity']} [{unit}]", "stated": ", ".join(stated), "ours": text(ours),
+            "quantity": f"{entry['quantity']} [{unit}]", "stated": ", ".join(printed), "ours": text(ours),
             "deviation": ", ".join(deviations), "covered": covered, **_verdict(reproduced, reason, as_run)}  # fmt: skip
 
 
@@ -228,12 +228,12 @@ def _varied(case: Case, grids: Sequence[Grid], reading: Measure, plans: Plans) -
     return [(reading(outcome), label) for outcome, label in outcomes if isinstance(outcome, Plan)]
 
 
-def _value(stated: str) -> float:
-    return float(stated.removeprefix("~"))
+def _value(printed: str) -> float:
+    return float(printed.removeprefix("~"))
 
 
-def _miss(stated: Sequence[str], values: Numbers) -> float:
-    miss = [abs(value - _value(digits)) for value, digits in zip(values, stated, strict=True)]
+def _miss(printed: Sequence[str], values: Numbers) -> float:
+    miss = [abs(value - _value(digits)) for value, digits in zip(values, printed, strict=True)]
     return max(math.inf if math.isnan(value) else value for value in miss)
 
 
@@ -333,7 +333,7 @@ def verdict(good: int, total: int) -> str:
 def claim(name: str, stands: str, **values: Any) -> Record:
     """Return what becomes of a claim of the data file: its verdict, and the numbers that its sentence shows."""
     template = environment().from_string
-    texts = {key: " ".join(template(said).render(values).split()) for key, said in data("claims")[name].items()}
+    texts = {key: " ".join(template(wording).render(values).split()) for key, wording in data("claims")[name].items()}
     return {"name": name, "claim": texts["claim"], "stands": stands, "here": texts["here"], "numbers": values}
 
 

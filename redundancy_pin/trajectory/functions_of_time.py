@@ -233,10 +233,10 @@ class PiecewisePolynomial(Frozen):
         What differs by rounding only is left as it is.
         """
         inner = self.edges[1:-1]
-        gaps = np.cumsum(self(inner, "left") - self(inner), axis=0)
-        gaps[np.abs(gaps) < SHIFT] = 0.0
+        jumps = np.cumsum(self(inner, "left") - self(inner), axis=0)
+        jumps[np.abs(jumps) < SHIFT] = 0.0
         coefficients = self.coefficients.copy()
-        coefficients[-1, 1:] += gaps
+        coefficients[-1, 1:] += jumps
         return PiecewisePolynomial(self.edges, read_only(coefficients))
 
     @staticmethod

@@ -347,15 +347,15 @@ def _jumping_joints(segments: Sequence[Path], length: float) -> Array:
                 f"Segments {k} and {k + 1} have {first.dimension} and {second.dimension} coordinates.", segment=k
             )
         end, start = first.evaluate(first.length, "left"), second.evaluate(0.0, "right")
-        gap = float(np.linalg.norm(start.x - end.x))
+        distance = float(np.linalg.norm(start.x - end.x))
         kink = float(np.linalg.norm(start.tangent - end.tangent))
-        if gap > _JOINT_TOLERANCE * length or kink > _JOINT_TOLERANCE:
+        if distance > _JOINT_TOLERANCE * length or kink > _JOINT_TOLERANCE:
             message = (
-                f"Segments {k} and {k + 1} do not meet: the positions differ by {gap:.3g} m, "
+                f"Segments {k} and {k + 1} do not meet: the positions differ by {distance:.3g} m, "
                 f"the unit tangents by {kink:.3g}."
             )
             remedy = "A kink cannot be passed at speed: join straights by an arc (see rounded_polygon)."
-            raise InputError(message, remedy=remedy, segment=k, gap=gap, kink=kink)
+            raise InputError(message, remedy=remedy, segment=k, gap=distance, kink=kink)
         change = np.abs(start.curvature - end.curvature).max()
         size = max(np.abs(start.curvature).max(), np.abs(end.curvature).max())
         jumps.append(bool(change > _JOINT_TOLERANCE * size))

@@ -456,11 +456,11 @@ def law_through_speeds(lengths: ArrayLike, speeds: ArrayLike) -> PiecewiseLaw:
 
 def _law(p: Array, v: Array, a: Array) -> PiecewiseLaw | None:
     """Return the law with speeds and accelerations (N,) at arc lengths; None where it would run backwards."""
-    mean, bend, gap = 0.5 * (v[1:] + v[:-1]), (a[:-1] - a[1:]) / 12.0, np.diff(p)
-    inner = mean**2 + 4.0 * bend * gap
+    mean, bend, length = 0.5 * (v[1:] + v[:-1]), (a[:-1] - a[1:]) / 12.0, np.diff(p)
+    inner = mean**2 + 4.0 * bend * length
     if (inner < 0.0).any():
         return None
-    T = 2.0 * gap / (mean + np.sqrt(inner))  # the root that is there without accelerations too
+    T = 2.0 * length / (mean + np.sqrt(inner))  # the root that is there without accelerations too
     edges = np.concatenate([[0.0], np.cumsum(T)])
     speed = np.stack([v[:-1], v[:-1] + T * a[:-1] / 3.0, v[1:] - T * a[1:] / 3.0, v[1:]])  # Bernstein
     control = np.concatenate([np.zeros((1, len(T))), np.cumsum(speed, axis=0)]) * T / 4.0 + p[:-1] - p[0]

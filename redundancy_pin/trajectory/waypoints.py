@@ -233,8 +233,8 @@ class SplinePath(Frozen, SmoothPath):
     @property
     def lengths_at_points(self) -> Array:
         """(N,) arc lengths at the points, m; one more, at the end, where the path is closed."""
-        found: Array = self._arc_at_edges[np.searchsorted(self._edges, self._spline.x)]
-        return found
+        lengths: Array = self._arc_at_edges[np.searchsorted(self._edges, self._spline.x)]
+        return lengths
 
     @property
     def knots(self) -> Array:

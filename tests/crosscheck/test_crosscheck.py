@@ -15,7 +15,7 @@ from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import checks as physics
 from redundancy_pin.crosscheck.cases import Masses, Wave, random_case
 from redundancy_pin.crosscheck.checks import CheckRow, CrossCheckReport, checked_row, merged, relative
-from redundancy_pin.crosscheck.closed_forward import ClosedForward, held_in_planes
+from redundancy_pin.crosscheck.closed_forward import ClosedForward, confined_to_planes
 from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.tree_loads import TreeLoads
@@ -198,7 +198,7 @@ def test_forward_dynamics_by_definition_is_pinocchios(name):
     force = rng.normal(size=robot.model.nv)
     ours, theirs = ClosedForward(robot)(q, v, force), ConstraintDynamics(robot)(q, v, force)
     np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
-    assert held_in_planes(robot, q, v)
+    assert confined_to_planes(robot, q, v)
 
 
 @pytest.mark.parametrize("name", ["geared", "hinged", "universal"])

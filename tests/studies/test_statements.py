@@ -19,7 +19,7 @@ from redundancy_pin.studies.statements import (
     ROUNDING,
     Grid,
     compare_motions,
-    gap,
+    excess,
     given_by,
     grid,
     interval,
@@ -48,9 +48,9 @@ def test_the_gap_is_the_distance_from_the_range(
     values: list[float], beyond: float, above: bool, data: st.DataObject
 ) -> None:
     low, high = limits_of(values)
-    assert gap(f"{data.draw(st.floats(low, high)):.4f}", low, high) <= ROUNDING
+    assert excess(f"{data.draw(st.floats(low, high)):.4f}", low, high) <= ROUNDING
     # six digits are printed
-    assert gap(f"{high + beyond if above else low - beyond:.6f}", low, high) == pytest.approx(beyond, abs=2e-6)
+    assert excess(f"{high + beyond if above else low - beyond:.6f}", low, high) == pytest.approx(beyond, abs=2e-6)
 
 
 def test_numbers_stated_together_come_from_one_run() -> None:
@@ -63,7 +63,7 @@ def test_numbers_stated_together_come_from_one_run() -> None:
 
 def test_what_never_happens_differs() -> None:
     assert not given_by(["0.65"], (math.nan,))
-    assert gap("0.65", *limits_of([math.nan, math.nan])) == math.inf
+    assert excess("0.65", *limits_of([math.nan, math.nan])) == math.inf
     assert limits_of([math.nan, 2.0, 1.0]) == (1.0, 2.0)
 
 

@@ -154,12 +154,12 @@ class CompiledDynamics(Dynamics):
 
     @cached_property
     def _forward(self) -> CompiledForward | None:
-        found, reason = forward_of(self._robot)
+        kernel, reason = forward_of(self._robot)
         if reason:
             warnings.warn(
                 f"The forward dynamics of {self._robot.name} are not compiled: {reason}.", RuntimeWarning, stacklevel=4
             )
-        return found
+        return kernel
 
     @cached_property
     def projection(self) -> Any:

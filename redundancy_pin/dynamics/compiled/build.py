@@ -270,7 +270,7 @@ class Library:
         function = self._library.rp_sample
         arguments = tuple(_as_c(array) for array in (state, given, result))
 
-        def sample(_held: tuple[Array, ...] = (state, given, result)) -> int:
+        def sample(_alive: tuple[Array, ...] = (state, given, result)) -> int:
             status: int = function(*arguments)
             return status
 
@@ -319,10 +319,8 @@ def find_compiler() -> Compiler | None:
             continue
         path = shutil.which(program)
         if path is not None:
-            found = os.stat(path)
-            return Compiler(
-                (path, *arguments), " ".join([path, *arguments, str(found.st_size), str(found.st_mtime_ns)])
-            )
+            file = os.stat(path)
+            return Compiler((path, *arguments), " ".join([path, *arguments, str(file.st_size), str(file.st_mtime_ns)]))
     return None
 
 

@@ -179,7 +179,7 @@ def _start(loops: Loops, motion: PlatformMotion, sample: int, mark: bool, thorou
     reference, home = loops.reference
     x = np.ascontiguousarray(motion.x[sample].reshape(-1))
     q, here = reference.copy(), home
-    for target in _way(home, x, motion.is_pose):
+    for target in _waypoints(home, x, motion.is_pose):
         status = kernel.call("rp_follow", q, here, target)
         here = target
         if status == _LOST:
@@ -194,7 +194,7 @@ def _start(loops: Loops, motion: PlatformMotion, sample: int, mark: bool, thorou
     raise _no_start(loops, motion, sample, gap)
 
 
-def _way(home: Array, x: Array, is_pose: bool) -> list[Array]:
+def _waypoints(home: Array, x: Array, is_pose: bool) -> list[Array]:
     """Return coordinates on the way from one pose to another, the last one last; a pose turns a little at a time."""
     if not is_pose:
         return [x]

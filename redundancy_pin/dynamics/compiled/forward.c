@@ -47,7 +47,7 @@ typedef struct {
   const double *stop, *mode;
   double brief, between, near_rank;
   /* limits of an ordinary step */
-  double shortest, gap, gap_limit, jump, stir, rank_tolerance, least_inertia;
+  double shortest, tolerance, largest_residual, jump, stir, rank_tolerance, least_inertia;
 } Run;
 
 typedef struct {
@@ -802,7 +802,7 @@ static int placed(const Run *run, Progress *at, double t, double end, double *y,
     if (!loads_at(run, at, t, end, y, y + NQ, out)) return 0;
     for (int i = 0; i < NK; ++i) y[CARRIED[i]] = out[NV + i], y[NQ + CARRIERS[i]] = out[NV + NK + i];
   }
-  return project(y, run->gap, before, left);
+  return project(y, run->tolerance, before, left);
 }
 
 /* From a closed state y over at most `most` ordinary steps. Returns why it stopped: at the end, or before a step that its
@@ -835,7 +835,7 @@ int rp_advance(const Run *run, Progress *at, double *y, double *values, long mos
     if (!ordinary(run, at, at->t, length, end, y, y1, K, shown, F, &dense)) return LOOK;
     copy(next, y1, NY);
     double moved = 0.0, fastest = fmax(largest(y + NQ, NV), largest(y1 + NQ, NV));
-    int good = placed(run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->gap_limit;
+    int good = placed(run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->largest_residual;
     for (int i = NQ; good && i < NY; ++i) moved = fmax(moved, fabs(next[i] - y1[i]));
     if (!good || !(moved <= run->jump * fastest + run->stir)) {
       at->near = was_near;

@@ -66,7 +66,7 @@ class _Run(ctypes.Structure):
         ("stops", _INTS),
         *_members(_DOUBLES, "stop mode"),
         *_members(ctypes.c_double, "brief between near_rank"),
-        *_members(ctypes.c_double, "shortest gap gap_limit jump stir rank_tolerance least_inertia"),
+        *_members(ctypes.c_double, "shortest tolerance largest_residual jump stir rank_tolerance least_inertia"),
     ]
 
 
@@ -140,8 +140,8 @@ class CompiledForward:
 
     def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
         """Return the tree acceleration (nv,); see ``ForwardKernel.acceleration``."""
-        found = self._evaluated(q, v, force, carrier_acceleration, None)
-        return None if found is None else found.a
+        evaluated = self._evaluated(q, v, force, carrier_acceleration, None)
+        return None if evaluated is None else evaluated.a
 
     def loads(
         self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
@@ -169,10 +169,10 @@ class CompiledForward:
             Accelerations(a, np.empty(0) if closure_force is None else closure_force, missing) if not status else None
         )
 
-    def project(self, y: Array, gap: float) -> tuple[Array, float, float] | None:
-        """Return the closed state nearest to y (nq + nv,), the gap that y had and the gap left, m; None if none is."""
+    def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
+        """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
         state, gaps = np.array(y, dtype=np.float64), np.zeros(2)
-        if not self._projected(_address(state), ctypes.c_double(gap), _address(gaps)):
+        if not self._projected(_address(state), ctypes.c_double(tolerance), _address(gaps)):
             return None
         return state, float(gaps[0]), float(gaps[1])
 
@@ -299,7 +299,7 @@ class CompiledIntegration:
             if rules.feedback is not None:
                 self._feed_back(rules.feedback)
         if rules.loads is not None:
-            self._asked: Loads = rules.loads
+            self._load_function: Loads = rules.loads
             self._kept["loads"] = _Loads(self._called)
             self._run.loads = self._kept["loads"]
         self._error: BaseException | None = None
@@ -356,7 +356,7 @@ class CompiledIntegration:
         forward = self._forward
         try:
             state = (self._memory(q, forward._nq).copy(), self._memory(v, forward._nv).copy())
-            force, motion = self._asked(t, *state)
+            force, motion = self._load_function(t, *state)
             whole = force if motion is None else np.concatenate([force, *motion])
             self._memory(out, len(whole))[:] = whole
         except BaseException as error:  # C cannot raise it: the caller does
@@ -366,10 +366,10 @@ class CompiledIntegration:
 
     def _memory(self, address: int, size: int) -> Array:
         """Return the memory of C at an address; C hands over the same few again and again."""
-        found = self._views.get(address)
-        if found is None or len(found) != size:
-            found = self._views[address] = np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
-        return found
+        view = self._views.get(address)
+        if view is None or len(view) != size:
+            view = self._views[address] = np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
+        return view
 
     def _point(self, name: str, values: Array) -> None:
         """Give C the address of an array, which is kept."""

@@ -91,8 +91,8 @@ class SymbolicChain:
         self.external = ca.SX.sym("external", 6 * len(of_kind(robot.loads, Wrench)))
         self._loads = LoadSymbols(self, ca, self.external)
         carried = set(robot.carrier_position.tolist())
-        plain = [joint for joint in self.model.joints if joint.nq == 1 and _kind(joint).startswith("R")]
-        self.turning = [int(joint.idx_q) for joint in plain if joint.idx_q not in carried]
+        revolute = [joint for joint in self.model.joints if joint.nq == 1 and _kind(joint).startswith("R")]
+        self.turning = [int(joint.idx_q) for joint in revolute if joint.idx_q not in carried]
         self.trig = ca.SX.sym("trig", 2 * len(self.turning))
         data = self.model.createData()
         pin.computeJointJacobians(self.model, data, pin.neutral(self.model))
@@ -333,13 +333,13 @@ class SymbolicChain:
             return ca.vertcat(*(full[AXES.index(axis)] for axis in platform.axes))
         for i, axis in enumerate(platform.axes):
             turning, k = divmod(AXES.index(axis), 3)
-            rows.append(_short_way(self.x[i] - self._angle(rotation, k)) if turning else self.x[i] - origin[k])
+            rows.append(_wrapped(self.x[i] - self._angle(rotation, k)) if turning else self.x[i] - origin[k])
         return ca.vertcat(*rows)
 
     def _joint_missing(self, i: int, name: str) -> SX:
         ca, joint = casadi(), self.model.joints[self.model.getJointId(name)]
         q = self.q[joint.idx_q : joint.idx_q + joint.nq]
-        return _short_way(self.x[i] - ca.atan2(q[1], q[0])) if joint.nq == 2 else self.x[i] - q
+        return _wrapped(self.x[i] - ca.atan2(q[1], q[0])) if joint.nq == 2 else self.x[i] - q
 
     def _angle(self, rotation: SX, k: int) -> SX:
         """Return the angle about base axis k: of the first frame axis, from i = k + 1 on, that lies in the plane."""
@@ -479,7 +479,7 @@ def _about(axis: Array, cosine: SX, sine: SX) -> SX:
     return ca.SX(square) + cosine * ca.SX(np.eye(3) - square) + sine * ca.SX(skew)
 
 
-def _short_way(angle: SX) -> SX:
+def _wrapped(angle: SX) -> SX:
     ca = casadi()
     return angle - 2.0 * np.pi * ca.floor(angle / (2.0 * np.pi) + 0.5)
 

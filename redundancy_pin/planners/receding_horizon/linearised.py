@@ -56,8 +56,8 @@ def extended(position: PiecewisePolynomial, times: Array) -> CarrierMotion:
     """Return the carriers of a plan at (N,) times, of which some may lie after its end: they are held there."""
     motion = carriers_at(position, times)
     after = times > position.end
-    held = np.where(after[:, None], 0.0, motion.sd), np.where(after[:, None], 0.0, motion.sdd)
-    return CarrierMotion(motion.s, *held, check_rates=False)
+    rates = np.where(after[:, None], 0.0, motion.sd), np.where(after[:, None], 0.0, motion.sdd)
+    return CarrierMotion(motion.s, *rates, check_rates=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,8 +71,8 @@ class Preview(Frozen):
             ends = known.sample_at(np.linspace(known.start, known.end, 9)).xd
             rests = np.abs(ends[-1]).max() <= STILL * np.abs(ends).max()
             polynomials = replace(known, source=known.polynomials)
-            held = polynomials.prolonged_until(known.end + FOR_EVER) if rests else polynomials
-            return Preview(held.sample_at, known.start, held.end)
+            prolonged = polynomials.prolonged_until(known.end + FOR_EVER) if rests else polynomials
+            return Preview(prolonged.sample_at, known.start, prolonged.end)
         if callable(source):
             return Preview(_answers(source), -np.inf, np.inf, changing=True)
         raise InputError(
@@ -150,18 +150,18 @@ def _roots(determinant: Callable[[Array], Array], edges: Array, seen: _Scanned) 
     if not brackets:
         return np.empty(0)
     ordered = sorted(set(brackets))
-    found: list[float] = []
+    roots: list[float] = []
     for first, last in ordered:
         times = chebyshev_points(edges[[first]], edges[[last]], POINTS - 1)
         series = Chebyshev.fit(times, determinant(times) / largest, POINTS - 1, domain=edges[[first, last]])
         width = edges[last] - edges[first]
-        roots = series.roots()
-        inside = (roots.real >= edges[first] - 1e-9 * width) & (roots.real <= edges[last] + 1e-9 * width)
-        crossing = roots.real[inside & (np.abs(roots.imag) < 1e-7 * width)]
+        zeros = series.roots()
+        inside = (zeros.real >= edges[first] - 1e-9 * width) & (zeros.real <= edges[last] + 1e-9 * width)
+        crossing = zeros.real[inside & (np.abs(zeros.imag) < 1e-7 * width)]
         if len(crossing):
-            found += crossing.tolist()
+            roots += crossing.tolist()
             continue
         low = series.deriv().roots()
         low = low.real[(np.abs(low.imag) < 1e-7 * width) & (low.real > edges[first]) & (low.real < edges[last])]
-        found += [float(t) for t in low if abs(series(t)) < TOUCH]
-    return np.unique(found)
+        roots += [float(t) for t in low if abs(series(t)) < TOUCH]
+    return np.unique(roots)

@@ -44,8 +44,8 @@ class OnLineRun(Frozen):
     @property
     def counts(self) -> dict[str, int]:
         """Ticks by status."""
-        found = Counter(command.status for command in self.commands)
-        return {status.value: found[status] for status in PlanningStatus}
+        counts = Counter(command.status for command in self.commands)
+        return {status.value: counts[status] for status in PlanningStatus}
 
 
 def run_online(

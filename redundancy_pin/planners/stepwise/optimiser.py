@@ -39,19 +39,19 @@ _EMPTY = 1e-9
 exactly leaves a rounding error."""
 
 
-def stoppable_speed(gap: float, step: float, deceleration: float) -> float:
+def stoppable_speed(distance: float, step: float, deceleration: float) -> float:
     """Return the largest speed, m/s, from which a carrier can still be stopped before the end of its track.
 
-    It is the root of h v + v²/(2a) = gap, or 0 where the gap, m, is not positive; h is the step, s, and a the largest
-    deceleration, m/s², infinite if there is no limit.
+    It is the root of h v + v²/(2a) = distance, or 0 where the distance, m, is not positive; h is the step, s, and a the
+    largest deceleration, m/s², infinite if there is no limit.
     """
-    if gap <= 0.0:
+    if distance <= 0.0:
         return 0.0
-    if not math.isfinite(deceleration) or not math.isfinite(gap):
-        return gap / step
+    if not math.isfinite(deceleration) or not math.isfinite(distance):
+        return distance / step
     slowed = deceleration * step
-    # the rationalised root: the plain one cancels where the gap is small
-    return 2.0 * deceleration * gap / (slowed + math.sqrt(slowed * slowed + 2.0 * deceleration * gap))
+    # the rationalised root: the usual one cancels where the distance is small
+    return 2.0 * deceleration * distance / (slowed + math.sqrt(slowed * slowed + 2.0 * deceleration * distance))
 
 
 @dataclass(frozen=True)

@@ -345,21 +345,21 @@ def _least_peak(problem: Problem, guess: dict[str, Array], between: BoolArray, d
             report(iteration, cost)
         return time.perf_counter() < deadline
 
-    found = least_peak(problem, guess, between, go_on)
-    if found is None:
+    optimum = least_peak(problem, guess, between, go_on)
+    if optimum is None:
         return None
     return Solution(
-        values=found.values | {PEAK: np.array(found.peak)},
+        values=optimum.values | {PEAK: np.array(optimum.peak)},
         optimal=True,
         feasible=True,
         message=SOLVED,
-        cost=found.cost,
+        cost=optimum.cost,
         violation=0.0,
-        iterations=found.iterations,
+        iterations=optimum.iterations,
         seconds=time.perf_counter() - began,
         point=(np.empty(0),) * 3,
         rows={"between": (between,)},
-        centre=found.centre,
+        centre=optimum.centre,
     )
 
 
@@ -401,9 +401,9 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
     limit_force = False
     start: dict[str, Array] | Solution = guess
     # a draft is what the first one leads to
-    ways = strategy.first[len(attempts) :] if begun is None or not begun.optimal else ()
+    option_sets = strategy.first[len(attempts) :] if begun is None or not begun.optimal else ()
     while begun is not None and begun.centre:
-        start, ways, position = begun.values, (strategy.centred(begun.centre),), begun.position(problem)
+        start, option_sets, position = begun.values, (strategy.centred(begun.centre),), begun.position(problem)
         rows = begun.rows["between"][0]
         groups = [rows | widened(_leaves_limits(problem, position, CLOSE), AROUND)]
         if len(attempts) > ROUNDS or not (_leaves_limits(problem, position) & ~rows).any():
@@ -415,7 +415,7 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
         centred = isinstance(start, dict) and PEAK in start
         if isinstance(start, dict) and centred:
             start = start | {name: start[PEAK] for name in nlp.blocks if name.startswith(PEAK)}
-        for options in ways:
+        for options in option_sets:
             if attempt(nlp, options, start).optimal or time.perf_counter() > deadline:
                 break
         solution = attempts[-1]
@@ -430,7 +430,7 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
             return _with_totals(replace(solution, feasible=solution.feasible and kept), attempts)
         if not limit_force and exceeds_force(problem, solution):
             # more variables, so that the multipliers are of no use
-            limit_force, start, ways = True, solution.values, strategy.first
+            limit_force, start, option_sets = True, solution.values, strategy.first
             continue
         leaves = _leaves_limits(problem, solution.position(problem))
         if not leaves.any() and strategy.last_steps is not None and not centred:
@@ -446,7 +446,7 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
         if len(groups) == ROUNDS or not new.any():
             return _with_totals(replace(solution, optimal=False, feasible=False), attempts)
         groups.append(new)
-        start, ways = solution, (strategy.more_rows,)
+        start, option_sets = solution, (strategy.more_rows,)
 
 
 def _leaves_limits(problem: Problem, position: PiecewisePolynomial, by: float = 0.0) -> BoolArray:

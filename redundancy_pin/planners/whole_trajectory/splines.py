@@ -242,15 +242,15 @@ class Inequalities:
         ahead, behind = np.append(h, 0.0)[:, None], np.append(0.0, h)[:, None]
         points[:, :, 3, 2], points[:, :, 4, 1] = ahead / 2.0 * u.sdd / u.sd, ahead / 3.0 * u.sd / u.s
         points[:, :, 5, 1] = -behind / 3.0 * u.sd / u.s
-        held = np.ones((count, k, 6), dtype=bool)
-        held[~np.append(between, False), :, 3:5] = held[~np.append(False, between), :, 5] = False
+        bounded = np.ones((count, k, 6), dtype=bool)
+        bounded[~np.append(between, False), :, 3:5] = bounded[~np.append(False, between), :, 5] = False
         # what is fixed keeps its limits
-        held[0, :, :2] = held[-1, :, {"datum": [0, 1], "rest": [1], "free": []}[end]] = False
+        bounded[0, :, :2] = bounded[-1, :, {"datum": [0, 1], "rest": [1], "free": []}[end]] = False
         rest, values, columns = [], [], []
         for side, sign in ((0, 1.0), (1, -1.0)):
             limits = [np.broadcast_to(bounds[name][side], k) for name in ("s", "sd", "sdd", "sd", "s", "s")]
-            limit = np.broadcast_to(np.stack(limits, axis=-1), held.shape)
-            at = np.nonzero(held & np.isfinite(limit))
+            limit = np.broadcast_to(np.stack(limits, axis=-1), bounded.shape)
+            at = np.nonzero(bounded & np.isfinite(limit))
             rest.append(sign * (np.einsum("mkrq,mkq->mkr", points, splines.constant) - limit)[at])
             values.append(sign * (points @ splines.by_carrier)[at])
             columns.append(splines.columns.reshape(count, k, SPLINE)[at[:2]])

@@ -275,15 +275,15 @@ class Transcription(Quantities):
     @staticmethod
     def _exact_at(nodes: Sequence[SingularNode], u: Array, *motion: Any) -> list[tuple[Any, Any]]:
         """Return uᵀ f and its derivative by time, the carriers held, for each row of the carriers' motion."""
-        ca, found = casadi(), []
+        ca, loads = casadi(), []
         for row, (node, lost) in enumerate(zip(nodes, u, strict=True)):
             if node.exact is None:
                 raise ValueError("A singular node has no expressions.")
             here, beside, weights = node.exact
             one = [part[row, :] for part in motion]
             around = _loads(beside, *(ca.repmat(part, len(weights), 1) for part in one))[0]
-            found.append((_loads(here, *one)[0] @ lost, ca.mtimes(ca.DM(weights).T, around) @ lost))
-        return found
+            loads.append((_loads(here, *one)[0] @ lost, ca.mtimes(ca.DM(weights).T, around) @ lost))
+        return loads
 
     def motion(self) -> None:
         """Integrate s̈, which is linear in a step, so that ṡ is quadratic and s cubic; keep jerks, start and end."""

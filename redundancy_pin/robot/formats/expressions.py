@@ -42,7 +42,7 @@ class Budget:
 
     steps: int = 300_000
 
-    def charge(self, steps: int) -> None:
+    def spend(self, steps: int) -> None:
         """Take steps off the budget.
 
         Raises:
@@ -83,7 +83,7 @@ def evaluate(text: str, names: Mapping[str, Any], budget: Budget, dotted: tuple[
         ExpressionError: not an expression, or one that models may not use.
         Exception: what Python raises for it (a division by zero, an unknown name, ...).
     """
-    budget.charge(1 + len(text) // 2)  # the parser
+    budget.spend(1 + len(text) // 2)  # the parser
     _require(len(text), LONGEST, "characters")
     try:
         text, literals = duals.named(text.strip())
@@ -147,7 +147,7 @@ class _Evaluation:
 
     def value(self, node: ast.AST) -> Any:
         """Return the value of a node."""
-        self._budget.charge(1)
+        self._budget.spend(1)
         visit = getattr(self, f"_{type(node).__name__}", None)
         if visit is None:
             raise ExpressionError(f"models may not use {_what(node)}")
@@ -160,7 +160,7 @@ class _Evaluation:
         """
         if isinstance(value, str):
             _require(len(value), LARGEST, "characters")
-            self._budget.charge(len(value) // 64)
+            self._budget.spend(len(value) // 64)
         elif isinstance(value, int):
             _require(value.bit_length(), LARGEST_BITS, "bits")
         elif isinstance(value, complex):
@@ -175,14 +175,14 @@ class _Evaluation:
                         _require(size + len(element), LARGEST, "elements")
                         waiting.append(element)
             _require(size, LARGEST, "elements")
-            self._budget.charge(size // 2)
+            self._budget.spend(size // 2)
         return value
 
     def apply(self, function: Any, /, *arguments: Any, **named: Any) -> Any:
         """Return the value of a function that an expression names."""
         if not isinstance(function, Function):
             raise ExpressionError(f"{_shown(function)} is no function that models may call")
-        self._budget.charge(1)
+        self._budget.spend(1)
         for argument in (*arguments, *named.values()):
             self.measured(argument)
         run = (self,) if function.runs else ()
@@ -303,7 +303,7 @@ class _Evaluation:
         if first.is_async:
             raise ExpressionError("models may not use async")
         for element in _elements(self.measured(self.value(first.iter))):
-            self._budget.charge(1)
+            self._budget.spend(1)
             _bind(first.target, element, own)
             if all(self.value(condition) for condition in first.ifs):
                 yield from self._loop(inner, own)

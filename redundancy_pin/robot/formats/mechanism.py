@@ -59,7 +59,7 @@ class Mechanism:
     forces: tuple[JointForces, ...] = ()
     notes: tuple[str, ...] = ()
     shapes: str = ""
-    driven_is_said: bool = True
+    drives_declared: bool = True
     couplings: tuple[Coupling, ...] = ()
 
     def model(self, path: str) -> pin.Model:
@@ -199,7 +199,7 @@ def moved_to(placement: Array, link: LinkEntry) -> LinkEntry:
     return LinkEntry(link.name, link.mass, centre, turn @ link.inertia @ turn.T)
 
 
-def together(name: str, parts: list[LinkEntry]) -> LinkEntry:
+def combined_mass(name: str, parts: list[LinkEntry]) -> LinkEntry:
     """Return the mass of several parts, all in one frame."""
     mass = sum(part.mass for part in parts)
     if not mass > 0.0:

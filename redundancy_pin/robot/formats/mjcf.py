@@ -180,14 +180,16 @@ class _Reader:
         if len(sequence) != 3 or not set(sequence.lower()) <= set("xyz"):
             merged.refuse(f"the compiler has eulerseq={shown(sequence)}", "Write three of xyz, or of XYZ.")
         groups = merged.numbers("inertiagrouprange", 2, default="0 5")
-        said = {key: given.get(key, default) for key, default in (("autolimits", "true"), ("inertiafromgeom", "auto"))}
-        if said["autolimits"] not in ("true", "false") or said["inertiafromgeom"] not in ("true", "false", "auto"):
+        chosen = {
+            key: given.get(key, default) for key, default in (("autolimits", "true"), ("inertiafromgeom", "auto"))
+        }
+        if chosen["autolimits"] not in ("true", "false") or chosen["inertiafromgeom"] not in ("true", "false", "auto"):
             merged.refuse("the compiler has autolimits or inertiafromgeom of another value than true, false, auto")
         return Settings(
             given.get("angle", "degree") != "radian",
             sequence,
-            said["autolimits"] == "true",
-            said["inertiafromgeom"],
+            chosen["autolimits"] == "true",
+            chosen["inertiafromgeom"],
             (float(groups[0]), float(groups[1])),
             given.get("meshdir", given.get("assetdir", "")),
         )
@@ -204,7 +206,7 @@ class _Reader:
 
     def _flags(self) -> set[str]:
         """Return the flags that are disabled; of several that say one, the last counts."""
-        said: dict[str, Part] = {}
+        flags: dict[str, Part] = {}
         for section in self._sections("option"):
             for child in section:
                 if not isinstance(child, Element):
@@ -216,10 +218,10 @@ class _Reader:
                     if key not in _FLAGS:
                         part.refuse(f"there is no flag {shown(key)}", did_you_mean(key, _FLAGS).strip())
                     part.choice(key, ("enable", "disable"), "enable")
-                    said[key] = part
-        disabled = {key for key, part in said.items() if part.text(key) == "disable"}
+                    flags[key] = part
+        disabled = {key for key, part in flags.items() if part.text(key) == "disable"}
         for key in sorted(disabled & {"constraint", "equality"}):
-            said[key].refuse(f"the flag {key}=disable is not covered: loops would be open")
+            flags[key].refuse(f"the flag {key}=disable is not covered: loops would be open")
         return disabled
 
     # --- bodies -------------------------------------------------------------------------------------------------------
@@ -305,8 +307,8 @@ class _Reader:
         mass = body_mass(part, name, own)
         self.places[name] = self.places[parent] @ place
         link, rest = parent, place
-        held = self._base == "fixed" and parent == "world" and self._is_floating([joint for joint, _ in joints])
-        for number, (joint, within) in enumerate([] if held else joints):
+        welded = self._base == "fixed" and parent == "world" and self._is_floating([joint for joint, _ in joints])
+        for number, (joint, within) in enumerate([] if welded else joints):
             link, rest = self._joint(joint, within, link, rest, name, number, len(joints))
         self._link(mass, link, rest, name)
         self.bodies[part.name or name] = name
@@ -459,10 +461,10 @@ class _Reader:
                 part.refuse(f"{part} names {key}={shown(end)}, which is no joint of one freedom", remedy)
             ends.append(end)
         given = part.numbers("polycoef", 1, 5, default="0 1 0 0 0")
-        held, *rest = (float(self.initial[end]) for end in ends)
+        offset, *rest = (float(self.initial[end]) for end in ends)
         polynomial = np.polynomial.Polynomial(given if rest else given[:1])
         powers = (polynomial(np.polynomial.Polynomial([-rest[0], 1.0])) if rest else polynomial).coef
-        powers[0] += held
+        powers[0] += offset
         return Coupling(name, ends[0], ends[1] if rest else "", tuple(np.trim_zeros(powers, "b").tolist() or [0.0]))
 
     def _ends(self, part: Part, name: str) -> tuple[str, str]:

@@ -202,13 +202,13 @@ class Part:
 
     def limited(self, key: str, of: str) -> bool:
         """Whether a range is in force: ``limited`` says so, or the range counts by itself, not being empty."""
-        said = self.choice(key, ("true", "false", "auto"), "auto")
+        setting = self.choice(key, ("true", "false", "auto"), "auto")
         low, high = self.numbers(of, 2, default="0 0")
-        if said == "auto" and (low or high) and not self.settings.autolimits:
+        if setting == "auto" and (low or high) and not self.settings.autolimits:
             self.refuse(f"{self} has {of} and no {key}, and the compiler's autolimits is false", f"Say {key}.")
-        if said == "true" and not low < high:
+        if setting == "true" and not low < high:
             self.refuse(f"{self} has {key} and the empty {of} {low:g} {high:g}", f"Correct {of}, or take {key} out.")
-        return said != "false" and bool(low < high)
+        return setting != "false" and bool(low < high)
 
     def placement(self) -> Array:
         """Return the (4, 4) placement of pos and orientation."""

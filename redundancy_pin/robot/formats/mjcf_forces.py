@@ -61,16 +61,16 @@ class Forces:
             # it replaces both, by values that follow from the inertia of the whole model: neither is in force here
             given = {key: value for key, value in given.items() if key not in ("stiffness", "damping")}
         given = {key: value for key, value in given.items() if not _FORCES[key] <= self.disabled}
-        plain = {}
+        values = {}
         for key, numbers in given.items():
             if kind in ("hinge", "slide") and key != "springdamper" and not numbers[1:].any() and numbers[0] >= 0.0:
-                plain[key] = float(numbers[0])
+                values[key] = float(numbers[0])
             elif numbers.any():
                 self.left_out.setdefault(key, []).append(name)
-        if any(plain.values()):
+        if any(values.values()):
             unit = math.pi / 180.0 if kind == "hinge" and part.settings.degrees else 1.0
             rest = unit * part.number("springref", 0.0)
-            damping, friction, stiffness = (plain.get(key, 0.0) for key in ("damping", "frictionloss", "stiffness"))
+            damping, friction, stiffness = (values.get(key, 0.0) for key in ("damping", "frictionloss", "stiffness"))
             self.loads.append(JointForces(name, damping, friction, stiffness=stiffness, rest=rest))
 
     def read_tendon(self, part: Part) -> None:
@@ -81,8 +81,8 @@ class Forces:
     def notes(self, colliding: bool) -> list[str]:
         """Return what is in force and what is not, in words."""
         notes = []
-        if said := "; ".join(f"{what} of {', '.join(names)}" for what, names in self.left_out.items()):
-            notes.append(f"{NOT_IN_FORCE} {said}.")
+        if listed := "; ".join(f"{what} of {', '.join(names)}" for what, names in self.left_out.items()):
+            notes.append(f"{NOT_IN_FORCE} {listed}.")
         if colliding:
             notes.append("Contacts between geoms are not modelled.")
         if disabled := sorted(self.disabled & set().union(*_FORCES.values())):
@@ -99,13 +99,13 @@ def forces_of(part: Part) -> Array:
     gear, ends = float(part.numbers("gear", 1, 6, default="1")[0]), np.array([-math.inf, math.inf])
     if not gear:
         part.refuse(f"{part} has a gear of zero")
-    plain = part.tag == "motor" or (
+    is_motor = part.tag == "motor" or (
         part.tag == "general"
         and part.text("gaintype", "fixed") == "fixed"
         and part.text("biastype", "none") == "none"
         and part.text("dyntype", "none") == "none"
     )
-    if plain and part.limited("ctrllimited", "ctrlrange"):
+    if is_motor and part.limited("ctrllimited", "ctrlrange"):
         gain = 1.0 if part.tag == "motor" else float(part.numbers("gainprm", 1, 10, default="1")[0])
         ends = gain * part.numbers("ctrlrange", 2)
     if part.limited("forcelimited", "forcerange"):

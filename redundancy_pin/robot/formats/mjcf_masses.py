@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.robot.formats.mechanism import angles, moved_to, placed, together
+from redundancy_pin.robot.formats.mechanism import angles, combined_mass, moved_to, placed
 from redundancy_pin.robot.formats.mjcf_file import ORIENTATION, Part, from_z
 from redundancy_pin.robot.formats.urdf_tree import LinkEntry
 
@@ -33,7 +33,7 @@ def body_mass(part: Part, name: str, own: list[tuple[Part, Array]]) -> LinkEntry
     low, high = part.settings.inertia_groups
     geoms = [each for each in own if each[0].tag == "geom"]
     counted = [(geom, within) for geom, within in geoms if low <= geom.number("group", 0.0) <= high]
-    return together(name, [_of_geom(geom, within) for geom, within in counted])
+    return combined_mass(name, [_of_geom(geom, within) for geom, within in counted])
 
 
 def shape_of(geom: Part, within: Array) -> str:

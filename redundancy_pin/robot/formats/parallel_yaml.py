@@ -59,44 +59,47 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
     """
     file = parse_yaml(read_model(path), str(path), ModelFileError)
     with file.naming():
-        said = validated(_File, file.data if isinstance(file.data, dict) else {})
+        content = validated(_File, file.data if isinstance(file.data, dict) else {})
         source = _urdf_beside(path)
         urdf = read_model(source)
         tree = read_tree(urdf, source)
-        types = said.type or ("6d",) * len(said.closed_loop)
-        for key, given, names in (("type", types, said.closed_loop), ("joint_type", said.joint_type, said.joint_name)):
+        types = content.type or ("6d",) * len(content.closed_loop)
+        for key, given, names in (
+            ("type", types, content.closed_loop),
+            ("joint_type", content.joint_type, content.joint_name),
+        ):
             if len(given) != len(names):
                 raise bad_value(key, list(given), f"a list of {len(names)}")
         closures = []
-        for number, ((one, other), kind) in enumerate(zip(said.closed_loop, types, strict=True)):
+        for number, ((one, other), kind) in enumerate(zip(content.closed_loop, types, strict=True)):
             if kind.lower() not in ("3d", "6d"):
                 raise bad_value(f"type[{number}]", kind, "3d or 6d")
             closures.append(Closure(f"{one} = {other}", _link(tree, one), _link(tree, other), AXES[: int(kind[0])]))
-        for kind in said.joint_type:
+        for kind in content.joint_type:
             if kind not in _KINDS:
                 raise bad_value("joint_type", kind, f"one of {', '.join(_KINDS)}")
-        kinds = {name: _KINDS[kind] for name, kind in zip(said.joint_name, said.joint_type, strict=True)}
+        kinds = {name: _KINDS[kind] for name, kind in zip(content.joint_name, content.joint_type, strict=True)}
         unknown = [name for name in kinds if name not in {joint.name for joint in tree.joints}]
         for name in unknown:  # as the collection's own loader does, and said
             del kinds[name]
         notes = (f"Passed over, joint_name says what the URDF has not: {', '.join(unknown)}.",) if unknown else ()
         name = path.resolve().parent.name
         made = tree_mechanism(
-            tree, name, kinds=kinds, closures=tuple(closures), actuated=said.name_mot, base=base, shapes=urdf
+            tree, name, kinds=kinds, closures=tuple(closures), actuated=content.name_mot, base=base, shapes=urdf
         )
         return replace(made, notes=notes)
 
 
 def _urdf_beside(path: Path) -> Path:
     folder = path.parent
-    found = [folder / "robot.urdf"] if (folder / "robot.urdf").is_file() else sorted(folder.glob("*.urdf"))
-    if len(found) != 1:
+    candidates = [folder / "robot.urdf"] if (folder / "robot.urdf").is_file() else sorted(folder.glob("*.urdf"))
+    if len(candidates) != 1:
         raise ModelFileError(
-            f"{path} names no URDF, and its folder holds {len(found) or 'none'}.",
+            f"{path} names no URDF, and its folder holds {len(candidates) or 'none'}.",
             remedy="Put one beside it, and call it robot.urdf.",
             path=str(path),
         )
-    return found[0]
+    return candidates[0]
 
 
 def _link(tree: Tree, name: str) -> str:

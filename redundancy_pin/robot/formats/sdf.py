@@ -136,10 +136,10 @@ class _Reader:
         return (child for child in element if child.tag == tag and isinstance(child, Element))
 
     def _one(self, element: Element, tag: str) -> Element | None:
-        found = list(self._children(element, tag))
-        if len(found) > 1:
-            self.refuse(found[1], f"<{element.tag}> has <{tag}> {len(found)} times", "Leave one.")
-        return found[0] if found else None
+        children = list(self._children(element, tag))
+        if len(children) > 1:
+            self.refuse(children[1], f"<{element.tag}> has <{tag}> {len(children)} times", "Leave one.")
+        return children[0] if children else None
 
     def _named(self, kind: str) -> dict[str, Element]:
         result: dict[str, Element] = {}
@@ -378,7 +378,7 @@ class _Reader:
             start,
             forces=loads,
             notes=tuple(self.notes),
-            driven_is_said=bool(driven),
+            drives_declared=bool(driven),
             couplings=tuple(self._gears(gear, [joint for joint, *_ in tree if joint]) for gear in gears),
         )
 
@@ -418,17 +418,17 @@ class _Reader:
 
         def grow() -> None:
             while True:
-                found = next(
+                joint = next(
                     (j for j in rest if j.parent in reached and j.child not in reached and first[j.child] is j), None
                 )
-                found = found or next((j for j in rest if (j.parent in reached) != (j.child in reached)), None)
-                if found is None:
+                joint = joint or next((j for j in rest if (j.parent in reached) != (j.child in reached)), None)
+                if joint is None:
                     return
-                back = found.parent not in reached
-                carrier, carried = (found.child, found.parent) if back else (found.parent, found.child)
-                tree.append((found, back, carrier, carried))
+                back = joint.parent not in reached
+                carrier, carried = (joint.child, joint.parent) if back else (joint.parent, joint.child)
+                tree.append((joint, back, carrier, carried))
                 reached.add(carried)
-                rest.remove(found)
+                rest.remove(joint)
 
         grow()
         while len(reached) <= len(self.elements["link"]):
@@ -516,9 +516,9 @@ class _Reader:
             self.refuse(self.model, "the model is static: nothing of it moves")
         for plugin in self._children(self.model, "plugin"):
             self.notes.append(f"The plugin {plugin.get('name', '')!r} does not run.")
-        said = "; ".join(f"{what} of {', '.join(names)}" for what, names in self._forces.items())
-        if said:
-            self.notes.append(f"{NOT_IN_FORCE} {said}.")
+        listed = "; ".join(f"{what} of {', '.join(names)}" for what, names in self._forces.items())
+        if listed:
+            self.notes.append(f"{NOT_IN_FORCE} {listed}.")
         collisions = any(
             next(self._children(link, "collision"), None) is not None for link in self.elements["link"].values()
         )

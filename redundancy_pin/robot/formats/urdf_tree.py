@@ -319,11 +319,11 @@ def _mimic(name: str, kind: str, part: _Part) -> Coupling | None:
 def _dynamics(part: _Part) -> Mapping[str, float]:
     """Return damping and friction of a joint, those that are not zero."""
     given = part.one("dynamics")
-    found = {} if given is None else {key: given.number(key) for key in _FRICTION if key in given.element.attrib}
-    for key, value in found.items():
+    friction = {} if given is None else {key: given.number(key) for key in _FRICTION if key in given.element.attrib}
+    for key, value in friction.items():
         if value < 0.0 and given is not None:
             given.refuse(f"{part.owner} has a negative {key}, {value:g}")
-    return {key: value for key, value in found.items() if value}
+    return {key: value for key, value in friction.items() if value}
 
 
 def _limits(part: _Part, kind: str) -> Mapping[str, float]:

@@ -273,10 +273,10 @@ class _Engine:
 
     def _evaluate_substitution(self, text: str, context: Mapping[str, Any]) -> str:
         """Evaluate ``$(eval ...)``: the arguments by name, and what the substitutions are as functions."""
-        plain = self._xacro.substitution_args.convert_value
+        convert_value = self._xacro.substitution_args.convert_value
 
         def convert(value: str, kind: str) -> Any:
-            return duals.read(value) if duals.is_written(value) else plain(value, kind)
+            return duals.read(value) if duals.is_written(value) else convert_value(value, kind)
 
         given = {name: convert(value, "auto") for name, value in context.get("arg", {}).items()}
         functions: dict[str, object] = {
@@ -293,12 +293,12 @@ class _Engine:
 
     def _text(self, text: str, symbols: Any) -> Any:
         # xacro cuts a text at each dollar, and copies the rest
-        self._budget.charge(1 + len(text) // 256 + text.count("$") * len(text) // 4096)
+        self._budget.spend(1 + len(text) // 256 + text.count("$") * len(text) // 4096)
         if "$" in text and len(text) > _LONGEST_TEXT:
             raise ExpressionError(f"a text with expressions has {len(text)} characters, more than {_LONGEST_TEXT}")
         value = self._eval_text(text, symbols)
         if isinstance(value, str):
-            self._budget.charge(len(value) // 256)
+            self._budget.spend(len(value) // 256)
             if len(value) > max(_LONGEST_TEXT, len(text)):
                 raise ExpressionError(f"a text has {len(value)} characters, more than {_LONGEST_TEXT}")
         return value
@@ -324,7 +324,7 @@ class _Engine:
                 f"The includes of {stack[0]} {what}: ... {circle}.", remedy="Take the circle out.", path=stack[0]
             )
         text = read_model(path)
-        self._budget.charge(len(text) // 16)
+        self._budget.spend(len(text) // 16)
         parsed_text(text, str(path))
         return minidom.parseString(text)
 
@@ -344,7 +344,7 @@ class _Engine:
             content = read_yaml(path, ModelFileError, "The YAML of a model ", tags=units)
         finally:
             module.filestack.pop()
-        self._budget.charge(2 * len(content.lines))
+        self._budget.spend(2 * len(content.lines))
         return module.YamlListWrapper.wrap(content.data)
 
     def _package(self, name: str) -> str:
@@ -366,7 +366,7 @@ class _Engine:
 
     def _macro_call(self, node: Any, macros: Any, symbols: Any) -> Any:
         if node.tagName.startswith("xacro:"):
-            self._budget.charge(100)
+            self._budget.spend(100)
             if self._depth >= _DEEPEST_MACROS:
                 raise ExpressionError(f"macros call macros {self._depth} levels deep: {node.tagName}")
         self._depth += 1
@@ -378,11 +378,11 @@ class _Engine:
     def _macro_parameter(self, text: str) -> Any:
         if len(text) > _LONGEST_PARAMETERS:
             raise ExpressionError(f"the parameters of a macro have {len(text)} characters")
-        self._budget.charge(5 + len(text) // 64)
+        self._budget.spend(5 + len(text) // 64)
         return self._parse_macro_arg(text)
 
     def _all(self, node: Any, macros: Any, symbols: Any) -> None:
-        self._budget.charge(10 + len(node.childNodes) // 2)
+        self._budget.spend(10 + len(node.childNodes) // 2)
         self._eval_all(node, macros, symbols)
 
     def _node(self, node: Any, by: Any, content_only: bool = False) -> None:
@@ -390,7 +390,7 @@ class _Engine:
         sources = by if isinstance(by, list) else [] if by is None else [by]
         moved = sum(len(each.childNodes) if content_only else 1 for each in sources)
         siblings = len(node.parentNode.childNodes) + moved
-        self._budget.charge(2 + (1 + moved) * siblings // 250)
+        self._budget.spend(2 + (1 + moved) * siblings // 250)
         self._replace_node(node, by, content_only)
 
 
@@ -409,11 +409,11 @@ def _copy_of_xacro() -> Any:
         version = importlib.metadata.version("xacro")
     except importlib.metadata.PackageNotFoundError:
         version = "without a version"
-    found = importlib.util.find_spec("xacro")
-    if found is None or found.origin is None or not version.startswith(_SUPPORTED):
+    module_spec = importlib.util.find_spec("xacro")
+    if module_spec is None or module_spec.origin is None or not version.startswith(_SUPPORTED):
         raise _unknown(version, "its expressions cannot be evaluated safely")
     spec = importlib.util.spec_from_file_location(
-        _NAME, found.origin, submodule_search_locations=found.submodule_search_locations
+        _NAME, module_spec.origin, submodule_search_locations=module_spec.submodule_search_locations
     )
     if spec is None or spec.loader is None:
         raise _unknown(version, "it cannot be loaded a second time")

@@ -33,7 +33,7 @@ from redundancy_pin.simulation.controllers.base import (
     positive_each,
 )
 from redundancy_pin.simulation.derivatives import state_error
-from redundancy_pin.simulation.state import GAP, Manifold, State
+from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, State
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -290,8 +290,8 @@ class ComputedTorque(Tracking):
         model = self.robot.model
         q = pin.integrate(model, np.array(state.q), lead * state.v + 0.5 * lead * lead * a)
         v = state.v + lead * a
-        found = None if self._kernel is None else self._kernel.project(np.concatenate([q, v]), GAP)
-        q, v = self._manifold.project(q, v)[:2] if found is None else np.split(found[0], [len(q)])
+        projected = None if self._kernel is None else self._kernel.project(np.concatenate([q, v]), PROJECTION_TOLERANCE)
+        q, v = self._manifold.project(q, v)[:2] if projected is None else np.split(projected[0], [len(q)])
         return State(self._model.chain, t + lead, q, v, self._read)
 
 

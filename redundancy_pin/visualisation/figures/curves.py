@@ -93,8 +93,8 @@ def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
     """
     condition = margin = np.full(len(run), np.nan)
     try:
-        found = classify(robot or load_recorded(run.robot), run.q)
-        condition, margin = found.condition, found.parallel_margin
+        classes = classify(robot or load_recorded(run.robot), run.q)
+        condition, margin = classes.condition, classes.parallel_margin
     except PlanFileError:
         pass
     return Curves(

@@ -24,22 +24,22 @@ _ENDLESS = 1e6
 """An infinite semi-axis is drawn as so many times the largest finite one, and cut."""
 
 
-def draw_ellipsoids(found: Performance, *, plane: str | None = None) -> Figure:
+def draw_ellipsoids(performance: Performance, *, plane: str | None = None) -> Figure:
     """Draw the ellipsoids of translations, velocities left, forces right, at each pose; the mechanism is at the first.
 
     Each panel has a scale of its own, which its title says. A velocity ellipse that a singularity makes endless ends at
     the border of the picture; the other panel is flat there.
 
     Args:
-        found: from ``performance``; a few poses make a readable picture.
+        performance: from ``performance``; a few poses make a readable picture.
         plane: "xy", "xz", "yz" or "3d", seen obliquely; by default what suits the platform's translations.
 
     Raises:
         InputError: no performance, an unknown plane.
         UnsupportedRobotError: a platform with less than two translations.
     """
-    require_type(found, Performance, "A performance", "Pass what rp.performance(robot, q) returns.")
-    robot = found.robot
+    require_type(performance, Performance, "A performance", "Pass what rp.performance(robot, q) returns.")
+    robot = performance.robot
     moving = [axis for axis in (robot.platform.axes if robot.platform else ()) if not axis.startswith("r")]
     if robot.platform is None or len(moving) < 2:
         raise UnsupportedRobotError(
@@ -50,12 +50,12 @@ def draw_ellipsoids(found: Performance, *, plane: str | None = None) -> Figure:
     matrix = projection(view)
     rows = [robot.platform.axes.index(axis) for axis in moving]
     into = matrix[:, ["xyz".index(axis) for axis in moving]]
-    places = constraint_system(robot).evaluate(found.q).pose.frame_origin[robot.platform.frame].T @ matrix.T
-    lines = [np.stack(ends) @ matrix.T for ends in links(robot, found.q[0])]
+    places = constraint_system(robot).evaluate(performance.q).pose.frame_origin[robot.platform.frame].T @ matrix.T
+    lines = [np.stack(ends) @ matrix.T for ends in links(robot, performance.q[0])]
     hinges = base_hinges(robot) @ matrix.T
     size = float(np.ptp(np.concatenate([*lines, hinges, places]), axis=0).max())
     with figure(9.0, 4.6, f"{robot.name}: what its motors reach") as drawn:
-        kinds = (("velocity", "m/s", found.velocity), ("force", "N", found.force))
+        kinds = (("velocity", "m/s", performance.velocity), ("force", "N", performance.force))
         for axes, stroke, (name, unit, ellipsoid) in zip(drawn.subplots(1, 2), STROKES, kinds, strict=False):
             outlines = outline(ellipsoid, rows, into)
             reach = np.linalg.norm(outlines, axis=2).max(axis=1)

@@ -22,7 +22,7 @@ _MARK: dict[str, Any] = {"color": "#D55E00", "linestyle": "--", "linewidth": 1.2
 """Of what is in an island."""
 
 
-def draw_workspace(found: Workspace) -> Figure:
+def draw_workspace(space: Workspace) -> Figure:
     """Draw a workspace: a map for each working mode over two coordinates, a cloud over three, curves over one.
 
     The colour is the margin to type II singularities. Its top is the 95th percentile, so that one bright spot does not
@@ -35,70 +35,70 @@ def draw_workspace(found: Workspace) -> Figure:
     """
     from matplotlib.lines import Line2D
 
-    require_type(found, Workspace, "A workspace", "Pass what rp.workspace(robot) returns.")
-    many = len(found.modes)
+    require_type(space, Workspace, "A workspace", "Pass what rp.workspace(robot) returns.")
+    many = len(space.modes)
     columns = min(many, 4)
     rows = -(-many // columns)
-    with figure(2.4 + 3.6 * columns, 1.4 + 3.4 * rows, f"{found.robot.name}: margin to type II singularities") as drawn:
+    with figure(2.4 + 3.6 * columns, 1.4 + 3.4 * rows, f"{space.robot.name}: margin to type II singularities") as drawn:
         panels = drawn.subplots(rows, columns, squeeze=False).ravel()
-        size = np.abs(found.margin)
-        top = brightest(size[found.in_range])
+        size = np.abs(space.margin)
+        top = brightest(size[space.in_range])
         image = None
         for k, axes in enumerate(panels):
             if k >= many:
                 axes.set_visible(False)
                 continue
-            if found.modes[k]:
-                axes.set_title(f"working mode {mode_name(found.modes[k])}")
-            if len(found.axes) == 1:
+            if space.modes[k]:
+                axes.set_title(f"working mode {mode_name(space.modes[k])}")
+            if len(space.axes) == 1:
                 for island, look in ((False, {"color": "#0072B2"}), (True, _MARK)):
-                    shown = found.in_range[k] & ((found.island[k] > 0) == island)
-                    axes.plot(found.axes[0], np.where(shown, size[k], np.nan), **look)
+                    shown = space.in_range[k] & ((space.island[k] > 0) == island)
+                    axes.plot(space.axes[0], np.where(shown, size[k], np.nan), **look)
                 axes.set(
-                    xlabel=f"{found.names[0]} [{found.units[0]}]", ylabel="margin to type II [–]", ylim=(0.0, None)
+                    xlabel=f"{space.names[0]} [{space.units[0]}]", ylabel="margin to type II [–]", ylim=(0.0, None)
                 )
-            elif len(found.axes) == 2:
-                image = shade(axes, found.axes, size[k], (found.reachable[k], found.in_range[k]), top)
-                if (found.island[k] > 0).any():
+            elif len(space.axes) == 2:
+                image = shade(axes, space.axes, size[k], (space.reachable[k], space.in_range[k]), top)
+                if (space.island[k] > 0).any():
                     axes.contour(
-                        *found.axes,
-                        (found.island[k] > 0).T,
+                        *space.axes,
+                        (space.island[k] > 0).T,
                         [0.5],
                         **{f"{name}s": value for name, value in _MARK.items()},
                     )
                 axes.set(
                     **{
                         f"{a}label": f"{name} [{unit}]"
-                        for a, name, unit in zip("xy", found.names, found.units, strict=True)
+                        for a, name, unit in zip("xy", space.names, space.units, strict=True)
                     }
                 )
-                axes.set_aspect("equal" if found.units[0] == found.units[1] else "auto")
+                axes.set_aspect("equal" if space.units[0] == space.units[1] else "auto")
             else:
-                image = _cloud(axes, found, k, size[k], top)
+                image = _cloud(axes, space, k, size[k], top)
         if image is not None:
             bar = drawn.colorbar(image, ax=list(panels), shrink=0.8, extend="max")
             bar.set_label("smallest scaled singular value of W [–]")
-        marks = hatched(found.reachable, found.in_range)
-        if (found.island > 0).any():
-            look = _MARK if len(found.axes) < 3 else {"ls": "", "marker": "o", "mfc": "none", "mec": _MARK["color"]}
+        marks = hatched(space.reachable, space.in_range)
+        if (space.island > 0).any():
+            look = _MARK if len(space.axes) < 3 else {"ls": "", "marker": "o", "mfc": "none", "mec": _MARK["color"]}
             marks.append(Line2D([], [], label="not reached from the reference", **look))
-        legend_below(drawn, marks if len(found.axes) == 2 else marks[-1:] if (found.island > 0).any() else [])
+        legend_below(drawn, marks if len(space.axes) == 2 else marks[-1:] if (space.island > 0).any() else [])
         return drawn
 
 
-def _cloud(axes: Axes, found: Workspace, k: int, size: Array, top: float) -> Any:
+def _cloud(axes: Axes, space: Workspace, k: int, size: Array, top: float) -> Any:
     matrix = projection("3d")
-    robot = found.robot
+    robot = space.robot
     draw_mechanism(
         axes, [np.stack(ends) @ matrix.T for ends in links(robot, robot.q_reference)], base_hinges(robot) @ matrix.T
     )
-    mesh = np.stack([part.ravel() for part in np.meshgrid(*found.axes, indexing="ij")], axis=1)
-    inside = found.in_range[k].ravel()
+    mesh = np.stack([part.ravel() for part in np.meshgrid(*space.axes, indexing="ij")], axis=1)
+    inside = space.in_range[k].ravel()
     points, values = mesh[inside], size.ravel()[inside]
     towards = np.cross(matrix[0], matrix[1])
     order = np.argsort(points @ towards)  # the nearest last, on top
     flat = points[order] @ matrix.T
-    rings = np.where(found.island[k].ravel()[inside][order] > 0, 0.7, 0.0)
+    rings = np.where(space.island[k].ravel()[inside][order] > 0, 0.7, 0.0)
     look: dict[str, Any] = {"cmap": COLORS, "vmin": 0.0, "vmax": top, "s": 6.0, "zorder": 1.5}
     look |= {"linewidths": rings, "edgecolors": _MARK["color"]}
     image = axes.scatter(flat[:, 0], flat[:, 1], c=values[order], **look)

@@ -160,7 +160,7 @@ def make_scene(
 
 
 def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Reading, ...]:
-    found = []
+    readings = []
     for body in range(1, robot.model.njoints):
         name = str(robot.model.names[body])
         if robot.model.joints[body].nv != 1:
@@ -171,8 +171,8 @@ def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Rea
         if turning:
             position = np.unwrap(position)
         unit = "rad" if turning else "m"
-        found.append(Reading(name, body, ROLE_NAMES[role], unit, read_only(position), efforts.get(name)))
-    return tuple(found)
+        readings.append(Reading(name, body, ROLE_NAMES[role], unit, read_only(position), efforts.get(name)))
+    return tuple(readings)
 
 
 def frame_samples(t: Array) -> IntArray:
