@@ -110,6 +110,16 @@ YAW = Case(
 )
 """Poses and gravity through a type II pose."""
 
+FLAT = Case(
+    "delta, through the plane of its elbows",
+    "delta",
+    lambda _: straight((-0.04, 0.02, -0.25), (0.05, 0.0, -0.05), 0.5),
+    {"rod_length": 0.35, "rod_carriers": True},
+    {"dt": 0.01},
+    crossings=1,
+)
+"""Gravity along the lost direction, up."""
+
 CASES = (
     SHORT,
     Case("2-RPR line", "2rpr", lambda _: reference.line(0.4, ramp_time=0.5), WITH_MASS, crossings=1),
@@ -137,6 +147,7 @@ CASES = (
     Case("four-bar half turn", "four_bar", lambda _: straight((1.0,), (4.0,), 1.0)),
     Case("Gough, move and tilt", "gough", _tilted),
     YAW,
+    FLAT,
 )
 """Everything ``make engines`` runs."""
 

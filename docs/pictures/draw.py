@@ -120,45 +120,78 @@ GALLERY = {
 
 
 def gallery() -> Figure:
-    """The machines of the gallery at their references, by the shapes of their files."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 33)
+    """The machines of the gallery at their references."""
     with figure(9.0, 2.6) as drawn:
-        for panel, (name, (elevation, azimuth)) in enumerate(GALLERY.items(), 1):
+        for panel, (name, view) in enumerate(GALLERY.items(), 1):
             robot = rp.load_robot(name)
-            shapes = pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.GeometryType.VISUAL)
-            data, placed = robot.model.createData(), shapes.createData()
-            pin.updateGeometryPlacements(robot.model, data, shapes, placed, np.array(robot.q_reference))
             axes: Any = drawn.add_subplot(1, len(GALLERY), panel, projection="3d", proj_type="ortho")
-            lines = [  # offsets between joints
-                np.array([data.oMi[robot.model.parents[joint]].translation, data.oMi[joint].translation])
-                for joint in range(1, robot.model.njoints)
-                if robot.model.parents[joint]
-            ]
-            axes.add_collection3d(Line3DCollection(lines, colors="#bbbbbb", linewidths=1.5))
-            corners = [np.zeros((1, 3))]
-            for shape, place in zip(shapes.geometryObjects, placed.oMg, strict=True):
-                color, form = "#4477aa" if shape.parentJoint else "#777777", shape.geometry
-                if hasattr(form, "halfSide"):
-                    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-                    faces = [np.insert(signs, axis, side, axis=1) for axis in range(3) for side in (1, -1)]
-                    points = [face * form.halfSide @ place.rotation.T + place.translation for face in faces]
-                    axes.add_collection3d(Poly3DCollection(points, facecolors=color, alpha=0.25))
-                    corners += points
-                elif form.radius > form.halfLength:
-                    ring = form.radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
-                    corners.append(ring @ place.rotation.T + place.translation)
-                    axes.plot(*corners[-1].T, color=color, linewidth=1.5)
-                else:
-                    corners.append(place.translation + np.outer([1, -1], form.halfLength * place.rotation[:, 2]))
-                    axes.plot(*corners[-1].T, color=color, linewidth=2.5)
-            least, most = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
-            most = np.maximum(most, least + 0.05 * (most - least).max())
-            axes.set(**{f"{axis}lim": (least[k], most[k]) for k, axis in enumerate("xyz")})
-            axes.set_box_aspect(most - least, zoom=0.95)
-            axes.view_init(elevation, azimuth)
-            axes.set_axis_off()
+            draw_machine(axes, robot, [np.array(robot.q_reference)], view)
             axes.set_title(name, fontsize=9)
         return drawn
+
+
+def delta_crossing() -> Figure:
+    """The delta before, in and after the plane of its elbows, its carriers as in the plan of least peak."""
+    robot = rp.load_robot("delta", rod_length=0.35, rod_carriers=True)
+    line = rp.trajectory.Line((-0.04, 0.02, -0.25), (0.05, 0.0, -0.05))
+    motion = rp.trajectory.Trajectory(line, rp.trajectory.RestToRest(line.length, 0.5, "4-5-6-7"))
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, objective="peak", dt=0.01)
+    (singular,) = plan.diagnostics["singular_instants"]
+    with figure(9.0, 2.2) as drawn:
+        for panel, t in enumerate((singular - 0.1, singular, singular + 0.1), 1):
+            k = int(np.abs(plan.t - t).argmin())
+            q = rp.lift(robot, plan.motion).with_carriers(plan.carriers).q
+            axes: Any = drawn.add_subplot(1, 3, panel, projection="3d", proj_type="ortho")
+            draw_machine(axes, robot, [np.array(q[k]), np.array(q[0]), np.array(q[-1])], (12, -75), zoom=1.25)
+            axes.set_title(f"t = {plan.t[k]:.3f} s", fontsize=9)
+        return drawn
+
+
+def draw_machine(
+    axes: Any, robot: rp.Robot, configurations: list[Any], view: tuple[float, float], zoom: float = 0.95
+) -> None:
+    """Draw the first of some configurations by the shapes of the robot's file, in the space that all of them need."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)
+    shapes = pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.GeometryType.VISUAL)
+    corners = [np.zeros((1, 3))]
+    for k, q in enumerate(configurations):
+        data, placed = robot.model.createData(), shapes.createData()
+        pin.updateGeometryPlacements(robot.model, data, shapes, placed, q)
+        lines = [  # offsets between joints
+            np.array([data.oMi[robot.model.parents[joint]].translation, data.oMi[joint].translation])
+            for joint in range(1, robot.model.njoints)
+            if robot.model.parents[joint]
+        ]
+        faces: list[Any] = []
+        for shape, place in zip(shapes.geometryObjects, placed.oMg, strict=True):
+            name, form = robot.model.names[shape.parentJoint], shape.geometry
+            color = "#d95f0e" if name in robot.carriers else "#4477aa" if shape.parentJoint else "#777777"
+            if hasattr(form, "halfSide"):
+                signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+                sides = [np.insert(signs, axis, side, axis=1) for axis in range(3) for side in (1, -1)]
+                points = [face * form.halfSide @ place.rotation.T + place.translation for face in sides]
+                faces.append((points, color, 0.9 if name in robot.carriers else 0.25))
+                corners += points
+                continue
+            if form.radius > form.halfLength:
+                ring = form.radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+                points, width = ring @ place.rotation.T + place.translation, 1.5
+            else:
+                points = place.translation + np.outer([1, -1], form.halfLength * place.rotation[:, 2])
+                width = 2.5
+            corners.append(points)
+            if k == 0:
+                axes.plot(*points.T, color=color, linewidth=width)
+        if k == 0:
+            axes.add_collection3d(Line3DCollection(lines, colors="#bbbbbb", linewidths=1.5))
+            for points, color, alpha in faces:
+                axes.add_collection3d(Poly3DCollection(points, facecolors=color, alpha=alpha))
+    least, most = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
+    most = np.maximum(most, least + 0.05 * (most - least).max())
+    axes.set(**{f"{axis}lim": (least[k], most[k]) for k, axis in enumerate("xyz")})
+    axes.set_box_aspect(most - least, zoom=zoom)
+    axes.view_init(*view)
+    axes.set_axis_off()
 
 
 def main() -> None:
@@ -172,6 +205,7 @@ def main() -> None:
         ("corner.svg", rp.plot.snapshots(rp.show(plan), 3, title="3-RRR around a corner")),
         ("corner_carriers.svg", rp.plot.carriers(plan)),
         ("gallery.svg", gallery()),
+        ("delta_crossing.svg", delta_crossing()),
         *([("cassie_leg.svg", cassie_leg())] if with_cassie else []),
     ):
         with replacing_file(FOLDER / name) as temporary:

@@ -133,7 +133,8 @@ def _other_motion(details: Mapping[str, Any]) -> tuple[str, str]:
 def _motions(coordinates: int, *, is_pose: bool) -> str:
     """Say which motions have so many coordinates."""
     if is_pose:
-        return "Give a file with x0 to x6 (position and unit quaternion x, y, z, w), xd0 to xd5 and xdd0 to xdd5."
+        columns = "x0 to x6 (position and unit quaternion x, y, z, w), xd0 to xd5 and xdd0 to xdd5"
+        return f"Choose the trajectory pose, or a file with {columns}."
     from redundancy_pin.studies.case import PATHS, TRAJECTORIES
 
     fitting = [name for name in PATHS if TRAJECTORIES[name]().dimension == coordinates]

@@ -339,7 +339,7 @@ def trajectory_value(key: str, text: str, where: str) -> Any:
     """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;``."""
     if text in ("true", "false"):
         return text == "true"
-    if key == "times" and text == "time-optimal":
+    if (key, text) in (("times", "time-optimal"), ("shape", "3-4-5"), ("shape", "4-5-6-7")):
         return text
     try:
         # commas part the pairs of a trajectory already: rows have blanks and semicolons

@@ -69,9 +69,9 @@ PATHS = ("circle", "line", "corner", "square")
 """Trajectories of the thesis."""
 
 TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {
-    name: getattr(reference, name) for name in (*PATHS, "points", "polygon")
+    name: getattr(reference, name) for name in (*PATHS, "points", "polygon", "pose")
 }
-"""Makers of trajectories by name: those of the thesis, and two for the user's own paths."""
+"""Makers of trajectories by name: those of the thesis, and three for the user's own."""
 
 
 def options(**values: Any) -> Options:

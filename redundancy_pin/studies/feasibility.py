@@ -280,8 +280,8 @@ LETTERS: Mapping[str, tuple[str, str]] = {
 _OTHER = ("X", "other (see the table)")
 
 _UNITS: Mapping[str, str] = {
-    "speed": "m/s", "time": "s", "alpha": "rad", "acceleration": "m/s²", "jerk": "m/s³", "force": "N", "mass": "kg",
-    "inertia": "kg·m²",
+    "speed": "m/s", "time": "s", "duration": "s", "alpha": "rad", "acceleration": "m/s²", "jerk": "m/s³", "force": "N",
+    "mass": "kg", "inertia": "kg·m²",
 }  # fmt: skip
 """Units by the last word of a name; what is not listed is a length."""
 

@@ -49,6 +49,9 @@ shortest return that breaks none. Of the stepwise planner, its fractions of the 
 _OF_THE_MAP = ("effort", "jerk", "track", "speed", "acceleration", "carrier_force", "baseline", "progress")
 """Keywords of planners that a map sets itself, or that are no plain data."""
 
+_NO_NUMBERS = ("start", "end", "points", "vertices", "closed", "shape")
+"""Options of trajectories that are points, poses or names."""
+
 _DIGITS = 12
 """Significant digits of a value: the same value of two grids is then the same number, and is computed once."""
 
@@ -156,7 +159,7 @@ class MapProblem:
     Attributes:
         robot: a shipped robot or the path of a declaration.
         x, y: the two parameters.
-        trajectory: a key of ``TRAJECTORIES``: a path of the thesis, or points or a polygon of the user's own.
+        trajectory: a key of ``TRAJECTORIES``: a path of the thesis, or points, a polygon or poses of the user's own.
         options: its options: numbers, and lists of numbers for points and vertices; speed ramps are v T / 2 long unless
             ``ramp_length`` is given.
         settings: arguments of the robot.
@@ -207,7 +210,7 @@ class MapProblem:
             raise InputError(message, remedy="Leave one of them out.")
         lowest = {axis.name: axis.values[0] for axis in (self.x, self.y)}
         for name, value in {**self.options, **self.limits, **lowest}.items():
-            if isinstance(value, (bool, list, tuple)):  # points, vertices, closed
+            if name in _NO_NUMBERS:
                 continue
             if name in (*self.trajectory_keys, *LIMITS) and name != "alpha" and not value > 0.0:
                 meaning = f"It is the {LIMITS[name]}." if name in LIMITS else "Trajectories take SI units."
@@ -234,7 +237,7 @@ class MapProblem:
     @property
     def trajectory_keys(self) -> tuple[str, ...]:
         """Options of the trajectory that are numbers."""
-        return tuple(name for name in self._keys if name not in ("start", "points", "vertices", "closed"))
+        return tuple(name for name in self._keys if name not in _NO_NUMBERS)
 
     @property
     def _keys(self) -> Mapping[str, inspect.Parameter]:

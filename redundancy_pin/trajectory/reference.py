@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import checked, positive
+from redundancy_pin.trajectory.csv_file import checked_poses
 from redundancy_pin.trajectory.paths import Line, Path, circle_path, with_constant
 from redundancy_pin.trajectory.timing import LEAST_RAMP_FRACTION, RestToRest, SpeedProfile
 from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory
@@ -146,7 +147,7 @@ def pose(
     """Return a rest-to-rest motion of a spatial platform: straight line, and rotation about a constant axis.
 
     Args:
-        start: (4, 4) homogeneous pose in the base frame, m.
+        start: (4, 4) homogeneous pose in the base frame, m; or (7,) position, m, and unit quaternion x, y, z, w.
         end: the same at the end.
         duration: s.
         shape: the rest-to-rest polynomial of the fraction travelled.
@@ -154,7 +155,11 @@ def pose(
     Raises:
         InputError: as ``PoseTrajectory`` and ``RestToRest``.
     """
-    return PoseTrajectory(start, end, RestToRest(1.0, duration, shape))
+    first, last = (
+        checked_poses(checked(given, name, (7,))[None], name)[0] if np.shape(given) == (7,) else given
+        for name, given in (("start", start), ("end", end))
+    )
+    return PoseTrajectory(first, last, RestToRest(1.0, duration, shape))
 
 
 def points(

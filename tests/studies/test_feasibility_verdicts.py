@@ -334,3 +334,27 @@ def test_a_robot_without_a_version_that_has_no_carriers_is_planned_stepwise() ->
     assert [settings["lam"] for settings in problem.attempts(STEPWISE)] == [0.0] or problem.has_baseline
     heavy, light = compute(problem, STEPWISE, 0.05, 0.4), compute(replace(problem, gravity=None), STEPWISE, 0.05, 0.4)
     assert heavy.peak_effort != light.peak_effort
+
+
+@pytest.mark.long
+def test_a_map_of_a_motion_between_poses() -> None:
+    """Gough, through 90 degrees of yaw: 0.5 kg a carrier do not hold the weight there (see its own test), 2 kg do."""
+    problem = MapProblem(
+        "gough",
+        Axis("duration", (0.5, 1.0)),
+        Axis("carrier_mass", (0.5, 2.0)),
+        "pose",
+        options={
+            "start": (0.0, 0.0, 0.6, 0.0, 0.0, 0.573576436, 0.819152044),
+            "end": (0.0, 0.0, 0.6, 0.0, 0.0, 0.819152044, 0.573576436),
+        },
+        settings={"carriers": True},
+        backend="rnea",
+        planners=(WHOLE,),
+        parameters={WHOLE: {"dt": 0.1}},
+    )
+    problem.require_names()
+    light, heavy = (compute(problem, WHOLE, 1.0, mass) for mass in (0.5, 2.0))
+    assert light.verdict is Verdict.INFEASIBLE
+    assert "acceleration" in light.limits
+    assert heavy.verdict is Verdict.FEASIBLE

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm, logm
+from scipy.spatial.transform import Rotation
 from trajectory_checks import clear_of, differentiate
 
 from redundancy_pin.errors import InputError
@@ -19,6 +20,15 @@ def _pose(vector, place):
 
 
 START, END = _pose([0.2, -0.1, 0.4], [0.1, 0.0, 0.5]), _pose([-0.5, 0.8, 0.3], [0.0, 0.2, 0.7])
+
+
+def test_rows_of_position_and_quaternion_are_poses():
+    rows = [[*each[:3, 3], *Rotation.from_matrix(each[:3, :3]).as_quat()] for each in (START, END)]
+    expected, got = (reference.pose(*ends, 1.5).sample(0.1) for ends in ((START, END), rows))
+    for name in ("x", "xd", "xdd"):
+        np.testing.assert_allclose(getattr(got, name), getattr(expected, name), atol=1e-12)
+    with pytest.raises(InputError, match="end: the quaternion"):
+        reference.pose(rows[0], [*rows[1][:6], 3.0])
 
 
 def test_starts_and_ends_in_the_given_poses_at_rest():

@@ -213,13 +213,33 @@ def _within(hessian: Array, gradient: Array, u: list[float], lower: list[float],
         hessian, gradient, _NO_ROWS[:, : len(u)], np.array(upper) - here, np.array(lower) - here, **_TOLERANCES
     )
     if flag < 1:
+        return _within_by_least_squares(hessian, gradient, here, lower, upper, flag)
+    # a bound with a multiplier is met bit by bit, not up to the rounding of a difference
+    sides = zip((here + d).tolist(), info["lam"].tolist(), lower, upper, strict=True)
+    return [b if force > 0.0 else a if force < 0.0 else min(max(x, a), b) for x, force, a, b in sides]
+
+
+def _within_by_least_squares(
+    hessian: Array, gradient: Array, here: Array, lower: list[float], upper: list[float], flag: int
+) -> list[float]:
+    """Return the same minimum where DAQP calls a box infeasible, as it does of Hessians of condition 1e12."""
+    from scipy.optimize import lsq_linear
+
+    if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
         raise RedundancyPinError(
             f"The quadratic programme of one step was not solved (DAQP: {flag}).",
             remedy="Check the efforts along the motion: they must not be NaN.",
         )
-    # a bound with a multiplier is met bit by bit, not up to the rounding of a difference
-    sides = zip((here + d).tolist(), info["lam"].tolist(), lower, upper, strict=True)
-    return [b if force > 0.0 else a if force < 0.0 else min(max(x, a), b) for x, force, a, b in sides]
+    root = np.linalg.cholesky(hessian).T
+    low, high = np.array(lower), np.array(upper)
+    apart = low < high  # lsq_linear takes no bounds that are equal
+    u = low.copy()
+    target = root @ here - np.linalg.solve(root.T, gradient) - root[:, ~apart] @ low[~apart]
+    if apart.any():
+        bounds = low[apart], high[apart]
+        solved = lsq_linear(root[:, apart], target, bounds, method="bvls", tol=1e-15)
+        u[apart] = np.where(solved.active_mask > 0, bounds[1], np.where(solved.active_mask < 0, bounds[0], solved.x))
+    return u.tolist()  # type: ignore[no-any-return]
 
 
 def optimality(residual: Array, jacobian: Array, lower: Array, upper: Array, u: Array) -> Array:

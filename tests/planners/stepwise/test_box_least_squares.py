@@ -160,3 +160,17 @@ def test_a_problem_whose_curvature_dominates_is_refused():
     # u² + 1 has no zero: Gauss–Newton jumps about
     with pytest.raises(RedundancyPinError, match="did not converge"):
         solve(np.array([1.0]), np.array([[1e-3]]), np.array([[1.0]]), [-10.0], [10.0], start=[0.3])
+
+
+@pytest.mark.parametrize("seed", [2, 4, 34, 74])
+def test_boxes_that_daqp_calls_infeasible_have_their_minimum(seed):
+    """Condition 1e12 of BᵀB, as beside a singularity of the Gough platform; against another method of scipy's."""
+    rng = np.random.default_rng(seed)
+    left, right = (np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(2))
+    B = left @ np.diag([4.0, 0.4, 0.4, 4e-4, 4e-4, 3e-6]) @ right.T
+    c, lower, upper = 100.0 * rng.normal(size=6), np.zeros(6), np.full(6, 20.0)
+    u = np.array(solve(c, B, 0.0 * B, lower, upper)[0])
+    assert ((lower <= u) & (u <= upper)).all()
+    assert optimality((c + B @ u)[None], B[None], lower[None], upper[None], u[None]) < 1e-9
+    expected = lsq_linear(B, -c, (lower, upper), tol=1e-14).x
+    assert np.linalg.norm(c + B @ u) == pytest.approx(np.linalg.norm(c + B @ expected), rel=1e-9)
