@@ -59,10 +59,10 @@ ENGINES = {"exudyn": run_exudyn, "mujoco": run_mujoco}
 
 
 def installed():
-    found = {name: run for name, run in ENGINES.items() if importlib.util.find_spec(name) is not None}
-    for name in ENGINES.keys() - found.keys():
+    available = {name: run for name, run in ENGINES.items() if importlib.util.find_spec(name) is not None}
+    for name in ENGINES.keys() - available.keys():
         print(f"{name} is left out: it is not installed (pip install 'redundancy_pin[engines]').")
-    return found
+    return available
 
 
 def measured(case, drive, run):
@@ -165,30 +165,30 @@ def tasks(drive):
 
 def longest_steps(drive, run, tolerance):
     """Return the setting of an engine with fewest steps that is within the tolerance, or None."""
-    found, most = None, np.inf
+    best, most = None, np.inf
     for where, task in tasks(drive).items():
         for step in LADDER:
             reached = run(task, step=step)
             if reached.steps >= most:
                 break  # no better than the other
             if within(drive, reached, tolerance):
-                found, most = {"restart_at": where, "step": step}, reached.steps
+                best, most = {"restart_at": where, "step": step}, reached.steps
                 break
-    return found
+    return best
 
 
 def cheapest(drive, tolerance, dynamics):
     """Return the setting of ``simulate`` that takes least time to be within the tolerance."""
-    found = []
+    records = []
     for integrator, restart_at in itertools.product(("RK45", "DOP853"), ("jumps", "breaks")):
         for rtol in RTOLS:
             setting = {"integrator": integrator, "restart_at": restart_at, "rtol": rtol, "atol": rtol / 10}
             run = run_own(drive.task, dt=SAMPLES, dynamics=dynamics, **setting)
             if within(drive, run, tolerance):
-                found.append((run.seconds, len(found), setting))
+                records.append((run.seconds, len(records), setting))
                 if restart_at == "breaks":  # one step for each step of the plan, and tighter ones cost as much or more
                     break
-    finalists = [setting for _, _, setting in sorted(found)[:FINALISTS]]
+    finalists = [setting for _, _, setting in sorted(records)[:FINALISTS]]
     times = [
         [run_own(drive.task, dt=SAMPLES, dynamics=dynamics, **setting).seconds for setting in finalists]
         for _ in range(REPEATS)
@@ -260,16 +260,16 @@ def main():
     parser.add_argument("--json", type=Path, help="file for the numbers")
     path = parser.parse_args().json
     engines = installed()
-    found = {"errors": errors(engines)}
-    missed = [f"{row['case']} in {row['engine']}" for row in found["errors"] if row["step"] < 2e-4 and not row["met"]]
+    facts = {"errors": errors(engines)}
+    missed = [f"{row['case']} in {row['engine']}" for row in facts["errors"] if row["step"] < 2e-4 and not row["met"]]
     if "mujoco" in engines:
-        found["softness"] = softness()
+        facts["softness"] = softness()
     if "exudyn" in engines:
-        found["growth"] = growth(run_exudyn)
-    found["speeds"] = rows()
+        facts["growth"] = growth(run_exudyn)
+    facts["speeds"] = rows()
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(found, indent=2) + "\n")
+        path.write_text(json.dumps(facts, indent=2) + "\n")
     if missed:
         raise SystemExit(f"Off by more than {TOLERANCE:g} m: {'; '.join(missed)}.")
 

@@ -44,7 +44,7 @@ def slsqp_steps(model, limits):
     """The carriers' positions, one SLSQP a step, efforts and gradient from the coefficients."""
     k = len(limits)
     s, sd, sdd = np.zeros(k), np.zeros(k), np.zeros(k)
-    found = []
+    records = []
     for j in range(1, len(model.t)):
         h, tau0 = model.t[j] - model.t[j - 1], model.tau0[j]
         by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(model.tau_terms[j], -1, 0)
@@ -62,15 +62,15 @@ def slsqp_steps(model, limits):
         sdd = np.clip(solved.x, low, high)
         sd = sd + h * sdd
         s = s + h * sd
-        found.append(s)
-    return np.array(found)
+        records.append(s)
+    return np.array(records)
 
 
 def slsqp_on_backend(dynamics, motion, limits):
     """The same, asking the backend at every evaluation; the gradient by its exact carrier derivatives."""
     k = len(limits)
     s, sd, sdd = np.zeros(k), np.zeros(k), np.zeros(k)
-    found = []
+    records = []
     for j in range(1, len(motion)):
         h, along = motion.t[j] - motion.t[j - 1], dynamics.along(motion[j : j + 1])
 
@@ -89,8 +89,8 @@ def slsqp_on_backend(dynamics, motion, limits):
         sdd = np.clip(solved.x, low, high)
         sd = sd + h * sdd
         s = s + h * sd
-        found.append(s)
-    return np.array(found)
+        records.append(s)
+    return np.array(records)
 
 
 def compared(title, slow, fast, least, repeats=REPEATS):

@@ -22,7 +22,7 @@ def rows():
         ("circle sampled at 1 ms, CN 5", sampled, {"threshold": 5.0}),
         ("circle, CN 5, backward differences of 1 ms", trajectory, {"scheme": "backward_differences"}),
     )
-    found = []
+    records = []
     for backend, dynamics in (("RNEA", rp.RneaDynamics(robot)), ("virtual work", rp.VirtualWork(robot))):
         for name, motion, settings in cases:
             times = []
@@ -40,8 +40,8 @@ def rows():
                 "seconds": statistics.median(times),
             }
             print(f"{row['what']}: {row['ratio']:.0f} (target {TARGET:g}); {1e3 * row['seconds']:.0f} ms a plan")
-            found.append(row)
-    return found
+            records.append(row)
+    return records
 
 
 if __name__ == "__main__":

@@ -86,10 +86,10 @@ def compared(radius, objective):
     prepared, problem = problem_of(trajectory, NODES, objective)
 
     def ours():
-        found = solve(problem, {}, 600.0)
-        if not found.optimal:
-            raise RuntimeError(f"corner {radius} {objective}: {found.message}")
-        return found
+        optimum = solve(problem, {}, 600.0)
+        if not optimum.optimal:
+            raise RuntimeError(f"corner {radius} {objective}: {optimum.message}")
+        return optimum
 
     def coefficients():
         return solve_nlp(transcribe(problem, between=[], limit_force=False), {}, 600.0)
@@ -126,11 +126,11 @@ def growth(objective):
         prepared, problem = problem_of(rp.trajectory.reference.square(), nodes, objective)
         # one long run each: time of the processor, which other work on the machine lengthens less
         began = time.process_time()
-        found = solve(problem, {}, 600.0)
+        optimum = solve(problem, {}, 600.0)
         solved = time.process_time() - began
-        if not found.optimal:
-            raise RuntimeError(f"square at {nodes} nodes, {objective}: {found.message}")
-        times[nodes] = {"prepare": prepared, "solve": solved, "iterations": found.iterations}
+        if not optimum.optimal:
+            raise RuntimeError(f"square at {nodes} nodes, {objective}: {optimum.message}")
+        times[nodes] = {"prepare": prepared, "solve": solved, "iterations": optimum.iterations}
     a_step = [1e6 * times[n]["solve"] / n / times[n]["iterations"] for n in times]
     row = {
         "what": f"growth of a whole-trajectory plan of the square with its nodes, {objective}",

@@ -12,11 +12,11 @@ BEGIN, END = "<!-- table: `make bench` writes it -->\n", "<!-- end of table -->"
 
 
 def rows():
-    found = published.rows()
+    records = published.rows()
     text = PAGE.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
-    PAGE.write_text(f"{before}{BEGIN}{published.table(found)}\n{END}{rest.split(END)[1]}", encoding="utf-8")
-    return found
+    PAGE.write_text(f"{before}{BEGIN}{published.table(records)}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    return records
 
 
 if __name__ == "__main__":

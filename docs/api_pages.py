@@ -32,13 +32,13 @@ NOT_AN_API = (
 
 def public_modules() -> list[str]:
     """Return the names of all modules that say what is public, the package itself first."""
-    found = ["redundancy_pin"]
+    modules = ["redundancy_pin"]
     for module in pkgutil.walk_packages(redundancy_pin.__path__, "redundancy_pin."):
         if module.name.startswith(NOT_AN_API):
             continue
         if module.name in WITHOUT_ALL or getattr(importlib.import_module(module.name), "__all__", None):
-            found.append(module.name)
-    return found
+            modules.append(module.name)
+    return modules
 
 
 def write_pages(folder: Path) -> None:

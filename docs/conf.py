@@ -111,8 +111,8 @@ TOPICS = (
 
 def topics() -> list[str]:
     """Return the names of the pages beside this file."""
-    found = sorted(path.stem for path in HERE.glob("*.md") if path.stem != "index")
-    return sorted(found, key=lambda name: TOPICS.index(name) if name in TOPICS else len(TOPICS))
+    pages = sorted(path.stem for path in HERE.glob("*.md") if path.stem != "index")
+    return sorted(pages, key=lambda name: TOPICS.index(name) if name in TOPICS else len(TOPICS))
 
 
 def fill_in_contents(app: Sphinx, docname: str, source: list[str]) -> None:

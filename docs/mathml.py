@@ -22,7 +22,7 @@ def mathml(formula: str, *, block: bool) -> str:
         block: whether it stands on a line of its own.
     """
     text = tex2mathml(formula, as_block=block).replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
-    tree = ElementTree.fromstring(re.sub(r"&(?!lt;|gt;|amp;)\w+;", lambda found: html.unescape(found[0]), text))
+    tree = ElementTree.fromstring(re.sub(r"&(?!lt;|gt;|amp;)\w+;", lambda match: html.unescape(match[0]), text))
     for element in list(tree.iter("munderover")):
         base, index, above = element
         if (above.text or "") in ACCENTS:  # the index of a dotted letter belongs beside it, not under it

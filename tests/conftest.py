@@ -100,6 +100,6 @@ def compiled_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     folder.mkdir(exist_ok=True, mode=0o700)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(CACHE, str(folder))
-        if found := find_compiler():
-            patch.setenv("CC", shlex.join(["sh", "-c", 'exec "$0" "$@" -O1', *found.command]))
+        if compiler := find_compiler():
+            patch.setenv("CC", shlex.join(["sh", "-c", 'exec "$0" "$@" -O1', *compiler.command]))
         yield folder

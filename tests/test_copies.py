@@ -165,13 +165,13 @@ def test_another_process_gets_the_same(objects: dict[str, Any]) -> None:
 
 def test_every_type_with_read_only_arrays_is_among_them(objects: dict[str, Any]) -> None:
     import_all()  # or it would depend on which tests this worker has run before
-    found = {kind.__name__ for kind in types_of(objects)}
+    types = {kind.__name__ for kind in types_of(objects)}
     pending, every = [Frozen], set()
     while pending:
         kind = pending.pop()
         pending += kind.__subclasses__()
         every.add(kind.__name__)
-    assert every - found - ELSEWHERE - {"Frozen"} == set()
+    assert every - types - ELSEWHERE - {"Frozen"} == set()
 
 
 def test_copies_compute_what_the_originals_do(objects: dict[str, Any]) -> None:

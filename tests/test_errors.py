@@ -65,9 +65,9 @@ def _raised() -> list[tuple[str, ast.Call]]:
     made = []
     for path in package.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
-        for found in named.finditer(text):
-            place = f"{path.relative_to(package)}:{text.count(chr(10), 0, found.start()) + 1}"
-            made.append((place, _call(text[found.start() :])))
+        for match in named.finditer(text):
+            place = f"{path.relative_to(package)}:{text.count(chr(10), 0, match.start()) + 1}"
+            made.append((place, _call(text[match.start() :])))
     return made
 
 

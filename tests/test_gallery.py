@@ -23,9 +23,9 @@ SWUNG = sorted(set(shipped_robots()) - set(SHIPPED) - {"two_arms"})
 
 
 def _name(block: Block) -> str:
-    found = re.search(r'\w\("(\w+)"', block.text) or re.search(r'load_robot\("([\w.]+)"', block.text)
-    assert found, block.where
-    return found[1]
+    match = re.search(r'\w\("(\w+)"', block.text) or re.search(r'load_robot\("([\w.]+)"', block.text)
+    assert match, block.where
+    return match[1]
 
 
 def test_every_shipped_machine_is_there_in_ten_lines() -> None:

@@ -35,18 +35,18 @@ def with_values(rng, samples, n, m, values):
 @pytest.mark.parametrize("shape", [(3, 3), (3, 5), (6, 3)])
 def test_prescribed_singular_values(values, shape):
     rng = np.random.default_rng(1)
-    found, converged = jacobi_singular_values(with_values(rng, 500, *shape, np.array(values, float)))
+    sigmas, converged = jacobi_singular_values(with_values(rng, 500, *shape, np.array(values, float)))
     assert converged.all()
-    assert found == pytest.approx(np.broadcast_to(values, (500, 3)), rel=0.0, abs=ROUNDING)
+    assert sigmas == pytest.approx(np.broadcast_to(values, (500, 3)), rel=0.0, abs=ROUNDING)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 4), (5, 1), (2, 2), (2, 3), (3, 2), (3, 3), (4, 4)])
 def test_agrees_with_lapack(shape):
     rng = np.random.default_rng(2)
     matrices = rng.normal(size=(300, *shape))
-    found, converged = jacobi_singular_values(matrices)
+    values, converged = jacobi_singular_values(matrices)
     assert converged.all()
-    assert found == pytest.approx(np.linalg.svd(matrices, compute_uv=False), rel=0.0, abs=1e2 * ROUNDING)
+    assert values == pytest.approx(np.linalg.svd(matrices, compute_uv=False), rel=0.0, abs=1e2 * ROUNDING)
 
 
 def test_small_singular_values_of_graded_columns_keep_all_digits():

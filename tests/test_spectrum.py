@@ -86,12 +86,12 @@ def test_matrices_that_are_not_finite_give_nan_and_leave_their_neighbours_alone(
     clean = spectrum_of(matrices).singular_values
     matrices[2] = np.nan
     matrices[4, 0, 0] = np.inf
-    found = spectrum_of(matrices)
+    spectrum = spectrum_of(matrices)
     others = np.delete(np.arange(samples), [2, 4])
-    assert np.isnan(found.singular_values[[2, 4]]).all()
-    assert np.isnan(found.condition[[2, 4]]).all()
-    assert (found.rank()[[2, 4]] == 0).all()
-    assert found.singular_values[others] == pytest.approx(clean[others], rel=1e-14)
+    assert np.isnan(spectrum.singular_values[[2, 4]]).all()
+    assert np.isnan(spectrum.condition[[2, 4]]).all()
+    assert (spectrum.rank()[[2, 4]] == 0).all()
+    assert spectrum.singular_values[others] == pytest.approx(clean[others], rel=1e-14)
 
 
 def test_matrices_that_do_not_converge_go_to_lapack(monkeypatch):

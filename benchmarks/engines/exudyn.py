@@ -63,12 +63,12 @@ def run_exudyn(
     with _silent(exu):
         system = ExudynSystem(exu, tree)
         system.place(tree.from_q(task.q), tree.from_v(task.v))
-        found: list[Raw] = []
+        runs: list[Raw] = []
         for part in parts:
-            found.append(system.integrate(part, spectral_radius, tolerance))
-            if found[-1].message:
+            runs.append(system.integrate(part, spectral_radius, tolerance))
+            if runs[-1].message:
                 break
-    raw = joined(found)
+    raw = joined(runs)
     settings = {"step": max(part.step for part in parts), "spectral_radius": spectral_radius, "tolerance": tolerance}
     return finished(tree, task, raw, "exudyn", str(exu.__version__), settings)
 

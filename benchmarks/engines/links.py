@@ -163,12 +163,12 @@ def link_tree(robot: Robot) -> LinkTree:
         )
 
     def frame(name: str) -> FrameOnLink:
-        found = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-        turn = turns[int(found.parentJoint)]
+        entry = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        turn = turns[int(entry.parentJoint)]
         return FrameOnLink(
-            int(found.parentJoint) - 1,
-            read_only(turn.T @ found.placement.rotation),
-            read_only(turn.T @ found.placement.translation),
+            int(entry.parentJoint) - 1,
+            read_only(turn.T @ entry.placement.rotation),
+            read_only(turn.T @ entry.placement.translation),
         )
 
     closures = tuple(LinkClosure(c.name, frame(c.frame_a), frame(c.frame_b), c.axes) for c in robot.closures)

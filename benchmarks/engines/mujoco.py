@@ -81,13 +81,13 @@ def run_mujoco(
     data = mj.MjData(model)
     at = np.array([int(model.joint(link.name).qposadr[0]) for link in tree.links])
     data.qpos[at], data.qvel[at] = tree.from_q(task.q), tree.from_v(task.v)
-    found: list[Raw] = []
+    runs: list[Raw] = []
     for part in parts:
-        found.append(_integrate(mj, model, data, task, tree, part, at))
-        if found[-1].message:
+        runs.append(_integrate(mj, model, data, task, tree, part, at))
+        if runs[-1].message:
             break
     settings = {"step": longest, "time_constant": constant, "impedance": impedance, "integrator": integrator}
-    return finished(tree, task, joined(found), "mujoco", str(mj.__version__), settings)
+    return finished(tree, task, joined(runs), "mujoco", str(mj.__version__), settings)
 
 
 def _integrate(mj: Any, model: Any, data: Any, task: Task, tree: LinkTree, part: Segment, at: Array) -> Raw:

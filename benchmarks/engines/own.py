@@ -89,21 +89,21 @@ def run_own(
         IllPosedModelError, SingularPoseError: at the start, forces do not determine the acceleration.
     """
     options = {"rtol": rtol, "atol": atol, "integrator": integrator, "restart_at": restart_at, "method": method}
-    found = simulate(task.robot, TaskEfforts(task), stop_at=(), dt=dt, dynamics=dynamics, **options)  # type: ignore[arg-type]
+    run = simulate(task.robot, TaskEfforts(task), stop_at=(), dt=dt, dynamics=dynamics, **options)  # type: ignore[arg-type]
     return EngineRun(
         engine="redundancy_pin",
         version=version("redundancy_pin"),
         settings=options,
-        t=found.t,
-        x=found.x,
-        s=found.s,
-        q=found.q,
-        v=found.v,
-        gap=found.gap,
-        steps=found.statistics.steps,
-        seconds=found.statistics.seconds,
-        status=RunStatus.COMPLETED if found.status is SimulationStatus.COMPLETED else RunStatus.STOPPED,
-        message=found.reason,
+        t=run.t,
+        x=run.x,
+        s=run.s,
+        q=run.q,
+        v=run.v,
+        gap=run.gap,
+        steps=run.statistics.steps,
+        seconds=run.statistics.seconds,
+        status=RunStatus.COMPLETED if run.status is SimulationStatus.COMPLETED else RunStatus.STOPPED,
+        message=run.reason,
     )
 
 

@@ -97,12 +97,12 @@ def segments(task: Task, step: float) -> tuple[Segment, ...]:
     if not (np.isfinite(step) and step > 0.0):
         raise InputError(f"The step is {step} s.", remedy="Pass a positive number of seconds.", step=step)
     edges = [task.start, *task.breaks, task.end]
-    found = []
+    steps = []
     for left, right in itertools.pairwise(edges):
         # a quotient that is whole up to rounding must not cost a step more
         count = max(1, int(np.ceil((right - left) / step * (1.0 - 1e-12))))
         t = np.linspace(left, right, count + 1)
         effort = np.array(task.efforts(t))
         effort[-1] = task.efforts(t[-1:], side="left")[0]
-        found.append(Segment(frozen(t), (right - left) / count, frozen(effort)))
-    return tuple(found)
+        steps.append(Segment(frozen(t), (right - left) / count, frozen(effort)))
+    return tuple(steps)

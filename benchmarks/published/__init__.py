@@ -102,7 +102,7 @@ def seconds_of(action):
 
 def rows(problems=PROBLEMS):
     """Error, digits, steps and processor times of each problem, in Python and in machine code."""
-    found = []
+    records = []
     for problem in problems:
         run, seconds = seconds_of(problem.run)
         row = {"what": problem.name, "duration": problem.duration, "status": run.status.value}
@@ -111,15 +111,15 @@ def rows(problems=PROBLEMS):
             fast = rp.CompiledDynamics(problem.robot())
             quick, row["compiled_seconds"] = seconds_of(lambda p=problem, d=fast: p.run(dynamics=d))
             row["compiled_error"] = problem.error(quick)
-        found.append(row)
+        records.append(row)
         print(f"{row['what']}: {row['error']:.1e} in {row['steps']} steps, {row['seconds']:.2f} s", flush=True)
-    return found
+    return records
 
 
-def table(found):
+def table(records):
     """The rows as Markdown."""
     lines = ["| problem | time | digits | error | steps | s | compiled, s |", "|---|---|---|---|---|---|---|"]
-    for row in found:
+    for row in records:
         compiled = f"{row['compiled_seconds']:.2g}" if "compiled_seconds" in row else "–"
         digits = f"{-np.log10(row['error']):.1f}" if row["status"] == "completed" else row["status"]
         lines.append(

@@ -113,8 +113,8 @@ class Lagrange:
     def motion(self, q, v, times, method="DOP853", rtol=1e-12, atol=1e-13):
         n = len(q)
         rate = lambda t, y: np.append(y[n:], self.acceleration(y[:n], y[n:]))  # noqa: E731
-        found = solve_ivp(rate, (times[0], times[-1]), np.append(q, v), method, times, rtol=rtol, atol=atol)
-        return found.y[:n].T
+        integrated = solve_ivp(rate, (times[0], times[-1]), np.append(q, v), method, times, rtol=rtol, atol=atol)
+        return integrated.y[:n].T
 
 
 def unit(vector):

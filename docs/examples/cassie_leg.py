@@ -48,8 +48,8 @@ def cassie_sdf(folder: Path) -> Path:
     Raises:
         PackageNotFoundError: example-robot-data is not installed.
     """
-    found = [file for file in files("example-robot-data") or () if file.name == "cassie_v2.sdf"]
-    text, path = Path(str(found[0].locate())).read_text(encoding="utf-8"), folder / "cassie.sdf"
+    paths = [file for file in files("example-robot-data") or () if file.name == "cassie_v2.sdf"]
+    text, path = Path(str(paths[0].locate())).read_text(encoding="utf-8"), folder / "cassie.sdf"
     for side in SIDES:
         hinge = f'"{side}-achilles-spring-joint" type="revolute"'
         text = text.replace(hinge, hinge.replace("revolute", "ball"))

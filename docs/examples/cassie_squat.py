@@ -110,12 +110,12 @@ def main() -> None:
         raise SystemExit("Cassie's SDF is missing: pip install 'redundancy_pin[examples]'") from None
     motion = squat(robot)
     for friction in (0.6, 0.02):
-        found, feet = efforts(robot, motion, friction)
-        force = dict(zip(feet.names, feet.at(found.tau).T, strict=True))
+        tau, feet = efforts(robot, motion, friction)
+        force = dict(zip(feet.names, feet.at(tau.tau).T, strict=True))
         least = min(force[f"z of {contact}"].min() for contact in CONTACTS)
         print(
-            f"friction {friction}: largest torque {np.abs(found.tau).max():.1f} N·m, least normal force {least:.1f} N, "
-            f"{sorted(set(found.status_labels.tolist()))}"
+            f"friction {friction}: largest torque {np.abs(tau.tau).max():.1f} N·m, least normal force {least:.1f} N, "
+            f"{sorted(set(tau.status_labels.tolist()))}"
         )
 
 

@@ -46,8 +46,8 @@ def solo_urdf() -> Path:
     Raises:
         PackageNotFoundError: it is not installed.
     """
-    (found,) = [file for file in files("example-robot-data") or () if file.name == "solo.urdf"]
-    return Path(str(found.locate())).resolve()
+    (paths,) = [file for file in files("example-robot-data") or () if file.name == "solo.urdf"]
+    return Path(str(paths.locate())).resolve()
 
 
 def load(folder: Path) -> Robot:

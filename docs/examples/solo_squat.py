@@ -34,8 +34,8 @@ def solo_urdf() -> Path:
     Raises:
         PackageNotFoundError: it is not installed.
     """
-    found = [file for file in files("example-robot-data") or () if file.name == "solo12.urdf"]
-    return Path(str(found[0].locate())).resolve()
+    paths = [file for file in files("example-robot-data") or () if file.name == "solo12.urdf"]
+    return Path(str(paths[0].locate())).resolve()
 
 
 def load() -> Robot:
@@ -90,12 +90,12 @@ def main() -> None:
     except PackageNotFoundError:
         raise SystemExit("Solo's URDF is missing: pip install 'redundancy_pin[examples]'") from None
     for friction in (0.6, 0.2):
-        found, feet = efforts(robot, motion, friction)
-        force = feet.at(found.tau).reshape(len(motion), len(LEGS), 3)
+        tau, feet = efforts(robot, motion, friction)
+        force = feet.at(tau.tau).reshape(len(motion), len(LEGS), 3)
         slip = np.linalg.norm(force[:, :, :2], axis=2) / force[:, :, 2]
         print(
-            f"friction {friction}: largest torque {np.abs(found.tau).max():.3f} N·m, tangential over normal force up "
-            f"to {slip.max():.3f}, {sorted(set(found.status_labels.tolist()))}"
+            f"friction {friction}: largest torque {np.abs(tau.tau).max():.3f} N·m, tangential over normal force up "
+            f"to {slip.max():.3f}, {sorted(set(tau.status_labels.tolist()))}"
         )
     if chosen.html:
         rp.show(robot, motion).save(chosen.html)

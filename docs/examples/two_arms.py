@@ -34,8 +34,8 @@ def torques(robot: Robot, motion: rp.PlatformMotion, squeeze: float) -> tuple[rp
     along = rp.RneaDynamics(robot).along(motion)
     grip = closure_forces(along)
     rows = grip.rows(-grip.component("grip", "y"), squeeze, squeeze)  # of the bar's end on the right tool, outward
-    found = rp.distribute(along.reduce(), rows=[rows])
-    return found, grip.at(found.tau)
+    distribution = rp.distribute(along.reduce(), rows=[rows])
+    return distribution, grip.at(distribution.tau)
 
 
 def main() -> None:
@@ -46,9 +46,9 @@ def main() -> None:
     robot = load()
     motion = lift(robot)
     for squeeze in (0.0, 20.0):
-        found, wrench = torques(robot, motion, squeeze)
+        efforts, wrench = torques(robot, motion, squeeze)
         print(
-            f"squeezed by {-wrench[:, 1].mean():.1f} N: largest torque {np.abs(found.tau).max():.2f} N·m, "
+            f"squeezed by {-wrench[:, 1].mean():.1f} N: largest torque {np.abs(efforts.tau).max():.2f} N·m, "
             f"largest moment at the right tool {np.linalg.norm(wrench[:, 3:], axis=1).max():.2f} N·m"
         )
     if chosen.html:

@@ -16,10 +16,10 @@ COMMANDS = ("reproduce", "inverse-dynamics", "singularities", "validate", "info"
 
 
 def test_lists_the_shipped_robots() -> None:
-    found = json.loads(call("info", "--json").stdout)["robots"]
-    assert tuple(entry["name"] for entry in found) == shipped_robots()
+    facts = json.loads(call("info", "--json").stdout)["robots"]
+    assert tuple(entry["name"] for entry in facts) == shipped_robots()
     text = call("info").stdout
-    for entry in found:
+    for entry in facts:
         assert entry["description"]
         assert entry["name"] in text
 
@@ -28,20 +28,20 @@ def test_lists_the_shipped_robots() -> None:
 @pytest.mark.parametrize("name", shipped_robots())
 def test_describes_every_robot(name: str) -> None:
     robot = load_robot(name)
-    found = json.loads(call("info", "--robot", name, "--json").stdout)
-    assert found["counts"] == {
+    facts = json.loads(call("info", "--robot", name, "--json").stdout)
+    assert facts["counts"] == {
         "independent velocities n": robot.n,
         "main actuators m": robot.m,
         "carriers k": robot.k,
         "nq": robot.model.nq,
         "nv": robot.model.nv,
     }
-    roles = [joint["role"] for joint in found["joints"]]
+    roles = [joint["role"] for joint in facts["joints"]]
     assert roles.count("actuated") == robot.m
     assert roles.count("carrier") == robot.k
     assert roles.count("passive") == robot.model.njoints - 1 - robot.m - robot.k
-    assert [closure["axes"] for closure in found["closures"]] == [list(c.axes) for c in robot.closures]
-    assert found["reference"]["type_ii_margin"] > 0.0
+    assert [closure["axes"] for closure in facts["closures"]] == [list(c.axes) for c in robot.closures]
+    assert facts["reference"]["type_ii_margin"] > 0.0
     text = call("info", "--robot", name).stdout
     for parameter in robot.parameters:
         assert parameter in text
@@ -55,15 +55,15 @@ def test_the_reference_has_its_unit(name: str, unit: str) -> None:
 
 
 def test_parameters_show_value_and_default() -> None:
-    found = json.loads(
+    facts = json.loads(
         call(
             "info", "--robot", "3rrr", "--set", "carrier_mass=2", "--set", "platform_mass=1", "--mode", "+-+", "--json"
         ).stdout
     )
-    assert found["parameters"]["carrier_mass"] == {"value": 2.0, "default": 3.0}
-    assert found["parameters"]["platform_mass"] == {"value": 1.0, "default": 0.5}
-    assert found["working_mode"] == "+-+"
-    assert len(found["working_modes"]) == 8
+    assert facts["parameters"]["carrier_mass"] == {"value": 2.0, "default": 3.0}
+    assert facts["parameters"]["platform_mass"] == {"value": 1.0, "default": 0.5}
+    assert facts["working_mode"] == "+-+"
+    assert len(facts["working_modes"]) == 8
 
 
 def test_units_are_shown_as_written() -> None:

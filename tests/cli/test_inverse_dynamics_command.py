@@ -44,28 +44,28 @@ def test_output_is_that_of_the_python_api(corner: Path, tmp_path: Path, name: st
     robot = load_robot("3rrr", carrier_mass=2.0, working_mode=(1, 1, 1), gravity=(0.0, -9.81, 0.0))
     reduced = backend(robot).reduce(from_csv(corner), carriers_from_csv(corner))
     expected = distribute(reduced)
-    found = _columns(out)
-    assert list(found) == [
+    columns = _columns(out)
+    assert list(columns) == [
         "t", "tau0", "tau1", "tau2", "carrier_force0", "carrier_force1", "carrier_force2", "status", "margin",
         "residual",
     ]  # fmt: skip
-    np.testing.assert_array_equal(np.stack([found[f"tau{i}"] for i in range(3)], axis=1), expected.tau)
+    np.testing.assert_array_equal(np.stack([columns[f"tau{i}"] for i in range(3)], axis=1), expected.tau)
     np.testing.assert_array_equal(
-        np.stack([found[f"carrier_force{i}"] for i in range(3)], axis=1), reduced.carrier_force
+        np.stack([columns[f"carrier_force{i}"] for i in range(3)], axis=1), reduced.carrier_force
     )
-    np.testing.assert_array_equal(found["margin"], expected.margin)
-    assert set(found["status"]) == {"regular"}
+    np.testing.assert_array_equal(columns["margin"], expected.margin)
+    assert set(columns["status"]) == {"regular"}
 
 
 def test_json_is_pure_and_tells_what_was_written(corner: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
     result = call("inverse-dynamics", "--robot", "3rrr", "--motion", str(corner), "--out", str(out), "--json")
-    found = json.loads(result.stdout)
+    facts = json.loads(result.stdout)
     assert result.stderr == ""
     columns = _columns(out)
-    assert found["samples"] == len(columns["t"])
-    assert found["statuses"] == {"regular": len(columns["t"])}
-    assert found["largest_tau"] == [float(np.abs(columns[f"tau{i}"]).max()) for i in range(3)]
+    assert facts["samples"] == len(columns["t"])
+    assert facts["statuses"] == {"regular": len(columns["t"])}
+    assert facts["largest_tau"] == [float(np.abs(columns[f"tau{i}"]).max()) for i in range(3)]
 
 
 def test_carrier_columns_may_be_left_out(tmp_path: Path) -> None:
@@ -91,9 +91,9 @@ def test_spatial_poses_are_position_and_quaternion(tmp_path: Path) -> None:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn.as_matrix(), xyz
     expected = distribute(RneaDynamics(load_robot("gough")).reduce(PlatformMotion([0.0], [pose], [twist], [rate])))
-    found = _columns(out)
+    columns = _columns(out)
     # the quaternion of the file is read back to a matrix: rounding of a rotation
-    np.testing.assert_allclose([found[f"tau{i}"][0] for i in range(6)], expected.tau[0], rtol=1e-12)
+    np.testing.assert_allclose([columns[f"tau{i}"][0] for i in range(6)], expected.tau[0], rtol=1e-12)
 
 
 def test_unreachable_samples_are_marked_on_request(tmp_path: Path) -> None:
@@ -104,10 +104,10 @@ def test_unreachable_samples_are_marked_on_request(tmp_path: Path) -> None:
     assert "reach" in refused(*arguments)
     assert "Keep the motion inside the workspace, or write --unreachable mark." in refused(*arguments)
     assert call(*arguments, "--unreachable", "mark").exit_code == 0
-    found = _columns(out)
-    assert list(found["status"]) == ["regular", "unreachable", "regular"]
-    assert np.isnan(found["tau0"][1])
-    assert np.isfinite(found["tau0"][[0, 2]]).all()
+    columns = _columns(out)
+    assert list(columns["status"]) == ["regular", "unreachable", "regular"]
+    assert np.isnan(columns["tau0"][1])
+    assert np.isfinite(columns["tau0"][[0, 2]]).all()
 
 
 def test_singular_sample_has_a_status_and_no_effort(tmp_path: Path) -> None:
@@ -116,9 +116,9 @@ def test_singular_sample_has_a_status_and_no_effort(tmp_path: Path) -> None:
     motion.write_text("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,0.2,0,0.3,-1,0,0\n")
     result = call("inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", out)
     assert result.exit_code == 3
-    found = _columns(out)
-    assert found["status"][0] == "singular_inconsistent"
-    assert np.isnan(found["tau0"][0])
+    columns = _columns(out)
+    assert columns["status"][0] == "singular_inconsistent"
+    assert np.isnan(columns["tau0"][0])
     assert "no finite main efforts at 1 of 1 samples, first at t = 0 s (singular_inconsistent)" in result.stderr
     # theta_dd = -2 d_dot theta_dot / d for zero acceleration; only L² theta_dd acts, and its force on the platform is
     # n h / d (Parsa 2014, eq. 2.17 collapsed); both legs push along y
@@ -127,7 +127,7 @@ def test_singular_sample_has_a_status_and_no_effort(tmp_path: Path) -> None:
         theta_rate = n_rate / d
         h = 0.1**2 * (-2.0 * d_rate * theta_rate / d)
         expected += h / d * (1.0 if n_rate < 0 else -1.0)
-    assert found["residual"][0] == pytest.approx(abs(expected), rel=1e-12)
+    assert columns["residual"][0] == pytest.approx(abs(expected), rel=1e-12)
 
 
 BAD = {

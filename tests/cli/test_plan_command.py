@@ -39,9 +39,9 @@ def test_switch_off_is_that_of_the_python_api(tmp_path: Path) -> None:
         dt=0.02,
         datum=[0.01, -0.01],
     )
-    found = rp.load_plan(out)
-    same(found, expected)
-    assert found.parameters["datum"] == [0.01, -0.01]
+    plan = rp.load_plan(out)
+    same(plan, expected)
+    assert plan.parameters["datum"] == [0.01, -0.01]
     assert plot.read_bytes().startswith(b"\x89PNG")
     # this crossing breaks limits: said by the exit code, in one line, and in the table
     assert expected.status is PlanStatus.VIOLATES_LIMITS
@@ -106,13 +106,13 @@ def test_flags_and_keys_of_a_trajectory_are_thesame(tmp_path: Path) -> None:
 def test_json_is_pure_and_tells_what_the_plan_holds(tmp_path: Path) -> None:
     out = tmp_path / "plan.npz"
     result = call(*CORNER, "--json", "--out", out)
-    found, plan = json.loads(result.stdout), rp.load_plan(out)
-    assert found["status"] == plan.status.value
-    assert found["peak_effort"] == plan.peak_effort.tolist()
-    assert found["main_energy"] == plan.main_energy
-    assert len(found["limits"]["binding"]) == len(plan.limits.binding)
-    assert found["parameters"]["lam"] == 0.0
-    assert found["out"] == str(out)
+    facts, plan = json.loads(result.stdout), rp.load_plan(out)
+    assert facts["status"] == plan.status.value
+    assert facts["peak_effort"] == plan.peak_effort.tolist()
+    assert facts["main_energy"] == plan.main_energy
+    assert len(facts["limits"]["binding"]) == len(plan.limits.binding)
+    assert facts["parameters"]["lam"] == 0.0
+    assert facts["out"] == str(out)
 
 
 def test_points_of_the_command_line(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_the_table_has_what_the_plan_says(tmp_path: Path) -> None:
 
 def counted(tau: np.ndarray) -> list[int]:
     """How often each column turns round and moves back by more than a twentieth of the largest magnitude."""
-    least, found = 0.05 * np.abs(tau).max(), []
+    least, by_joint = 0.05 * np.abs(tau).max(), []
     for effort in tau.T:
         turns, sense, low, high = 0, 0, effort[0], effort[0]
         for value in effort:
@@ -154,8 +154,8 @@ def counted(tau: np.ndarray) -> list[int]:
                 turns, sense = turns + (sense != 0), back
             if back:
                 low = high = value
-        found.append(turns)
-    return found
+        by_joint.append(turns)
+    return by_joint
 
 
 def test_the_case_of_a_suffix_is_free(tmp_path: Path) -> None:

@@ -76,10 +76,10 @@ def test_every_flag_reaches_the_planner(tmp_path: Path) -> None:
         seconds=30.0,
         refinements=1,
     )
-    found = rp.load_plan(out)
-    _same(found, expected)
-    assert found.parameters == expected.parameters
-    assert found.diagnostics["costs"] == expected.diagnostics["costs"]
+    plan = rp.load_plan(out)
+    _same(plan, expected)
+    assert plan.parameters == expected.parameters
+    assert plan.diagnostics["costs"] == expected.diagnostics["costs"]
     assert plot.read_text(encoding="utf-8").startswith("<?xml")
     assert "effort, 0.5 peak, 2 tracking" in result.stdout
     assert "local optimum in" in result.stdout
@@ -164,12 +164,12 @@ def test_an_impossible_task_names_the_limit_and_what_would_suffice(tmp_path: Pat
     task = (*CORNER, "--max-effort", "1", "--end", "free")
     said = refused(*task, "--out", tmp_path / "plan.npz")
     assert "What would suffice" in said
-    found = re.search(r"the acceleration of carrier_\d, from 7 to (\S+) m", said)
-    assert found, said
+    match = re.search(r"the acceleration of carrier_\d, from 7 to (\S+) m", said)
+    assert match, said
     assert list(tmp_path.iterdir()) == []
     # what would suffice does, and less does not; the nodes are refined meanwhile, which moves it by a percent at most
-    assert call(*task, "--max-acceleration", f"{1.01 * float(found[1])}").exit_code == 0
-    assert call(*task, "--max-acceleration", f"{0.99 * float(found[1])}").exit_code == 2
+    assert call(*task, "--max-acceleration", f"{1.01 * float(match[1])}").exit_code == 0
+    assert call(*task, "--max-acceleration", f"{0.99 * float(match[1])}").exit_code == 2
 
 
 def test_efforts_between_the_nodes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,9 +24,9 @@ def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def same(found: Simulation, expected: Simulation) -> None:
+def same(run: Simulation, expected: Simulation) -> None:
     for name in ("t", "q", "v", "a", "x", "tau", "carrier_force"):  # starts that are closed anew differ by rounding
-        ours, theirs = getattr(found, name), getattr(expected, name)
+        ours, theirs = getattr(run, name), getattr(expected, name)
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9, err_msg=name)
 
 

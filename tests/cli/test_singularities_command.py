@@ -19,9 +19,9 @@ CROSSINGS = [0.25 - math.sqrt(0.2**2 - 0.185**2), 0.25 + math.sqrt(0.2**2 - 0.18
 def test_circle_meets_the_base_line() -> None:
     result = call("singularities", "--robot", "2rpr", "--trajectory", "circle:speed=0.75", "--json")
     assert result.stderr == ""
-    found = json.loads(result.stdout)["crossings"]
-    assert [crossing["x"][0] for crossing in found] == pytest.approx(CROSSINGS, abs=1e-10)
-    for crossing in found:
+    facts = json.loads(result.stdout)["crossings"]
+    assert [crossing["x"][0] for crossing in facts] == pytest.approx(CROSSINGS, abs=1e-10)
+    for crossing in facts:
         assert crossing["kind"] == "type_ii"
         assert crossing["crosses"]
         assert [abs(value) for value in crossing["uncontrolled_twist"]] == pytest.approx([0.0, 1.0], abs=1e-9)
@@ -30,9 +30,9 @@ def test_circle_meets_the_base_line() -> None:
 
 def test_motion_from_a_file_gives_the_same_instants(tmp_path: Path) -> None:
     motion = write_motion(tmp_path / "motion.csv", reference.circle(0.5), 0.005)
-    found = json.loads(call("singularities", "--robot", "2rpr", "--motion", motion, "--json").stdout)["crossings"]
+    facts = json.loads(call("singularities", "--robot", "2rpr", "--motion", motion, "--json").stdout)["crossings"]
     # quintics between samples 5 ms apart: error of the order of the sixth power of the step
-    assert [crossing["x"][0] for crossing in found] == pytest.approx(CROSSINGS, abs=1e-8)
+    assert [crossing["x"][0] for crossing in facts] == pytest.approx(CROSSINGS, abs=1e-8)
 
 
 def test_table_shows_time_and_direction() -> None:
@@ -43,8 +43,8 @@ def test_table_shows_time_and_direction() -> None:
 
 
 def test_no_singularity_is_an_empty_list() -> None:
-    found = json.loads(call("singularities", "--robot", "3rrr", "--trajectory", "corner:radius=0.013", "--json").stdout)
-    assert found["crossings"] == []
+    facts = json.loads(call("singularities", "--robot", "3rrr", "--trajectory", "corner:radius=0.013", "--json").stdout)
+    assert facts["crossings"] == []
 
 
 def test_plot_is_written(tmp_path: Path) -> None:

@@ -73,12 +73,12 @@ def test_a_tiny_study_is_simulated_and_written(tmp_path: Path) -> None:
 
 def test_json_is_the_summary(tmp_path: Path, run: list[tuple[str, int]]) -> None:
     options = ("--draws", "3", "--seed", "7", "--severity", "2.5", "--jobs", "1", "--out", tmp_path, "--json")
-    found = json.loads(call("study", *options).stdout)
-    assert found == json.loads((tmp_path / "summary.json").read_text())
-    assert (found["seed"], found["severity"]) == (7, 2.5)
-    assert (found["imperfections"]["mass"], found["imperfections"]["period"]) == (0.125, 1e-3)
-    assert [cell["success"]["value"] for cell in found["cells"]] == [0.0, 1.0]
-    assert found["cells"][1]["largest"]["value"] == pytest.approx(2e-3)
+    facts = json.loads(call("study", *options).stdout)
+    assert facts == json.loads((tmp_path / "summary.json").read_text())
+    assert (facts["seed"], facts["severity"]) == (7, 2.5)
+    assert (facts["imperfections"]["mass"], facts["imperfections"]["period"]) == (0.125, 1e-3)
+    assert [cell["success"]["value"] for cell in facts["cells"]] == [0.0, 1.0]
+    assert facts["cells"][1]["largest"]["value"] == pytest.approx(2e-3)
 
 
 def test_one_draw_has_no_interval_and_says_so(tmp_path: Path, run: list[tuple[str, int]]) -> None:

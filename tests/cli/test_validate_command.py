@@ -19,9 +19,9 @@ def test_small_run_passes_and_is_the_api() -> None:
     result = call("validate", *robot, "--samples", "20", "--seed", "3", "--json")
     assert result.exit_code == 0
     assert result.stderr == ""
-    found = json.loads(result.stdout)
-    assert found == json.loads(json.dumps(crosscheck.run(["four_bar"], 20, 3).as_dict()))
-    assert found["passed"]
+    facts = json.loads(result.stdout)
+    assert facts == json.loads(json.dumps(crosscheck.run(["four_bar"], 20, 3).as_dict()))
+    assert facts["passed"]
 
 
 def test_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:

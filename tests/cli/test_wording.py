@@ -50,9 +50,9 @@ YAML = KEYS.knowing({name: name for name in NAMES})
 )
 def test_names_become_flags_or_keys(said: str, flags: str, keys: str) -> None:
     for wording, expected in ((FLAGS, flags), (YAML, keys)):
-        found = wording.reword(InputError(said, remedy=said))
-        assert found.message == expected
-        assert found.remedy == expected
+        reworded = wording.reword(InputError(said, remedy=said))
+        assert reworded.message == expected
+        assert reworded.remedy == expected
 
 
 def test_an_error_keeps_its_kind_and_is_reworded_once() -> None:
@@ -110,9 +110,9 @@ def test_python_only_remedies_are_left_out() -> None:
 )
 def test_a_motion_of_another_robot(axes: tuple[str, ...], poses: bool, given: int, message: str, remedy: str) -> None:
     details = {"robot": "bot", "axes": axes, "poses": poses, "given": given, "given_poses": False}
-    found = OPTIONS.reword(InputError("x has shape (1, 2).", remedy="Pass x as (N, 3).", **details))
-    assert message in found.message
-    assert remedy in found.remedy
+    reworded = OPTIONS.reword(InputError("x has shape (1, 2).", remedy="Pass x as (N, 3).", **details))
+    assert message in reworded.message
+    assert remedy in reworded.remedy
     assert OPTIONS.reword(InputError("x", **{**details, "given_poses": True})).message.startswith(
         "The motion has poses,"
     )

@@ -82,11 +82,11 @@ def describe(value: Any) -> dict[str, Any]:
 
 def parameters(function: Any) -> list[str]:
     """Return the parameters that ``inspect.signature`` sees, as ``KIND name = default``."""
-    found = []
+    names = []
     for parameter in inspect.signature(function).parameters.values():
         given = parameter.default is inspect.Parameter.empty
-        found.append(f"{parameter.kind.name} {parameter.name}" + ("" if given else f" = {_default(parameter.default)}"))
-    return found
+        names.append(f"{parameter.kind.name} {parameter.name}" + ("" if given else f" = {_default(parameter.default)}"))
+    return names
 
 
 def _default(value: Any) -> str:
@@ -95,21 +95,21 @@ def _default(value: Any) -> str:
 
 
 def _class(kind: type) -> dict[str, Any]:
-    found: dict[str, Any] = {"kind": "class"}
+    entry: dict[str, Any] = {"kind": "class"}
     if issubclass(kind, enum.Enum):
-        return {**found, "kind": "enum", "members": {member.name: member.value for member in kind}}
+        return {**entry, "kind": "enum", "members": {member.name: member.value for member in kind}}
     if issubclass(kind, Exception):
-        found["bases"] = sorted(base.__name__ for base in kind.__mro__[1:] if base is not object)
+        entry["bases"] = sorted(base.__name__ for base in kind.__mro__[1:] if base is not object)
     if not getattr(kind, "_is_protocol", False):
-        found["parameters"] = parameters(kind)
-    found["attributes"], found["methods"] = [], {}
+        entry["parameters"] = parameters(kind)
+    entry["attributes"], entry["methods"] = [], {}
     for name in sorted(members(kind)):
         value = inspect.getattr_static(kind, name, None)
         if isinstance(value, (staticmethod, classmethod)) or inspect.isfunction(value):
-            found["methods"][name] = parameters(getattr(kind, name))
+            entry["methods"][name] = parameters(getattr(kind, name))
         else:
-            found["attributes"].append(name)
-    return found
+            entry["attributes"].append(name)
+    return entry
 
 
 def members(kind: type, *, undocumented: bool = False) -> set[str]:
@@ -179,7 +179,7 @@ def results() -> dict[str, list[str]]:
 
 def documented_imports() -> list[str]:
     """Return the imports from this package that README, pages, examples and notebooks show, without outside engines."""
-    found: set[str] = set()
+    imports: set[str] = set()
     for path in (
         ROOT / "README.md",
         *sorted((ROOT / "docs").rglob("*")),
@@ -188,8 +188,8 @@ def documented_imports() -> list[str]:
         name = path.relative_to(ROOT).as_posix()
         if path.suffix in (".md", ".py", ".ipynb") and name not in BUILDING and "/modules/" not in name:
             for code in _code(path):
-                found |= set(_imports(code))
-    return sorted(entry for entry in found if "engines" not in entry)
+                imports |= set(_imports(code))
+    return sorted(entry for entry in imports if "engines" not in entry)
 
 
 def _code(path: Path) -> Iterator[str]:

@@ -43,7 +43,7 @@ def make() -> None:
 
 def commands() -> dict[str, Any]:
     """Return keys and types of the JSON that each command prints."""
-    found = {}
+    rows = {}
     for name, command in COMMANDS.items():
         with tempfile.TemporaryDirectory() as folder:
             os.chdir(folder)
@@ -52,8 +52,8 @@ def commands() -> dict[str, Any]:
             result = call(*command.arguments, "--json")
             os.chdir(DATA)
             assert result.exit_code == command.code, (name, result.exit_code, result.stderr)
-            found[name] = structure(json.loads(result.stdout))
-    return found
+            rows[name] = structure(json.loads(result.stdout))
+    return rows
 
 
 def small_job() -> Any:

@@ -63,9 +63,9 @@ def test_json_of_the_whole_job_has_its_keys() -> None:
         pytest.importorskip(package)
     result = call("reproduce", "--out", "results", "--json")
     assert result.exit_code == 0, result.stderr
-    found = json.loads(result.stdout)
-    assert differences(KEYS[REPRODUCE], structure(found), REPRODUCE, types=False) == []
-    assert found == json.loads(Path("results/summary.json").read_text(encoding="utf-8"))
+    facts = json.loads(result.stdout)
+    assert differences(KEYS[REPRODUCE], structure(facts), REPRODUCE, types=False) == []
+    assert facts == json.loads(Path("results/summary.json").read_text(encoding="utf-8"))
 
 
 # ---------------------------------------------------------------------------------------------------------- exit codes

@@ -20,19 +20,19 @@ RENAMED: Mapping[str, str] = {"rp.simulate(way)": "method", "rp.simulation.simul
 
 @pytest.mark.parametrize("module", PLACES)
 def test_public_names_are_still_there(module: str) -> None:
-    found = place(module)
-    missing = [name for name in API["names"][module] if not has(found, name)]
+    there = place(module)
+    missing = [name for name in API["names"][module] if not has(there, name)]
     assert missing == []
 
 
 @pytest.mark.parametrize("module", PLACES)
 def test_what_they_stand_for_is_called_as_before(module: str) -> None:
-    found = place(module)
+    there = place(module)
     lost = [
         line
         for name, pinned in API["names"][module].items()
-        if has(found, name)
-        for line in _differences(f"{module}.{name}", pinned, thing(found, name))
+        if has(there, name)
+        for line in _differences(f"{module}.{name}", pinned, thing(there, name))
     ]
     assert lost == []
 
@@ -107,24 +107,24 @@ def _lost_from_class(where: str, pinned: dict[str, Any], kind: type, now: dict[s
 
 def _lost_parameters(where: str, pinned: list[str], now: list[str]) -> Iterator[str]:
     """Give pinned parameters that are not accepted as before, and new ones without a default."""
-    found = {parameter.name: parameter for parameter in map(_read, now)}
-    in_order = [name for name, parameter in found.items() if parameter.kind.startswith("POSITIONAL")]
+    current = {parameter.name: parameter for parameter in map(_read, now)}
+    in_order = [name for name, parameter in current.items() if parameter.kind.startswith("POSITIONAL")]
     before = [_read(text) for text in pinned]
     for index, (kind, name, default) in enumerate(before):
         text = f"{where}({name})"
-        if name not in found:
+        if name not in current:
             yield f"{text} is gone"
             continue
-        if kind == "POSITIONAL_OR_KEYWORD" and (found[name].kind != kind or in_order.index(name) != index):
+        if kind == "POSITIONAL_OR_KEYWORD" and (current[name].kind != kind or in_order.index(name) != index):
             yield f"{text} has another place"
-        if kind == "KEYWORD_ONLY" and found[name].kind not in ("KEYWORD_ONLY", "POSITIONAL_OR_KEYWORD"):
+        if kind == "KEYWORD_ONLY" and current[name].kind not in ("KEYWORD_ONLY", "POSITIONAL_OR_KEYWORD"):
             yield f"{text} is no keyword"
-        meant = found.get(RENAMED.get(text, name))
+        meant = current.get(RENAMED.get(text, name))
         left_out = meant.default if meant else ""
         if default and left_out != default:
             yield f"{text} is {left_out or 'required'} when left out, was {default}"
-    for name in found.keys() - {parameter.name for parameter in before}:
-        if not found[name].default and not found[name].kind.startswith("VAR_"):
+    for name in current.keys() - {parameter.name for parameter in before}:
+        if not current[name].default and not current[name].kind.startswith("VAR_"):
             yield f"{where} cannot be called without the new {name}"
 
 

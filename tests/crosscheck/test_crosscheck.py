@@ -121,8 +121,8 @@ def test_power_and_round_trip_judge_what_loads_ask_of_joints(monkeypatch, load, 
     checks = physics.check_power, physics.check_round_trip
 
     def deviations():
-        found = [tuple(check(case, RneaDynamics(case.robot), "rnea")) for check in checks]
-        return np.array([deviation.max() / tolerance for ((_, deviation, tolerance),) in found])
+        deviations = [tuple(check(case, RneaDynamics(case.robot), "rnea")) for check in checks]
+        return np.array([deviation.max() / tolerance for ((_, deviation, tolerance),) in deviations])
 
     assert (deviations() < 1.0).all()
     monkeypatch.setattr(TreeLoads, "efforts", lambda *a, **k: 1.001 * efforts(*a, **k))
@@ -353,11 +353,11 @@ def test_rows_by_definition_are_those_of_the_kinematics_where_these_are_closed(a
     pin.framesForwardKinematics(model, data, q)
     ends = []
     for frame in (robot.closures[0].frame_a, robot.closures[0].frame_b):
-        found = model.frames[model.getFrameId(frame)]
-        place = data.oMi[found.parentJoint].actInv(
+        entry = model.frames[model.getFrameId(frame)]
+        place = data.oMi[entry.parentJoint].actInv(
             pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.4, 0.5), np.array([0.1, 0.2, 0.3]))
         )
-        model.addFrame(pin.Frame(f"{frame}'", found.parentJoint, 0, place, pin.FrameType.BODY))
+        model.addFrame(pin.Frame(f"{frame}'", entry.parentJoint, 0, place, pin.FrameType.BODY))
         ends.append(f"{frame}'")
     closed = replace(robot, model=model, closures=(Closure("tip", *ends, axes),))
     ours, _ = ClosedForward(closed).rows(q, np.zeros(model.nv))

@@ -33,12 +33,14 @@ def test_the_force_is_brought_up_with_the_least_weighted_deviation(matrix, force
     if np.linalg.svd(matrix * scale)[1][-1] < 1e-3:
         return
     planned = np.array([0.3, -0.2])
-    found = shared(matrix[:, :2], matrix[:, 2:], force, planned, effort_scale=scale[:2], carrier_scale=scale[2:])
-    assert found.status is AllocationStatus.EXACT
-    size = 1.0 + np.abs(found.tau).max() + np.abs(found.deviation).max()
-    assert np.allclose(matrix[:, :2] @ found.tau - matrix[:, 2:] @ found.deviation, force, atol=ROUNDING * size)
+    allocation = shared(matrix[:, :2], matrix[:, 2:], force, planned, effort_scale=scale[:2], carrier_scale=scale[2:])
+    assert allocation.status is AllocationStatus.EXACT
+    size = 1.0 + np.abs(allocation.tau).max() + np.abs(allocation.deviation).max()
+    assert np.allclose(
+        matrix[:, :2] @ allocation.tau - matrix[:, 2:] @ allocation.deviation, force, atol=ROUNDING * size
+    )
     # the least cost is stationary along everything that leaves the force as it is
-    gradient = np.concatenate([found.tau - planned, found.deviation]) / scale**2
+    gradient = np.concatenate([allocation.tau - planned, allocation.deviation]) / scale**2
     full = np.concatenate([matrix[:, :2], -matrix[:, 2:]], axis=1)
     null = np.linalg.svd(full)[2][np.linalg.matrix_rank(full) :]
     assert np.abs(null @ gradient).max(initial=0.0) <= ROUNDING * (1.0 + np.abs(gradient).max())
@@ -46,45 +48,45 @@ def test_the_force_is_brought_up_with_the_least_weighted_deviation(matrix, force
 
 def test_main_efforts_do_the_work_where_they_can():
     W = [[2.0, 0.5], [-0.3, 1.0]]
-    found = shared(W, np.eye(2), [1.0, 2.0], carrier_scale=np.full(2, 1e-6))
-    assert np.allclose(found.tau, np.linalg.solve(W, [1.0, 2.0]), atol=1e-9)
-    assert np.abs(found.deviation).max() < 1e-9
+    allocation = shared(W, np.eye(2), [1.0, 2.0], carrier_scale=np.full(2, 1e-6))
+    assert np.allclose(allocation.tau, np.linalg.solve(W, [1.0, 2.0]), atol=1e-9)
+    assert np.abs(allocation.deviation).max() < 1e-9
 
 
 @pytest.mark.parametrize("second", [0.0, 1e-12, 1e-6, 1e-3])
 def test_carriers_take_over_where_the_matrix_loses_rank(second):
-    found = shared([[1.0, 0.0], [0.0, second]], [[0.0, 0.0], [0.5, 0.1]], [1.0, 2.0], carrier_scale=np.ones(2))
-    assert found.status is AllocationStatus.EXACT
-    assert found.residual < 1e-12
-    assert np.abs(found.tau).max() < 1.1  # W alone would ask for 2 / second
-    assert found.deviation == pytest.approx([-2.0 * 0.5 / 0.26, -2.0 * 0.1 / 0.26], rel=1e-2)
+    allocation = shared([[1.0, 0.0], [0.0, second]], [[0.0, 0.0], [0.5, 0.1]], [1.0, 2.0], carrier_scale=np.ones(2))
+    assert allocation.status is AllocationStatus.EXACT
+    assert allocation.residual < 1e-12
+    assert np.abs(allocation.tau).max() < 1.1  # W alone would ask for 2 / second
+    assert allocation.deviation == pytest.approx([-2.0 * 0.5 / 0.26, -2.0 * 0.1 / 0.26], rel=1e-2)
 
 
 def test_a_direction_that_nobody_reaches_is_reported_with_what_is_missing():
-    found = shared([[1.0, 1.0], [0.0, 0.0]], [[0.3, 0.0], [0.0, 0.0]], [1.0, 0.25])
-    assert found.status is AllocationStatus.UNBALANCED
-    assert found.residual == pytest.approx(0.25)
-    assert found.margin < 1e-12
+    allocation = shared([[1.0, 1.0], [0.0, 0.0]], [[0.3, 0.0], [0.0, 0.0]], [1.0, 0.25])
+    assert allocation.status is AllocationStatus.UNBALANCED
+    assert allocation.residual == pytest.approx(0.25)
+    assert allocation.margin < 1e-12
 
 
 def test_a_direction_that_nobody_reaches_and_nobody_needs_is_no_trouble():
-    found = shared([[1.0, 1.0], [0.0, 0.0]], [[0.3, 0.0], [0.0, 0.0]], [1.0, 0.0])
-    assert found.status is AllocationStatus.EXACT
+    allocation = shared([[1.0, 1.0], [0.0, 0.0]], [[0.3, 0.0], [0.0, 0.0]], [1.0, 0.0])
+    assert allocation.status is AllocationStatus.EXACT
 
 
 def test_what_a_limit_cuts_off_is_left_to_the_carriers():
-    found = shared(np.eye(2), -np.eye(2), [3.0, 0.5], effort_limit=np.array([1.0, 1.0]))
-    assert found.status is AllocationStatus.SATURATED
-    assert found.tau[0] == 1.0
-    assert found.tau[0] + found.deviation[0] == pytest.approx(3.0)
-    assert found.residual < 1e-12
+    allocation = shared(np.eye(2), -np.eye(2), [3.0, 0.5], effort_limit=np.array([1.0, 1.0]))
+    assert allocation.status is AllocationStatus.SATURATED
+    assert allocation.tau[0] == 1.0
+    assert allocation.tau[0] + allocation.deviation[0] == pytest.approx(3.0)
+    assert allocation.residual < 1e-12
 
 
 def test_beyond_all_limits_the_missing_force_is_the_residual():
-    found = shared(np.eye(2), np.zeros((2, 2)), [3.0, 0.5], effort_limit=np.array([1.0, 1.0]))
-    assert found.status is AllocationStatus.BEYOND_LIMITS
-    assert found.residual == pytest.approx(2.0)
-    assert np.abs(found.tau).max() == 1.0
+    allocation = shared(np.eye(2), np.zeros((2, 2)), [3.0, 0.5], effort_limit=np.array([1.0, 1.0]))
+    assert allocation.status is AllocationStatus.BEYOND_LIMITS
+    assert allocation.residual == pytest.approx(2.0)
+    assert np.abs(allocation.tau).max() == 1.0
 
 
 @given(
@@ -109,18 +111,18 @@ def test_within_limits_it_is_the_best_of_all_active_sets(matrix, force, limit):
         if (np.abs(tau) <= limit * (1.0 + 1e-12)).all():
             deviation = y[free[:2].sum() :]
             best = min(best, float(np.sum(tau**2) + np.sum((deviation / 0.3) ** 2)))
-    found = shared(matrix[:, :2], matrix[:, 2:], force, carrier_scale=np.full(2, 0.3), effort_limit=limit)
-    cost = float(np.sum(found.tau**2) + np.sum((found.deviation / 0.3) ** 2))
-    assert found.status in (AllocationStatus.EXACT, AllocationStatus.SATURATED)
+    allocation = shared(matrix[:, :2], matrix[:, 2:], force, carrier_scale=np.full(2, 0.3), effort_limit=limit)
+    cost = float(np.sum(allocation.tau**2) + np.sum((allocation.deviation / 0.3) ** 2))
+    assert allocation.status in (AllocationStatus.EXACT, AllocationStatus.SATURATED)
     assert cost == pytest.approx(best, rel=1e-6, abs=1e-9)
-    assert (np.abs(found.tau) <= limit).all()
+    assert (np.abs(allocation.tau) <= limit).all()
 
 
 def test_an_effort_that_was_clamped_comes_back_where_that_is_cheaper():
     """One of three efforts is beyond its limit at first and within it in the optimum, by scipy's own solver."""
     W, coupling = [[0.0, -1.0, 3.0], [-2.0, 3.0, -3.0]], [[1.0, 0.0], [2.0, -1.0]]
     force, limit, scale = np.array([5.0, 2.0]), np.array([1.5, 0.5, 1.5]), np.array([1.0, 1.0, 1.0, 0.3, 0.3])
-    found = shared(
+    allocation = shared(
         W,
         coupling,
         force,
@@ -137,9 +139,9 @@ def test_an_effort_that_was_clamped_comes_back_where_that_is_cheaper():
         constraints={"type": "eq", "fun": lambda u: full @ u - force},
         options={"ftol": 1e-12},
     )
-    assert found.status is AllocationStatus.SATURATED
-    assert np.concatenate([found.tau, found.deviation]) == pytest.approx(best.x, abs=1e-5)
-    assert abs(found.tau[1]) < 0.48
+    assert allocation.status is AllocationStatus.SATURATED
+    assert np.concatenate([allocation.tau, allocation.deviation]) == pytest.approx(best.x, abs=1e-5)
+    assert abs(allocation.tau[1]) < 0.48
 
 
 def within(carriers_limit, **changed):
@@ -156,7 +158,7 @@ def test_what_a_limit_of_the_carriers_cuts_off_is_left_to_the_main_actuators():
         np.array([1.0, 0.4]),
     )
     forces, settings = within([0.5, 0.4])
-    found = shared(W, coupling, force, **settings)
+    allocation = shared(W, coupling, force, **settings)
     free = shared(W, coupling, force, carrier_scale=settings["carrier_scale"])
     assert not forces.allow(free.deviation)
     full, scale = np.hstack([W, -coupling]), np.array([1.0, 1.0, 0.3, 0.2])
@@ -170,26 +172,26 @@ def test_what_a_limit_of_the_carriers_cuts_off_is_left_to_the_main_actuators():
         ],
         options={"ftol": 1e-14},
     )
-    assert found.status is AllocationStatus.SATURATED
-    assert np.concatenate([found.tau, found.deviation]) == pytest.approx(best.x, abs=1e-5)
-    assert np.abs(forces.of(found.deviation)).max() <= 0.5
-    assert np.abs(found.tau).max() > np.abs(free.tau).max()
+    assert allocation.status is AllocationStatus.SATURATED
+    assert np.concatenate([allocation.tau, allocation.deviation]) == pytest.approx(best.x, abs=1e-5)
+    assert np.abs(forces.of(allocation.deviation)).max() <= 0.5
+    assert np.abs(allocation.tau).max() > np.abs(free.tau).max()
 
 
 def test_a_plan_beyond_the_limits_of_the_carriers_is_left_by_them_and_made_up_for():
     """No force is wanted of anybody, but the carriers cannot be driven as planned."""
     forces, settings = within([0.1, 0.1])
-    found = shared(np.eye(2), np.array([[1.0, 0.0], [0.0, 1.0]]), [0.0, 0.0], **settings)
-    assert found.status is AllocationStatus.SATURATED
-    assert np.abs(forces.planned + forces.mass @ found.deviation) == pytest.approx([0.1, 0.1])
-    assert found.tau == pytest.approx(found.deviation)  # W τ = M_xs δ
+    allocation = shared(np.eye(2), np.array([[1.0, 0.0], [0.0, 1.0]]), [0.0, 0.0], **settings)
+    assert allocation.status is AllocationStatus.SATURATED
+    assert np.abs(forces.planned + forces.mass @ allocation.deviation) == pytest.approx([0.1, 0.1])
+    assert allocation.tau == pytest.approx(allocation.deviation)  # W τ = M_xs δ
 
 
 def test_carriers_and_efforts_at_their_limits_miss_least():
     forces, settings = within([0.5, 0.5], effort_limit=np.array([0.2, 0.2]))
     coupling, force = np.array([[-1.0, 0.0], [0.0, -1.0]]), np.array([3.0, 0.0])
-    found = shared(np.eye(2), coupling, force, **settings)
-    assert found.status is AllocationStatus.BEYOND_LIMITS
+    allocation = shared(np.eye(2), coupling, force, **settings)
+    assert allocation.status is AllocationStatus.BEYOND_LIMITS
     best = minimize(
         lambda u: float(np.sum((force - u[:2] - u[2:]) ** 2)),
         np.zeros(4),
@@ -200,19 +202,21 @@ def test_carriers_and_efforts_at_their_limits_miss_least():
         ],
         options={"ftol": 1e-14},
     )
-    assert found.residual == pytest.approx(np.sqrt(best.fun), rel=1e-6)
-    assert np.abs(found.tau).max() <= 0.2
-    assert forces.of(found.deviation) == pytest.approx(forces.planned + forces.mass @ found.deviation, abs=1e-9)
+    assert allocation.residual == pytest.approx(np.sqrt(best.fun), rel=1e-6)
+    assert np.abs(allocation.tau).max() <= 0.2
+    assert forces.of(allocation.deviation) == pytest.approx(
+        forces.planned + forces.mass @ allocation.deviation, abs=1e-9
+    )
 
 
 def test_limits_that_are_not_reached_change_nothing():
     W, coupling, force = [[1.0, 0.2], [0.1, 1.0]], np.eye(2), [0.1, 0.2]
     _, settings = within([50.0, np.inf])
-    found = shared(W, coupling, force, **settings)
+    allocation = shared(W, coupling, force, **settings)
     free = shared(W, coupling, force, carrier_scale=settings["carrier_scale"])
-    assert found.status is AllocationStatus.EXACT
-    assert np.array_equal(found.tau, free.tau)
-    assert np.array_equal(found.deviation, free.deviation)
+    assert allocation.status is AllocationStatus.EXACT
+    assert np.array_equal(allocation.tau, free.tau)
+    assert np.array_equal(allocation.deviation, free.deviation)
 
 
 @given(hnp.arrays(float, (2, 4), elements=entries), hnp.arrays(float, 4, elements=st.floats(0.01, 10.0)))
@@ -230,9 +234,9 @@ def test_the_margin_is_what_the_worst_direction_gets_from_deviations_of_the_size
 
 
 def test_with_fewer_unknowns_than_coordinates_some_direction_gets_nothing():
-    found = shared(
+    allocation = shared(
         *([[2.0], [0.0], [0.0]], [[0.0], [3.0], [0.0]], [2.0, 3.0, 0.0], [0.0]),
         **{"effort_scale": np.ones(1), "carrier_scale": np.ones(1), "row_scale": np.ones(3)},
     )
-    assert found.status is AllocationStatus.EXACT
-    assert found.margin == 0.0
+    assert allocation.status is AllocationStatus.EXACT
+    assert allocation.margin == 0.0

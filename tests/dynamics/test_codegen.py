@@ -595,6 +595,6 @@ def test_times_are_printed(tmp_path: Path) -> None:
     done = run(program, "--time", "200")
     assert done.returncode == 0
     assert done.stdout.startswith("200 random samples; inverse dynamics wrote 200")
-    found = re.findall(r"median ([\d.]+) us, 99\.9 % ([\d.]+) us, worst ([\d.]+) us", done.stdout)
-    assert len(found) == 4
+    match = re.findall(r"median ([\d.]+) us, 99\.9 % ([\d.]+) us, worst ([\d.]+) us", done.stdout)
+    assert len(match) == 4
     assert run(program, "--time").returncode == 2

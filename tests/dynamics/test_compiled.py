@@ -499,9 +499,9 @@ def test_a_compiler_may_be_named_with_its_arguments(
     monkeypatch.setenv("CC", f"{wrapper} 'two words' cc")
     assert works(four_bar)
     assert told.read_text() == "two words\n"
-    found = build.find_compiler()
-    assert found is not None
-    assert found.command == (wrapper, "two words", "cc")
+    compiler = build.find_compiler()
+    assert compiler is not None
+    assert compiler.command == (wrapper, "two words", "cc")
     for unusable in ("'no end", "   ", "nothing-of-this-name -O2"):  # the usual ones serve
         monkeypatch.setenv("CC", unusable)
         assert (other := build.find_compiler()) is not None

@@ -52,17 +52,17 @@ def test_a_squeeze_holds_exactly_and_costs_least(gripping) -> None:
     along = rp.RneaDynamics(robot).along(motion)
     reduced, force = along.reduce(), closure_forces(along)
     squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
-    found = rp.distribute(reduced, rows=[squeeze])
-    assert found.solved.all()
-    reactions = rp.joint_reactions(along, found.tau)
+    distribution = rp.distribute(reduced, rows=[squeeze])
+    assert distribution.solved.all()
+    reactions = rp.joint_reactions(along, distribution.tau)
     assert np.abs(reactions.closure_force[:, 0] - 20.0).max() < 1e-6
-    assert np.abs(reactions.closure_force - force.at(found.tau)).max() < 1e-8
-    assert np.abs(np.einsum("nij,nj->ni", reduced.W, found.tau) - reduced.f).max() < 1e-8
+    assert np.abs(reactions.closure_force - force.at(distribution.tau)).max() < 1e-8
+    assert np.abs(np.einsum("nij,nj->ni", reduced.W, distribution.tau) - reduced.f).max() < 1e-8
     for k in range(len(motion)):
         oracle = least(reduced.W[k], reduced.f[k], squeeze, k)
-        assert np.abs(found.tau[k] - oracle).max() < OPTIMUM * np.abs(oracle).max()
+        assert np.abs(distribution.tau[k] - oracle).max() < OPTIMUM * np.abs(oracle).max()
     plain = rp.distribute(reduced)
-    assert np.linalg.norm(plain.tau) < np.linalg.norm(found.tau)
+    assert np.linalg.norm(plain.tau) < np.linalg.norm(distribution.tau)
 
 
 def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping) -> None:
@@ -71,20 +71,20 @@ def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping) -> No
     reduced, force = along.reduce(), closure_forces(along)
     cone = force.friction_cone("grip", 0.5, normal="x", least=5.0)
     upper = np.abs(rp.distribute(reduced, rows=[cone]).tau).max(axis=0) * [1.5, 0.95, 1.5, 1.5]  # one motor is weak
-    found = rp.distribute(reduced, rows=[cone], lower=-upper, upper=upper)
-    assert found.solved.all()
-    normal, tangent = rp.joint_reactions(along, found.tau).closure_force.T
+    distribution = rp.distribute(reduced, rows=[cone], lower=-upper, upper=upper)
+    assert distribution.solved.all()
+    normal, tangent = rp.joint_reactions(along, distribution.tau).closure_force.T
     assert (normal > 5.0 - 1e-6).all()
     assert (np.abs(tangent) < 0.5 * normal + 1e-6).all()
-    assert (np.abs(found.tau) <= upper).all()
-    assert (np.abs(found.tau[:, 1]) > 0.99 * upper[1]).any()
+    assert (np.abs(distribution.tau) <= upper).all()
+    assert (np.abs(distribution.tau[:, 1]) > 0.99 * upper[1]).any()
     bounds = EffortRows(np.eye(4), -upper, upper)
     for k in range(len(motion)):
         both = EffortRows(*(np.concatenate(parts) for parts in zip(
             (cone.matrix[k], cone.lower[k], np.full(len(cone.lower[k]), np.inf)),
             (bounds.matrix, bounds.lower, bounds.upper), strict=True)))  # fmt: skip
         oracle = least(reduced.W[k], reduced.f[k], both, 0)
-        assert np.abs(found.tau[k] - oracle).max() < 1e-4 * np.abs(oracle).max()
+        assert np.abs(distribution.tau[k] - oracle).max() < 1e-4 * np.abs(oracle).max()
 
 
 def test_conditions_that_cannot_be_kept_are_a_status(gripping) -> None:
@@ -92,9 +92,9 @@ def test_conditions_that_cannot_be_kept_are_a_status(gripping) -> None:
     along = rp.RneaDynamics(robot).along(motion)
     reduced, force = along.reduce(), closure_forces(along)
     squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
-    found = rp.distribute(reduced, rows=[squeeze], lower=-0.5, upper=0.5)
-    assert (found.status == SampleStatus.BOUND_INFEASIBLE).all()
-    assert np.isnan(found.tau).all()
+    distribution = rp.distribute(reduced, rows=[squeeze], lower=-0.5, upper=0.5)
+    assert (distribution.status == SampleStatus.BOUND_INFEASIBLE).all()
+    assert np.isnan(distribution.tau).all()
     # equal rows that contradict each other have no residual at all
     other = force.rows(force.component("grip", "x"), 30.0, 30.0)
     assert np.isinf(rp.distribute(reduced, rows=[squeeze, other]).residual).all()

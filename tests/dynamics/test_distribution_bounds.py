@@ -26,7 +26,7 @@ OPTIMUM = 1e-8
 
 def optimiser(W, f, weights, lower, upper):
     """Return the least Σ w τ² over W τ = f and the bounds, by a method that knows nothing of null spaces."""
-    found = scipy.optimize.minimize(
+    optimum = scipy.optimize.minimize(
         lambda tau: weights @ tau**2,
         0.5 * (lower + upper),
         jac=lambda tau: 2.0 * weights * tau,
@@ -35,9 +35,9 @@ def optimiser(W, f, weights, lower, upper):
         method="SLSQP",
         options={"ftol": 1e-14, "maxiter": 1000},
     )
-    assert found.success
-    assert np.linalg.norm(W @ found.x - f) < 1e-10
-    return found.fun
+    assert optimum.success
+    assert np.linalg.norm(W @ optimum.x - f) < 1e-10
+    return optimum.fun
 
 
 def test_two_actuators_against_each_other():
@@ -126,12 +126,12 @@ def test_least_residual_within_rows_of_redundant_motors_is_finite_and_least(scal
         A, g = rng.normal(size=(3, 5)), 10.0 * rng.normal(size=3)
         rows = np.concatenate([np.eye(5), rng.normal(size=(3, 5))])
         lower, upper = -np.abs(rng.normal(size=8)), np.abs(rng.normal(size=8))
-        [found] = least_residual(A[None], scale * g[None], scale * lower[None], scale * upper[None], rows[None])
+        [residual] = least_residual(A[None], scale * g[None], scale * lower[None], scale * upper[None], rows[None])
         best = minimize(
             lambda u, A=A, g=g: ((A @ u - g) ** 2).sum(), np.zeros(5), jac=lambda u, A=A, g=g: 2.0 * A.T @ (A @ u - g),
             constraints=[LinearConstraint(rows, lower, upper)], method="SLSQP", options={"ftol": 1e-14},
         )  # fmt: skip
-        assert found / scale == pytest.approx(np.sqrt(best.fun), abs=1e-6)
+        assert residual / scale == pytest.approx(np.sqrt(best.fun), abs=1e-6)
 
 
 @pytest.mark.parametrize("lower", [-2.0, 1.0])
@@ -339,7 +339,7 @@ def test_preferred_efforts_are_missed_least(seed, bounded):
     for k in np.flatnonzero(np.isfinite(efforts.tau).all(axis=1)):
         W, f = problem.W[k], problem.f[k]
         np.testing.assert_allclose(W @ efforts.tau[k], f, atol=1e-9)
-        found = scipy.optimize.minimize(
+        optimum = scipy.optimize.minimize(
             lambda u, k=k: weights @ (u - preferred[k]) ** 2,
             efforts.tau[k],
             jac=lambda u, k=k: 2.0 * weights * (u - preferred[k]),
@@ -348,7 +348,7 @@ def test_preferred_efforts_are_missed_least(seed, bounded):
             method="SLSQP",
             options={"ftol": 1e-14},
         )
-        assert weights @ (efforts.tau[k] - preferred[k]) ** 2 <= found.fun + 1e-7
+        assert weights @ (efforts.tau[k] - preferred[k]) ** 2 <= optimum.fun + 1e-7
 
 
 def test_a_squeeze_is_held_exactly_whatever_the_force_does():

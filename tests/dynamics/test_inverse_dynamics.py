@@ -43,19 +43,19 @@ def base_line_instants() -> list[float]:
 @pytest.mark.parametrize("name", BACKENDS)
 def test_crossings_between_samples_are_named_by_their_instants(name: str, dt: float) -> None:
     motion = CIRCLE.sample(dt)
-    found = rp.inverse_dynamics(BACKENDS[name](zoo.robot_of("2rpr")), motion)
+    result = rp.inverse_dynamics(BACKENDS[name](zoo.robot_of("2rpr")), motion)
     # no sample shows it: every one of them has finite efforts
-    assert np.isfinite(found.efforts.tau).all()
+    assert np.isfinite(result.efforts.tau).all()
     expected = base_line_instants()
     assert len(expected) == 2
     # between samples the motion is a quintic, off by the sixth power of the step
-    np.testing.assert_allclose([one.t for one in found.instants], expected, atol=max(20.0 * dt**6, 1e-12))
-    assert found.status is EffortStatus.UNBOUNDED_EFFORT
-    for one in found.instants:
+    np.testing.assert_allclose([one.t for one in result.instants], expected, atol=max(20.0 * dt**6, 1e-12))
+    assert result.status is EffortStatus.UNBOUNDED_EFFORT
+    for one in result.instants:
         assert one.crosses
         assert one.unbounded
         assert one.status is SampleStatus.SINGULAR_INCONSISTENT
-    assert repr(found).startswith("InverseDynamics(unbounded_effort; singular at t = 0.51941")
+    assert repr(result).startswith("InverseDynamics(unbounded_effort; singular at t = 0.51941")
 
 
 def test_what_is_left_at_a_crossing_is_what_efforts_beside_it_grow_with() -> None:
@@ -71,10 +71,10 @@ def test_carriers_that_carry_the_force_leave_the_efforts_finite() -> None:
     pytest.importorskip("casadi")
     robot = zoo.robot_of("2rpr")
     plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), CIRCLE, dt=0.02)
-    found = rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, plan.carriers)
-    np.testing.assert_allclose([one.t for one in found.instants], base_line_instants(), atol=1e-9)
-    assert [one.status for one in found.instants] == [SampleStatus.SINGULAR_CONSISTENT] * 2
-    assert found.status is EffortStatus.FINITE_EFFORT
+    result = rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, plan.carriers)
+    np.testing.assert_allclose([one.t for one in result.instants], base_line_instants(), atol=1e-9)
+    assert [one.status for one in result.instants] == [SampleStatus.SINGULAR_CONSISTENT] * 2
+    assert result.status is EffortStatus.FINITE_EFFORT
     # half of their motion does not carry it
     half = CarrierMotion(*(0.5 * part for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd)))
     assert rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, half).status is EffortStatus.UNBOUNDED_EFFORT
@@ -91,8 +91,8 @@ def test_two_samples_on_either_side_are_enough() -> None:
 def test_a_motion_that_stays_away_is_said_to() -> None:
     robot = zoo.robot_of("3rrr")
     for dt in (0.05, 2e-3):
-        found = rp.inverse_dynamics(rp.RneaDynamics(robot), reference.corner().sample(dt))
-        assert (found.status, found.instants, found.joint_limits) == (EffortStatus.FINITE_EFFORT, (), ())
+        result = rp.inverse_dynamics(rp.RneaDynamics(robot), reference.corner().sample(dt))
+        assert (result.status, result.instants, result.joint_limits) == (EffortStatus.FINITE_EFFORT, (), ())
 
 
 def test_states_and_single_instants_have_nothing_in_between() -> None:
@@ -109,11 +109,11 @@ def test_reachable_stretches_are_looked_at_one_by_one() -> None:
     robot = zoo.robot_of("five_bar")
     path = Line([0.25, 1.4], [0.25, 0.2])
     line = Trajectory(path, RestToRest(path.length, duration=2.0))
-    found = rp.inverse_dynamics(rp.RneaDynamics(robot), line.sample(0.02), unreachable="mark")
-    assert (found.efforts.status == SampleStatus.UNREACHABLE).any()
+    result = rp.inverse_dynamics(rp.RneaDynamics(robot), line.sample(0.02), unreachable="mark")
+    assert (result.efforts.status == SampleStatus.UNREACHABLE).any()
     expected = brentq(lambda t: line.sample_at([t]).x[0, 1] - 0.25 * np.sqrt(3.0), 0.1, 1.9, xtol=1e-14)
-    assert [one.t for one in found.instants] == pytest.approx([expected], abs=1e-8)
-    assert found.status is EffortStatus.UNBOUNDED_EFFORT
+    assert [one.t for one in result.instants] == pytest.approx([expected], abs=1e-8)
+    assert result.status is EffortStatus.UNBOUNDED_EFFORT
 
 
 # --- the command ---
@@ -129,12 +129,12 @@ def test_the_command_says_the_instants_and_has_an_exit_code(tmp_path: Path) -> N
     assert line.startswith("warning: no finite main efforts at t = 0.519414238, 0.831222824 s: det W changes sign")
     machine = call(*command, "--json")
     assert machine.exit_code == 3
-    found = json.loads(machine.stdout)
-    assert found["status"] == "unbounded_effort"
-    np.testing.assert_allclose([one["t"] for one in found["singular_instants"]], base_line_instants(), atol=1e-9)
-    assert {one["kind"] for one in found["singular_instants"]} == {"type_ii"}
-    assert all(one["unbounded"] and one["crosses"] for one in found["singular_instants"])
-    assert found["joint_limits"] == []
+    facts = json.loads(machine.stdout)
+    assert facts["status"] == "unbounded_effort"
+    np.testing.assert_allclose([one["t"] for one in facts["singular_instants"]], base_line_instants(), atol=1e-9)
+    assert {one["kind"] for one in facts["singular_instants"]} == {"type_ii"}
+    assert all(one["unbounded"] and one["crosses"] for one in facts["singular_instants"])
+    assert facts["joint_limits"] == []
 
 
 # --- limits of joints ---
@@ -170,16 +170,16 @@ def test_a_passive_joint_that_leaves_its_limit_is_named_with_time_value_and_limi
     # without limits the same machine says where the rocker is
     place = free.model.joints[free.model.getJointId("rocker")].idx_q
     rocker = rp.lift(free, motion).q[:, place]
-    found = {one.value > one.limit: one for one in rp.inverse_dynamics(rp.RneaDynamics(limited), motion).joint_limits}
+    result = {one.value > one.limit: one for one in rp.inverse_dynamics(rp.RneaDynamics(limited), motion).joint_limits}
     assert (rocker > 2.0).any()
     for upper, limit, beyond in ((True, 2.0, rocker > 2.0), (False, 1.5, rocker < 1.5)):
-        assert (upper in found) == beyond.any()
-        if upper in found:
-            one = found[upper]
+        assert (upper in result) == beyond.any()
+        if upper in result:
+            one = result[upper]
             assert (one.joint, one.limit, one.unit) == ("rocker", limit, "rad")
             assert one.t == motion.t[np.argmax(beyond)]
             assert one.value == pytest.approx(rocker.max() if upper else rocker.min(), abs=1e-12)
-    assert "joint 'rocker' leaves its upper limit 2 rad at t = " in str(found[True])
+    assert "joint 'rocker' leaves its upper limit 2 rad at t = " in str(result[True])
     inside = crank(1.0, 1.1)
     assert rp.inverse_dynamics(rp.RneaDynamics(limited), inside).joint_limits == ()
     assert rp.inverse_dynamics(rp.RneaDynamics(free), motion).joint_limits == ()
@@ -231,10 +231,10 @@ def test_a_plan_whose_motion_leaves_a_limit_says_so(tmp_path: Path) -> None:
     beyond = {
         name: q[:, robot.model.joints[robot.model.getJointId(name)].idx_q].max() for name in ("swivel_1", "swivel_2")
     }
-    found = {one["joint"]: one["value"] for one in json.loads(result.stdout)["joint_limits"]}
-    assert found == pytest.approx({name: value for name, value in beyond.items() if value > 1.4}, abs=1e-3)
-    assert found
-    for name in found:
+    facts = {one["joint"]: one["value"] for one in json.loads(result.stdout)["joint_limits"]}
+    assert facts == pytest.approx({name: value for name, value in beyond.items() if value > 1.4}, abs=1e-3)
+    assert facts
+    for name in facts:
         assert f"warning: joint '{name}' leaves its upper limit 1.4 rad at t = " in result.stderr
 
 
@@ -243,9 +243,9 @@ def test_samples_without_efforts_are_a_motion_without(name: str) -> None:
     """On the singularity itself, at one sample; and all along it, where the margin is rounding of one sign."""
     dynamics = BACKENDS[name](zoo.robot_of("2rpr"))
     instant = CIRCLE.sample_at([base_line_instants()[0]])
-    found = rp.inverse_dynamics(dynamics, instant)
-    assert found.efforts.status_labels == ("singular_inconsistent",) or np.isnan(found.efforts.tau).all()
-    assert found.status is EffortStatus.UNBOUNDED_EFFORT
+    result = rp.inverse_dynamics(dynamics, instant)
+    assert result.efforts.status_labels == ("singular_inconsistent",) or np.isnan(result.efforts.tau).all()
+    assert result.status is EffortStatus.UNBOUNDED_EFFORT
 
     line = Line((0.15, 0.0), (0.25, 0.0))
     along = Trajectory(line, RestToRest(line.length, 1.0)).sample(0.05)
@@ -265,7 +265,7 @@ def test_wrenches_given_at_samples_are_known_between_them(name: str) -> None:
     sampled = rp.inverse_dynamics(dynamics, motion, external=[rp.Wrench("end_effector", values)])
     law = rp.Wrench("end_effector", lambda t, x, xd: np.outer(2.0 * t, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
     exact = rp.inverse_dynamics(dynamics, motion, external=[law])
-    residuals = [[one.residual for one in found.instants] for found in (sampled, exact)]
+    residuals = [[one.residual for one in solution.instants] for solution in (sampled, exact)]
     np.testing.assert_allclose(*residuals, rtol=1e-9)
     assert (
         np.abs(

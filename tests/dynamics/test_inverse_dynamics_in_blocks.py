@@ -60,15 +60,15 @@ def test_blocks_give_what_the_whole_gives(backend: type, size: int, monkeypatch:
     carriers = CarrierMotion(0.05 * np.sin(wave), 0.1 * np.cos(wave), -0.2 * np.sin(wave))
     dynamics = backend(zoo.robot_of("2rpr"))
     expected = rp.inverse_dynamics(dynamics, sampled, carriers)
-    found = list(rp.inverse_dynamics_in_blocks(dynamics, cut(sampled, size, carriers)))
-    assert [len(one.efforts) for one in found] == [len(part) for part, _ in cut(sampled, size)]
+    blocks = list(rp.inverse_dynamics_in_blocks(dynamics, cut(sampled, size, carriers)))
+    assert [len(one.efforts) for one in blocks] == [len(part) for part, _ in cut(sampled, size)]
     for of, name in (("efforts", "tau"), ("reduced", "carrier_force"), ("efforts", "residual"), ("reduced", "W")):
         np.testing.assert_allclose(
-            together(found, of, name), getattr(getattr(expected, of), name), rtol=ROUNDING, atol=ROUNDING
+            together(blocks, of, name), getattr(getattr(expected, of), name), rtol=ROUNDING, atol=ROUNDING
         )
-    np.testing.assert_array_equal(together(found, "efforts", "status"), expected.efforts.status)
-    np.testing.assert_array_equal(together(found, "reduced", "t"), sampled.t)
-    instants = [one for block in found for one in block.instants]
+    np.testing.assert_array_equal(together(blocks, "efforts", "status"), expected.efforts.status)
+    np.testing.assert_array_equal(together(blocks, "reduced", "t"), sampled.t)
+    instants = [one for block in blocks for one in block.instants]
     assert len(instants) == 2
     np.testing.assert_allclose([one.t for one in instants], [one.t for one in expected.instants], atol=1e-9)
 
@@ -81,11 +81,11 @@ def test_marked_samples_and_what_lies_behind_them(size: int) -> None:
     line = Trajectory(path, RestToRest(path.length, duration=2.0)).sample(0.02)
     dynamics = rp.RneaDynamics(robot)
     expected = rp.inverse_dynamics(dynamics, line, unreachable="mark")
-    found = list(rp.inverse_dynamics_in_blocks(dynamics, cut(line, size), unreachable="mark"))
-    status = together(found, "efforts", "status")
+    blocks = list(rp.inverse_dynamics_in_blocks(dynamics, cut(line, size), unreachable="mark"))
+    status = together(blocks, "efforts", "status")
     assert (status == SampleStatus.UNREACHABLE).any()
     np.testing.assert_array_equal(status, expected.efforts.status)
-    [one] = [one for block in found for one in block.instants]
+    [one] = [one for block in blocks for one in block.instants]
     assert one.t == pytest.approx(expected.instants[0].t, abs=1e-8)
 
 
@@ -130,12 +130,12 @@ def test_errors_number_samples_from_the_beginning() -> None:
     for one, samples, carriers, kind in cases:
         with pytest.raises(kind) as expected:
             rp.inverse_dynamics(rp.RneaDynamics(one), samples, carriers)
-        with pytest.raises(kind) as found:
+        with pytest.raises(kind) as caught:
             list(rp.inverse_dynamics_in_blocks(rp.RneaDynamics(one), cut(samples, 23, carriers)))
-        assert type(found.value) is type(expected.value)
-        assert found.value.message == expected.value.message
-        assert found.value.details["sample"] == expected.value.details["sample"]
-        assert f"sample {found.value.details['sample']}" in found.value.message.lower()
+        assert type(caught.value) is type(expected.value)
+        assert caught.value.message == expected.value.message
+        assert caught.value.details["sample"] == expected.value.details["sample"]
+        assert f"sample {caught.value.details['sample']}" in caught.value.message.lower()
 
 
 def test_loads_sampled_in_time_are_refused() -> None:
@@ -180,10 +180,10 @@ def test_a_file_is_refused_as_it_is_in_one_piece(line: int, column: int, cell: s
     path = changed(write_motion(tmp_path / "motion.csv", CIRCLE, 0.01), line, column, cell)
     with pytest.raises(rp.errors.InputError) as expected:
         from_csv(path)
-    with pytest.raises(rp.errors.InputError) as found:
+    with pytest.raises(rp.errors.InputError) as caught:
         MotionFile(path, block=20)
-    assert str(found.value) == str(expected.value)
-    assert dict(found.value.details) == dict(expected.value.details)
+    assert str(caught.value) == str(expected.value)
+    assert dict(caught.value.details) == dict(expected.value.details)
 
 
 def test_progress_is_the_part_of_the_file_that_is_read(tmp_path: Path) -> None:
@@ -280,8 +280,8 @@ def test_memory_does_not_grow_with_the_motion(tmp_path: Path) -> None:
                 written += len(t)
             stream.flush()
             peaks.append(peak(path, tmp_path))
-            with (tmp_path / "out.csv").open(encoding="utf-8") as found:
-                assert sum(1 for _ in found) == samples + 1
+            with (tmp_path / "out.csv").open(encoding="utf-8") as file:
+                assert sum(1 for _ in file) == samples + 1
     assert peaks[1] - peaks[0] < 25.0
     assert peaks[1] < 300.0
 
@@ -298,12 +298,12 @@ def test_the_command_goes_by_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         monkeypatch.undo()
     (warned, one), (also_warned, other) = outputs
     assert warned == also_warned
-    for found, expected in zip(other.pop("singular_instants"), one.pop("singular_instants"), strict=True):
+    for instants, expected in zip(other.pop("singular_instants"), one.pop("singular_instants"), strict=True):
         numbers = [name for name in expected if isinstance(expected[name], float)]
-        assert [found.pop(name) for name in numbers] == pytest.approx(
+        assert [instants.pop(name) for name in numbers] == pytest.approx(
             [expected.pop(name) for name in numbers], rel=1e-6
         )
-        assert found == expected
+        assert instants == expected
     for name in ("largest_tau", "largest_carrier_force", "smallest_margin", "largest_gap"):
         assert other.pop(name) == pytest.approx(one.pop(name), rel=1e-9, abs=1e-12)
     assert other == one

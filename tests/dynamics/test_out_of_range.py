@@ -43,13 +43,13 @@ def test_passive_joints_beyond_their_range_are_a_status_in_every_backend(robot: 
         more = {"interpret": True}
     make = getattr(rp, backend)
     plain = rp.distribute(make(zoo.robot_of("2rpr"), **more).reduce(LINE))
-    found = rp.distribute(make(robot, **more).reduce(LINE))
+    distribution = rp.distribute(make(robot, **more).reduce(LINE))
     out = beyond(LINE) & plain.solved
     assert out.any()
     assert (~beyond(LINE)).any()
-    assert (found.status == np.where(out, SampleStatus.OUT_OF_RANGE, plain.status)).all()
-    assert (found.solved == plain.solved).all()
-    np.testing.assert_array_equal(found.tau, plain.tau)
+    assert (distribution.status == np.where(out, SampleStatus.OUT_OF_RANGE, plain.status)).all()
+    assert (distribution.solved == plain.solved).all()
+    np.testing.assert_array_equal(distribution.tau, plain.tau)
 
 
 def test_statuses_without_a_solution_come_first(robot: rp.Robot) -> None:
@@ -58,13 +58,13 @@ def test_statuses_without_a_solution_come_first(robot: rp.Robot) -> None:
     W, reachable = np.array(reduced.W), np.array(reduced.reachable)
     W[0], reachable[1] = 0.0, False
     given = replace(reduced, W=W, reachable=reachable, f=reduced.f + 1.0, out_of_range=out)
-    found = rp.distribute(given, lower=np.where(np.arange(len(LINE)) == 2, 1e6, -np.inf)[:, None].repeat(2, 1))
-    assert found.status[:3].tolist() == [
+    distribution = rp.distribute(given, lower=np.where(np.arange(len(LINE)) == 2, 1e6, -np.inf)[:, None].repeat(2, 1))
+    assert distribution.status[:3].tolist() == [
         SampleStatus.SINGULAR_INCONSISTENT,
         SampleStatus.UNREACHABLE,
         SampleStatus.BOUND_INFEASIBLE,
     ]
-    assert (found.status[3:] == SampleStatus.OUT_OF_RANGE).all()
+    assert (distribution.status[3:] == SampleStatus.OUT_OF_RANGE).all()
     assert SampleStatus.OUT_OF_RANGE.solved
     assert not SampleStatus.UNREACHABLE.solved
 
@@ -89,22 +89,22 @@ def test_limits_that_are_none_are_none(ends: tuple[float, float]) -> None:
 def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp.Robot) -> None:
     both = zoo.robot_of("2rpr"), robot
     plans = [rp.plan_switch_off(rp.VirtualWork(one), reference.line(), threshold=4.0, dt=0.05) for one in both]
-    plain, found = plans
-    assert (plain.status, found.status) == (PlanStatus.WITHIN_LIMITS, PlanStatus.VIOLATES_LIMITS)
-    left = [event for event in found.limits.violated if event.quantity == "range"]
+    plain, marked = plans
+    assert (plain.status, marked.status) == (PlanStatus.WITHIN_LIMITS, PlanStatus.VIOLATES_LIMITS)
+    left = [event for event in marked.limits.violated if event.quantity == "range"]
     assert {event.limit for event in left} == set(RANGE.values())
     assert {event.carrier for event in left} == {"swivel_1"}
-    assert found.robot.limit_unit("range", "swivel_1") == "rad"
-    assert rp.plot.plan(found).get_suptitle().endswith("(range of swivel_1)")
-    np.testing.assert_array_equal(found.tau, plain.tau)
-    out = found.sample_status == SampleStatus.OUT_OF_RANGE
+    assert marked.robot.limit_unit("range", "swivel_1") == "rad"
+    assert rp.plot.plan(marked).get_suptitle().endswith("(range of swivel_1)")
+    np.testing.assert_array_equal(marked.tau, plain.tau)
+    out = marked.sample_status == SampleStatus.OUT_OF_RANGE
     assert (out == (beyond(plain.motion) & (plain.sample_status <= SampleStatus.SINGULAR_CONSISTENT))).all()
-    assert rp.check_plan(found, rp.VirtualWork(robot)).deviations == ()
+    assert rp.check_plan(marked, rp.VirtualWork(robot)).deviations == ()
 
 
 def test_singular_instants_out_of_range_are_not_unbounded_for_that(robot: rp.Robot) -> None:
     plain = rp.inverse_dynamics(rp.VirtualWork(zoo.robot_of("2rpr")), LINE)
-    found = rp.inverse_dynamics(rp.VirtualWork(robot), LINE)
-    assert found.status is plain.status
-    assert [one.unbounded for one in found.instants] == [one.unbounded for one in plain.instants]
-    assert [one.limit for one in found.joint_limits] == [RANGE["lower"], RANGE["upper"]]
+    result = rp.inverse_dynamics(rp.VirtualWork(robot), LINE)
+    assert result.status is plain.status
+    assert [one.unbounded for one in result.instants] == [one.unbounded for one in plain.instants]
+    assert [one.limit for one in result.joint_limits] == [RANGE["lower"], RANGE["upper"]]

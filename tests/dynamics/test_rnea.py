@@ -316,7 +316,7 @@ def test_blocks_do_not_change_a_bit(size: int, monkeypatch: pytest.MonkeyPatch) 
     robot = load_robot("3rrr")
     motion = trajectory.reference.corner(radius=0.025).sample(dt=2e-4 if size > 7 else 5e-3)
     calls: list[tuple[int, int]] = []
-    found = {}
+    results = {}
     for length in (size, 10**9):
         for module in (lift_module, continuation_module, rnea_module):
             monkeypatch.setattr(module, "blocks", lambda samples, _=0, length=length: blocks(samples, length))
@@ -325,7 +325,7 @@ def test_blocks_do_not_change_a_bit(size: int, monkeypatch: pytest.MonkeyPatch) 
         along = dynamics.along(motion)
         reduced = along.reduce()
         parts = (reduced.f, reduced.W, reduced.carrier_force, reduced.gap, along.tree.q, along.tree.v, along.tree.a)
-        found[length] = [part.tobytes() for part in parts]
-    assert found[size] == found[10**9]
+        results[length] = [part.tobytes() for part in parts]
+    assert results[size] == results[10**9]
     assert calls[-1] == (len(motion), len(motion))
     assert len(calls) == -(-len(motion) // size) + 1

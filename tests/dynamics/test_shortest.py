@@ -23,7 +23,7 @@ def problem(seed: int, n: int = 2, p: int = 5, b: int = 5):
 
 def possible(matrix, wanted, bounded, lower, upper) -> bool:
     """By the simplex method."""
-    found = linprog(
+    optimum = linprog(
         np.zeros(matrix.shape[1]),
         A_ub=np.concatenate([bounded, -bounded]),
         b_ub=np.concatenate([upper, -lower]),
@@ -31,7 +31,7 @@ def possible(matrix, wanted, bounded, lower, upper) -> bool:
         b_eq=wanted,
         bounds=(None, None),
     )
-    return found.status == 0
+    return optimum.status == 0
 
 
 @given(st.integers(0, 10**6))
@@ -81,11 +81,11 @@ def test_it_is_continuous_where_bounds_begin_to_act_and_where_they_begin_to_forb
         return np.array([shortest(matrix, share * wanted, bounded, lower, upper)[0] for share in shares])
 
     shares = np.linspace(0.0, 4.0, 401)
-    found = along(shares)
-    missed = np.linalg.norm(found @ matrix.T - shares[:, None] * wanted, axis=1)
+    determinants = along(shares)
+    missed = np.linalg.norm(determinants @ matrix.T - shares[:, None] * wanted, axis=1)
     assert missed[0] < ROUNDING  # met at first,
     assert missed[-1] > 0.1  # and not at last
-    steps = np.abs(np.diff(found, axis=0)).max(axis=1)
+    steps = np.abs(np.diff(determinants, axis=0)).max(axis=1)
     # a jump would not become smaller where one looks more closely
     for i in np.argsort(steps)[-5:]:
         closer = np.abs(np.diff(along(np.linspace(shares[i], shares[i + 1], 41)), axis=0)).max()

@@ -149,7 +149,7 @@ def test_fatrop_crosses_in_stages_like_ipopt() -> None:
         q = [solution.value(part)[sizes[1] : sizes[2]] for part in controls]
         determinants.append([float(np.linalg.det(sym.W(at).full())) for at in q])
     assert costs[1] == pytest.approx(costs[0], rel=1e-4)
-    assert all(min(found) < 0.0 < max(found) for found in determinants)
+    assert all(min(values) < 0.0 < max(values) for values in determinants)
 
 
 def test_a_pickle_is_as_good() -> None:

@@ -212,8 +212,8 @@ def test_a_pose_upside_down_is_listed_once(x):
     pose = np.array([x, 0.45, np.pi])
     for legs in (inverse_displacement(THESIS, pose[None], mode) for mode in product((1, -1), repeat=3)):
         solutions = forward_displacement(THESIS, legs.theta[:, 0])
-        found = [s for s in solutions if np.abs(u(s.pose[2]) - u(np.pi)).max() < 1e-6]
-        assert len([s for s in found if np.abs(s.pose[:2] - pose[:2]).max() < 1e-6]) == 1
+        mirrored = [s for s in solutions if np.abs(u(s.pose[2]) - u(np.pi)).max() < 1e-6]
+        assert len([s for s in mirrored if np.abs(s.pose[:2] - pose[:2]).max() < 1e-6]) == 1
 
 
 def test_none_where_the_elbows_are_too_far_apart():

@@ -77,8 +77,8 @@ def test_a_stepwise_plan_is_the_same_motion_to_an_engine_as_to_the_simulation():
     reference = plan_reference(plan, robot=robot)
     t = np.sort(np.random.default_rng(2).uniform(plan.t[0], plan.t[-1], 200))
     own = drive.carriers(t)
-    for found, i in ((own.s, 0), (own.sd, 1), (own.sdd, 2)):
-        np.testing.assert_allclose(found, [reference.carriers(time)[i] for time in t], atol=1e-9)
+    for values, i in ((own.s, 0), (own.sd, 1), (own.sdd, 2)):
+        np.testing.assert_allclose(values, [reference.carriers(time)[i] for time in t], atol=1e-9)
     loads = [np.concatenate(reference.loads(time)) for time in t]
     np.testing.assert_allclose(drive.task.efforts(t), loads, atol=EFFORT_TOLERANCE)
     np.testing.assert_allclose(drive.task.q, reference.tree(0.0)[0], atol=1e-12)

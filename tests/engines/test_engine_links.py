@@ -17,13 +17,13 @@ ROUNDING = 1e-12
 
 def placed(tree, q):
     """World placements of the links, by composing what the tree says."""
-    found = []
+    placements = []
     for link, value in zip(tree.links, tree.from_q(q), strict=True):
         turn = pin.exp3(np.array([0, 0, value])) if link.kind == "revolute" else np.eye(3)
         slide = np.array([0, 0, value]) if link.kind == "prismatic" else np.zeros(3)
-        base = pin.SE3.Identity() if link.parent == GROUND else found[link.parent]
-        found.append(base * pin.SE3(link.rotation, link.translation) * pin.SE3(turn, slide))
-    return found
+        base = pin.SE3.Identity() if link.parent == GROUND else placements[link.parent]
+        placements.append(base * pin.SE3(link.rotation, link.translation) * pin.SE3(turn, slide))
+    return placements
 
 
 @pytest.mark.parametrize("seed", range(6))

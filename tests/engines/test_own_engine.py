@@ -64,10 +64,10 @@ def thrown(name):
     return Task(robot, 0.0, duration, start.q, start.v, waves(robot, 0.5))
 
 
-def difference(found, run):
+def difference(other, run):
     """Distances (N, nq) of all joints at the instants of ``found``, the engine's steps joined by cubics."""
     assert run.status is RunStatus.COMPLETED
-    return CubicHermiteSpline(run.t, run.q, run.v)(found.t) - found.q
+    return CubicHermiteSpline(run.t, run.q, run.v)(other.t) - other.q
 
 
 def crossings(simulation):
@@ -147,8 +147,8 @@ def test_efforts_are_those_of_the_task_from_the_side_of_their_jumps():
     np.testing.assert_array_equal(drive.breaks, [0.1, 0.3])
     np.testing.assert_array_equal(drive.jumps, [0.3])
     for t in (0.0, 0.05, 0.1, 0.25, 0.3, 0.41, 0.5):
-        found = np.concatenate(drive.effort(t, closed_state(robot)))
-        np.testing.assert_allclose(found, jumping(np.array([t]))[0], atol=1e-10)
+        effort = np.concatenate(drive.effort(t, closed_state(robot)))
+        np.testing.assert_allclose(effort, jumping(np.array([t]))[0], atol=1e-10)
     before = np.concatenate(drive.effort(np.nextafter(0.3, 0.0), closed_state(robot)))
     np.testing.assert_allclose(before, jumping(np.array([0.3]), side="left")[0], atol=1e-10)
 

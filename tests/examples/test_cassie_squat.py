@@ -50,10 +50,10 @@ def test_edges_of_the_feet_carry_the_machine_within_their_cones(robot: Robot) ->
     rods = robot.closures[:4]
     pairs = [((model.getFrameId(each.frame_a), model.getFrameId(each.frame_b)), each.axes) for each in rods]
     for friction, bites in ((0.6, False), (0.02, True)):
-        found, feet = example.efforts(robot, motion, friction)
-        assert set(found.status_labels.tolist()) == {"regular"}
-        assert (np.linalg.norm(found.tau) > (1.0 + 1e-6) * np.linalg.norm(free.tau)) == bites
-        closure_force = feet.at(found.tau)
+        efforts, feet = example.efforts(robot, motion, friction)
+        assert set(efforts.status_labels.tolist()) == {"regular"}
+        assert (np.linalg.norm(efforts.tau) > (1.0 + 1e-6) * np.linalg.norm(free.tau)) == bites
+        closure_force = feet.at(efforts.tau)
         for k in range(len(motion)):
             q, v, a = (np.array(part[k]) for part in (tree.q, tree.v, tree.a))
             by_name = dict(zip(feet.names, closure_force[k], strict=True))
@@ -86,7 +86,7 @@ def test_edges_of_the_feet_carry_the_machine_within_their_cones(robot: Robot) ->
             effort = pin.rnea(model, data, q, v, a) + damping * v
             for name, at in ids.items():
                 effort -= pin.computeFrameJacobian(model, data, q, at, pin.LOCAL_WORLD_ALIGNED)[:3].T @ force[name]
-            effort[robot.actuated_velocity] -= found.tau[k]
+            effort[robot.actuated_velocity] -= efforts.tau[k]
             assert np.abs(moving.T @ effort).max() < ROUNDING
 
 
@@ -95,7 +95,7 @@ def test_mujoco_agrees(robot: Robot, tmp_path: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
     motion, data = example.squat(robot, 5), robot.model.createData()
     tree = rp.lift(robot, motion)
-    found, feet = example.efforts(robot, motion, 0.6)
+    efforts, feet = example.efforts(robot, motion, 0.6)
     tips: dict[str, tuple[str, Any, Any]] = {}
     for name, way in zip(example.CONTACTS, (1.0, -1.0) * 2, strict=True):
         place = robot.model.frames[robot.model.getFrameId(f"ground {name}")].placement.translation
@@ -103,10 +103,10 @@ def test_mujoco_agrees(robot: Robot, tmp_path: Path) -> None:
     mj = cassie.in_mujoco(example.cassie_sdf(tmp_path), tips, example.legs(example.SPRINGS))
     state = mujoco.MjData(mj)
     for k in range(3):  # down; up is the same backward
-        by_name = dict(zip(feet.names, feet.at(found.tau)[k], strict=True))
+        by_name = dict(zip(feet.names, feet.at(efforts.tau)[k], strict=True))
         pin.forwardKinematics(robot.model, data, *(np.array(part[k]) for part in (tree.q, tree.v, tree.a)))
         pin.updateFramePlacements(robot.model, data)
-        wanted = _set(mj, state, robot, data, (tree.q[k], tree.v[k], tree.a[k]), found.tau[k])
+        wanted = _set(mj, state, robot, data, (tree.q[k], tree.v[k], tree.a[k]), efforts.tau[k])
         mujoco.mj_forward(mj, state)
         assert np.abs(state.efc_pos).max() < 1e-7  # the loops are closed as the file says
         assert np.abs(state.efc_vel).max() < 1e-7

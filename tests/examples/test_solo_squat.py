@@ -29,13 +29,13 @@ def test_feet_carry_the_machine_within_their_cones() -> None:
     model, data = robot.model, robot.model.createData()
     free, _ = example.efforts(robot, motion, 5.0)
     for friction, bites in ((0.6, False), (0.2, True)):
-        found, feet = example.efforts(robot, motion, friction)
-        assert found.solved.all()
-        force = feet.at(found.tau).reshape(len(motion), 4, 3)
+        efforts, feet = example.efforts(robot, motion, friction)
+        assert efforts.solved.all()
+        force = feet.at(efforts.tau).reshape(len(motion), 4, 3)
         slip = np.linalg.norm(force[:, :, :2], axis=2) / force[:, :, 2]
         assert (force[:, :, 2] > 0.5 - 1e-6).all()
         assert slip.max() <= friction * (1.0 + 1e-6)
-        assert (np.linalg.norm(found.tau) > (1.0 + 1e-6) * np.linalg.norm(free.tau)) == bites
+        assert (np.linalg.norm(efforts.tau) > (1.0 + 1e-6) * np.linalg.norm(free.tau)) == bites
         for k in range(len(motion)):
             q, v, a = (np.array(part[k]) for part in (tree.q, tree.v, tree.a))
             pin.computeCentroidalMomentumTimeVariation(model, data, q, v, a)
@@ -53,4 +53,4 @@ def test_feet_carry_the_machine_within_their_cones() -> None:
                 J = pin.computeFrameJacobian(model, data, q, model.getFrameId(f"{leg}_FOOT"), pin.LOCAL_WORLD_ALIGNED)
                 effort = effort - J[:3].T @ one
             assert np.abs(effort[:6]).max() < ROUNDING  # nothing drives the trunk
-            assert np.abs(effort[robot.actuated_velocity] - found.tau[k]).max() < ROUNDING
+            assert np.abs(effort[robot.actuated_velocity] - efforts.tau[k]).max() < ROUNDING

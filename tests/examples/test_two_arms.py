@@ -27,9 +27,9 @@ except (PackageNotFoundError, ValueError):
 def test_each_arm_carries_its_share_and_the_bar_is_squeezed() -> None:
     robot = example.load()
     motion = example.lift(robot, 5)
-    found, wrench = example.torques(robot, motion, SQUEEZE)
+    efforts, wrench = example.torques(robot, motion, SQUEEZE)
     assert (robot.n, robot.m) == (6, 12)
-    assert found.solved.all()
+    assert efforts.solved.all()
     tree = rp.lift(robot, motion)
     arm = pin.buildModelFromUrdf(URDF)
     data, tool = arm.createData(), arm.getFrameId("tool0")
@@ -54,7 +54,7 @@ def test_each_arm_carries_its_share_and_the_bar_is_squeezed() -> None:
         force = BAR * (dv + np.array([0.0, 0.0, 9.81])) - right[:3]
         moment = spread @ alpha + np.cross(omega, spread @ omega) - right[3:]
         moment -= np.cross(ends[0] - middle, force) + np.cross(ends[1] - middle, right[:3])
-        tau = found.tau[k].reshape(2, 6)
+        tau = efforts.tau[k].reshape(2, 6)
         np.testing.assert_allclose(tau[0], torque[0] + J[0].T @ np.append(force, moment), atol=ROUNDING)
         np.testing.assert_allclose(tau[1], torque[1] + J[1].T @ right, atol=ROUNDING)
         assert abs(R[:, 1] @ right[:3] - SQUEEZE) < 1e-6  # inward: the right tool is at the bar's −y end
@@ -66,4 +66,4 @@ def test_each_arm_carries_its_share_and_the_bar_is_squeezed() -> None:
         assert np.abs(np.delete(slope, 1)).max() < 1e-6 * np.abs(tau).max()
         assert abs(slope[1]) > 1e-3
     free, _ = example.torques(robot, motion, 0.0)
-    assert np.abs(free.tau - found.tau).max() > 0.5
+    assert np.abs(free.tau - efforts.tau).max() > 0.5

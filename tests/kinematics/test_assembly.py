@@ -25,11 +25,11 @@ def test_bad_guesses_end_closed_at_the_target_or_say_that_they_did_not(name: str
     system = zoo.system_of(robot)
     target = np.repeat(zoo.home_of(robot)[None], 8, axis=0)
     guess, _ = zoo.random_tree(robot, seed, 8)
-    found = assemble(system, guess, target)
-    state = system.evaluate(found.q)
+    assembled = assemble(system, guess, target)
+    state = system.evaluate(assembled.q)
     off = np.concatenate([state.phi, difference(robot, target, coordinates(robot, state))], axis=1)
-    np.testing.assert_array_equal(found.closed, np.abs(off).max(axis=1) < CLOSURE_TOLERANCE)
-    np.testing.assert_allclose(found.gap, np.abs(off).max(axis=1), atol=1e-15)
+    np.testing.assert_array_equal(assembled.closed, np.abs(off).max(axis=1) < CLOSURE_TOLERANCE)
+    np.testing.assert_allclose(assembled.gap, np.abs(off).max(axis=1), atol=1e-15)
 
 
 @pytest.mark.parametrize("name", zoo.SHIPPED)
@@ -37,8 +37,8 @@ def test_nearly_every_bad_guess_succeeds_at_a_reachable_pose(name: str) -> None:
     """Random guesses one radian (or metre) off. Plain Newton loses 3 to 13 % of them on all but the 2-RPR."""
     robot = zoo.robot_of(name)
     guess, _ = zoo.random_tree(robot, 5, 400)
-    found = assemble(zoo.system_of(robot), guess, np.repeat(zoo.home_of(robot)[None], 400, axis=0))
-    assert found.closed.mean() > 0.975
+    assembled = assemble(zoo.system_of(robot), guess, np.repeat(zoo.home_of(robot)[None], 400, axis=0))
+    assert assembled.closed.mean() > 0.975
 
 
 def test_newton_ends_where_full_steps_would_run_in_circles() -> None:
@@ -47,8 +47,8 @@ def test_newton_ends_where_full_steps_would_run_in_circles() -> None:
     system = zoo.system_of(robot)
     stretched = assemble(system, robot.q_reference[None], np.array([[0.25, np.sqrt(1 - 0.25**2) - 1e-7]])).q
     target = np.array([[0.25, 0.3]])
-    found = assemble(system, stretched, target)
-    assert found.closed.all()
+    assembled = assemble(system, stretched, target)
+    assert assembled.closed.all()
     q, full = stretched.copy(), []
     for _ in range(3):
         state = system.evaluate(q)
@@ -60,7 +60,7 @@ def test_newton_ends_where_full_steps_would_run_in_circles() -> None:
         q = q + step
     assert full[0] > 100 * np.pi  # the case is necessary
     # the elbows stay within a turn of where they were
-    assert np.abs(found.q - stretched).max() < 2 * np.pi
+    assert np.abs(assembled.q - stretched).max() < 2 * np.pi
 
 
 @pytest.mark.parametrize("name", zoo.SHIPPED)
@@ -70,9 +70,9 @@ def test_out_of_reach_is_never_called_closed(name: str) -> None:
         pytest.skip("no pose is out of reach: the slides have no end")
     far = zoo.home_of(robot)[None] + 20.0 * np.eye(robot.n)[:1]
     guess, _ = zoo.random_tree(robot, 3, 10)
-    found = assemble(zoo.system_of(robot), guess, far.repeat(10, axis=0))
-    assert not found.closed.any()
-    assert np.all(found.gap > 1.0)
+    assembled = assemble(zoo.system_of(robot), guess, far.repeat(10, axis=0))
+    assert not assembled.closed.any()
+    assert np.all(assembled.gap > 1.0)
 
 
 def test_gap_out_of_reach_compares_with_geometry() -> None:
@@ -86,10 +86,10 @@ def test_gap_out_of_reach_compares_with_geometry() -> None:
     angle, beyond = rng.uniform(0.2, np.pi - 0.2, 300), rng.uniform(0.05, 1.0, 300)
     target = [0.25, 0.0] + (1.25 + beyond)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     short = np.stack([np.linalg.norm(target - hinge, axis=1) - 1.0 for hinge in ([0.0, 0.0], [0.5, 0.0])]).max(axis=0)
-    found = assemble(zoo.system_of(robot), np.repeat(robot.q_reference[None], 300, axis=0), target)
-    assert not found.closed.any()
-    assert np.all(found.gap > short / (2 * np.sqrt(2)))
-    assert np.all(found.gap < 1.1 * short)
+    assembled = assemble(zoo.system_of(robot), np.repeat(robot.q_reference[None], 300, axis=0), target)
+    assert not assembled.closed.any()
+    assert np.all(assembled.gap > short / (2 * np.sqrt(2)))
+    assert np.all(assembled.gap < 1.1 * short)
 
 
 def test_forward_displacement_returns_the_pose_that_gave_the_joint_positions(shipped: Robot) -> None:
@@ -101,9 +101,9 @@ def test_forward_displacement_returns_the_pose_that_gave_the_joint_positions(shi
     nearby[:, system.pose_columns] += (
         1e-2 * shipped.characteristic_length * rng.uniform(-1, 1, (6, len(system.pose_columns)))
     )
-    found = assemble(system, nearby, actuated=closed[:, columns])
-    assert found.closed.all()
-    np.testing.assert_allclose(found.q, closed, atol=SAME)
+    assembled = assemble(system, nearby, actuated=closed[:, columns])
+    assert assembled.closed.all()
+    np.testing.assert_allclose(assembled.q, closed, atol=SAME)
 
 
 def test_closing_alone_changes_the_guess_as_little_as_possible() -> None:
@@ -113,10 +113,10 @@ def test_closing_alone_changes_the_guess_as_little_as_possible() -> None:
     closed = zoo.random_closed(robot, 22, 5)
     push = np.zeros_like(closed)
     push[:, system.pose_columns] = 1e-4 * np.random.default_rng(1).uniform(-1, 1, (5, len(system.pose_columns)))
-    found = assemble(system, closed + push)
-    assert found.closed.all()
-    change = found.q - closed - push
-    jc = system.evaluate(found.q).Jc
+    assembled = assemble(system, closed + push)
+    assert assembled.closed.all()
+    change = assembled.q - closed - push
+    jc = system.evaluate(assembled.q).Jc
     _, _, right = np.linalg.svd(jc[:, :, system.pose_columns])
     tangent = right[:, jc.shape[1] :]
     along = np.einsum("ntv,nv->nt", tangent, change[:, system.pose_columns])
@@ -143,9 +143,9 @@ def test_a_singular_sample_does_not_spoil_its_stack() -> None:
     singular = np.array(robot.q_reference)
     singular[robot.model.joints[robot.model.getJointId("slide_1")].idx_q] = 0.0
     home = zoo.home_of(robot)
-    found = assemble(system, np.stack([singular, robot.q_reference]), np.stack([home, home + 0.01]))
-    assert found.closed[1]
-    assert np.isfinite(found.q).all()
+    assembled = assemble(system, np.stack([singular, robot.q_reference]), np.stack([home, home + 0.01]))
+    assert assembled.closed[1]
+    assert np.isfinite(assembled.q).all()
 
 
 def test_redundant_rows_still_close() -> None:
@@ -155,16 +155,16 @@ def test_redundant_rows_still_close() -> None:
     folded = np.array(robot.q_reference)
     for name in ("elbow_1", "elbow_2"):
         folded[robot.model.joints[robot.model.getJointId(name)].idx_q] = 0.0
-    found = assemble(system, folded[None])
-    assert found.closed.all()
+    assembled = assemble(system, folded[None])
+    assert assembled.closed.all()
 
 
 def test_carriers_keep_their_positions() -> None:
     robot = zoo.robot_of("3rrr")
     guess = np.array(robot.q_reference)[None] + 0.01
     guess[0, robot.carrier_position] = [0.3, -0.2, 0.1]
-    found = assemble(zoo.system_of(robot), guess, zoo.home_of(robot)[None])
-    np.testing.assert_array_equal(found.q[0, robot.carrier_position], [0.3, -0.2, 0.1])
+    assembled = assemble(zoo.system_of(robot), guess, zoo.home_of(robot)[None])
+    np.testing.assert_array_equal(assembled.q[0, robot.carrier_position], [0.3, -0.2, 0.1])
 
 
 @pytest.mark.parametrize("kind", ["five_bar", "continuous"])

@@ -122,12 +122,12 @@ def test_reacquire_finds_the_first_pose_in_the_mode(nothing_within: bool) -> Non
     robot = zoo.robot_of("five_bar")
     heights = np.linspace(1.5, 1.2, 40) if nothing_within else np.linspace(1.5, 0.5, 101)
     targets = np.stack([np.full(len(heights), 0.25), heights], axis=1)
-    found = reacquire(zoo.system_of(robot), targets, np.array(robot.q_reference))
+    reacquired = reacquire(zoo.system_of(robot), targets, np.array(robot.q_reference))
     if nothing_within:
-        assert found is None
+        assert reacquired is None
     else:
-        assert found is not None
-        index, (_, q, gamma, _) = found
+        assert reacquired is not None
+        index, (_, q, gamma, _) = reacquired
         assert index == int(np.argmax(heights < np.sqrt(1 - 0.25**2)))
         assert in_working_mode(robot, q[None])[0]
         assert np.isfinite(gamma).all()

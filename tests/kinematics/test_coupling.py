@@ -161,13 +161,13 @@ def test_forward_dynamics_and_derivatives(robot: Robot) -> None:
     dynamics.adapt(q)
     a = dynamics.acceleration(q, slope @ xd, u)
     np.testing.assert_allclose(a, slope @ second + bend * xd[0] ** 2, rtol=1e-9)
-    found = inverse_derivatives(robot, q, slope @ xd, slope @ xdd + bend * xd[0] ** 2)
-    np.testing.assert_allclose(found.mass, mass, rtol=1e-9)
+    derivatives = inverse_derivatives(robot, q, slope @ xd, slope @ xdd + bend * xd[0] ** 2)
+    np.testing.assert_allclose(derivatives.mass, mass, rtol=1e-9)
     steps = 1e-5 * np.eye(2)
     by_x = np.array([force(x + h, xd, xdd) - force(x - h, xd, xdd) for h in steps]).T / 2e-5
     by_xd = np.array([force(x, xd + h, xdd) - force(x, xd - h, xdd) for h in steps]).T / 2e-5
-    np.testing.assert_allclose(found.force_y, by_x, atol=1e-6 * np.abs(by_x).max())
-    np.testing.assert_allclose(found.force_z, by_xd, atol=1e-6 * np.abs(by_xd).max())
+    np.testing.assert_allclose(derivatives.force_y, by_x, atol=1e-6 * np.abs(by_x).max())
+    np.testing.assert_allclose(derivatives.force_z, by_xd, atol=1e-6 * np.abs(by_xd).max())
     # Pinocchio's constraints have no couplings: refused by name
     assert not has_point_closures(robot)
     with pytest.raises(UnsupportedRobotError, match="'slide of arm'"):

@@ -52,14 +52,14 @@ def turning(t: Array) -> tuple[Array, Array, Array]:
 def test_five_bar_is_the_intersection_of_two_circles(five_bar: rp.Robot) -> None:
     t = np.linspace(0.0, 3.0, 31)
     u, ud, udd = turning(t)
-    found = rp.forward_kinematics(five_bar, u, rates=ud, accelerations=udd)
-    assert set(found.status_labels) == {"converged"}
-    assert np.abs(found.x - two_circles(u)).max() < TOLERANCE
+    solution = rp.forward_kinematics(five_bar, u, rates=ud, accelerations=udd)
+    assert set(solution.status_labels) == {"converged"}
+    assert np.abs(solution.x - two_circles(u)).max() < TOLERANCE
     h = 1e-4
     before, here, after = (two_circles(turning(t + step)[0]) for step in (-h, 0.0, h))
-    assert np.abs(found.xd - (after - before) / (2 * h)).max() < LIKE_RATES
-    assert np.abs(found.xdd - (after - 2 * here + before) / h**2).max() < 1e-5
-    assert np.abs(np.einsum("nij,nj->ni", found.jacobian, ud) - found.xd).max() < TOLERANCE
+    assert np.abs(solution.xd - (after - before) / (2 * h)).max() < LIKE_RATES
+    assert np.abs(solution.xdd - (after - 2 * here + before) / h**2).max() < 1e-5
+    assert np.abs(np.einsum("nij,nj->ni", solution.jacobian, ud) - solution.xd).max() < TOLERANCE
 
 
 def test_start_chooses_the_branch(five_bar: rp.Robot) -> None:
@@ -74,31 +74,31 @@ def test_motors_out_of_reach_end_the_branch(five_bar: rp.Robot) -> None:
     home = motors(five_bar, five_bar.q_reference)
     out = np.concatenate([np.linspace(0.0, 1.0, 11), np.linspace(0.9, 0.0, 10)])
     u = home + out[:, None] * [1.0, -1.0]  # the elbows part until the distal links cannot meet, and come back
-    found = rp.forward_kinematics(five_bar, u)
+    solution = rp.forward_kinematics(five_bar, u)
     possible = np.isfinite(two_circles(u)).all(axis=1)
     first = int(np.argmin(possible))
     assert 0 < first < 10
-    assert (found.status[:first] == ForwardStatus.CONVERGED).all()
-    assert (found.status[~possible] == ForwardStatus.OUT_OF_REACH).all()
-    assert (found.gap[~possible] > 1e-6).all()
+    assert (solution.status[:first] == ForwardStatus.CONVERGED).all()
+    assert (solution.status[~possible] == ForwardStatus.OUT_OF_REACH).all()
+    assert (solution.gap[~possible] > 1e-6).all()
     # back within reach: above or below, nobody knows
     again = possible & (np.arange(len(u)) > first)
     assert again.any()
-    assert (found.status[again] == ForwardStatus.BRANCH_LOST).all()
-    assert np.isnan(found.x[first:]).all()
-    assert not found.known[first:].any()
+    assert (solution.status[again] == ForwardStatus.BRANCH_LOST).all()
+    assert np.isnan(solution.x[first:]).all()
+    assert not solution.known[first:].any()
 
 
 def test_stretched_distal_links_are_singular(five_bar: rp.Robot) -> None:
     # elbows a metre apart on a level line: cos u = −0.5 and 0.5
     u = np.array([[1.9, np.pi - 1.9], [2 * np.pi / 3, np.pi / 3]])
-    found = rp.forward_kinematics(five_bar, u, rates=np.ones((2, 2)))
-    assert found.status.tolist() == [ForwardStatus.CONVERGED, ForwardStatus.SINGULAR]
-    assert found.margin[1] == 0.0
-    assert np.abs(found.x[1] - [0.25, LINK * np.sqrt(0.75)]).max() < 1e-5  # a square root of the closure tolerance
-    assert np.isnan(found.xd[1]).all()
+    solution = rp.forward_kinematics(five_bar, u, rates=np.ones((2, 2)))
+    assert solution.status.tolist() == [ForwardStatus.CONVERGED, ForwardStatus.SINGULAR]
+    assert solution.margin[1] == 0.0
+    assert np.abs(solution.x[1] - [0.25, LINK * np.sqrt(0.75)]).max() < 1e-5  # a square root of the closure tolerance
+    assert np.isnan(solution.xd[1]).all()
     with pytest.raises(SingularPoseError, match="start is a type II"):
-        rp.forward_kinematics(five_bar, u, start=found.q[1])
+        rp.forward_kinematics(five_bar, u, start=solution.q[1])
 
 
 def test_joint_range_of_a_passive_joint(five_bar: rp.Robot) -> None:
@@ -172,20 +172,20 @@ def test_all_assembly_modes_of_the_3rrr() -> None:
             with pytest.raises(UnreachablePoseError, match="stay open"):
                 rp.assembly_modes(robot, u, most_starts=128)
             continue
-        found = rp.assembly_modes(robot, u)
-        assert len(found) == len(oracle)
-        x = np.array(found.x)
+        modes = rp.assembly_modes(robot, u)
+        assert len(modes) == len(oracle)
+        x = np.array(modes.x)
         x[:, 2] = (x[:, 2] + np.pi) % (2 * np.pi) - np.pi
         assert np.abs(x[np.argsort(x[:, 2])] - oracle[np.argsort(oracle[:, 2])]).max() < 1e-9
-        assert found.unseen < 0.01
+        assert modes.unseen < 0.01
     assert counts == {0, 4, 6}
 
 
 def test_both_modes_of_a_four_bar_whose_crank_says_nothing_of_its_rocker() -> None:
     robot = zoo.robot_of("four_bar")
-    found = rp.assembly_modes(robot, [1.0])
-    assert len(found) == 2
-    coupler = found.q[:, robot.model.joints[robot.model.getJointId("coupler")].idx_q]
+    modes = rp.assembly_modes(robot, [1.0])
+    assert len(modes) == 2
+    coupler = modes.q[:, robot.model.joints[robot.model.getJointId("coupler")].idx_q]
     assert sorted(np.sign(np.sin(coupler))) == [-1.0, 1.0]
 
 
@@ -208,15 +208,15 @@ def leg_lengths(robot: rp.Robot, pose: Array) -> Array:
 def test_gough_modes_have_their_leg_lengths_and_come_in_mirror_images() -> None:
     robot = zoo.robot_of("gough")
     u = motors(robot, robot.q_reference) + np.linspace(0.0, 0.15, 6)
-    found = rp.assembly_modes(robot, u)
-    assert 2 <= len(found) <= 40
-    assert max(np.abs(leg_lengths(robot, pose) - u).max() for pose in found.x) < TOLERANCE
+    modes = rp.assembly_modes(robot, u)
+    assert 2 <= len(modes) <= 40
+    assert max(np.abs(leg_lengths(robot, pose) - u).max() for pose in modes.x) < TOLERANCE
     # base and platform are flat: with p also diag(1, 1, −1) p, R diag(1, 1, −1) R diag(1, 1, −1)
     mirror = np.diag([1.0, 1.0, -1.0])
-    for pose in found.x:
+    for pose in modes.x:
         image = np.eye(4)
         image[:3, 3], image[:3, :3] = mirror @ pose[:3, 3], mirror @ pose[:3, :3] @ mirror
-        assert np.abs(found.x - image).max(axis=(1, 2)).min() < 1e-9
+        assert np.abs(modes.x - image).max(axis=(1, 2)).min() < 1e-9
 
 
 def test_gough_forwards_is_its_inverse_backwards() -> None:
@@ -224,12 +224,14 @@ def test_gough_forwards_is_its_inverse_backwards() -> None:
     motion = zoo.smooth_motion(robot, 3).at(np.linspace(0.0, 1.0, 9))
     tree = rp.lift(robot, motion)
     u, ud, udd = (part[:, robot.actuated_velocity] for part in (tree.q, tree.v, tree.a))
-    found = rp.forward_kinematics(robot, u, rates=ud, accelerations=udd)
-    assert max(np.abs(leg_lengths(robot, pose) - legs).max() for pose, legs in zip(found.x, u, strict=True)) < TOLERANCE
-    assert np.abs(found.x - motion.x).max() < TOLERANCE
-    assert np.abs(found.xd - motion.xd).max() < 1e-9
-    assert np.abs(found.xdd - motion.xdd).max() < 1e-8
-    assert np.abs(np.einsum("nij,nkj->nik", found.jacobian, tree.W) - np.eye(6)).max() < 1e-9  # W = J⁻ᵀ
+    solution = rp.forward_kinematics(robot, u, rates=ud, accelerations=udd)
+    assert (
+        max(np.abs(leg_lengths(robot, pose) - legs).max() for pose, legs in zip(solution.x, u, strict=True)) < TOLERANCE
+    )
+    assert np.abs(solution.x - motion.x).max() < TOLERANCE
+    assert np.abs(solution.xd - motion.xd).max() < 1e-9
+    assert np.abs(solution.xdd - motion.xdd).max() < 1e-8
+    assert np.abs(np.einsum("nij,nkj->nik", solution.jacobian, tree.W) - np.eye(6)).max() < 1e-9  # W = J⁻ᵀ
 
 
 def redundant(five_bar: rp.Robot) -> rp.Robot:
@@ -244,13 +246,13 @@ def test_redundant_motors_must_agree(five_bar: rp.Robot) -> None:
     robot = redundant(five_bar)
     plain = rp.forward_kinematics(five_bar, turning(np.linspace(0.0, 1.0, 5))[0])
     u = np.array(plain.q[:, robot.actuated_velocity])
-    found = rp.forward_kinematics(robot, u)
-    assert found.known.all()
-    assert np.abs(found.x - plain.x).max() < TOLERANCE
+    solution = rp.forward_kinematics(robot, u)
+    assert solution.known.all()
+    assert np.abs(solution.x - plain.x).max() < TOLERANCE
     u[2, 2] += 1e-3
-    found = rp.forward_kinematics(robot, u)
-    assert found.status.tolist() == [0, 0, ForwardStatus.OUT_OF_REACH, 0, 0]
-    assert found.gap[2] > 1e-4
+    solution = rp.forward_kinematics(robot, u)
+    assert solution.status.tolist() == [0, 0, ForwardStatus.OUT_OF_REACH, 0, 0]
+    assert solution.gap[2] > 1e-4
 
 
 def test_refusals(five_bar: rp.Robot) -> None:
@@ -280,10 +282,10 @@ def test_angles_of_the_platform_count_the_turns_between_far_samples_and_from_cal
         reference={"platform": [0.4 * np.cos(0.8), 0.9], "guess": {"base": 0.8, "wrist": 0.1}},
     )
     u = np.array([[1.3, 3.0], [1.3, 9.5], [1.1, -4.0]])
-    found = rp.forward_kinematics(robot, u)
-    assert found.status_labels.tolist() == ["converged"] * 3
-    assert np.abs(found.x[:, 1] - u.sum(axis=1)).max() < TOLERANCE
-    again = rp.forward_kinematics(robot, u[2], start=found.q[1])
+    solution = rp.forward_kinematics(robot, u)
+    assert solution.status_labels.tolist() == ["converged"] * 3
+    assert np.abs(solution.x[:, 1] - u.sum(axis=1)).max() < TOLERANCE
+    again = rp.forward_kinematics(robot, u[2], start=solution.q[1])
     assert np.abs(again.x[0, 1] - u[2].sum()) < TOLERANCE
 
 
@@ -327,9 +329,9 @@ def test_what_turns_with_the_motor_turns_as_often(ratio: float, turns_back: bool
         with pytest.raises(InputError, match=r"make 6366 whole turns .* does not lead back"):
             rp.forward_kinematics(robot, [[0.7], [40_001.3]])
         u = np.array([[30.7], [-11.3], [-39.8]])  # few turns are followed
-    found = rp.forward_kinematics(robot, u)
-    np.testing.assert_allclose(found.q, u * [1.0, ratio], rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(found.x, u * (1.0 + ratio), rtol=1e-12, atol=1e-9)
+    solution = rp.forward_kinematics(robot, u)
+    np.testing.assert_allclose(solution.q, u * [1.0, ratio], rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(solution.x, u * (1.0 + ratio), rtol=1e-12, atol=1e-9)
 
 
 @pytest.mark.parametrize("turns", [5000, -1e6])

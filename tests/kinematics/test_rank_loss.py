@@ -233,5 +233,5 @@ def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(be
     crank = np.linspace(beside, -1.02 * beside, 41)[:, None]
     rate = np.ones_like(crank)
     tree = lift(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
-    for found, expected in ((tree.q, crank * turn), (tree.v, 2.0 * rate * turn), (tree.a, 3.0 * rate * turn)):
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+    for values, expected in ((tree.q, crank * turn), (tree.v, 2.0 * rate * turn), (tree.a, 3.0 * rate * turn)):
+        np.testing.assert_allclose(values, expected, atol=1e-6)

@@ -86,14 +86,14 @@ def test_a_hinge_turned_over_is_not_closed() -> None:
     system = zoo.system_of(robot)
     rng = np.random.default_rng(2)
     q = robot.q_reference + rng.uniform(-np.pi, np.pi, (200, robot.model.nq))
-    found = assemble(system, q, np.full((200, 1), 0.6))
-    upright = np.array([placement.rotation[2, 2] for placement in relative_placements(robot, found.q)])
-    rows_vanish = np.abs(found.state.phi).max(axis=1) < CLOSED
+    assembled = assemble(system, q, np.full((200, 1), 0.6))
+    upright = np.array([placement.rotation[2, 2] for placement in relative_placements(robot, assembled.q)])
+    rows_vanish = np.abs(assembled.state.phi).max(axis=1) < CLOSED
     over = rows_vanish & (upright < 0.0)
     assert over.any()
-    assert not found.closed[over].any()
-    np.testing.assert_allclose(found.gap[over], np.pi, atol=1e-6)
-    assert found.closed[rows_vanish & (upright > 0.0)].all()
+    assert not assembled.closed[over].any()
+    np.testing.assert_allclose(assembled.gap[over], np.pi, atol=1e-6)
+    assert assembled.closed[rows_vanish & (upright > 0.0)].all()
 
 
 def test_continuous_joints_move_like_revolute_ones() -> None:
@@ -113,10 +113,10 @@ def test_continuous_joints_move_like_revolute_ones() -> None:
 def test_forward_displacement_with_a_continuous_actuator(turns: int) -> None:
     robot = chain_of("continuous")
     target = np.array([[1.2 + 2 * np.pi * turns]])
-    found = assemble(zoo.system_of(robot), robot.q_reference[None], actuated=target)
-    assert found.closed.all()
+    assembled = assemble(zoo.system_of(robot), robot.q_reference[None], actuated=target)
+    assert assembled.closed.all()
     joint = robot.model.joints[robot.model.getJointId("crank")]
-    np.testing.assert_allclose(found.q[0, joint.idx_q : joint.idx_q + 2], [np.cos(1.2), np.sin(1.2)], atol=CLOSED)
+    np.testing.assert_allclose(assembled.q[0, joint.idx_q : joint.idx_q + 2], [np.cos(1.2), np.sin(1.2)], atol=CLOSED)
 
 
 BENNETT = (0.5, 0.9)

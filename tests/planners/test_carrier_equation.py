@@ -140,10 +140,10 @@ def test_where_the_carriers_lose_a_direction_is_found_in_scaled_coordinates():
 
     model = SimpleNamespace(at=at, interpolant=SimpleNamespace(edges=np.array([0.0, 0.25, 1.0])))
     equation = SimpleNamespace(model=model, row_scale=scale, effort=lambda t: np.tile(tau, (len(t), 1)))
-    (found,) = lost_directions(equation, 0.0, 1.0)
-    assert found.t == pytest.approx(0.4, abs=1e-7)
-    sign = np.sign(found.direction[0])
-    np.testing.assert_allclose(sign * found.direction, u, atol=1e-7)
-    assert sign * found.parked == pytest.approx(u @ ((f0 - W @ tau) / scale), rel=1e-6)
-    assert found.by_motion == pytest.approx(np.abs(u / scale @ by_s).max(), rel=1e-6)
-    assert found.by_main
+    (crossings,) = lost_directions(equation, 0.0, 1.0)
+    assert crossings.t == pytest.approx(0.4, abs=1e-7)
+    sign = np.sign(crossings.direction[0])
+    np.testing.assert_allclose(sign * crossings.direction, u, atol=1e-7)
+    assert sign * crossings.parked == pytest.approx(u @ ((f0 - W @ tau) / scale), rel=1e-6)
+    assert crossings.by_motion == pytest.approx(np.abs(u / scale @ by_s).max(), rel=1e-6)
+    assert crossings.by_main

@@ -44,11 +44,13 @@ def test_undeclared_kink_is_resolved():
     def function(t):
         return np.stack([np.abs(t - 0.3217), np.exp(t)], axis=1)
 
-    found = PiecewisePolynomial.fit(function, np.array([0.0, 1.0]), np.empty(0), lambda v: np.abs(v).max(axis=0), 1e-12)
+    fitted = PiecewisePolynomial.fit(
+        function, np.array([0.0, 1.0]), np.empty(0), lambda v: np.abs(v).max(axis=0), 1e-12
+    )
     t = np.linspace(0.0, 1.0, 10_001)
-    assert np.abs(found(t) - function(t)).max() < 1e-7  # the width of the narrowest piece
+    assert np.abs(fitted(t) - function(t)).max() < 1e-7  # the width of the narrowest piece
     away = np.abs(t - 0.3217) > 1e-6
-    assert np.abs(found(t) - function(t))[away].max() < 1e-11
+    assert np.abs(fitted(t) - function(t))[away].max() < 1e-11
 
 
 @examples(100)
@@ -59,10 +61,10 @@ def test_short_window_is_not_missed(centre, width, slope):
     def function(t):
         return slope * (np.abs(t - centre) - width)
 
-    found = below_zero(function, np.linspace(0.0, 1.0, 33))
-    assert len(found) == 1
-    assert found[0].start == pytest.approx(centre - width, abs=1e-12)
-    assert found[0].end == pytest.approx(centre + width, abs=1e-12)
+    intervals = below_zero(function, np.linspace(0.0, 1.0, 33))
+    assert len(intervals) == 1
+    assert intervals[0].start == pytest.approx(centre - width, abs=1e-12)
+    assert intervals[0].end == pytest.approx(centre + width, abs=1e-12)
     ((t, value),) = minima(lambda times: np.abs(times - centre), np.linspace(0.0, 1.0, 33), 1e-9)
     assert t == pytest.approx(centre, abs=1e-14)
     assert value < 1e-14
@@ -71,15 +73,15 @@ def test_short_window_is_not_missed(centre, width, slope):
 @examples(100)
 @given(centre=st.floats(0.1, 0.9), depth=st.floats(1e-9, 1e-3))
 def test_shallow_smooth_dip_is_not_missed(centre, depth):
-    found = below_zero(lambda t: (t - centre) ** 2 - depth, np.linspace(0.0, 1.0, 33))
-    assert len(found) == 1
-    assert found[0].end - found[0].start == pytest.approx(2.0 * np.sqrt(depth), rel=1e-6)
+    intervals = below_zero(lambda t: (t - centre) ** 2 - depth, np.linspace(0.0, 1.0, 33))
+    assert len(intervals) == 1
+    assert intervals[0].end - intervals[0].start == pytest.approx(2.0 * np.sqrt(depth), rel=1e-6)
 
 
 def test_intervals_at_the_ends_are_open():
-    found = below_zero(lambda t: 0.25 - np.abs(t - 0.5), np.linspace(0.0, 1.0, 33))
-    assert [(i.open_start, i.open_end) for i in found] == [(True, False), (False, True)]
-    assert found[0].end == pytest.approx(0.25, abs=1e-14)
+    intervals = below_zero(lambda t: 0.25 - np.abs(t - 0.5), np.linspace(0.0, 1.0, 33))
+    assert [(i.open_start, i.open_end) for i in intervals] == [(True, False), (False, True)]
+    assert intervals[0].end == pytest.approx(0.25, abs=1e-14)
 
 
 def test_sampled_motion_keeps_both_sides_of_a_jump():

@@ -131,8 +131,8 @@ def test_narrow_interval_of_durations_is_found():
     seen = []
     for speed in SPEEDS:
         state = state_of([0.05, 0.0], [speed, 0.0], [0.0, 0.0])
-        found, *_ = shortest_return(ROBOT, no_force, state, np.zeros(2), AVAILABLE)
-        seen.append(found is not None)
+        intervals, *_ = shortest_return(ROBOT, no_force, state, np.zeros(2), AVAILABLE)
+        seen.append(intervals is not None)
     last = int(np.flatnonzero(seen)[-1]) if any(seen) else -1
     assert 0 <= last < len(SPEEDS) - 1
     assert all(seen[: last + 1])

@@ -82,8 +82,8 @@ def test_the_spike_of_a_cusp_between_two_samples_is_the_peak_and_the_status_says
     assert spike > 20.0 * np.abs(samples.xdd).max()
     assert plan.status is PlanStatus.UNRESOLVED
     assert plan.peak_effort.max() > 100.0 * plan.peak_effort_at_samples.max()
-    found, _ = resampled(plan, rp.RneaDynamics(robot))
-    np.testing.assert_allclose(plan.peak_effort, found, rtol=PEAK)
+    dense, _ = resampled(plan, rp.RneaDynamics(robot))
+    np.testing.assert_allclose(plan.peak_effort, dense, rtol=PEAK)
 
 
 @pytest.mark.long_for("-0.0002-False", "0.0002-True")

@@ -57,18 +57,18 @@ def read(path: Path) -> dict[str, Array]:
 
 def test_rows_at_a_rate_are_the_plan_between_its_samples(plan: Plan, tmp_path: Path) -> None:
     plan.to_csv(tmp_path / "plan.csv", 400)
-    found = read(tmp_path / "plan.csv")
-    t = found["t [s]"]
+    table = read(tmp_path / "plan.csv")
+    t = table["t [s]"]
     assert len(t) == np.ceil(400 * plan.t[-1]) + 1
     np.testing.assert_allclose(t[:-1], np.arange(len(t) - 1) / 400)
     assert t[-1] == plan.t[-1]
 
     platform, carriers = plan.platform_at(t), plan.carriers_at(t)
-    np.testing.assert_allclose(np.stack([found["platform.x [m]"], found["platform.y [m]"]], 1), platform.x, atol=1e-12)
+    np.testing.assert_allclose(np.stack([table["platform.x [m]"], table["platform.y [m]"]], 1), platform.x, atol=1e-12)
     for i, name in enumerate(plan.robot.carriers):
-        np.testing.assert_allclose(found[f"{name}.position [m]"], carriers.s[:, i], atol=1e-9)
-        np.testing.assert_allclose(found[f"{name}.rate [m/s]"], carriers.sd[:, i], atol=1e-9)
-        np.testing.assert_allclose(found[f"{name}.acceleration [m/s^2]"], carriers.sdd[:, i], atol=1e-8)
+        np.testing.assert_allclose(table[f"{name}.position [m]"], carriers.s[:, i], atol=1e-9)
+        np.testing.assert_allclose(table[f"{name}.rate [m/s]"], carriers.sd[:, i], atol=1e-9)
+        np.testing.assert_allclose(table[f"{name}.acceleration [m/s^2]"], carriers.sdd[:, i], atol=1e-8)
     # the legs by plane geometry: what slides out is their length, but for a constant
     legs = platform.x[:, None] - BASES
     lengths = np.linalg.norm(legs, axis=2)
@@ -77,10 +77,10 @@ def test_rows_at_a_rate_are_the_plan_between_its_samples(plan: Plan, tmp_path: P
     across = np.einsum("ni,ni->n", platform.xd, platform.xd)[:, None] - rates**2
     accelerations = np.einsum("nli,ni->nl", along, platform.xdd) + across / lengths
     for i, name in enumerate(plan.robot.actuated):
-        slid = found[f"{name}.position [m]"] - lengths[:, i]
+        slid = table[f"{name}.position [m]"] - lengths[:, i]
         np.testing.assert_allclose(slid, slid[0], atol=1e-10)
-        np.testing.assert_allclose(found[f"{name}.rate [m/s]"], rates[:, i], atol=1e-9)
-        np.testing.assert_allclose(found[f"{name}.acceleration [m/s^2]"], accelerations[:, i], atol=1e-7)
+        np.testing.assert_allclose(table[f"{name}.rate [m/s]"], rates[:, i], atol=1e-9)
+        np.testing.assert_allclose(table[f"{name}.acceleration [m/s^2]"], accelerations[:, i], atol=1e-7)
 
 
 @pytest.mark.parametrize("backend", [rp.VirtualWork, rp.RneaDynamics])
@@ -98,17 +98,17 @@ def test_efforts_are_those_of_the_motion_by_either_backend(plan: Plan, backend: 
 def test_without_a_rate_rows_are_the_samples(plan: Plan, corner: Plan, tmp_path: Path) -> None:
     for each in (plan, corner):
         each.to_csv(tmp_path / "plan.csv")
-        found = read(tmp_path / "plan.csv")
-        np.testing.assert_array_equal(found["t [s]"], each.t)
+        table = read(tmp_path / "plan.csv")
+        np.testing.assert_array_equal(table["t [s]"], each.t)
         for i, name in enumerate(each.robot.actuated):
             unit = "N" if each is plan else "N m"
-            np.testing.assert_array_equal(found[f"{name}.effort [{unit}]"], each.tau[:, i])
+            np.testing.assert_array_equal(table[f"{name}.effort [{unit}]"], each.tau[:, i])
         for i, name in enumerate(each.robot.carriers):
             for title, values in (("position [m]", "s"), ("rate [m/s]", "sd"), ("acceleration [m/s^2]", "sdd")):
-                np.testing.assert_array_equal(found[f"{name}.{title}"], getattr(each.carriers, values)[:, i])
-    rates = np.stack([found[f"{name}.rate [rad/s]"] for name in corner.robot.actuated], axis=1)
+                np.testing.assert_array_equal(table[f"{name}.{title}"], getattr(each.carriers, values)[:, i])
+    rates = np.stack([table[f"{name}.rate [rad/s]"] for name in corner.robot.actuated], axis=1)
     np.testing.assert_allclose(rates, corner.actuated_rate, atol=1e-9)
-    np.testing.assert_allclose(found["platform.rz [rad]"], corner.motion.x[:, 2], atol=1e-12)
+    np.testing.assert_allclose(table["platform.rz [rad]"], corner.motion.x[:, 2], atol=1e-12)
 
 
 def test_where_efforts_jump_there_are_two_rows_or_the_one_after(corner: Plan, turning: Robot) -> None:
@@ -153,12 +153,12 @@ def test_json_holds_the_same_columns_with_their_units(plan: Plan, tmp_path: Path
 
 def test_a_mat_file_holds_matrices_by_joint(plan: Plan, tmp_path: Path) -> None:
     plan.to_mat(tmp_path / "plan.mat", 50)
-    table, found = plan.table(50), loadmat(tmp_path / "plan.mat", simplify_cells=True)
-    assert list(found["joints"]) == list(table.joints)
+    table, matlab = plan.table(50), loadmat(tmp_path / "plan.mat", simplify_cells=True)
+    assert list(matlab["joints"]) == list(table.joints)
     for name in ("t", "position", "rate", "acceleration", "effort", "x"):
-        np.testing.assert_array_equal(found[name], getattr(table, name))
-    assert list(found["units"]["effort"]) == ["N"] * 4
-    assert found["robot"] == "2rpr"
+        np.testing.assert_array_equal(matlab[name], getattr(table, name))
+    assert list(matlab["units"]["effort"]) == ["N"] * 4
+    assert matlab["robot"] == "2rpr"
 
 
 @pytest.mark.parametrize("suffix", [".yaml", ".json"])

@@ -70,8 +70,8 @@ def test_planned_carriers_are_one_continuous_motion(plan) -> None:
 def test_carriers_of_a_whole_trajectory_plan_pass_through_its_samples_and_stepwise_ones_lag() -> None:
     plan = whole_plan()
     kept = np.append(np.diff(plan.t) > 0.0, True)
-    found = plan.functions_of_time.carriers
-    np.testing.assert_allclose(found(plan.t[kept]), plan.carriers.s[kept], atol=1e-10)
+    carriers = plan.functions_of_time.carriers
+    np.testing.assert_allclose(carriers(plan.t[kept]), plan.carriers.s[kept], atol=1e-10)
     stepped = stepwise_plan()
     lagging = stepped.functions_of_time.carriers
     again = carriers_at(lagging, stepped.t)

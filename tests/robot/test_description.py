@@ -167,5 +167,5 @@ def test_robots_render_in_several_threads_at_once():
     path = models_root() / "3rrr" / "3rrr.urdf.xacro"
     masses = [0.5 + 0.1 * i for i in range(12)]
     with ThreadPoolExecutor(6) as pool:
-        found = list(pool.map(lambda mass: render(path, {"carrier_mass": mass}), masses))
-    assert [parameters["carrier_mass"] for _, parameters in found] == pytest.approx(masses)
+        rendered = list(pool.map(lambda mass: render(path, {"carrier_mass": mass}), masses))
+    assert [parameters["carrier_mass"] for _, parameters in rendered] == pytest.approx(masses)

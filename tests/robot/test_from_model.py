@@ -149,8 +149,10 @@ def _agrees_with_constraint_dynamics(robot):
     datas.append(point.createData())
     pin.initConstraintDynamics(model, data, constraints, datas)
     q, v = lifted.q[0].copy(), lifted.v[0].copy()
-    found = pin.constraintDynamics(model, data, q, v, tau, constraints, datas, pin.ProximalSettings(1e-13, 1e-8, 20))
-    np.testing.assert_allclose(found, lifted.a[0], atol=1e-7)
+    acceleration = pin.constraintDynamics(
+        model, data, q, v, tau, constraints, datas, pin.ProximalSettings(1e-13, 1e-8, 20)
+    )
+    np.testing.assert_allclose(acceleration, lifted.a[0], atol=1e-7)
 
 
 def test_reference_forms():

@@ -229,9 +229,9 @@ def test_every_mistake_is_one_error_that_names_it(tmp_path: Path, name: str, cap
 def test_what_a_mistake_is_about_is_in_its_details(tmp_path: Path, fault: str, details: dict[str, object]) -> None:
     with pytest.raises(ModelFileError) as caught:
         load_robot(write(tmp_path, FAULTS[fault][0](FIVE_BAR)))
-    found = caught.value.details
+    reported = caught.value.details
     assert {
-        key: found[key] for key in ("link", "joint", "line") if key in found and key in {*details, "link"}
+        key: reported[key] for key in ("link", "joint", "line") if key in reported and key in {*details, "link"}
     } == details
 
 

@@ -53,9 +53,9 @@ SAME = 1e-8
 
 @functools.cache
 def kernel(robot: Robot) -> CompiledForward:
-    found, reason = forward_of(robot)
-    assert found is not None, reason
-    return found
+    forward, reason = forward_of(robot)
+    assert forward is not None, reason
+    return forward
 
 
 def compiled(robot: Robot) -> Any:
@@ -83,12 +83,12 @@ def test_accelerations_and_forces_are_those_of_the_projected_equations(name: str
         own.adapt(state.q)
         a = own.acceleration(state.q, state.v, force)
         loads = own.forces(state.q, state.v, force, a)
-        found = code.loads(state.q, state.v, force)
-        assert found is not None
-        np.testing.assert_allclose(found.a, a, atol=EQUAL * np.abs(a).max())
+        evaluated = code.loads(state.q, state.v, force)
+        assert evaluated is not None
+        np.testing.assert_allclose(evaluated.a, a, atol=EQUAL * np.abs(a).max())
         size = np.abs(loads.closure_force).max()
-        np.testing.assert_allclose(found.closure_force, loads.closure_force, atol=EQUAL * size)
-        np.testing.assert_allclose(code.acceleration(state.q, state.v, force), found.a, atol=0.0)
+        np.testing.assert_allclose(evaluated.closure_force, loads.closure_force, atol=EQUAL * size)
+        np.testing.assert_allclose(code.acceleration(state.q, state.v, force), evaluated.a, atol=0.0)
         if robot.k:  # prescribed carriers take the forces that were given
             sdd = a[robot.carrier_velocity]
             force[robot.carrier_velocity] = 0.0
@@ -123,11 +123,11 @@ def test_states_are_projected_by_the_shortest_step(name: str) -> None:
     for state in moving.random_states(robot, 2, 4):
         q = np.array(state.q) + 1e-5 * rng.normal(size=robot.model.nq)
         v = np.array(state.v) + 1e-3 * rng.normal(size=robot.model.nv)
-        found = kernel(robot).project(np.concatenate([q, v]), 1e-13)
-        assert found is not None
+        evaluated = kernel(robot).project(np.concatenate([q, v]), 1e-13)
+        assert evaluated is not None
         expected_q, expected_v, before, left = Manifold(state.chain).project(q, v)
-        np.testing.assert_allclose(found[0], np.concatenate([expected_q, expected_v]), atol=1e-12)
-        np.testing.assert_allclose(found[1:], (before, left), rtol=1e-3, atol=1e-13)
+        np.testing.assert_allclose(evaluated[0], np.concatenate([expected_q, expected_v]), atol=1e-12)
+        np.testing.assert_allclose(evaluated[1:], (before, left), rtol=1e-3, atol=1e-13)
 
 
 @pytest.mark.long
@@ -321,8 +321,8 @@ def test_a_computed_torque_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> N
         """Efforts of its own."""
 
         def command(self, t: float, state: State) -> TorqueCommand:
-            found = super().command(t, state)
-            return replace(found, tau=0.9 * found.tau)
+            command = super().command(t, state)
+            return replace(command, tau=0.9 * command.tau)
 
     for one, some, every in (
         (law, False, False),
@@ -358,11 +358,11 @@ def test_poses_are_fed_back_in_machine_code(monkeypatch: pytest.MonkeyPatch) -> 
     vectors = rng.normal(size=(60, 3))
     vectors *= (np.resize([0.0, 1e-9, 1e-3, 0.5, 2.0, 3.14], 60) / np.linalg.norm(vectors, axis=1))[:, None]
     here[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix() @ there[:, :3, :3]
-    found = np.zeros((60, 6))
-    for row, *poses in zip(found, here.copy(), there.copy(), strict=True):
+    intervals = np.zeros((60, 6))
+    for row, *poses in zip(intervals, here.copy(), there.copy(), strict=True):
         kernel(robot)._library.rp_difference(*(ctypes.c_void_p(part.ctypes.data) for part in (*poses, row)))
-    np.testing.assert_allclose(found[:, 3:], vectors, atol=1e-12)
-    np.testing.assert_allclose(found, difference(robot, here, there), atol=1e-12)
+    np.testing.assert_allclose(intervals[:, 3:], vectors, atol=1e-12)
+    np.testing.assert_allclose(intervals, difference(robot, here, there), atol=1e-12)
     still = closed_state(robot)
     u = np.linspace(0.0, 1.0, 11)
     path = np.poly1d([0.06, -0.15, 0.1, 0.0, 0.0, 0.0])  # a centimetre along x, from rest to rest
@@ -470,11 +470,11 @@ def test_linearisations_are_those_of_the_analytic_derivatives(name: str) -> None
     states = moving.random_states(robot, 21, 3)
     force = np.array([moving.random_force(robot, i) for i in range(3)])
     loads = force[:, robot.actuated_velocity], force[:, robot.carrier_velocity]
-    for i, found in enumerate(linearise_along(robot, states, *loads, kernel(robot))):
+    for i, linear in enumerate(linearise_along(robot, states, *loads, kernel(robot))):
         expected = linearise(robot, states[i], loads[0][i], loads[1][i])
         for part in ("A", "B", "acceleration", "a"):
             theirs = getattr(expected, part)
-            np.testing.assert_allclose(getattr(found, part), theirs, atol=1e-10 * np.abs(theirs).max(), err_msg=part)
+            np.testing.assert_allclose(getattr(linear, part), theirs, atol=1e-10 * np.abs(theirs).max(), err_msg=part)
 
 
 def slow() -> rp.trajectory.Trajectory:

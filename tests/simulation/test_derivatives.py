@@ -43,14 +43,14 @@ class Nearby:
         robot, chain = self.robot, self.dynamics.chain
         guess = np.array(self.state.q)
         guess[robot.carrier_position] += dy[robot.n :]
-        found = assemble(chain.system, guess[None], moved(robot, np.array(self.state.x)[None], dy[None, : robot.n]))
-        assert found.closed.all()
+        assembled = assemble(chain.system, guess[None], moved(robot, np.array(self.state.x)[None], dy[None, : robot.n]))
+        assert assembled.closed.all()
         rate = np.concatenate([self.state.xd, self.state.sd]) + dz
-        rows = np.concatenate([found.state.Jc[0], found.state.Jx[0]])[:, chain.pose_columns]
+        rows = np.concatenate([assembled.state.Jc[0], assembled.state.Jx[0]])[:, chain.pose_columns]
         v = np.zeros(robot.model.nv)
         v[chain.pose_columns] = np.linalg.solve(rows, np.concatenate([np.zeros(chain.rows), rate[: robot.n]]))
         v[robot.carrier_velocity] = rate[robot.n :]
-        return State(chain, 0.0, found.q[0], v)
+        return State(chain, 0.0, assembled.q[0], v)
 
     def acceleration(self, state: State, force: Array) -> Array:
         a = self.dynamics.acceleration(state.q, state.v, force)
@@ -63,7 +63,7 @@ def require_linearisation(state: State, force: Array) -> None:
     robot, nearby = state.robot, Nearby(state)
     d, zero = robot.n + robot.k, np.zeros(robot.n + robot.k)
     driven = np.concatenate([robot.actuated_velocity, robot.carrier_velocity])
-    found = linearise(robot, state, force[robot.actuated_velocity], force[robot.carrier_velocity])
+    linear = linearise(robot, state, force[robot.actuated_velocity], force[robot.carrier_velocity])
 
     def pushed(push: Array) -> Array:
         total = force.copy()
@@ -71,15 +71,15 @@ def require_linearisation(state: State, force: Array) -> None:
         return nearby.acceleration(state, total)
 
     expected = (
-        (found.A[d:, :d], difference_quotient(lambda dy: nearby.acceleration(nearby.at(dy, zero), force), d)),
-        (found.A[d:, d:], difference_quotient(lambda dz: nearby.acceleration(nearby.at(zero, dz), force), d)),
-        (found.B[d:], difference_quotient(pushed, len(driven))),
+        (linear.A[d:, :d], difference_quotient(lambda dy: nearby.acceleration(nearby.at(dy, zero), force), d)),
+        (linear.A[d:, d:], difference_quotient(lambda dz: nearby.acceleration(nearby.at(zero, dz), force), d)),
+        (linear.B[d:], difference_quotient(pushed, len(driven))),
     )
     for ours, theirs in expected:
         np.testing.assert_allclose(ours, theirs, atol=ACCURACY * np.abs(theirs).max())
-    np.testing.assert_allclose(found.acceleration, nearby.acceleration(state, force), rtol=1e-9, atol=1e-9)
-    assert (found.B[:d] == 0.0).all()
-    assert (found.A[:d, d:] == np.eye(d)).all()
+    np.testing.assert_allclose(linear.acceleration, nearby.acceleration(state, force), rtol=1e-9, atol=1e-9)
+    assert (linear.B[:d] == 0.0).all()
+    assert (linear.A[:d, d:] == np.eye(d)).all()
 
 
 @pytest.mark.parametrize("name", zoo.SHIPPED)
@@ -112,12 +112,12 @@ def test_inverse_dynamics_are_differentiated_along_the_closures(name: str) -> No
 
     motion = PlatformMotion([0.0], np.array(state.x)[None], state.xd[None], rate[None, : robot.n])
     along, _ = inverse_dynamics(robot, motion, CarrierMotion(state.s[None], state.sd[None], rate[None, robot.n :]))
-    found = inverse_derivatives(robot, state.q, state.v, along.a[0])
-    np.testing.assert_allclose(found.force, force(zero, zero, zero), rtol=1e-9, atol=1e-9)
+    derivatives = inverse_derivatives(robot, state.q, state.v, along.a[0])
+    np.testing.assert_allclose(derivatives.force, force(zero, zero, zero), rtol=1e-9, atol=1e-9)
     for ours, theirs in (
-        (found.force_y, difference_quotient(lambda dy: force(dy, zero, zero), d)),
-        (found.force_z, difference_quotient(lambda dz: force(zero, dz, zero), d)),
-        (found.mass, difference_quotient(lambda da: force(zero, zero, da), d)),
+        (derivatives.force_y, difference_quotient(lambda dy: force(dy, zero, zero), d)),
+        (derivatives.force_z, difference_quotient(lambda dz: force(zero, dz, zero), d)),
+        (derivatives.mass, difference_quotient(lambda da: force(zero, zero, da), d)),
     ):
         np.testing.assert_allclose(ours, theirs, atol=ACCURACY * np.abs(theirs).max())
 
@@ -126,10 +126,10 @@ def test_a_rotating_pose_turns_its_own_error() -> None:
     # for a constant world-aligned twist on both machines, the rotation vector between them obeys δθ' = δω + ω × δθ
     robot = moving.massive("gough")
     state = moving.random_states(robot, 23, 1)[0]
-    found = linearise(robot, state, np.zeros(6))
+    linear = linearise(robot, state, np.zeros(6))
     wx, wy, wz = state.xd[3:]
-    np.testing.assert_allclose(found.A[3:6, 3:6], [[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
-    assert np.count_nonzero(found.A[:3, :6]) == 0
+    np.testing.assert_allclose(linear.A[3:6, 3:6], [[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
+    assert np.count_nonzero(linear.A[:3, :6]) == 0
 
 
 def test_the_error_of_a_state_is_its_difference_from_the_reference() -> None:

@@ -33,13 +33,13 @@ def test_the_estimate_is_the_truth_to_a_step():
     for i in range(200):
         t = 1e-3 * i
         q, v, _ = motion.tree(t)
-        found = encoders.estimate(t, tree_state(motion.robot, q, v, t=t))
-    assert np.abs((found.q - q)[encoders.step == REVOLUTE_STEP]).max() <= REVOLUTE_STEP
-    assert np.abs(found.s - q[motion.robot.carrier_position]).max() <= PRISMATIC_STEP
-    assert np.abs(found.q - q).max() > 0.0
+        estimate = encoders.estimate(t, tree_state(motion.robot, q, v, t=t))
+    assert np.abs((estimate.q - q)[encoders.step == REVOLUTE_STEP]).max() <= REVOLUTE_STEP
+    assert np.abs(estimate.s - q[motion.robot.carrier_position]).max() <= PRISMATIC_STEP
+    assert np.abs(estimate.q - q).max() > 0.0
     # a step in one period, first-order filtered, and half as much from its neighbours through the closures
-    assert np.abs(found.v - v).max() < 2.0 * REVOLUTE_STEP / (5e-3 + 1e-3)
-    closure = ConstraintSystem(motion.robot).evaluate(found.q[None])
+    assert np.abs(estimate.v - v).max() < 2.0 * REVOLUTE_STEP / (5e-3 + 1e-3)
+    closure = ConstraintSystem(motion.robot).evaluate(estimate.q[None])
     assert np.abs(closure.phi).max() < 1e-12
 
 
@@ -51,10 +51,10 @@ def test_speeds_off_the_plan_are_found_with_the_lag_of_the_filter():
         point = motion.at(t)
         away = 0.1 * t
         state = closed_state(motion.robot, point.x, point.xd, point.s + away, point.sd + 0.1, t=t)
-        found = encoders.estimate(t, state)
+        estimate = encoders.estimate(t, state)
         if i == 6:
-            assert found.sd - point.sd == pytest.approx(0.1 * (1.0 - (2.0 / 3.0) ** 6), rel=1e-4)
-    assert found.sd - point.sd == pytest.approx(0.1, rel=1e-4)
+            assert estimate.sd - point.sd == pytest.approx(0.1 * (1.0 - (2.0 / 3.0) ** 6), rel=1e-4)
+    assert estimate.sd - point.sd == pytest.approx(0.1, rel=1e-4)
 
 
 def test_homing_hides_the_geometry_where_it_starts():
@@ -62,8 +62,8 @@ def test_homing_hides_the_geometry_where_it_starts():
     point = motion.at(0.0)
     other = rp.load_robot("2rpr", end_effector_mass=0.5, base_distance=0.501)
     encoders = Encoders(Still(), motion, period=1e-3)
-    found = encoders.estimate(0.0, closed_state(other, point.x, point.xd, point.s, point.sd))
-    assert np.abs(found.q - point.q).max() < REVOLUTE_STEP
+    estimate = encoders.estimate(0.0, closed_state(other, point.x, point.xd, point.s, point.sd))
+    assert np.abs(estimate.q - point.q).max() < REVOLUTE_STEP
 
 
 def test_the_same_time_twice_is_one_reading():
@@ -109,9 +109,9 @@ def test_encoders_homed_elsewhere_see_a_start_off_the_plan():
     x, s = point.x + np.array([3e-4, 0.0]), point.s + np.array([0.0, 2e-4])
     off = closed_state(other, x, point.xd, s, point.sd)
     encoders = Encoders(Still(), motion, period=1e-3, home=home)
-    found = encoders.estimate(0.0, off)
-    assert found.x == pytest.approx(x, abs=3e-5)  # a step of 16 bits at half a metre
-    assert found.s == pytest.approx(s, abs=2e-6)
-    assert found.v == pytest.approx(point.v, abs=1e-2)  # no difference of readings yet
+    estimate = encoders.estimate(0.0, off)
+    assert estimate.x == pytest.approx(x, abs=3e-5)  # a step of 16 bits at half a metre
+    assert estimate.s == pytest.approx(s, abs=2e-6)
+    assert estimate.v == pytest.approx(point.v, abs=1e-2)  # no difference of readings yet
     with pytest.raises(InputError, match="home has shape"):
         Encoders(Still(), motion, period=1e-3, home=np.zeros(3))

@@ -79,9 +79,9 @@ def test_closure_forces_do_not_depend_on_a_choice_that_no_longer_suits() -> None
         for kind in ("slide", "swivel")
     )
     unsuited._set(Partition(slides, np.concatenate([swivels, robot.carrier_velocity]), np.empty(0, dtype=np.intp)))
-    found = unsuited.forces(state.q, state.v, force, a)
+    evaluated = unsuited.forces(state.q, state.v, force, a)
     np.testing.assert_allclose(
-        found.closure_force, suited.forces(state.q, state.v, force, a).closure_force, atol=BALANCE
+        evaluated.closure_force, suited.forces(state.q, state.v, force, a).closure_force, atol=BALANCE
     )
 
 

@@ -31,10 +31,10 @@ def test_states_off_the_closures_are_brought_back_to_the_nearest_ones(name: str)
     for state in moving.random_states(robot, 3, 3):
         q = pin.integrate(robot.model, state.q, off * rng.normal(size=robot.model.nv) / scale)
         v = state.v + rng.normal(size=robot.model.nv)
-        projected, rate, found, left = manifold.project(q, v)
+        projected, rate, evaluated, left = manifold.project(q, v)
         rows = system.evaluate(projected[None])
-        assert found == pytest.approx(np.abs(system.evaluate(q[None]).phi).max(), rel=1e-9)
-        assert found > 1e-6
+        assert evaluated == pytest.approx(np.abs(system.evaluate(q[None]).phi).max(), rel=1e-9)
+        assert evaluated > 1e-6
         assert np.abs(rows.phi).max() <= PROJECTION_TOLERANCE + 1e-15
         assert left <= PROJECTION_TOLERANCE
         assert np.abs(rows.Jc[0] @ rate).max() < PARTING

@@ -31,17 +31,17 @@ def corner_plan(step: float) -> Plan:
 @cache
 def controlled() -> dict[str, Replay]:
     plans, motions = {"corner": corner_plan(1e-2)}, {"corner": MOTION}
-    found = replay_table(plans, motions, drives=["computed torque", "LQR"], sampling=SLOW)
-    return {one.drive: one for one in found}
+    row = replay_table(plans, motions, drives=["computed torque", "LQR"], sampling=SLOW)
+    return {one.drive: one for one in row}
 
 
 def test_open_loop_a_stepwise_plan_follows_the_motion_it_stands_for():
-    found = replay(corner_plan(1e-2), motion=MOTION, name="corner")
-    assert (found.status, found.plan, found.drive) == ("completed", "corner", "open loop")
-    assert found.largest < EXACT
-    assert found.carrier_error < EXACT
-    assert found.gap < 1e-9
-    assert 1e-4 < found.carrier_lag < 1e-1  # half a step at up to 1 m/s, carried on
+    row = replay(corner_plan(1e-2), motion=MOTION, name="corner")
+    assert (row.status, row.plan, row.drive) == ("completed", "corner", "open loop")
+    assert row.largest < EXACT
+    assert row.carrier_error < EXACT
+    assert row.gap < 1e-9
+    assert 1e-4 < row.carrier_lag < 1e-1  # half a step at up to 1 m/s, carried on
 
 
 @pytest.mark.long
@@ -54,13 +54,13 @@ def test_efforts_of_the_samples_alone_cost_what_the_step_costs():
 @pytest.mark.long
 def test_under_control_the_start_is_off_and_the_end_is_not():
     assert list(controlled()) == ["computed torque", "LQR"]
-    for found in controlled().values():
-        assert found.status == "completed"
-        assert found.error[0] == pytest.approx(AWAY, rel=1e-6)
-        assert found.largest < 2.0 * AWAY
-        assert found.last < 0.1 * AWAY
-        assert found.off_track == 0.0
-        assert found.rms == pytest.approx(np.sqrt(np.trapezoid(found.error**2, found.t) / np.ptp(found.t)))
+    for row in controlled().values():
+        assert row.status == "completed"
+        assert row.error[0] == pytest.approx(AWAY, rel=1e-6)
+        assert row.largest < 2.0 * AWAY
+        assert row.last < 0.1 * AWAY
+        assert row.off_track == 0.0
+        assert row.rms == pytest.approx(np.sqrt(np.trapezoid(row.error**2, row.t) / np.ptp(row.t)))
 
 
 def test_a_massless_plan_cannot_be_replayed_as_forces_and_says_why():
@@ -68,20 +68,20 @@ def test_a_massless_plan_cannot_be_replayed_as_forces_and_says_why():
     circle = reference.circle(speed=0.5)
     plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=10.0, dt=1e-2)
     for drive in ("open loop", "LQR"):
-        found = replay(plan, drive, motion=circle)
-        assert found.status == "ill_posed"
-        assert "end_effector_mass" in found.reason
-        assert np.isnan(found.largest)
-        assert len(found.t) == 0
+        row = replay(plan, drive, motion=circle)
+        assert row.status == "ill_posed"
+        assert "end_effector_mass" in row.reason
+        assert np.isnan(row.largest)
+        assert len(row.t) == 0
 
 
 def test_samples_without_finite_efforts_are_not_made_up():
     plan = corner_plan(1e-2)
     tau = np.array(plan.tau)
     tau[100] = np.nan
-    found = replay(replace(plan, tau=tau), "open loop, samples", motion=MOTION)
-    assert found.status == "no_efforts"
-    assert f"t = {plan.t[100]:.6g} s" in found.reason
+    row = replay(replace(plan, tau=tau), "open loop, samples", motion=MOTION)
+    assert row.status == "no_efforts"
+    assert f"t = {plan.t[100]:.6g} s" in row.reason
 
 
 def test_carriers_beyond_their_tracks_are_told():

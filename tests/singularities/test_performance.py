@@ -35,14 +35,14 @@ def test_condition_and_axes_of_two_legs_at_an_angle(poses: tuple[rp.Robot, Array
     robot, x, q = poses
     e = two_rpr(x)
     gamma = np.arccos((e[:, 0] * e[:, 1]).sum(axis=1))  # between the legs
-    found = rp.performance(robot, q)
+    performance = rp.performance(robot, q)
     # ẋᵀ (e₁ e₁ᵀ + e₂ e₂ᵀ) ẋ ≤ 1: eigenvalues 1 ± cos γ
     half = np.sqrt(np.stack([1.0 - np.abs(np.cos(gamma)), 1.0 + np.abs(np.cos(gamma))], axis=1))
-    assert np.abs(found.velocity.axes - 1.0 / half).max() < EXACT
-    assert np.abs(found.force.axes - half[:, ::-1]).max() < EXACT
-    assert np.abs(found.condition - half[:, 1] / half[:, 0]).max() < EXACT
-    assert np.abs(found.manipulability - 1.0 / np.abs(np.sin(gamma))).max() < EXACT
-    assert np.abs(found.margin - half[:, 0]).max() < EXACT
+    assert np.abs(performance.velocity.axes - 1.0 / half).max() < EXACT
+    assert np.abs(performance.force.axes - half[:, ::-1]).max() < EXACT
+    assert np.abs(performance.condition - half[:, 1] / half[:, 0]).max() < EXACT
+    assert np.abs(performance.manipulability - 1.0 / np.abs(np.sin(gamma))).max() < EXACT
+    assert np.abs(performance.margin - half[:, 0]).max() < EXACT
 
 
 @pytest.mark.parametrize("name", ["3rrr", "gough"])
@@ -50,18 +50,18 @@ def test_ellipsoids_are_what_motors_of_unit_norm_reach(name: str) -> None:
     robot = zoo.robot_of(name)
     q, rng = zoo.random_closed(robot, 1, 3), np.random.default_rng(0)
     rates, efforts = rng.uniform(0.5, 2.0, (2, robot.m))
-    found = rp.performance(robot, q, rates=rates, efforts=efforts)
+    performance = rp.performance(robot, q, rates=rates, efforts=efforts)
     unit = np.where([axis.startswith("r") for axis in robot.platform.axes], robot.characteristic_length, 1.0)
     ball = rng.normal(size=(200, robot.m))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
     for k in range(3):
-        force = (ball * efforts) @ found.W[k].T / unit
-        velocity = np.linalg.solve(found.W[k].T, (ball * rates).T).T * unit
-        for ellipsoid, reached in ((found.force, force), (found.velocity, velocity)):
+        force = (ball * efforts) @ performance.W[k].T / unit
+        velocity = np.linalg.solve(performance.W[k].T, (ball * rates).T).T * unit
+        for ellipsoid, reached in ((performance.force, force), (performance.velocity, velocity)):
             inside = reached @ ellipsoid.directions[k] / ellipsoid.axes[k]
             assert np.abs(np.linalg.norm(inside, axis=1) - 1.0).max() < 1e-10
-    assert (np.diff(found.velocity.axes) <= 0.0).all()
-    assert np.abs(found.condition / rp.classify(robot, q).condition - 1.0).max() < 1e-10
+    assert (np.diff(performance.velocity.axes) <= 0.0).all()
+    assert np.abs(performance.condition / rp.classify(robot, q).condition - 1.0).max() < 1e-10
 
 
 def test_at_a_type_ii_pose_speed_is_endless_and_one_force_is_none() -> None:
@@ -70,10 +70,10 @@ def test_at_a_type_ii_pose_speed_is_endless_and_one_force_is_none() -> None:
     turn = 2 * np.pi / 3  # the distal links in line
     for joint, angle in {"base_1": turn, "elbow_1": -turn, "base_2": np.pi / 3, "elbow_2": turn}.items():
         q[robot.model.joints[robot.model.getJointId(joint)].idx_q] = angle
-    found = rp.performance(robot, q)
-    assert np.isinf(found.velocity.axes[0, 0])
-    assert np.isfinite(found.velocity.axes[0, 1])
-    assert found.force.axes[0, 1] < 1e-9
+    performance = rp.performance(robot, q)
+    assert np.isinf(performance.velocity.axes[0, 0])
+    assert np.isfinite(performance.velocity.axes[0, 1])
+    assert performance.force.axes[0, 1] < 1e-9
     assert np.isinf(rp.platform_play(robot, q, 1e-4)).all()
 
 
@@ -97,11 +97,11 @@ def test_stiffness_is_the_second_derivative_of_the_springs_energy(springs: str) 
     away = moved(robot, q, np.array(pairs))[:, columns] - q[columns]
     energy = (0.5 * np.array(list(k.values())) * away**2).sum(axis=1).reshape(3, 3, 2, 2)
     second = (energy[:, :, 0, 0] - energy[:, :, 0, 1] - energy[:, :, 1, 0] + energy[:, :, 1, 1]) / (4 * h * h)
-    found = rp.platform_stiffness(robot, q, k if springs == "all" else list(k.values()))[0]
-    assert np.abs(found - second).max() < 1e-4 * np.abs(second).max()  # O(h²)
+    stiffness = rp.platform_stiffness(robot, q, k if springs == "all" else list(k.values()))[0]
+    assert np.abs(stiffness - second).max() < 1e-4 * np.abs(second).max()  # O(h²)
     if springs == "motors":
         J = np.linalg.inv(rp.performance(robot, q).W[0].T)
-        assert np.abs(found - np.linalg.inv(J).T @ np.diag(list(k.values())) @ np.linalg.inv(J)).max() < 1e-9
+        assert np.abs(stiffness - np.linalg.inv(J).T @ np.diag(list(k.values())) @ np.linalg.inv(J)).max() < 1e-9
 
 
 def test_play_is_attained_at_a_corner_of_the_box_and_never_passed() -> None:
@@ -111,8 +111,8 @@ def test_play_is_attained_at_a_corner_of_the_box_and_never_passed() -> None:
     home = rp.forward_kinematics(robot, u).x[0]
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * off
     errors = np.abs(np.concatenate([rp.forward_kinematics(robot, u + corner).x for corner in corners]) - home)
-    found = rp.platform_play(robot, q, off)[0]
-    assert np.abs(errors.max(axis=0) / found - 1.0).max() < 1e-3  # second order in δ
+    play = rp.platform_play(robot, q, off)[0]
+    assert np.abs(errors.max(axis=0) / play - 1.0).max() < 1e-3  # second order in δ
 
 
 def test_play_of_redundant_motors_is_what_all_of_them_allow() -> None:
@@ -122,8 +122,8 @@ def test_play_of_redundant_motors_is_what_all_of_them_allow() -> None:
         independent=plain.platform, reference=np.array(plain.q_reference),
     )  # fmt: skip
     q, off = zoo.random_closed(plain, 1, 4), np.array([1e-3, 2e-3, 3e-3])
-    found = rp.platform_play(robot, q, off)
-    for W, largest in zip(rp.performance(robot, q).W, found, strict=True):
+    play = rp.platform_play(robot, q, off)
+    for W, largest in zip(rp.performance(robot, q).W, play, strict=True):
         # vertices of |Wᵀ Δx| ≤ δ: two of the bounds hold with equality
         vertices = []
         for i, j in itertools.combinations(range(3), 2):
@@ -132,7 +132,7 @@ def test_play_of_redundant_motors_is_what_all_of_them_allow() -> None:
                 if (np.abs(W.T @ x) <= off + 1e-12).all():
                     vertices.append(np.abs(x))
         assert np.abs(largest - np.max(vertices, axis=0)).max() < 1e-9
-    assert (found <= rp.platform_play(plain, q, off[:2]) + 1e-12).all()
+    assert (play <= rp.platform_play(plain, q, off[:2]) + 1e-12).all()
 
 
 def test_refusals() -> None:
@@ -157,8 +157,8 @@ def test_refusals() -> None:
 def test_figure_has_an_ellipse_a_pose_in_each_panel(name: str) -> None:
     pytest.importorskip("matplotlib")
     robot = zoo.robot_of(name)
-    found = rp.performance(robot, zoo.random_closed(robot, 2, 3))
-    drawn = rp.plot.ellipsoids(found)
+    performance = rp.performance(robot, zoo.random_closed(robot, 2, 3))
+    drawn = rp.plot.ellipsoids(performance)
     for axes, unit in zip(drawn.axes, ("m/s", " N "), strict=True):
         assert unit in axes.get_title()
         rings = [line for line in axes.lines if len(line.get_xdata()) == 73]
@@ -166,7 +166,7 @@ def test_figure_has_an_ellipse_a_pose_in_each_panel(name: str) -> None:
     if name == "2rpr":  # drawn as long as it is
         ring = np.array(drawn.axes[1].lines[-2].get_xydata()) - np.array(drawn.axes[1].lines[-1].get_xydata())
         length = np.linalg.norm(ring, axis=1)
-        assert abs(length.max() / length.min() - found.force.condition[-1]) < 1e-9
+        assert abs(length.max() / length.min() - performance.force.condition[-1]) < 1e-9
     with pytest.raises(InputError, match="A performance was expected"):
         rp.plot.ellipsoids(5)
 

@@ -45,14 +45,14 @@ def time_at_arc(trajectory: Trajectory, p: float) -> float:
 
 def test_circle_of_the_thesis_crosses_the_base_line_twice() -> None:
     robot, trajectory = zoo.robot_of("2rpr"), reference.circle()
-    found = find_crossings(robot, trajectory)
+    crossings = find_crossings(robot, trajectory)
     angle = np.arcsin(0.185 / 0.2)
     arcs = [0.2 * angle, 0.2 * (np.pi - angle)]  # from the leftmost point, counter-clockwise
-    assert [crossing.t for crossing in found] == pytest.approx([time_at_arc(trajectory, p) for p in arcs], abs=TIME)
-    assert [crossing.x[0] for crossing in found] == pytest.approx(
+    assert [crossing.t for crossing in crossings] == pytest.approx([time_at_arc(trajectory, p) for p in arcs], abs=TIME)
+    assert [crossing.x[0] for crossing in crossings] == pytest.approx(
         [0.25 - 0.2 * np.cos(angle), 0.25 + 0.2 * np.cos(angle)]
     )
-    for crossing in found:
+    for crossing in crossings:
         assert crossing.kind == SingularityKind.TYPE_II
         assert crossing.crosses
         assert not crossing.tangential
@@ -61,13 +61,13 @@ def test_circle_of_the_thesis_crosses_the_base_line_twice() -> None:
         assert abs(crossing.x[1]) < 1e-11
         np.testing.assert_allclose(np.abs(crossing.uncontrolled_twist), [0.0, 1.0], atol=1e-9)
         assert np.isnan(crossing.lost_direction).all()
-    assert found[0].slope < 0.0 < found[1].slope
+    assert crossings[0].slope < 0.0 < crossings[1].slope
 
 
 def test_line_of_the_thesis_crosses_once() -> None:
-    found = find_crossings(zoo.robot_of("2rpr"), reference.line())
-    assert len(found) == 1
-    assert found[0].x == pytest.approx([0.15 + 0.1 * 0.4 / 1.1, 0.0], abs=1e-11)
+    crossings = find_crossings(zoo.robot_of("2rpr"), reference.line())
+    assert len(crossings) == 1
+    assert crossings[0].x == pytest.approx([0.15 + 0.1 * 0.4 / 1.1, 0.0], abs=1e-11)
 
 
 def test_samples_are_interpolated_and_two_sided_ones_understood() -> None:
@@ -89,13 +89,13 @@ def test_samples_are_interpolated_and_two_sided_ones_understood() -> None:
 @pytest.mark.parametrize("depth", [1e-3, 1e-5, 1e-7])
 def test_a_pair_of_crossings_inside_one_step_is_not_missed(depth: float) -> None:
     trajectory = along(circle_path((0.25, 0.2 - depth), 0.2, start_angle=np.pi))
-    found = find_crossings(zoo.robot_of("2rpr"), trajectory)
+    crossings = find_crossings(zoo.robot_of("2rpr"), trajectory)
     angle = np.arcsin((0.2 - depth) / 0.2)
-    assert [c.t for c in found] == pytest.approx(
+    assert [c.t for c in crossings] == pytest.approx(
         [time_at_arc(trajectory, 0.2 * angle), time_at_arc(trajectory, 0.2 * (np.pi - angle))],
         abs=TIME + 1e-16 / depth,
     )
-    assert all(c.crosses for c in found)
+    assert all(c.crosses for c in crossings)
 
 
 def test_touching_from_one_side_is_reported_and_missing_is_not() -> None:
@@ -215,5 +215,5 @@ def test_one_instant_and_silly_numbers_are_refused() -> None:
 
 def test_a_regular_motion_has_none(shipped) -> None:
     motion = zoo.smooth_motion(shipped, seed=2).at(np.linspace(0.0, 1.0, 60))
-    found: tuple[Crossing, ...] = find_crossings(shipped, motion)
-    assert found == ()
+    crossings: tuple[Crossing, ...] = find_crossings(shipped, motion)
+    assert crossings == ()

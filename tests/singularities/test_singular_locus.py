@@ -64,8 +64,8 @@ def test_every_point_is_a_singularity_of_its_kind(name: str, mode, orientation) 
             assert (name, kind) == ("2rpr", SingularityKind.TYPE_I)
             continue
         x, q = points_of(locus, kind)
-        found = classify(locus.robot, q, tolerance=EXACT)
-        assert (found.type_i if kind == SingularityKind.TYPE_I else found.type_ii).all()
+        classes = classify(locus.robot, q, tolerance=EXACT)
+        assert (classes.type_i if kind == SingularityKind.TYPE_I else classes.type_ii).all()
         if orientation is not None:
             np.testing.assert_allclose(x[:, 2], orientation, atol=1e-11)
 
@@ -166,18 +166,20 @@ def test_locked_actuators_let_the_platform_move_along_the_uncontrolled_twist(mod
     locus = locus_of("3rrr", mode, orientation)
     x, q = points_of(locus, SingularityKind.TYPE_II)
     inner = np.abs(legs_of(locus.robot, x).c).min(axis=0) > 0.1  # where the closed form is well conditioned
-    x, found = x[inner], classify(locus.robot, q[inner])
+    x, classes = x[inner], classify(locus.robot, q[inner])
     here = legs_of(locus.robot, x).theta
 
     def turned(twist: Array, step: float) -> Array:
         change = legs_of(locus.robot, x + step * twist).theta - here
         return np.abs((change + np.pi) % (2 * np.pi) - np.pi).max(axis=0)
 
-    small, large = (turned(found.uncontrolled_twist, step) for step in (1e-4, 2e-4))
+    small, large = (turned(classes.uncontrolled_twist, step) for step in (1e-4, 2e-4))
     assert small.max() < 1e-4 * 1e-2
     ratio = large / small
     assert np.median(np.abs(ratio - 4.0)) < 0.01
-    across = np.roll(found.uncontrolled_twist, 1, axis=1) / np.roll(row_scale(locus.robot), 1) * row_scale(locus.robot)
+    across = (
+        np.roll(classes.uncontrolled_twist, 1, axis=1) / np.roll(row_scale(locus.robot), 1) * row_scale(locus.robot)
+    )
     assert np.median(turned(across, 2e-4) / turned(across, 1e-4)) == pytest.approx(2.0, abs=0.01)
 
 

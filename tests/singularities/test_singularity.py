@@ -57,40 +57,40 @@ def index(robot, joint: str) -> int:
 
 @given(st.floats(-1.0, 1.5), st.floats(0.01, 1.0), st.sampled_from([-1, 1]))
 def test_two_rpr_condition_number_is_the_cotangent_of_half_the_angle_between_the_legs(x, y, side) -> None:
-    found = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[x, side * y]])))
+    classes = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[x, side * y]])))
     one, other = (np.array([x, side * y]) - base for base in BASE)
     cosine = abs(one @ other) / np.linalg.norm(one) / np.linalg.norm(other)
     gamma = np.arctan2(np.sqrt(1 - min(cosine, 1.0) ** 2), cosine)
-    assert found.kind[0] == SingularityKind.REGULAR
+    assert classes.kind[0] == SingularityKind.REGULAR
     # the angle loses digits as the legs align, with the square of their alignment
-    assert found.condition[0] == pytest.approx(1.0 / np.tan(gamma / 2), rel=1e-14 / gamma**2)
-    assert found.condition_unscaled[0] == pytest.approx(found.condition[0], rel=ROUNDING)
-    assert found.parallel_margin[0] == pytest.approx(np.sqrt(max(1.0 - cosine, 0.0)), abs=1e-14 / gamma)
-    assert np.isnan(found.uncontrolled_twist).all()
-    assert np.isnan(found.lost_direction).all()
+    assert classes.condition[0] == pytest.approx(1.0 / np.tan(gamma / 2), rel=1e-14 / gamma**2)
+    assert classes.condition_unscaled[0] == pytest.approx(classes.condition[0], rel=ROUNDING)
+    assert classes.parallel_margin[0] == pytest.approx(np.sqrt(max(1.0 - cosine, 0.0)), abs=1e-14 / gamma)
+    assert np.isnan(classes.uncontrolled_twist).all()
+    assert np.isnan(classes.lost_direction).all()
 
 
 @given(st.floats(-1.0, 1.5).filter(lambda x: min(abs(x), abs(x - 0.5)) > 1e-3))
 def test_two_rpr_is_type_ii_on_the_base_line(x) -> None:
-    found = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[x, 0.0]])))
-    assert SingularityKind(found.kind[0]).label == "type_ii"
-    np.testing.assert_allclose(found.uncontrolled_twist, [[0.0, 1.0]], atol=ROUNDING)
-    assert found.condition[0] == np.inf
-    assert found.parallel_margin[0] < ROUNDING
-    assert found.locked_margin[0] < ROUNDING
-    assert found.near_type_ii[0]
-    assert not found.passive_motion[0]
+    classes = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[x, 0.0]])))
+    assert SingularityKind(classes.kind[0]).label == "type_ii"
+    np.testing.assert_allclose(classes.uncontrolled_twist, [[0.0, 1.0]], atol=ROUNDING)
+    assert classes.condition[0] == np.inf
+    assert classes.parallel_margin[0] < ROUNDING
+    assert classes.locked_margin[0] < ROUNDING
+    assert classes.near_type_ii[0]
+    assert not classes.passive_motion[0]
 
 
 def test_two_rpr_with_a_leg_of_no_length_spins_it_freely() -> None:
-    found = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[0.0, 0.0], [0.25, 0.3]])))
-    assert found.kind.tolist() == [SingularityKind.COMBINED, SingularityKind.REGULAR]
-    assert found.passive_motion.tolist() == [True, False]
-    assert found.type_i.tolist() == found.type_ii.tolist() == [True, False]
-    np.testing.assert_allclose(found.lost_direction[0], [0.0, 1.0], atol=ROUNDING)  # across the leg
-    assert np.isnan(found.uncontrolled_twist[0]).all()  # the swivel turns, the platform does not
-    assert np.isnan(found.parallel_margin[0])
-    assert found.condition[0] == np.inf
+    classes = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[0.0, 0.0], [0.25, 0.3]])))
+    assert classes.kind.tolist() == [SingularityKind.COMBINED, SingularityKind.REGULAR]
+    assert classes.passive_motion.tolist() == [True, False]
+    assert classes.type_i.tolist() == classes.type_ii.tolist() == [True, False]
+    np.testing.assert_allclose(classes.lost_direction[0], [0.0, 1.0], atol=ROUNDING)  # across the leg
+    assert np.isnan(classes.uncontrolled_twist[0]).all()  # the swivel turns, the platform does not
+    assert np.isnan(classes.parallel_margin[0])
+    assert classes.condition[0] == np.inf
 
 
 @given(st.floats(-0.6, 0.4), st.floats(0.0, 0.3))
@@ -107,15 +107,15 @@ def test_three_rrr_with_a_stretched_leg_loses_the_direction_along_it(turn, alpha
     if not legs.reachable.all() or np.abs(legs.margin[1:]).min() < 0.05:
         return
     thetas[0] = betas[0] = theta  # exactly stretched: from the position the elbow is only known to 1e-8
-    found = classify(robot, three_rrr_from(pose, thetas, betas))
-    assert found.kind[0] == SingularityKind.TYPE_I
+    classes = classify(robot, three_rrr_from(pose, thetas, betas))
+    assert classes.kind[0] == SingularityKind.TYPE_I
     row = np.array([*direction, arm[0] * direction[1] - arm[1] * direction[0]])
     lost = row / row_scale(robot) ** 2
     lost /= np.linalg.norm(lost * row_scale(robot))
-    assert abs(np.dot(found.lost_direction[0] * row_scale(robot), lost * row_scale(robot))) == pytest.approx(1.0)
-    np.testing.assert_allclose(found.lost_direction, found.least_producible, atol=ROUNDING)
-    assert not found.passive_motion[0]
-    assert found.serial_margin[0] < ROUNDING
+    assert abs(np.dot(classes.lost_direction[0] * row_scale(robot), lost * row_scale(robot))) == pytest.approx(1.0)
+    np.testing.assert_allclose(classes.lost_direction, classes.least_producible, atol=ROUNDING)
+    assert not classes.passive_motion[0]
+    assert classes.serial_margin[0] < ROUNDING
     # neighbours on either side are regular, at a margin that grows with the elbow angle
     near = classify(robot, three_rrr_from(pose, np.array(legs.theta), np.array(legs.beta)), tolerance=1e-7)
     assert near.kind[0] == SingularityKind.TYPE_I
@@ -135,11 +135,11 @@ def test_four_bar_at_the_end_of_its_crank_is_combined() -> None:
     coupler = [angle for angle in (0.0, np.pi) if closes(robot, q, angle)]
     assert len(coupler) == 1
     q[index(robot, "coupler")] = coupler[0]
-    found = classify(robot, q)
-    assert found.kind[0] == SingularityKind.COMBINED
-    assert found.passive_motion[0]
-    assert np.isfinite(found.lost_direction[0, 0])
-    assert np.isnan(found.uncontrolled_twist[0, 0])
+    classes = classify(robot, q)
+    assert classes.kind[0] == SingularityKind.COMBINED
+    assert classes.passive_motion[0]
+    assert np.isfinite(classes.lost_direction[0, 0])
+    assert np.isnan(classes.uncontrolled_twist[0, 0])
 
 
 def closes(robot, q: Array, coupler: float) -> bool:
@@ -151,23 +151,23 @@ def closes(robot, q: Array, coupler: float) -> bool:
 def test_margins_agree_with_the_lift_and_are_lower_bounds_of_distance(shipped) -> None:
     motion = zoo.smooth_motion(shipped, seed=3).at(np.linspace(0.0, 1.0, 30))
     tree = lift(shipped, motion)
-    found = classify_motion(tree)
-    assert (found.kind == SingularityKind.REGULAR).all()
+    classes = classify_motion(tree)
+    assert (classes.kind == SingularityKind.REGULAR).all()
     np.testing.assert_allclose(
-        found.parallel_margin,
+        classes.parallel_margin,
         spectrum_of(scaled(tree.W, row_scale(shipped), column_scale(shipped))).margin,
         rtol=1e-9,
     )
     # the lift's bound is within a factor √p of the serial margin
     p = shipped.model.nv - shipped.k
-    assert (tree.serial_margin_bound <= found.serial_margin * (1 + 1e-9)).all()
-    assert (tree.serial_margin_bound * np.sqrt(p) >= found.serial_margin * (1 - 1e-9)).all()
-    assert (found.locked_margin > 0.0).all()
+    assert (tree.serial_margin_bound <= classes.serial_margin * (1 + 1e-9)).all()
+    assert (tree.serial_margin_bound * np.sqrt(p) >= classes.serial_margin * (1 - 1e-9)).all()
+    assert (classes.locked_margin > 0.0).all()
 
 
 def test_directions_are_unit_vectors_of_the_scaled_metric(shipped) -> None:
-    found = classify(shipped, zoo.random_closed(shipped, seed=5, count=20))
-    for twist in (found.least_controlled, found.least_producible):
+    classes = classify(shipped, zoo.random_closed(shipped, seed=5, count=20))
+    for twist in (classes.least_controlled, classes.least_producible):
         np.testing.assert_allclose(np.linalg.norm(twist * row_scale(shipped), axis=1), 1.0, rtol=ROUNDING)
         scaled = twist * row_scale(shipped)
         largest = np.take_along_axis(scaled, np.abs(scaled).argmax(axis=1)[:, None], axis=1)
@@ -178,38 +178,38 @@ def test_least_controlled_twist_moves_the_actuators_by_the_margin(shipped) -> No
     """|D_a Wᵀ ẋ| of the least controlled unit twist is the margin: what makes it the least controlled."""
     motion = zoo.smooth_motion(shipped, seed=4).at(np.linspace(0.0, 1.0, 20))
     tree = lift(shipped, motion)
-    found = classify_motion(tree)
-    rates = np.einsum("nij,ni->nj", tree.W, found.least_controlled) * column_scale(shipped)
-    np.testing.assert_allclose(np.linalg.norm(rates, axis=1), found.parallel_margin, rtol=1e-9)
+    classes = classify_motion(tree)
+    rates = np.einsum("nij,ni->nj", tree.W, classes.least_controlled) * column_scale(shipped)
+    np.testing.assert_allclose(np.linalg.norm(rates, axis=1), classes.parallel_margin, rtol=1e-9)
 
 
 def test_unreachable_samples_are_marked() -> None:
     robot = zoo.robot_of("3rrr")
     x = np.array([[0.866, 0.5, 0.0], [5.0, 0.5, 0.0], [0.9, 0.5, 0.0]])
     tree = lift(robot, PlatformMotion([0.0, 1.0, 2.0], x, 0 * x, 0 * x), mark_unreachable=True)
-    found = classify_motion(tree)
-    assert found.kind.tolist() == [SingularityKind.REGULAR, SingularityKind.UNREACHABLE, SingularityKind.REGULAR]
-    assert np.isnan(found.parallel_margin[1])
-    assert np.isnan(found.least_controlled[1]).all()
-    assert len(found) == 3
+    classes = classify_motion(tree)
+    assert classes.kind.tolist() == [SingularityKind.REGULAR, SingularityKind.UNREACHABLE, SingularityKind.REGULAR]
+    assert np.isnan(classes.parallel_margin[1])
+    assert np.isnan(classes.least_controlled[1]).all()
+    assert len(classes) == 3
 
 
 def test_one_actuator_too_few_is_no_singularity(tmp_path: Path) -> None:
     robot = load_robot(variant(tmp_path, "actuated: [slide_1, slide_2]", "actuated: [slide_1]"))
-    found = classify(robot, two_rpr_at(np.array([[0.25, 0.3], [0.2, 0.0]])))
-    assert (found.kind == SingularityKind.REGULAR).all()
-    np.testing.assert_allclose(found.parallel_margin, 1.0, rtol=ROUNDING)  # W is the unit vector of leg 1
+    classes = classify(robot, two_rpr_at(np.array([[0.25, 0.3], [0.2, 0.0]])))
+    assert (classes.kind == SingularityKind.REGULAR).all()
+    np.testing.assert_allclose(classes.parallel_margin, 1.0, rtol=ROUNDING)  # W is the unit vector of leg 1
     leg = np.array([0.25, 0.3]) / np.hypot(0.25, 0.3)
-    np.testing.assert_allclose(found.least_controlled[0], leg, atol=ROUNDING)
+    np.testing.assert_allclose(classes.least_controlled[0], leg, atol=ROUNDING)
 
 
 def test_one_actuator_too_many_removes_the_singularity(tmp_path: Path) -> None:
     robot = load_robot(variant(tmp_path, "actuated: [slide_1, slide_2]", "actuated: [slide_1, slide_2, swivel_1]"))
-    found = classify(robot, two_rpr_at(np.array([[0.2, 0.0], [0.0, 0.0]])))
+    classes = classify(robot, two_rpr_at(np.array([[0.2, 0.0], [0.0, 0.0]])))
     # Wᵀ has the rows u1, u2 and n1/d1; on the base line u1 = −u2, and n1 L/d1 alone controls y
-    assert found.kind[0] == SingularityKind.REGULAR
-    assert found.parallel_margin[0] == pytest.approx(min(np.sqrt(2.0), robot.characteristic_length / 0.2))
-    assert found.kind[1] == SingularityKind.TYPE_I  # with the swivel locked nothing is left to move
+    assert classes.kind[0] == SingularityKind.REGULAR
+    assert classes.parallel_margin[0] == pytest.approx(min(np.sqrt(2.0), robot.characteristic_length / 0.2))
+    assert classes.kind[1] == SingularityKind.TYPE_I  # with the swivel locked nothing is left to move
 
 
 def test_one_freedom_driven_where_its_motor_stands_still(tmp_path: Path) -> None:
@@ -220,10 +220,10 @@ def test_one_freedom_driven_where_its_motor_stands_still(tmp_path: Path) -> None
     q = np.zeros((1, robot.model.nq))
     for name, angle in {"crank": theta, "rocker": psi, "coupler": theta + np.pi - psi}.items():
         q[0, index(robot, name)] = angle
-    found = classify(robot, q)
-    assert found.kind[0] == SingularityKind.TYPE_II
-    assert found.parallel_margin[0] == pytest.approx(0.0, abs=ROUNDING)
-    assert np.isinf(found.condition[0])
+    classes = classify(robot, q)
+    assert classes.kind[0] == SingularityKind.TYPE_II
+    assert classes.parallel_margin[0] == pytest.approx(0.0, abs=ROUNDING)
+    assert np.isinf(classes.condition[0])
 
 
 def variant(folder: Path, old: str, new: str, name: str = "2rpr") -> Path:
@@ -250,9 +250,9 @@ def test_scaling_makes_the_condition_number_independent_of_the_unit_of_length() 
 
 def test_near_singular_is_told_from_singular() -> None:
     y = 0.5 * NEAR_SINGULAR_MARGIN / np.sqrt(2.0) * 0.25
-    found = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[0.25, y], [0.25, 0.25]])))
-    assert found.near_type_ii.tolist() == [True, False]
-    assert not found.type_ii.any()
+    classes = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[0.25, y], [0.25, 0.25]])))
+    assert classes.near_type_ii.tolist() == [True, False]
+    assert not classes.type_ii.any()
 
 
 def test_bad_arguments_are_refused() -> None:

@@ -20,8 +20,8 @@ BASE = 0.5  # m, between the hinges of the shipped five-bar
 AROUND = [(-0.6, 1.1), (-1.0, 1.0)]
 
 
-def nodes(found: Workspace) -> Array:
-    return np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1)
+def nodes(space: Workspace) -> Array:
+    return np.stack(np.meshgrid(*space.axes, indexing="ij"), axis=-1)
 
 
 def reaches(x: Array) -> Array:
@@ -91,20 +91,20 @@ def test_a_part_that_is_not_connected_is_found(modes: bool) -> None:
     robot = zoo.robot_of("five_bar", distal_length=0.2)
     if not modes:
         robot = replace(robot, working_modes=None, working_mode=())
-    found = rp.workspace(robot, resolution=20)
-    rho = reaches(nodes(found))
+    space = rp.workspace(robot, resolution=20)
+    rho = reaches(nodes(space))
     inside = ((rho > 0.3) & (rho < 0.7)).all(axis=-1)
-    y = found.axes[1]
+    y = space.axes[1]
     assert inside[:, y > 0.2].any()
     assert inside[:, y < -0.2].any()
     assert not inside[:, np.abs(y) < 0.15].any()
     # beside a stretched leg continuity is lost, and nothing but it tells branches apart without modes
     clear = inside if modes else ((rho > 0.32) & (rho < 0.68)).all(axis=-1)
-    assert found.reachable[0][clear].all()
-    assert not found.reachable[0][~inside].any()
+    assert space.reachable[0][clear].all()
+    assert not space.reachable[0][~inside].any()
     above = np.broadcast_to(y > 0.0, inside.shape)
-    assert (found.island[0] == np.where(found.reachable[0], np.where(above, 0, 1), -1)).all()  # the reference is above
-    drawn = rp.plot.workspace(found)
+    assert (space.island[0] == np.where(space.reachable[0], np.where(above, 0, 1), -1)).all()  # the reference is above
+    drawn = rp.plot.workspace(space)
     assert [text.get_text() for text in drawn.legends[0].get_texts()][-1] == "not reached from the reference"
     [outline] = [one for one in drawn.axes[0].collections if one.get_linestyle()[0][1] is not None]
     assert (np.concatenate([path.vertices for path in outline.get_paths()])[:, 1] < 0.0).all()  # about the part below
@@ -117,15 +117,15 @@ def test_gough_is_in_range_where_its_legs_are(free: tuple[str, ...]) -> None:
 
     robot = zoo.robot_of("gough").with_limits({f"slide_{i}": {"lower": 0.5, "upper": 0.9} for i in range(1, 7)})
     bounds = [*[(-0.45, 0.45)] * (len(free) - 1), (0.2, 0.9)]
-    found = rp.workspace(robot, free, bounds=bounds, resolution=12 if len(free) == 2 else 6)
-    lengths = np.array([leg_lengths(robot, pose) for pose in found.x])
-    within = ((lengths >= 0.5) & (lengths <= 0.9)).all(axis=1).reshape(found.in_range.shape[1:])
+    space = rp.workspace(robot, free, bounds=bounds, resolution=12 if len(free) == 2 else 6)
+    lengths = np.array([leg_lengths(robot, pose) for pose in space.x])
+    within = ((lengths >= 0.5) & (lengths <= 0.9)).all(axis=1).reshape(space.in_range.shape[1:])
     assert within.any()
     assert (~within).any()
-    assert (found.in_range[0] == within).all()
-    assert np.array_equal(found.points, nodes(found)[within])
+    assert (space.in_range[0] == within).all()
+    assert np.array_equal(space.points, nodes(space)[within])
     if len(free) == 2:
-        assert np.ptp(found.x[:, 1, 3]) == 0.0  # held at the reference
+        assert np.ptp(space.x[:, 1, 3]) == 0.0  # held at the reference
 
 
 def test_figures_keep_out_of_reach_and_best_apart(five_bar: Workspace) -> None:
@@ -193,15 +193,15 @@ def test_of_a_robot_without_platform_one_or_two_joints_span_a_workspace() -> Non
             "guess": {name: at for name, at in home.items() if name not in (*plain.actuated, *plain.carriers)},
         },
     )
-    found = rp.workspace(robot, resolution=13)
+    space = rp.workspace(robot, resolution=13)
     middle = [home[name] for name in plain.actuated]
-    for axis, at in zip(found.axes, middle, strict=True):
+    for axis, at in zip(space.axes, middle, strict=True):
         assert np.abs(axis[[0, -1]] - [at - np.pi, at + np.pi]).max() < 1e-12
-    u = nodes(found)
+    u = nodes(space)
     ends = 0.5 * np.stack([np.cos(u), np.sin(u)], axis=-1) + np.array([[0.0, 0.0], [BASE, 0.0]])
     apart = np.linalg.norm(ends[..., 1, :] - ends[..., 0, :], axis=-1)
-    assert not found.reachable[0][apart > 1.0].any()  # links of half a metre do not meet
-    assert found.reachable[0][apart < 1.0].mean() > 0.8
+    assert not space.reachable[0][apart > 1.0].any()  # links of half a metre do not meet
+    assert space.reachable[0][apart < 1.0].mean() > 0.8
     one = rp.workspace(robot, [plain.actuated[1]], resolution=9)
     assert np.abs(one.axes[0][4] - middle[1]) < 1e-12
 

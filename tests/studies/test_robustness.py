@@ -83,14 +83,14 @@ def test_a_trial_starts_beside_its_plan_and_the_controller_sees_it(monkeypatch: 
     real = Encoders.estimate
 
     def estimate(self, t, state):
-        found = real(self, t, state)
-        seen.append((state, found))
-        return found
+        command = real(self, t, state)
+        seen.append((state, command))
+        return command
 
     monkeypatch.setattr(Encoders, "estimate", estimate)
     exact = replace(scaled(Imperfections(), 0.0), start_position=2e-4, start_speed=2e-3)
     run_trial(SHORT, "computed torque", exact, 0, 5)
-    true, found = seen[0]
+    true, estimated = seen[0]
     point, drawn = planned(LINE_OFF).at(SHORT.start), draw(nominal(), exact, 0, 5)
     assert true.x - point.x == pytest.approx(drawn.x, abs=1e-12)
     assert true.xd - point.xd == pytest.approx(drawn.xd, abs=1e-12)
@@ -98,8 +98,8 @@ def test_a_trial_starts_beside_its_plan_and_the_controller_sees_it(monkeypatch: 
     assert true.sd - point.sd == pytest.approx(drawn.sd, abs=1e-12)
     assert np.abs(drawn.x).max() > 2e-5
     # 16 bits a turn on legs of half a metre
-    assert found.x == pytest.approx(true.x, abs=5e-5)
-    assert found.s == pytest.approx(true.s, abs=2e-6)
+    assert estimated.x == pytest.approx(true.x, abs=5e-5)
+    assert estimated.s == pytest.approx(true.s, abs=2e-6)
 
 
 def test_draws_stay_within_their_bounds_and_fill_them():
@@ -118,12 +118,12 @@ def test_draws_stay_within_their_bounds_and_fill_them():
 
 def test_severity_scales_errors_friction_and_noise_and_nothing_else():
     bounds = Imperfections()
-    found, zero = scaled(bounds, 2.0), scaled(bounds, 0.0)
-    assert (found.mass, found.length, found.noise) == (0.1, 2e-3, 0.1)
-    assert (found.start_position, found.start_speed, zero.start_position) == (4e-4, 4e-3, 0.0)
-    assert found.revolute_coulomb == 2.0 * bounds.revolute_coulomb
-    assert found.prismatic_viscous == 2.0 * bounds.prismatic_viscous
-    assert (found.period, found.prismatic_smoothing, found.effort_limit) == (1e-3, 0.01, 20.0)
+    doubled, zero = scaled(bounds, 2.0), scaled(bounds, 0.0)
+    assert (doubled.mass, doubled.length, doubled.noise) == (0.1, 2e-3, 0.1)
+    assert (doubled.start_position, doubled.start_speed, zero.start_position) == (4e-4, 4e-3, 0.0)
+    assert doubled.revolute_coulomb == 2.0 * bounds.revolute_coulomb
+    assert doubled.prismatic_viscous == 2.0 * bounds.prismatic_viscous
+    assert (doubled.period, doubled.prismatic_smoothing, doubled.effort_limit) == (1e-3, 0.01, 20.0)
     assert zero.noise == zero.prismatic_coulomb == 0.0
     with pytest.raises(InputError, match="severity is 20"):
         scaled(bounds, 20.0)
@@ -143,16 +143,16 @@ def test_rates_have_wilsons_interval(successes, count):
     p, z = successes / count, 1.959963984540054
     middle = (p + z * z / (2 * count)) / (1 + z * z / count)
     half = z * np.sqrt(p * (1 - p) / count + z * z / (4 * count**2)) / (1 + z * z / count)
-    found = wilson(successes, count)
-    assert (found.value, found.low, found.high) == pytest.approx((p, middle - half, middle + half), abs=1e-12)
+    interval = wilson(successes, count)
+    assert (interval.value, interval.low, interval.high) == pytest.approx((p, middle - half, middle + half), abs=1e-12)
 
 
 def test_means_have_an_interval_like_students():
     values = np.random.default_rng(3).normal(5.0, 2.0, 200)
-    found = mean_interval(values)
+    interval = mean_interval(values)
     half = 1.97 * values.std(ddof=1) / np.sqrt(200)
-    assert found.value == pytest.approx(values.mean())
-    assert (found.low, found.high) == pytest.approx((values.mean() - half, values.mean() + half), rel=0.02)
+    assert interval.value == pytest.approx(values.mean())
+    assert (interval.low, interval.high) == pytest.approx((values.mean() - half, values.mean() + half), rel=0.02)
     assert np.isnan(mean_interval(values[:1]).low)
 
 
@@ -220,18 +220,18 @@ def test_the_largest_forces_are_those_of_every_period(monkeypatch: pytest.Monkey
         return put_out[-1][:2], put_out[-1][2:]
 
     monkeypatch.setattr(NoisyAmplifier, "effort", recorded)
-    found = run_trial(SHORT, "computed torque", Imperfections(), 0, 3)
+    outcome = run_trial(SHORT, "computed torque", Imperfections(), 0, 3)
     acted = np.abs(put_out[:-1])  # the last has not had the time to act
-    assert found.effort == acted[:, :2].max()
-    assert found.carrier_force == acted[:, 2:].max()
+    assert outcome.effort == acted[:, :2].max()
+    assert outcome.carrier_force == acted[:, 2:].max()
 
 
 @pytest.mark.long
 def test_a_plan_that_hardly_uses_its_main_actuators_crosses_against_friction():
     """With τ̂ the largest planned effort alone, 0.08 N, carrier 1 comes to the end of its track in every draw."""
     bounds = scaled(Imperfections(), 5.0)
-    found = run_trial(Scenario(LINE_WHOLE, 1.9, 3.1), "computed torque", bounds, 0, 0)
-    assert found.success
+    outcome = run_trial(Scenario(LINE_WHOLE, 1.9, 3.1), "computed torque", bounds, 0, 0)
+    assert outcome.success
 
 
 @pytest.mark.parametrize("changed", [{"draws": 0}, {"jobs": 0}])

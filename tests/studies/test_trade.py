@@ -76,10 +76,10 @@ def test_shorter_tracks_and_slower_motions() -> None:
 
 @pytest.mark.long
 def test_points_without_a_plan_say_why() -> None:
-    found = trade_off(CASE, "carrier_force", "effort", points=2, between=(0.6, 100.0))
-    assert "carrier_force at most" in found.points[0]["reason"]
-    assert found.points[0]["status"] == "no plan"
-    assert len(found.front) == 1
+    bounded = trade_off(CASE, "carrier_force", "effort", points=2, between=(0.6, 100.0))
+    assert "carrier_force at most" in bounded.points[0]["reason"]
+    assert bounded.points[0]["status"] == "no plan"
+    assert len(bounded.front) == 1
     with pytest.raises(InfeasiblePlanError):
         trade_off(CASE, "carrier_force", "effort", points=2, between=(0.5, 0.6))
 
@@ -87,10 +87,10 @@ def test_points_without_a_plan_say_why() -> None:
 @pytest.mark.long
 def test_a_front_begins_where_there_is_something() -> None:
     """The least acceleration is that of parked carriers: none but for rounding, of which no bound is made."""
-    found = trade_off(CASE, "carrier_acceleration", "effort", points=2)
-    first, last = (point["bound"] for point in found.points)
+    bounded = trade_off(CASE, "carrier_acceleration", "effort", points=2)
+    first, last = (point["bound"] for point in bounded.points)
     assert first == pytest.approx(1e-3 * last, rel=1e-2)
-    assert found.points[0]["y"] > found.points[1]["y"]
+    assert bounded.points[0]["y"] > bounded.points[1]["y"]
 
 
 def test_beaten_points_are_marked() -> None:

@@ -39,13 +39,13 @@ def types_of(value: Any, seen: set[int] | None = None) -> set[type]:
     if id(value) in seen:
         return set()
     seen.add(id(value))
-    found = {type(value)}
+    types = {type(value)}
     inside = value if isinstance(value, (tuple, list)) else vars(value).values() if hasattr(value, "__dict__") else ()
     inside = value.values() if isinstance(value, (dict, MappingProxyType)) else inside
     for part in inside:
         if not isinstance(part, type):
-            found |= types_of(part, seen)
-    return found
+            types |= types_of(part, seen)
+    return types
 
 
 def digest(value: Any) -> dict[str, tuple[bytes, bool]]:

@@ -51,7 +51,7 @@ class Block:
 
 def blocks_of(path: Path, name: str) -> list[Block]:
     """Return the fenced blocks of a page in order; an indented or unclosed one is an error."""
-    found: list[Block] = []
+    blocks: list[Block] = []
     marks: dict[str, str] = {}
     opened: tuple[str, str, int] | None = None
     lines = path.read_text(encoding="utf-8").splitlines()
@@ -67,10 +67,10 @@ def blocks_of(path: Path, name: str) -> list[Block]:
                 assert not marks, f"{name}:{number}: {marks} stands in front of no block"
         elif fence and fence[1] == opened[0] and not fence[2]:
             text = "\n".join(lines[opened[2] : number - 1]) + "\n"
-            found.append(Block(name, opened[2] + 1, opened[1], text, marks))
+            blocks.append(Block(name, opened[2] + 1, opened[1], text, marks))
             marks, opened = {}, None
     assert opened is None, f"{name}:{opened[2]}: never closed" if opened else ""
-    return found
+    return blocks
 
 
 def example_script(path: Path) -> ModuleType:

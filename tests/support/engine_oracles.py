@@ -90,8 +90,8 @@ def integrated(robot: Robot, q: Array, v: Array, effort: Callable[[float], Array
         return np.concatenate([y[model.nv :], pin.aba(model, data, place, y[model.nv :], effort(t))])
 
     start = np.concatenate([np.zeros(model.nv), v])
-    found = solve_ivp(rate, (0.0, duration), start, method="DOP853", rtol=1e-11, atol=1e-12)
-    return pin.integrate(model, q, found.y[: model.nv, -1])
+    solution = solve_ivp(rate, (0.0, duration), start, method="DOP853", rtol=1e-11, atol=1e-12)
+    return pin.integrate(model, q, solution.y[: model.nv, -1])
 
 
 def _unit(rng: np.random.Generator) -> Array:

@@ -126,14 +126,14 @@ def _in_child(action: Action, folder: Path, complaints: int, answer: int, patien
         held = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
         resource.setrlimit(resource.RLIMIT_AS, (held + MEMORY, resource.RLIM_INFINITY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        found: tuple[str, str, str]
+        types: tuple[str, str, str]
         try:
             wrong = action(folder)
-            found = (RIGHT, "", "") if wrong is None else (WRONG, ": ".join(wrong.split(": ")[:2]), wrong)
+            types = (RIGHT, "", "") if wrong is None else (WRONG, ": ".join(wrong.split(": ")[:2]), wrong)
         except RedundancyPinError as error:
-            found = (REFUSED, "", str(error))
+            types = (REFUSED, "", str(error))
             if len(str(error)) > 10_000:
-                found = (WRONG, "an error of more than 10,000 characters", "")
+                types = (WRONG, "an error of more than 10,000 characters", "")
         except BaseException as error:
             place = next(
                 (
@@ -143,7 +143,7 @@ def _in_child(action: Action, folder: Path, complaints: int, answer: int, patien
                 ),
                 "",
             )
-            found = (WRONG, f"{type(error).__name__} in {place}", str(error)[:300])
-        os.write(answer, json.dumps(found).encode())
+            types = (WRONG, f"{type(error).__name__} in {place}", str(error)[:300])
+        os.write(answer, json.dumps(types).encode())
     finally:
         os._exit(0)

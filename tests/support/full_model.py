@@ -120,9 +120,9 @@ def solve_2rpr(trajectory, plan, objective, limits):
         {"x": x, "f": cost + gentle, "g": casadi.vertcat(*g)},
         {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": 1e-8},
     )
-    found = np.asarray(solver(x0=0.0, lbx=-bound, ubx=bound, lbg=low, ubg=high)["x"]).ravel()
+    optimum = np.asarray(solver(x0=0.0, lbx=-bound, ubx=bound, lbg=low, ubg=high)["x"]).ravel()
     assert solver.stats()["success"]
-    effort = found[nodes * k : 2 * nodes * k]
+    effort = optimum[nodes * k : 2 * nodes * k]
     if objective == "peak":
         return float(np.abs(effort).max())
     return float((np.tile(weights_of(t), k) * effort**2).sum())
@@ -162,11 +162,11 @@ def solve_by_backend(dynamics, plan, objective, limits):
             tau, jacobian = efforts(a)
             return float((w * tau**2).sum()), 2.0 * np.einsum("nm,nmx->x", w * tau, jacobian)
 
-        found = minimize(
+        optimum = minimize(
             cost, np.zeros(nodes * k), jac=True, bounds=bounds, constraints=linear, method="SLSQP", options=options
         )
-        assert found.success, found.message
-        return float(found.fun) * size**2
+        assert optimum.success, optimum.message
+        return float(optimum.fun) * size**2
     padded = [LinearConstraint(np.hstack([part.A, np.zeros((len(part.A), 1))]), part.lb, part.ub) for part in linear]
 
     def room(x):
@@ -179,7 +179,7 @@ def solve_by_backend(dynamics, plan, objective, limits):
         return np.vstack([np.hstack([-jacobian, one]), np.hstack([jacobian, one])])
 
     last = np.append(np.zeros(nodes * k), 1.0)
-    found = minimize(
+    optimum = minimize(
         lambda x: x[-1],
         np.append(np.zeros(nodes * k), np.abs(efforts(np.zeros(nodes * k))[0]).max()),
         jac=lambda x: last,
@@ -188,5 +188,5 @@ def solve_by_backend(dynamics, plan, objective, limits):
         method="SLSQP",
         options=options,
     )
-    assert found.success, found.message
-    return float(found.fun) * size
+    assert optimum.success, optimum.message
+    return float(optimum.fun) * size

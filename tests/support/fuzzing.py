@@ -109,9 +109,9 @@ def load_urdf(folder: Path) -> str | None:
         expected = total_mass((folder / "robot.urdf").read_text(encoding="utf-8"))
     except (ValueError, LookupError, ElementTree.ParseError) as error:
         return f"accepted: a URDF with what is no number: {error}"
-    found = sum(inertia.mass for inertia in robot.model.inertias)
-    if not abs(found - expected) <= SAME_MASS * max(1.0, expected):
-        return f"accepted: a mass of {found:g} kg, the file has {expected:g} kg"
+    mass = sum(inertia.mass for inertia in robot.model.inertias)
+    if not abs(mass - expected) <= SAME_MASS * max(1.0, expected):
+        return f"accepted: a mass of {mass:g} kg, the file has {expected:g} kg"
     return wrong_robot(robot)
 
 
@@ -158,11 +158,11 @@ def load_sdf(folder: Path) -> str | None:
         return f"accepted: an SDF with what is no number: {error}"
     if any(len(pose) not in (0, 6, 7) or not all(map(math.isfinite, pose)) for pose in poses):
         return "accepted: a pose that is none"
-    found = sum(inertia.mass for inertia in robot.model.inertias)
+    mass = sum(inertia.mass for inertia in robot.model.inertias)
     # a link without an inertial has 1 kg in SDF
     bare = sum(one.find("inertial/mass") is None for one in root.iter("link"))
-    if not any(abs(found - sum(masses) - more) <= SAME_MASS * max(1.0, sum(masses)) for more in (0.0, float(bare))):
-        return f"accepted: a mass of {found:g} kg, the file has {sum(masses):g} kg"
+    if not any(abs(mass - sum(masses) - more) <= SAME_MASS * max(1.0, sum(masses)) for more in (0.0, float(bare))):
+        return f"accepted: a mass of {mass:g} kg, the file has {sum(masses):g} kg"
     return wrong_robot(robot)
 
 

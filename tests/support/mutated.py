@@ -246,15 +246,15 @@ def spoiled_data(data: Any, dice: Dice) -> Any:
 
 def _nodes(data: Any) -> list[tuple[Any, Any]]:
     """Return (holder, key) of everything in nested lists and dictionaries."""
-    found: list[tuple[Any, Any]] = []
+    mutations: list[tuple[Any, Any]] = []
     waiting = [data]
     while waiting:
         holder = waiting.pop()
         keys = list(holder) if isinstance(holder, dict) else range(len(holder)) if isinstance(holder, list) else ()
         for key in keys:
-            found.append((holder, key))
+            mutations.append((holder, key))
             waiting.append(holder[key])
-    return found
+    return mutations
 
 
 def bomb() -> str:

@@ -76,10 +76,10 @@ def summed(kept: Kept) -> dict[str, dict[str, Counter[str]]]:
     return dict(sorted(sums.items()))
 
 
-def too_many(found: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
+def too_many(counts: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
     """Return a line for each promise of ``LEAST`` that fails too often; others fail their test the first time."""
-    shares = {promise: 1.0 - sums["counts"]["wrong"] / sums["counts"].total() for promise, sums in found.items()}
-    least = {promise: LEAST.get(promise.partition(":")[0], 0.0) for promise in found}
+    shares = {promise: 1.0 - sums["counts"]["wrong"] / sums["counts"].total() for promise, sums in counts.items()}
+    least = {promise: LEAST.get(promise.partition(":")[0], 0.0) for promise in counts}
     return [
         f"too many failures: {promise}: {share:.1%} kept, less than {least[promise]:.0%}"
         for promise, share in shares.items()
@@ -97,15 +97,15 @@ def before() -> Kept:
     return kept
 
 
-def lines(found: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
+def lines(tried: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
     """Return the table in markdown, and below it the classes of what failed."""
     rows = ["| promise | tried | right | refused | failed |", "|---|---|---|---|---|"]
-    for promise, sums in found.items():
+    for promise, sums in tried.items():
         counts = sums["counts"]
         rows.append(
             f"| {promise} | {counts.total():,} | {counts['right']:,} | {counts['refused']:,} | {counts['wrong']:,} |"
         )
-    for promise, sums in found.items():
+    for promise, sums in tried.items():
         rows += [f"failed {times} times: {promise}: {why}" for why, times in sums["classes"].most_common()]
     return rows
 
@@ -126,9 +126,9 @@ def main() -> None:
     page = PAGE.read_text(encoding="utf-8")
     tried: Counter[str] = Counter()
     failed: Counter[str] = Counter()
-    found = summed(before())
-    sys.stdout.write("\n".join((*lines(found), "")))
-    for promise, sums in found.items():
+    counts = summed(before())
+    sys.stdout.write("\n".join((*lines(counts), "")))
+    for promise, sums in counts.items():
         name = promise.partition(":")[0]
         tried[name] += sum(sums["counts"].values())
         failed[name] += sums["counts"].get("wrong", 0)

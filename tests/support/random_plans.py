@@ -140,8 +140,8 @@ def difference(ours: Any, theirs: Any, name: str = "plan") -> str:
     return "" if ours == theirs else f"{name}: {ours!r} and {theirs!r}"
 
 
-def _first(found: Any) -> str:
-    return next((text for text in found if text), "")
+def _first(texts: Any) -> str:
+    return next((text for text in texts if text), "")
 
 
 def _poses(rng: np.random.Generator, samples: int) -> np.ndarray:

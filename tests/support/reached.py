@@ -112,8 +112,8 @@ def _in_child(test_file: str) -> NoReturn:
         lines: dict[str, list[list[list[int]]]] = {}
         for file in data.measured_files():
             sets: dict[tuple[int, ...], list[int]] = {}
-            for line, found in data.contexts_by_lineno(file).items():
-                sets.setdefault(tuple(sorted(number[name] for name in found)), []).append(line)
+            for line, reached in data.contexts_by_lineno(file).items():
+                sets.setdefault(tuple(sorted(number[name] for name in reached)), []).append(line)
             lines[Path(file).relative_to(PACKAGE).as_posix()] = [[list(tests), where] for tests, where in sets.items()]
         answer = {"test": fingerprint(ROOT / test_file), "seconds": contexts.seconds, "lines": lines}
         answer["package"] = {name: fingerprint(PACKAGE / name) for name in lines}
@@ -128,9 +128,9 @@ def up_to_date(test_file: str) -> bool:
     path = _kept(test_file)
     if not path.exists():
         return False
-    found = json.loads(path.read_text(encoding="utf-8"))
-    now = {name: fingerprint(PACKAGE / name) if (PACKAGE / name).exists() else "" for name in found["package"]}
-    return bool(found["test"] == fingerprint(ROOT / test_file) and found["package"] == now)
+    facts = json.loads(path.read_text(encoding="utf-8"))
+    now = {name: fingerprint(PACKAGE / name) if (PACKAGE / name).exists() else "" for name in facts["package"]}
+    return bool(facts["test"] == fingerprint(ROOT / test_file) and facts["package"] == now)
 
 
 @cache
@@ -144,15 +144,15 @@ def tests_reaching(name: str, lines: Iterable[int]) -> tuple[dict[str, float], d
 
     Each with its seconds. Where the file of the package has changed since, any of its lines counts.
     """
-    wanted, found, beside = set(lines), {}, {}
+    wanted, times, beside = set(lines), {}, {}
     for answer in _answers().values():
         same = answer["package"].get(name) == fingerprint(PACKAGE / name)
         groups = [tests for tests, where in answer["lines"].get(name, ()) if not same or wanted.intersection(where)]
         if groups:
             names, chosen = list(answer["seconds"]), set().union(*groups)
             for i, test in enumerate(names, 1):
-                (found if i in chosen else beside)[test] = answer["seconds"][test]
-    return found, beside
+                (times if i in chosen else beside)[test] = answer["seconds"][test]
+    return times, beside
 
 
 def main() -> None:

@@ -85,7 +85,7 @@ def two_rpr(
     sides = (1.0, -1.0)
 
     def bodies(x, s):
-        found = [(end_effector_mass, 0.0, x, None)]
+        bodies = [(end_effector_mass, 0.0, x, None)]
         for i, hinge in enumerate(hinges):
             along = x - hinge
             angle = casadi.atan2(along[1], along[0])
@@ -94,12 +94,12 @@ def two_rpr(
                 place = hinge + track_offset * u + sides[i] * s[i] * _n(angle)
             else:
                 place = hinge + track_offset * u + arm * _n(angle + sides[i] * s[i])
-            found += [
+            bodies += [
                 (carrier_mass, 0.0, place, None),
                 (cylinder_mass, cylinder_mass * cylinder_length**2 / 12, hinge + cylinder_length / 2 * u, angle),
                 (piston_mass, piston_mass * piston_length**2 / 12, x - piston_length / 2 * u, angle),
             ]
-        return found
+        return bodies
 
     return mechanism(2, 2, bodies, lambda x: casadi.vertcat(*(casadi.norm_2(x - hinge) for hinge in hinges)))
 
@@ -144,9 +144,9 @@ def three_rrr(
         return x[:2] - platform_radius * _u(x[2] + phases[i])
 
     def bodies(x, s):
-        found = [(platform_mass, 0.5 * platform_mass * platform_radius**2, x[:2], x[2])]
+        bodies = [(platform_mass, 0.5 * platform_mass * platform_radius**2, x[:2], x[2])]
         for i, hinge in enumerate(hinges):
-            found += _leg(
+            bodies += _leg(
                 hinge,
                 tip(x, i),
                 proximal_length,
@@ -158,7 +158,7 @@ def three_rrr(
                 carrier_mass,
                 s[i],
             )
-        return found
+        return bodies
 
     def joints(x):
         return casadi.vertcat(
@@ -182,9 +182,9 @@ def five_bar(
     hinges = [np.zeros(2), np.array([base_distance, 0.0])]
 
     def bodies(x, s):
-        found = [(end_effector_mass, 0.0, x, None)]
+        bodies = [(end_effector_mass, 0.0, x, None)]
         for i, hinge in enumerate(hinges):
-            found += _leg(
+            bodies += _leg(
                 hinge,
                 x,
                 proximal_length,
@@ -196,7 +196,7 @@ def five_bar(
                 carrier_mass,
                 s[i],
             )
-        return found
+        return bodies
 
     def joints(x):
         return casadi.vertcat(*(_elbow(hinges[i], x, proximal_length, distal_length, mode[i]) for i in range(2)))

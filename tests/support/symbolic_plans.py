@@ -101,11 +101,11 @@ def solve(machine, trajectory, plan, objective, limits, tolerance=1e-8):
             "ipopt.max_iter": 1000,
         },
     )
-    found = solver(
+    optimum = solver(
         x0=0.0, lbx=bounds(ends[0], -1.0), ubx=bounds(ends[1], 1.0), lbg=np.concatenate(low), ubg=np.concatenate(high)
     )
     assert solver.stats()["success"], solver.stats()["return_status"]
-    value = np.asarray(found["x"]).ravel()
+    value = np.asarray(optimum["x"]).ravel()
     count = k * nodes
     efforts = size * value[count : count + machine.m * nodes].reshape(nodes, machine.m)
     if objective == "peak":

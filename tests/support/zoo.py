@@ -60,9 +60,9 @@ def random_closed(robot: Robot, seed: int, count: int) -> Array:
     rng = np.random.default_rng(seed)
     increments = rng.uniform(-1.0, 1.0, (count, robot.n)) * reach_of(robot)
     targets = moved(robot, np.repeat(home_of(robot)[None], count, axis=0), increments)
-    found = assemble(system_of(robot), np.repeat(robot.q_reference[None], count, axis=0), targets)
-    assert found.closed.all()
-    return found.q
+    assembled = assemble(system_of(robot), np.repeat(robot.q_reference[None], count, axis=0), targets)
+    assert assembled.closed.all()
+    return assembled.q
 
 
 @dataclass(frozen=True)

@@ -327,8 +327,8 @@ def test_times_of_a_file_are_not_overridden_in_silence(tmp_path: Path) -> None:
 def test_coordinates_of_a_file_are_taken_by_name(names: str, order: list[int], tmp_path: Path) -> None:
     rows = np.random.default_rng(3).uniform(size=(len(TIMES), len(order)))
     file = write(tmp_path / "way.csv", names, np.column_stack([TIMES, rows]))
-    found = from_points(file).evaluate(TIMES - TIMES[0]).x
-    np.testing.assert_allclose(found, rows[:, order], atol=1e-12)
+    points = from_points(file).evaluate(TIMES - TIMES[0]).x
+    np.testing.assert_allclose(points, rows[:, order], atol=1e-12)
 
 
 @pytest.mark.parametrize("names", ["t,x,y,z,roll,pitch,yaw", "x,y,z,yaw", "x,Roll"])

@@ -63,9 +63,9 @@ def test_bars_show_values_and_gaps() -> None:
 def test_border_shows_speeds_with_and_without_a_plan() -> None:
     tried = ("circle", np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3]))
     figure = plot_speed_border("title", [tried])
-    found, without = figure.axes[0].lines
-    assert list(found.get_xdata()) == [0.5, 1.0]
-    assert list(found.get_ydata()) == [0.2, 1.4]
+    curve, without = figure.axes[0].lines
+    assert list(curve.get_xdata()) == [0.5, 1.0]
+    assert list(curve.get_ydata()) == [0.2, 1.4]
     assert list(without.get_xdata()) == [1.2, 1.3]
 
 

@@ -41,20 +41,20 @@ def _lengths(segments: np.ndarray) -> float:
 
 def test_the_border_runs_between_possible_and_infeasible() -> None:
     """A possible square in a corner of four: two sides of length one are border, the outer edges are not."""
-    found = border_of([
+    border = border_of([
         Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "infeasible", mark="T"),
         Tile(0, 1, 1, 2, "infeasible", mark="T"), Tile(1, 2, 1, 2, "infeasible", mark="T"),
     ])  # fmt: skip
-    assert {tuple(map(tuple, segment)) for segment in found.tolist()} == {((1, 0), (1, 1)), ((0, 1), (1, 1))}
+    assert {tuple(map(tuple, segment)) for segment in border.tolist()} == {((1, 0), (1, 1)), ((0, 1), (1, 1))}
 
 
 def test_tiles_of_different_height_share_part_of_an_edge() -> None:
-    found = border_of([
+    border = border_of([
         Tile(0, 1, 0, 3, "stopped_early", 1.0),
         Tile(1, 2, 0, 1, "feasible", 1.0), Tile(1, 2, 1, 1.5, "infeasible", mark="T"), Tile(1, 2, 1.5, 3, "failed"),
     ])  # fmt: skip
     # possible beside infeasible from 1 to 1.5, possible below infeasible over a width of 1; nothing at the failed one
-    assert {tuple(map(tuple, segment)) for segment in found.tolist()} == {((1, 1), (1, 1.5)), ((1, 1), (2, 1))}
+    assert {tuple(map(tuple, segment)) for segment in border.tolist()} == {((1, 1), (1, 1.5)), ((1, 1), (2, 1))}
 
 
 def test_where_all_is_alike_there_is_no_border() -> None:
@@ -87,10 +87,10 @@ def test_tiles_cover_the_map_without_overlap(along: str) -> None:
         Cell(WHOLE, 0.25, 1.0, Verdict.INFEASIBLE, ("track",)),
         Cell(WHOLE, 0.225, 1.0, Verdict.FEASIBLE, peak_effort=1.0),
     )
-    found = _map(along, extra if along == "x" else ())
-    for planner in found.problem.planners:
-        made = tiles(found, planner)
-        cells = [cell for line in found.lines(planner).values() for cell in line]
+    border_map = _map(along, extra if along == "x" else ())
+    for planner in border_map.problem.planners:
+        made = tiles(border_map, planner)
+        cells = [cell for line in border_map.lines(planner).values() for cell in line]
         assert len(made) == len(cells)
         for tile, cell in zip(made, cells, strict=True):
             assert tile.x0 < cell.x < tile.x1

@@ -235,9 +235,9 @@ def test_where_a_mesh_is_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         file.parent.mkdir(parents=True, exist_ok=True)
         file.touch()
     for filename, file in places.items():
-        found = find_mesh(filename, str(folder))
-        assert found is not None, filename
-        assert found.samefile(file)
+        path = find_mesh(filename, str(folder))
+        assert path is not None, filename
+        assert path.samefile(file)
     assert find_mesh("file.stl", "") is None
     assert find_mesh("package://pkg/none.stl", str(folder)) is None
     assert find_mesh("package://other/beside.stl", "") is None

@@ -19,11 +19,11 @@ from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS
 
 def _frames(path: Path) -> list[np.ndarray]:
     with Image.open(path) as image:
-        found = []
+        frames = []
         for i in range(image.n_frames):  # type: ignore[attr-defined]
             image.seek(i)
-            found.append(np.asarray(image.convert("RGB"), dtype=float))
-    return found
+            frames.append(np.asarray(image.convert("RGB"), dtype=float))
+    return frames
 
 
 def _middle(frame: np.ndarray, color: str) -> np.ndarray:

@@ -267,8 +267,8 @@ def test_a_preview_may_be_a_function_or_samples_and_may_end_on_the_way():
 
 def test_singular_instants_before_the_zero_of_time_are_as_dense(monkeypatch):
     monkeypatch.setattr(Preview, "determinant", lambda self, dynamics, times: np.cos(20.0 * times))
-    found = Preview.of(ACROSS.sample_at).singular_instants(machine()[0], -2.0, -1.0, 0.02)
-    np.testing.assert_allclose(found, np.pi / 20.0 * (np.arange(-13, -6) + 0.5), atol=1e-9)
+    instants = Preview.of(ACROSS.sample_at).singular_instants(machine()[0], -2.0, -1.0, 0.02)
+    np.testing.assert_allclose(instants, np.pi / 20.0 * (np.arange(-13, -6) + 0.5), atol=1e-9)
 
 
 def test_the_rate_of_f_at_a_singular_instant_is_that_of_differences_by_the_other_backend():

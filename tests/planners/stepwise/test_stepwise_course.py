@@ -213,13 +213,13 @@ def test_between_samples_is_the_quadratic_spline_of_the_positions():
     steps = 300
     motion = trajectory.sample(times=np.linspace(0.0, trajectory.duration, steps + 1), two_sided=False)
     plan = plan_stepwise(dynamics_of(), motion)
-    found = between_samples(dynamics_of(), plan, 3, trajectory)
+    between = between_samples(dynamics_of(), plan, 3, trajectory)
     inside = plan.t <= trajectory.duration
     assert inside.sum() == steps + 1
     expected = np.abs(dense_efforts(plan, trajectory, dynamics_of(), 3))
-    np.testing.assert_allclose(found["peak_effort"], expected.max(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(between["peak_effort"], expected.max(axis=0), rtol=1e-6)
     h = trajectory.duration / steps
-    assert found["largest_lag"] == pytest.approx(0.5 * h * np.abs(plan.carriers.sd).max(), rel=1e-9)
+    assert between["largest_lag"] == pytest.approx(0.5 * h * np.abs(plan.carriers.sd).max(), rel=1e-9)
 
 
 def test_single_samples_flatter_and_two_sided_ones_do_not():
@@ -285,8 +285,8 @@ def test_between_samples_follows_the_polynomials_of_the_returns():
         lag = plan.carriers_at([begun]).s - state[0]
         carriers = CarrierMotion(septic(t) + lag, septic(t, 1), septic(t, 2))
         expected.append(np.abs(distribute(dynamics.reduce(trajectory.sample_at(t), carriers)).tau).max(axis=0))
-    found = between_samples(dynamics, plan, 3, trajectory)
-    np.testing.assert_allclose(found["peak_effort"], np.max(expected, axis=0), rtol=1e-10)
+    between = between_samples(dynamics, plan, 3, trajectory)
+    np.testing.assert_allclose(between["peak_effort"], np.max(expected, axis=0), rtol=1e-10)
 
 
 def test_a_limit_broken_between_samples_of_a_return_is_said():

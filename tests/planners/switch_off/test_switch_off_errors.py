@@ -112,12 +112,12 @@ def test_five_bar_has_no_bounded_crossing(start, end, speed):
 
 def elbows_of(x):
     """Outward elbows of the five-bar: circles of 0.5 m about the hinges and about the end-effector meet there."""
-    found = []
+    errors = []
     for hinge, side in ((np.zeros(2), 1.0), (np.array([0.5, 0.0]), -1.0)):
         chord = x - hinge
         half, normal = 0.5 * np.linalg.norm(chord), np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
-        found.append(hinge + 0.5 * chord + side * np.sqrt(0.25 - half**2) * normal)
-    return np.array(found)
+        errors.append(hinge + 0.5 * chord + side * np.sqrt(0.25 - half**2) * normal)
+    return np.array(errors)
 
 
 def test_carriers_through_the_hinge_act_in_no_direction():

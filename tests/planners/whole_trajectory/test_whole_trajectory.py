@@ -192,17 +192,17 @@ def test_each_objective_is_least_for_its_own_plan():
         return distribute(baseline.reduce(trajectory.sample_at(t))).tau
 
     names = ("effort", "peak", "tracking", "carrier_force", "carrier_acceleration", "effort_rate", "energy")
-    found = {}
+    plans = {}
     for name in names:
         plan = plan_whole_trajectory(
             dynamics, trajectory, objective=name, lam=0.5, baseline=baseline, dt=0.06, refinements=0
         )
-        found[name] = measures(plan, target)
+        plans[name] = measures(plan, target)
         # the regularisation costs less than 1e-3 of each
-        np.testing.assert_allclose(plan.diagnostics["objective"][name], found[name][name], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(plan.diagnostics["objective"][name], plans[name][name], rtol=1e-6, atol=1e-12)
     for name in names:
         for other in names:
-            assert found[name][name] <= found[other][name] * (1.0 + 1e-3), (name, other)
+            assert plans[name][name] <= plans[other][name] * (1.0 + 1e-3), (name, other)
 
 
 def test_weights_trade_one_objective_for_another():

@@ -69,7 +69,7 @@ def relaxed(dynamics, limits, details, factor):
 
     (That a freer end would do instead is not tried: it is not a limit that can be let out.)
     """
-    found = dict(limits)
+    merged = dict(limits)
     own = dynamics.robot.carrier_limits
     default = {
         "speed": own[0].speed,
@@ -80,8 +80,8 @@ def relaxed(dynamics, limits, details, factor):
     events = [event for event in details["relaxations"] if event["constraint"] != "end"]
     for event in events if details["together"] else events[:1]:
         name = NAMES.get(event["constraint"], event["constraint"])
-        found[name] = found.get(name, default.get(name)) * (1.0 + factor * event["fraction"])
-    return found
+        merged[name] = merged.get(name, default.get(name)) * (1.0 + factor * event["fraction"])
+    return merged
 
 
 @pytest.mark.long_for("6", "1")

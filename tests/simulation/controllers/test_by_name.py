@@ -31,14 +31,14 @@ def test_noise_is_on_top_of_what_is_commanded(held):
 def test_friction_goes_by_kind_of_joint(held):
     robot = held.robot
     state = rp.simulation.tree_state(robot, *held.tree(0.1)[:2])
-    found = joint_friction(
+    friction = joint_friction(
         robot, prismatic_coulomb=1.0, prismatic_viscous=2.0, revolute_coulomb=3.0, revolute_viscous=4.0
     )(state)
     for name in list(robot.model.names)[1:]:
         i = robot.model.joints[robot.model.getJointId(name)].idx_v
         c, b, v0 = (1.0, 2.0, 0.01) if name.startswith("carrier") else (3.0, 4.0, 0.05)
-        assert found[i] == pytest.approx(-c * np.tanh(state.v[i] / v0) - b * state.v[i], abs=1e-15)
-    assert np.abs(found).max() > 0.01
+        assert friction[i] == pytest.approx(-c * np.tanh(state.v[i] / v0) - b * state.v[i], abs=1e-15)
+    assert np.abs(friction).max() > 0.01
 
 
 def test_an_unknown_name_is_refused(held):

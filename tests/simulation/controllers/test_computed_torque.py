@@ -128,13 +128,13 @@ def test_it_gives_up_where_nothing_has_an_effect_and_says_so(monkeypatch):
     control = ComputedTorque(motion)
     t = 0.519
     q, v, _ = motion.tree(t)
-    found = control._model.at(q, v)
-    mass, W = found.mass.copy(), found.W.copy()
+    evaluated = control._model.at(q, v)
+    mass, W = evaluated.mass.copy(), evaluated.W.copy()
     mass[1, 2:] = mass[2:, 1] = 0.0
     W[1] = 0.0
-    monkeypatch.setattr(control._model, "at", lambda q, v: replace(found, mass=mass, W=W))
+    monkeypatch.setattr(control._model, "at", lambda q, v: replace(evaluated, mass=mass, W=W))
     command = control.command(t, tree_state(motion.robot, q, v, t=t))
-    needed = mass[1, :2] @ motion.at(t).xdd + found.bias[1]
+    needed = mass[1, :2] @ motion.at(t).xdd + evaluated.bias[1]
     assert command.allocation.status is AllocationStatus.UNBALANCED
     assert command.allocation.residual == pytest.approx(abs(needed), rel=1e-6)
     assert np.array_equal(command.tau, motion.loads(t)[0])
@@ -234,7 +234,7 @@ def test_correcting_efforts_are_those_of_the_backend():
     """a (W̃ᵀ M̃ W̃)_ii / |W̃_i|³ with M and W of the inverse dynamics, in lengths."""
     motion = corner()
     robot, middles = motion.robot, 0.5 * (motion.edges[:-1] + motion.edges[1:])
-    rows, found = row_scale(robot), []
+    rows, inertias = row_scale(robot), []
     assert not np.allclose(rows, 1.0)
     # four accelerations at each point: three of one, and none
     points = [motion.at(t) for t in np.repeat(middles, 4).tolist()]
@@ -244,8 +244,8 @@ def test_correcting_efforts_are_those_of_the_backend():
     reduced = rp.RneaDynamics(robot).reduce(motions, CarrierMotion([point.s for point in points], still, still))
     for f, W in zip(reduced.f.reshape(-1, 4, 3), reduced.W[::4] / rows[:, None], strict=True):
         mass = (f[:3] - f[3]).T / rows[:, None] / rows
-        found.append(np.diag(W.T @ mass @ W) / np.linalg.norm(W, axis=0) ** 3)
-    expected = 0.9 * np.median(found, axis=0)
+        inertias.append(np.diag(W.T @ mass @ W) / np.linalg.norm(W, axis=0) ** 3)
+    expected = 0.9 * np.median(inertias, axis=0)
     assert computed_torque.correcting_efforts(motion, 0.9) == pytest.approx(expected, rel=1e-8)
 
 

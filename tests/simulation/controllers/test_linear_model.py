@@ -21,9 +21,9 @@ def model_of(change: float) -> LinearModel:
 
 def distance(model: LinearModel, period: float, delay: float) -> float:
     """How far one step of the hold is from the integrated equation."""
-    found = sampled_model(model, 0.0, 1.0, period, delay)
+    sampled = sampled_model(model, 0.0, 1.0, period, delay)
     i, z, old, new = 4, np.array([1.0, 0.5, -0.3, 2.0]), np.array([0.4, -1.0]), np.array([2.0, 0.3])
-    start = found.t[i]
+    start = sampled.t[i]
 
     def rate(t, y, u):
         A, B = model.at(np.array([t]))
@@ -34,7 +34,7 @@ def distance(model: LinearModel, period: float, delay: float) -> float:
         if end > begin:
             y = solve_ivp(rate, (start + begin, start + end), y, args=(u,), rtol=1e-12, atol=1e-14).y[:, -1]
     xi = z if delay == 0.0 else np.concatenate([z, old])
-    after = found.transition[i] @ xi + found.input[i] @ new
+    after = sampled.transition[i] @ xi + sampled.input[i] @ new
     if delay:
         assert (after[4:] == new).all()
     return float(np.abs(after[:4] - y).max())

@@ -35,13 +35,13 @@ def delayed() -> TimeVaryingLqr:
 
 
 def deviations(run, motion):
-    found = []
+    residuals = []
     for t, q, v in zip(run.t.tolist(), run.q, run.v, strict=True):
         point = motion.at(t)
-        found.append(
+        residuals.append(
             state_error(motion.robot, tree_state(motion.robot, q, v, t=t), point.x, point.xd, point.s, point.sd)
         )
-    return np.array(found)
+    return np.array(residuals)
 
 
 @pytest.mark.long
@@ -76,8 +76,8 @@ def test_the_linear_closed_loop_predicts_the_simulation():
 
     def rate(t, z):
         q, v, _ = motion.tree(t)
-        found = linearise(robot, tree_state(robot, q, v, t=t), *motion.loads(t))
-        return (found.A - found.B @ control.gain(t)) @ z
+        linear = linearise(robot, tree_state(robot, q, v, t=t), *motion.loads(t))
+        return (linear.A - linear.B @ control.gain(t)) @ z
 
     unit = solve_ivp(rate, (BEFORE, BEFORE + 0.05), runs[1e-6][0] / 1e-6, t_eval=run.t, rtol=1e-6, atol=1e-9).y.T
     assert np.abs(unit[-1, :2]).max() > 0.1  # not yet back: there is something to predict
@@ -136,9 +136,9 @@ def test_at_rest_the_gains_are_those_of_the_algebraic_equation():
     weights = LqrWeights(np.diag([1e6] * 6 + [1e3] * 6), np.diag([0.1] * 6))
     control = TimeVaryingLqr(still, weights=weights)
     q, v, _ = still.tree(0.0)
-    found = linearise(robot, tree_state(robot, q, v), np.zeros(3), np.zeros(3))
-    P = solve_continuous_are(found.A, found.B, weights.Q, weights.R)
-    assert np.allclose(control.gain(0.1), np.linalg.solve(weights.R, found.B.T @ P), rtol=1e-6, atol=1e-3)
+    linear = linearise(robot, tree_state(robot, q, v), np.zeros(3), np.zeros(3))
+    P = solve_continuous_are(linear.A, linear.B, weights.Q, weights.R)
+    assert np.allclose(control.gain(0.1), np.linalg.solve(weights.R, linear.B.T @ P), rtol=1e-6, atol=1e-3)
 
 
 def test_the_memory_of_the_delay_is_the_effort_that_acts():
@@ -179,9 +179,9 @@ def test_it_saturates_where_the_amplifiers_do():
 
 def test_bryson_weights_are_inverse_squares_of_what_is_acceptable():
     motion = crossing()
-    found = bryson_weights(motion, position=2e-3, carrier=5e-2, bandwidth=10.0, effort=4.0, carrier_force=[8.0, 16.0])
-    assert np.allclose(np.diag(found.Q) ** -0.5, [2e-3, 2e-3, 5e-2, 5e-2, 2e-2, 2e-2, 0.5, 0.5])
-    assert np.allclose(np.diag(found.R) ** -0.5, [4.0, 4.0, 8.0, 16.0])
+    weights = bryson_weights(motion, position=2e-3, carrier=5e-2, bandwidth=10.0, effort=4.0, carrier_force=[8.0, 16.0])
+    assert np.allclose(np.diag(weights.Q) ** -0.5, [2e-3, 2e-3, 5e-2, 5e-2, 2e-2, 2e-2, 0.5, 0.5])
+    assert np.allclose(np.diag(weights.R) ** -0.5, [4.0, 4.0, 8.0, 16.0])
     turned = bryson_weights(corner())
     assert np.diag(turned.Q)[2] ** -0.5 == pytest.approx(1e-3 / corner().robot.characteristic_length)
 

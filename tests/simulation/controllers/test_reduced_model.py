@@ -26,12 +26,12 @@ def test_it_is_the_inverse_dynamics_of_the_backend(case):
         along = CarrierMotion(point.s[None], sd[None], sdd[None])
         reduced = RneaDynamics(robot).reduce(motion, along)
         state = closed_state(robot, point.x, xd, point.s, sd)
-        found = model.at(state.q, state.v)
-        force = found.mass @ np.concatenate([xdd, sdd]) + found.bias
+        evaluated = model.at(state.q, state.v)
+        force = evaluated.mass @ np.concatenate([xdd, sdd]) + evaluated.bias
         assert np.allclose(force[: robot.n], reduced.f[0], atol=1e-10)
         assert np.allclose(force[robot.n :], reduced.carrier_force[0], atol=1e-10)
-        assert np.allclose(found.W, reduced.W[0], atol=1e-12)
-        assert np.allclose(found.mass, found.mass.T)
+        assert np.allclose(evaluated.W, reduced.W[0], atol=1e-12)
+        assert np.allclose(evaluated.mass, evaluated.mass.T)
 
 
 def test_a_type_one_pose_is_refused():
