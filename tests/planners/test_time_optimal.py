@@ -1,16 +1,15 @@
-"""Least time along a path: against a linear programme of another formulation, replay, and known figures."""
+"""Least time along a path: against toppra, replay, and known figures."""
 
 from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
 import zoo
-from scipy.optimize import linprog
-from scipy.sparse import coo_matrix
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import (
@@ -31,6 +30,8 @@ from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.trajectory import Path, reference
 
 pytest.importorskip("casadi")
+toppra = pytest.importorskip("toppra", reason="toppra is not installed: pip install 'redundancy_pin[dev]'")
+TOPPRA = pytest.importorskip("toppra.algorithm").TOPPRA
 
 MODE = (1, 1, 1)
 CORNER = reference.corner().path
@@ -51,56 +52,65 @@ def free() -> Plan:
     return plan_time_optimal(carrying(), CORNER, effort=EFFORT, end="free", steps=80, **LIMITS)
 
 
+def reduced(dynamics: Dynamics, path: Path, p: Any, pd: Any, pdd: Any) -> Any:
+    """Load at places of a path, (N,), at speeds and accelerations along it."""
+    x, tangent, curvature = path.evaluate(np.atleast_1d(p))
+    motion = PlatformMotion([0.0], x, pd * tangent, pdd * tangent + pd**2 * curvature, check_rates=False)
+    return dynamics.reduce(motion)
+
+
+class _Along(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
+    """The place on a path and the main joints; of the latter the rate alone, for which toppra asks."""
+
+    def __init__(self, dynamics: Dynamics, path: Path) -> None:
+        self.dynamics, self.own = dynamics, path
+
+    @property
+    def dof(self) -> int:
+        return 1 + self.dynamics.robot.m
+
+    @property
+    def path_interval(self) -> Any:
+        return np.array([0.0, self.own.length])
+
+    def __call__(self, places: Any, order: int = 0) -> Any:
+        values = np.zeros((np.size(places), self.dof))
+        values[:, 0] = places if order == 0 else 2 - order
+        if order == 1:
+            for row, place in zip(values, np.atleast_1d(places), strict=True):
+                row[1:] = reduced(self.dynamics, self.own, place, 0.0, 0.0).W[0].T @ self.own.evaluate([place])[1][0]
+        return values if np.ndim(places) else values[0]
+
+
 def least_time(dynamics: Dynamics, path: Path, effort: float, rate: float = np.inf, steps: int = 400) -> float:
-    """Duration by a linear programme: w = ṗ² at nodes and u = p̈ in steps, the largest ∫ w, which is largest anywhere.
+    """Duration by toppra: the loads that efforts can balance are a zonotope, whose facets are its constraint."""
+    m = dynamics.robot.m
+    sides = np.array(list(combinations(range(m), dynamics.robot.n - 1)))
 
-    Efforts of least norm where there are more actuators than freedoms would be too slow: they are unknowns as well.
-    """
-    p = np.unique(np.concatenate([np.linspace(0.0, path.length, steps + 1), path.breaks]))
-    d, m, n = np.diff(p), dynamics.robot.m, dynamics.robot.n
-    count = len(d)
-    rows, columns, values, right, row = [], [], [], [], 0
-    highest = np.full(len(p), np.inf)
-    for end, side in ((0, "right"), (1, "left")):
-        at = p[:-1] if end == 0 else p[1:]
-        x, tangent, curvature = path.evaluate(at, side)
+    @functools.cache
+    def facets(place: float) -> Any:
+        W = reduced(dynamics, path, place, 0.0, 0.0).W[0]
+        across = np.linalg.svd(W[:, sides].transpose(1, 2, 0))[2][:, -1]
+        return np.vstack([across, -across]), np.tile(effort * np.abs(across @ W).sum(axis=1), 2)
 
-        def load(speed: float, push: float, x=x, tangent=tangent, curvature=curvature):
-            motion = PlatformMotion(np.arange(count), x, speed * tangent, speed**2 * curvature + push * tangent,
-                                    check_rates=False)  # fmt: skip
-            return dynamics.along(motion).reduce()
+    def load(q: Any, qd: Any, qdd: Any) -> Any:
+        return reduced(dynamics, path, q[0], qd[0], qdd[0]).f[0]
 
-        rest = load(0.0, 0.0)
-        by_w, by_u = load(1.0, 0.0).f - rest.f, load(0.0, 1.0).f - rest.f
-        turning = np.abs(np.einsum("nim,ni->nm", rest.W, tangent)).max(axis=1)
-        highest[end : end + count] = np.minimum(highest[end : end + count], (rate / turning) ** 2)
-        for j in range(count):
-            for i in range(n):
-                entries = [(j + end, -by_w[j, i]), (len(p) + j, -by_u[j, i])]
-                first = len(p) + count + (end * count + j) * m
-                entries += [(first + a, rest.W[j, i, a]) for a in range(m)]
-                rows += [row] * len(entries)
-                columns += [c for c, _ in entries]
-                values += [v for _, v in entries]
-                right.append(rest.f[j, i])
-                row += 1
-    for j in range(count):
-        rows += [row] * 3
-        columns += [j + 1, j, len(p) + j]
-        values += [1.0, -1.0, -2.0 * d[j]]
-        right.append(0.0)
-        row += 1
-    highest[[0, -1]] = 0.0
-    bounds = [(0.0, high) for high in highest] + [(None, None)] * count + [(-effort, effort)] * (2 * count * m)
-    cost = np.zeros(len(bounds))
-    cost[: len(p)] = -1.0
-    equal = coo_matrix((values, (rows, columns)), shape=(row, len(bounds))).tocsr()
-    speed = np.sqrt(np.maximum(linprog(cost, A_eq=equal, b_eq=right, bounds=bounds).x[: len(p)], 0.0))
-    return float((2.0 * d / (speed[1:] + speed[:-1])).sum())
+    curve = _Along(dynamics, path)
+    limits = [
+        toppra.constraint.SecondOrderConstraint(load, lambda q: facets(q[0])[0], lambda q: facets(q[0])[1], m + 1)
+    ]
+    if rate < np.inf:
+        fastest = np.append(1e3, np.full(m, rate))
+        limits.append(toppra.constraint.JointVelocityConstraint(np.stack([-fastest, fastest], axis=1)))
+    before = np.array(path.breaks) - 1e-9  # the curvature jumps
+    places = np.unique(np.concatenate([np.linspace(0.0, path.length, steps + 1), before, path.breaks]))
+    speed = TOPPRA(limits, curve, gridpoints=places).compute_parameterization(0.0, 0.0)[1]
+    return float((2.0 * np.diff(places) / (speed[1:] + speed[:-1])).sum())
 
 
 @pytest.mark.parametrize("rate", [np.inf, pytest.param(0.35, marks=pytest.mark.long)])
-def test_without_carriers_the_time_is_that_of_a_linear_programme(rate: float) -> None:
+def test_without_carriers_the_time_is_that_of_toppra(rate: float) -> None:
     plan = plan_time_optimal(bare(), CORNER, effort=EFFORT, actuator_speed=rate, steps=100)
     assert plan.status is PlanStatus.WITHIN_LIMITS
     expected = least_time(bare(), CORNER, EFFORT, rate, steps=200)
@@ -133,7 +143,7 @@ def test_rates_are_looked_at_between_the_nodes() -> None:
 
 
 def test_more_actuators_than_freedoms_share_the_load() -> None:
-    """An elbow of the 3-RRR is driven as well: the efforts are unknowns of both programmes."""
+    """An elbow of the 3-RRR is driven as well: the loads they balance are more."""
     robot = bare().robot
     elbow = robot.model.joints[robot.model.getJointId("elbow_1")].idx_v
     driven = replace(

@@ -67,7 +67,7 @@ APART = 0.02
 WARM: Options = {
     **LINEAR_SYSTEM,
     **UNREFINED,
-    "ipopt.mu_init": 1e-4,
+    "ipopt.mu_init": 1e-7,
     "ipopt.bound_push": 1e-4,
     "ipopt.bound_frac": 1e-4,
 }

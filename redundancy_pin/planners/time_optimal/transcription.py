@@ -12,7 +12,7 @@ from redundancy_pin.planners.time_optimal.problem import POWERS, Problem
 from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.planners.whole_trajectory.transcription import NLP, RESERVE, product
 
-REGULARISATION = 1e-4
+REGULARISATION = 1e-3
 """Weight of the mean squares of s̈ and p̈ over their sizes beside the duration over its own."""
 
 LEAST_STEP = 1e-3
