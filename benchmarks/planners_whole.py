@@ -8,14 +8,12 @@ of setting up and solving; reading the coefficients off the backend is reported 
 
 import statistics
 import sys
-import tempfile
 import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import symbolic_mechanisms
 import symbolic_plans
-import turning_carriers
 
 import redundancy_pin as rp
 import redundancy_pin.planners.whole_trajectory.solver as whole_solver
@@ -150,12 +148,11 @@ def growth(objective):
 def turning(objective):
     """Processor time of plans with carriers that turn, with those that slide, and by IPOPT alone with the former."""
     cases = {
-        "2rpr": (turning_carriers.two_rpr, rp.trajectory.reference.circle(0.5, 0.2, 0.05)),
-        "3rrr": (turning_carriers.three_rrr, rp.trajectory.reference.corner(0.025)),
+        "2rpr": rp.trajectory.reference.circle(0.5, 0.2, 0.05),
+        "3rrr": rp.trajectory.reference.corner(0.025),
     }
-    for name, (declared, trajectory) in cases.items():
-        with tempfile.TemporaryDirectory() as folder:
-            arms = rp.CompiledDynamics(rp.load_robot(declared(Path(folder))))
+    for name, trajectory in cases.items():
+        arms = rp.CompiledDynamics(rp.load_robot(name, arm_length=0.15))
         tracks = rp.CompiledDynamics(rp.load_robot(name))
 
         def planned(dynamics, trajectory=trajectory):

@@ -136,7 +136,7 @@ def robot_of_tree(
         working_modes=declaration.modes,
         working_mode=_mode(declaration, mode),
         characteristic_length=declaration.characteristic_length or characteristic_length(model, guess, carriers),
-        closed_form=_closed_form(declaration, parameters, carriers),
+        closed_form=_closed_form(declaration, parameters, model, carriers),
         source=source,
     )
     _check_carriers_carry(robot)
@@ -221,11 +221,12 @@ def _require_closed_form(declaration: Declaration, parameters: Mapping[str, Argu
 
 
 def _closed_form(
-    declaration: Declaration, parameters: Mapping[str, Argument], carriers: tuple[str, ...]
+    declaration: Declaration, parameters: Mapping[str, Argument], model: pin.Model, carriers: tuple[str, ...]
 ) -> Literal["2rpr", "3rrr"] | None:
-    """Return the closed form that covers the robot: it has a carrier on each leg or none, and no others."""
+    """Return the closed form that covers the robot: it has a sliding carrier on each leg or none, and no others."""
     legs = len(declaration.modes.joints) if declaration.modes and parameters.get("carriers") else 0
-    return declaration.closed_form if len(carriers) == legs else None
+    turns = any("Revolute" in _joint(model, name).shortname() for name in carriers)
+    return declaration.closed_form if len(carriers) == legs and not turns else None
 
 
 def _body_of(model: pin.Model, frame: str) -> int:

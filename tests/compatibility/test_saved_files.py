@@ -78,6 +78,9 @@ def require_kept(now: Any, then: Any) -> None:
         now = as_data(now)
         assert set(then) <= set(now)
         for key, entry in then.items():
+            if key == "baseline" and entry:  # a robot with its arguments, of which there may be more by now
+                assert now[key].startswith(entry.removesuffix(")"))
+                continue
             np.testing.assert_equal(now[key], entry, err_msg=key)
     else:
         np.testing.assert_equal(as_data(now), then)

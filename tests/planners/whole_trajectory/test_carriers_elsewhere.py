@@ -247,3 +247,19 @@ def test_what_light_carriers_lack_is_said_in_numbers_that_suffice():
         rp.plan_whole_trajectory(dynamics, trajectory, dt=0.05)
     wider = 1.02 * caught.value.details["limit"]
     assert rp.plan_whole_trajectory(dynamics, trajectory, dt=0.05, acceleration=wider).status.value == "within_limits"
+
+
+@pytest.mark.long_for("2rpr")
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_carriers_on_arms_are_replayed_and_their_masses_count(name):
+    masses = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if name == "2rpr" else {}
+    motion = rp.trajectory.reference.corner() if name == "3rrr" else rp.trajectory.reference.circle(0.5)
+    robots = [rp.load_robot(name, arm_length=0.3, carrier_mass=mass, **masses) for mass in (1.0, 1.01)]
+    assert robots[0].closed_form is None
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robots[0]), motion, dt=0.05)
+    off = []
+    for robot in robots:
+        run = rp.simulate(robot, plan, dt=0.05, stop_at=())
+        off.append(np.abs(run.x - motion.evaluate(np.minimum(run.t, motion.duration)).x[: len(run.t)]).max())
+    assert off[0] < FOLLOWED
+    assert off[1] > 100 * FOLLOWED

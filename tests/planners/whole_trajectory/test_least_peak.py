@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import zoo
 from scipy.interpolate import BPoly
-from turning_carriers import two_rpr
 
 import redundancy_pin.planners.whole_trajectory.planner as planner
 import redundancy_pin.planners.whole_trajectory.solver as solver
@@ -24,9 +23,9 @@ SAME = 1e-7
 
 
 @pytest.fixture(scope="module")
-def arms(tmp_path_factory):
+def arms():
     """The 2-RPR with carriers on turning arms."""
-    return load_robot(two_rpr(tmp_path_factory.mktemp("arms")), end_effector_mass=0.5, cylinder_mass=0.3)
+    return load_robot("2rpr", arm_length=0.15, end_effector_mass=0.5, cylinder_mass=0.3)
 
 
 def problem_of(dynamics, trajectory, dt=0.05, turning=False, objective="peak", middles=True, limits=None, **settings):

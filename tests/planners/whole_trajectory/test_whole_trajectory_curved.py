@@ -12,7 +12,6 @@ import pytest
 import symbolic_mechanisms
 import symbolic_plans
 import yaml
-from turning_carriers import ARM, LIMITS, two_rpr
 
 import redundancy_pin.planners.whole_trajectory.multistart as curved
 import redundancy_pin.planners.whole_trajectory.planner as planner
@@ -32,8 +31,13 @@ from redundancy_pin.planners.base_wrench import base_wrench
 from redundancy_pin.planners.carrier_model import turning_model
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory.multistart import BALANCED
+from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
+
+ARM = 0.15
+LIMITS = {"speed": 8.0, "track": 1.2, "acceleration": 60.0}
+"""rad/s, rad and rad/s²: the machine's own."""
 
 MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
 SAME = 1e-3
@@ -41,9 +45,8 @@ SAME = 1e-3
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    """The shipped 2-RPR, its carrier joints made revolute and the masses put on arms."""
-    return load_robot(two_rpr(tmp_path_factory.mktemp("arms")), **MASSES)
+def robot():
+    return load_robot("2rpr", arm_length=ARM, **MASSES)
 
 
 @contextlib.contextmanager
@@ -81,9 +84,18 @@ def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name
 
 def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path):
     """One of each, on an oblique axis and with gravity, far from the motions that the terms are read from."""
-    mixed = two_rpr(tmp_path, "${'revolute' if name == 1 else 'prismatic'}", '"${2-name} ${across} ${across*(2-name)}"')
-    mixed.write_text(yaml.safe_dump(yaml.safe_load(mixed.read_text()) | {"gravity": [1.0, -9.0, 0.5]}))
-    robot = load_robot(mixed, **MASSES)
+    urdf, declaration = (models_root() / "2rpr" / name for name in ("2rpr.urdf.xacro", "robot.yaml"))
+    text = urdf.read_text()
+    for old, new in (
+        ("'revolute' if arm_length else 'prismatic'", "'revolute' if name == 1 else 'prismatic'"),
+        ('<axis xyz="0 0 ${along + across}"/>', '<axis xyz="${2-name} ${across} ${across*(2-name)}"/>'),
+    ):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    (tmp_path / urdf.name).write_text(text)
+    mixed = yaml.safe_load(declaration.read_text()) | {"gravity": [1.0, -9.0, 0.5]}
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(mixed))
+    robot = load_robot(tmp_path, arm_length=ARM, **MASSES)
     rng = np.random.default_rng(1)
     motion = TRAJECTORIES["circle"].sample(0.2)
     s, sd, sdd = rng.normal(size=(3, len(motion), 2)) * np.array([3.0, 10.0, 100.0])[:, None, None]
