@@ -23,7 +23,7 @@ from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declara
 from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
 from redundancy_pin.robot.formats.urdf_tree import Tree, read_tree, require_same
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot
+from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot, slides
 from redundancy_pin.robot.urdf import Argument, source_of
 
 
@@ -225,8 +225,8 @@ def _closed_form(
 ) -> Literal["2rpr", "3rrr"] | None:
     """Return the closed form that covers the robot: it has a sliding carrier on each leg or none, and no others."""
     legs = len(declaration.modes.joints) if declaration.modes and parameters.get("carriers") else 0
-    turns = any("Revolute" in _joint(model, name).shortname() for name in carriers)
-    return declaration.closed_form if len(carriers) == legs and not turns else None
+    sliding = all(slides(_joint(model, name)) for name in carriers)
+    return declaration.closed_form if len(carriers) == legs and sliding else None
 
 
 def _body_of(model: pin.Model, frame: str) -> int:
