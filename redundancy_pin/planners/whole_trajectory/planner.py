@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -211,9 +211,10 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     nodes = grid_of(task.source, instants, settings.mesh.dt)
     nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
     ratios: list[float] = []
+    kinds: Sequence[bool] = (False, True)
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
-        problem, fitted = _read(task, nodes)
+        problem, fitted, kinds = _read(task, nodes, kinds)
         last = len(ratios) >= settings.mesh.refinements
         guess, look = first_guess(problem, position, 0), None
         begun = None if fitted else draft(problem, guess, settings.solver.seconds)
@@ -247,18 +248,21 @@ def _look_between(task: Task, problem: Problem, solution: Solution) -> _Look:
     return _Look(functions, *dense_check(task.dynamics, functions, robot, nodes.t, tau, floor, limits.effort, singular))
 
 
-def _read(task: Task, nodes: Grid) -> tuple[Problem, bool]:
-    """Return the problem on a mesh, and whether it holds around parked carriers only."""
-    for turning in (False, True):
+def _read(task: Task, nodes: Grid, kinds: Sequence[bool]) -> tuple[Problem, bool, Sequence[bool]]:
+    """Return the problem on a mesh, whether it holds around parked carriers only, and what to try on the next mesh.
+
+    ``kinds``: whether to read f as that of carriers that turn, in the order to be tried.
+    """
+    for turning in kinds:
         try:
-            return read_coefficients(task, nodes, turning=turning), False
+            return read_coefficients(task, nodes, turning=turning), False, (turning, not turning)
         except UnsupportedRobotError as error:
             if "deviation" not in error.details:
                 raise
     # f has more terms than those of carriers that slide or turn, each on a link of its own
     at = np.tile(task.settings.start, (len(nodes.t), 1))
     exact = has_expressions(task.dynamics.along(task.source.sample_at(nodes.t[:1])))
-    return read_coefficients(task, nodes, CarrierMotion(at, 0.0 * at, 0.0 * at), exact=exact), not exact
+    return read_coefficients(task, nodes, CarrierMotion(at, 0.0 * at, 0.0 * at), exact=exact), not exact, ()
 
 
 def _solve(

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.planners.whole_trajectory.least_peak import least_peak, serves
+from redundancy_pin.planners.whole_trajectory.least_peak import KNOWN, UNKNOWN, least_peak, serves
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Progress, casadi
 from redundancy_pin.planners.whole_trajectory.problem import Problem, widened
 from redundancy_pin.planners.whole_trajectory.transcription import NLP, PEAK, RESERVE, scaled_bounds, transcribe
@@ -326,7 +326,7 @@ def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
     if serves(problem):
         # rows that cost nothing here, where a course that is known comes near to limits
         near = _leaves_limits(problem, problem.position(guess), CLOSE)
-        quick = _least_peak(problem, guess, widened(near, AROUND), deadline)
+        quick = _least_peak(problem, guess, widened(near, AROUND), deadline, KNOWN if "sdd" in guess else UNKNOWN)
         if quick is not None:
             return quick
     seconds = max(deadline - time.perf_counter(), LEAST_SECONDS)
@@ -334,7 +334,13 @@ def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
     return solve_nlp(nlp, guess, seconds, strategy.first[0], problem.settings.solver.progress)
 
 
-def _least_peak(problem: Problem, guess: dict[str, Array], between: BoolArray, deadline: float) -> Solution | None:
+def _least_peak(
+    problem: Problem,
+    guess: dict[str, Array],
+    between: BoolArray,
+    deadline: float,
+    slacks: tuple[float, float] = UNKNOWN,
+) -> Solution | None:
     """Solve by ``least_peak``, with limits between the nodes in some steps; None where it ends without."""
     began = time.perf_counter()
     progress = problem.settings.solver.progress
@@ -345,7 +351,7 @@ def _least_peak(problem: Problem, guess: dict[str, Array], between: BoolArray, d
             report(iteration, cost)
         return time.perf_counter() < deadline
 
-    optimum = least_peak(problem, guess, between, go_on)
+    optimum = least_peak(problem, guess, between, go_on, slacks)
     if optimum is None:
         return None
     return Solution(
