@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import DeclarationError, RedundancyPinError, UnreachablePoseError
+from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.continuation import closed_around
 from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, row_scale
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot

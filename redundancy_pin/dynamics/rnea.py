@@ -41,11 +41,11 @@ from redundancy_pin.dynamics.base import (
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
+from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import ConstraintState, constraint_system
 from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point, near_rank_loss
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
-from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values

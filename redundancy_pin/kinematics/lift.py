@@ -20,6 +20,7 @@ from redundancy_pin.kinematics.assembly import (
     project,
     rates,
 )
+from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import (
     NEAR_RANK_LOSS,
@@ -43,7 +44,6 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart
-from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range

@@ -12,8 +12,8 @@ import zoo
 from folding import folding_four_bar
 
 from redundancy_pin.kinematics.assembly import assemble, integrate
+from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.coordinates import moved
-from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.robot import Robot
 
 
