@@ -14,7 +14,7 @@ from redundancy_pin.arrays import Array, BoolArray, each, frozen, one_of, positi
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, require_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.carrier_model import Actuation, CarrierModel, require_carriers
+from redundancy_pin.planners.carrier_model import CarrierModel, require_carriers
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import ALLOWED, MARKED, SMALL, PlanFunctions, actuator_rates, dense_check
 from redundancy_pin.planners.limits import Limits, grouped
@@ -26,11 +26,9 @@ from redundancy_pin.planners.whole_trajectory.problem import (
     NEAR,
     Grid,
     SingularNode,
-    grid_of,
-    near_singular,
+    first_mesh,
     singular_node,
     widened,
-    with_middles,
 )
 from redundancy_pin.planners.whole_trajectory.solver import (
     ADAPTIVE,
@@ -168,8 +166,7 @@ def plan_time_optimal(
     unit = continuous_motion(Trajectory(path, uniform_law(path.length, path.length)))
     if lap:
         _require_closed(unit)
-    nodes = grid_of(unit, Actuation.along(dynamics, unit).singular_instants, path.length / count, ends=not lap)
-    nodes = with_middles(nodes, near_singular(dynamics, unit, nodes))
+    nodes = first_mesh(dynamics, unit, path.length / count, ends=not lap)
     judged = replace(robot, carrier_limits=resolved.of_carriers)
     given = {"begin": begin, "end": end, "datum": park, "lap": lap, "limits": resolved}
     guess: dict[str, Array] | None = None

@@ -15,7 +15,6 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, has_expressions, require_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import SMALL, DenseCheck, PlanFunctions, dense_check
 from redundancy_pin.planners.limits import LimitEvent, Limits, grouped
@@ -34,8 +33,7 @@ from redundancy_pin.planners.whole_trajectory.problem import (
     Grid,
     Problem,
     Task,
-    grid_of,
-    near_singular,
+    first_mesh,
     read_coefficients,
     steps_around,
     with_middles,
@@ -205,11 +203,9 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     ``position``: of the carriers, to begin with in place of parked ones.
     """
     began = time.perf_counter()
-    dynamics, settings = task.dynamics, task.settings
+    settings = task.settings
     report = settings.solver.progress or (lambda line: None)
-    instants = Actuation.along(dynamics, task.source).singular_instants
-    nodes = grid_of(task.source, instants, settings.mesh.dt)
-    nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
+    nodes = first_mesh(task.dynamics, task.source, settings.mesh.dt)
     ratios: list[float] = []
     kinds: Sequence[bool] = (False, True)
     while True:

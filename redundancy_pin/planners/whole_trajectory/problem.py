@@ -30,7 +30,14 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlo
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.base_wrench import BASE, BaseWrench, base_wrench, load_at_rest
-from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort, turning_model
+from redundancy_pin.planners.carrier_model import (
+    Actuation,
+    CarrierModel,
+    TimedModel,
+    carrier_model,
+    target_effort,
+    turning_model,
+)
 from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
 from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.trajectory import Side
@@ -94,14 +101,15 @@ def grid_of(source: ContinuousMotion, singular: Sequence[float], dt: float, ends
     return _grid(t, np.isin(t, on), np.zeros(len(t), dtype=bool))
 
 
-def near_singular(dynamics: Dynamics, source: ContinuousMotion, grid: Grid) -> BoolArray:
-    """Return (M − 1,) the steps near a type II singularity."""
+def first_mesh(dynamics: Dynamics, source: ContinuousMotion, dt: float, ends: bool = False) -> Grid:
+    """Return the nodes of ``grid_of``, singular instants among them, and a middle in each step beside a singularity."""
+    grid = grid_of(source, Actuation.along(dynamics, source).singular_instants, dt, ends)
     reduced = dynamics.along(source.sample_at(grid.t)).reduce()
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
     # the only singular value of a single freedom is compared with what it is elsewhere
     size = values[:, 0] if values.shape[1] > 1 else values.max()
     near: BoolArray = values[:, -1] < NEAR * size
-    return np.logical_or(near[1:], near[:-1])
+    return with_middles(grid, near[1:] | near[:-1])
 
 
 def with_middles(grid: Grid, steps: BoolArray) -> Grid:

@@ -5,10 +5,9 @@ import pytest
 import zoo
 from scipy.interpolate import BPoly
 
-import redundancy_pin.planners.whole_trajectory.planner as planner
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
-from redundancy_pin.planners.carrier_model import carrier_model, turning_model
+from redundancy_pin.planners.carrier_model import Actuation, carrier_model, turning_model
 from redundancy_pin.planners.whole_trajectory.least_peak import least_peak, serves
 from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import Task, grid_of, read_coefficients, with_middles
@@ -31,7 +30,7 @@ def arms():
 def problem_of(dynamics, trajectory, dt=0.05, turning=False, objective="peak", middles=True, limits=None, **settings):
     robot, source = dynamics.robot, continuous_motion(trajectory)
     checked = checked_settings(robot, Objective(objective), limits or Limits(), Mesh(dt, 0), **settings)
-    instants = planner.Actuation.along(dynamics, source).singular_instants
+    instants = Actuation.along(dynamics, source).singular_instants
     grid = grid_of(source, instants, dt)
     if middles:
         steps = np.zeros(len(grid.h), dtype=bool)
