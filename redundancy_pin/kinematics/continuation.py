@@ -7,7 +7,7 @@ anchors, so that a long, dense trajectory costs a few batched Newton steps and n
 
 Poses where the closures themselves lose rank (a flat four-bar whose sides add up in pairs, a stretched parallelogram)
 are crossings of branches. K is singular there, but along each branch q and Γ are smooth: the branch goes on with
-the tangent it came with. See ``carry``.
+the tangent it came with. See ``through_rank_loss``.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def follow(
             batch = max(1, batch // 4)
             continue
         if not new:
-            halved = _carried_to(system, here, poses[following])
+            halved = _point_at_rank_loss(system, here, poses[following])
             if halved is None and mode is not None:
                 beyond = _advance(system, here, poses[following : following + 1], None)
                 # a path that starts at a rank loss starts between two modes
@@ -303,7 +303,7 @@ def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, mo
     return here
 
 
-class Carried(NamedTuple):
+class PosesAtRankLoss(NamedTuple):
     """M poses at a rank loss: q (M, nq), Γ (M, nv, n), v and a (M, nv), closure residual (M,)."""
 
     q: Array
@@ -343,9 +343,9 @@ def near_rank_loss(system: ConstraintSystem) -> float:
     return min(NEAR_RANK_LOSS, _USUAL_PART * usual) if usual > 0.0 else NEAR_RANK_LOSS
 
 
-def carry(
+def through_rank_loss(
     system: ConstraintSystem, here: Point, x: Array, xd: Array, xdd: Array, along: Array | None = None
-) -> Carried | None:
+) -> PosesAtRankLoss | None:
     """Return neighbouring poses at or beside a rank loss of the closures, on the branch of a point.
 
     q, Γ and the rates are interpolated, with an error O(h⁸), between eight nodes on a line through the poses, four on
@@ -392,15 +392,15 @@ def crosses(system: ConstraintSystem, before: Point, after: Point) -> bool:
         return False
     root = moved(system.robot, before.x[None], chord * (size[0] / size.sum()))
     still = np.zeros_like(chord)
-    carried = carry(system, before, root, still, still, chord[0])
-    if carried is None:
+    beyond = through_rank_loss(system, before, root, still, still, chord[0])
+    if beyond is None:
         return False
     # all but linear on a branch that goes through zero; on one that keeps its side nothing vanishes there
-    there = np.linalg.slogdet(system.evaluate(carried.q).K)[1][0]
+    there = np.linalg.slogdet(system.evaluate(beyond.q).K)[1][0]
     return bool(there - log.max() < np.log(CONTINUITY))
 
 
-def _carried_to(system: ConstraintSystem, here: Point, target: Array) -> Point | None:
+def _point_at_rank_loss(system: ConstraintSystem, here: Point, target: Array) -> Point | None:
     """Return the point at a target where the closures lose rank; None where they do not, or no branch goes through."""
     step = here.gamma @ difference(system.robot, target[None], here.x[None])[0]
     guess = system.evaluate(integrate(system.robot.model, here.q[None], step[None]))
@@ -411,7 +411,7 @@ def _carried_to(system: ConstraintSystem, here: Point, target: Array) -> Point |
     if solution.closed[0] and solution.projection.margin[0] > near:
         return None
     still = np.zeros((1, system.robot.n))
-    result = carry(system, here, target[None], still, still)
+    result = through_rank_loss(system, here, target[None], still, still)
     return None if result is None else Point(target, result.q[0], result.gamma[0])
 
 
@@ -456,7 +456,7 @@ def _line(system: ConstraintSystem, here: Point, centre: Array, step: Array, *, 
     return _Line(centre, step, x, q, np.concatenate([first.gamma[None], inner.gamma, across.gamma]))
 
 
-def _interpolated(system: ConstraintSystem, line: _Line, x: Array, xd: Array, xdd: Array) -> Carried | None:
+def _interpolated(system: ConstraintSystem, line: _Line, x: Array, xd: Array, xdd: Array) -> PosesAtRankLoss | None:
     robot, model, count = system.robot, system.robot.model, len(_NODES)
     unit = row_scale(robot) ** 2
     away = difference(robot, x, np.repeat(line.centre[None], len(x), axis=0))
@@ -489,7 +489,7 @@ def _interpolated(system: ConstraintSystem, line: _Line, x: Array, xd: Array, xd
     product[:, len(system.rows) :] -= np.eye(robot.n)
     if gap.max() > CLOSURE_TOLERANCE or np.abs(product).max() > _CARRIED * (1.0 + np.abs(gamma).max()):
         return None
-    return Carried(q, gamma, at_poses(v), at_poses(a), gap)
+    return PosesAtRankLoss(q, gamma, at_poses(v), at_poses(a), gap)
 
 
 def reacquire(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Point] | None:

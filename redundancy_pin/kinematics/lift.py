@@ -26,13 +26,13 @@ from redundancy_pin.kinematics.continuation import (
     NEAR_RANK_LOSS,
     Anchors,
     Point,
-    carry,
     continuous,
     crosses,
     follow,
     initial_guess,
     near_rank_loss,
     reacquire,
+    through_rank_loss,
 )
 from redundancy_pin.kinematics.coordinates import (
     difference,
@@ -148,7 +148,7 @@ def lift(
         return tree
     # the guesses lie on the branch, so that all samples can be solved at once: no sample waits for the one before
     solved = _solve(system, motion, _guesses(system, motion, mark_unreachable, start), progress)
-    _carry(motion, solved, start)
+    _solve_rank_losses(motion, solved, start)
     if not mark_unreachable:
         _require_closed_and_regular(motion, solved, 0)
     good = solved.regular & _require_modes(motion, solved, start, mark=mark_unreachable)
@@ -223,7 +223,7 @@ def _solve(
     return _Lifted(system, guess, gamma, v, a, gap, margin, np.zeros(samples, dtype=bool))
 
 
-def _carry(motion: PlatformMotion, solved: _Lifted, start: Point | None) -> None:
+def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | None) -> None:
     """Replace the samples at and beside a rank loss of the closures that the branch goes through."""
     system, carried = solved.system, solved.carried
     near = (solved.gap < _ALMOST_CLOSED) & (solved.margin < NEAR_RANK_LOSS)
@@ -248,7 +248,7 @@ def _carry(motion: PlatformMotion, solved: _Lifted, start: Point | None) -> None
                 with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
                     points.append(start or point_on_branch(system, motion.x[0]))
             for point in points:
-                result = carry(system, point, motion.x[part], motion.xd[part], motion.xdd[part])
+                result = through_rank_loss(system, point, motion.x[part], motion.xd[part], motion.xdd[part])
                 if result is not None:
                     for array, new in zip(parts, result, strict=True):
                         array[part] = new

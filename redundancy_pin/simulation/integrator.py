@@ -309,7 +309,7 @@ class OrdinarySteps:
         self._code: Integration = kernel.integration(rules)
 
     def _loads(self, t: float, q: Array, v: Array) -> tuple[Array, tuple[Array, Array, Array] | None]:
-        return self._problem.machine.loads_at(t, q, v, self._hold)
+        return self._problem.machine.forces_at(t, q, v, self._hold)
 
     def take(self, progress: Progress, stretch: Stretch, hold: Command | None, record: Record) -> Progress:
         """Take the ordinary steps ahead, to the end of the stretch, or where nothing is held to the end of all."""

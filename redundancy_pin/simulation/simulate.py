@@ -151,14 +151,15 @@ def simulate(
     functions = EventFunctions(machine.chain, tuple(stop_at))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     _require_closed(machine, first)  # before it is projected, which would close any start
-    sheet = _sheet_at_start(machine, first, float(functions(first.q[None])[0, -1]))
+    ratio = functions(first.q[None])[0, functions.kinds.index("closure_rank")]
+    sheet = _sheet_at_start(machine, first, float(ratio))
     y, _, _ = machine.project(first.t, np.concatenate([first.q, first.v]), sheet)
     values = functions.at_start(y[: robot.model.nq])
     command = machine.amplifiers.command(first)
     # an ill-posed start is an error, a pose that becomes ill-posed on the way a failure with samples before it
     if sheet is None:
         machine.dynamics.adapt(first.q)
-    machine.loads(first, command, sheet)
+    machine.solve(first, command, sheet)
     problem = Problem(machine, functions, integrator, settings, int(max_steps), grid, breaks, sampling)
     record, progress = integrate(problem, y, values, command, sheet)
     parameters = {
@@ -295,7 +296,7 @@ def _simulation(machine: Machine, record: Record, end: Progress, parameters: dic
         energy[i] = machine.energy(state)
         try:
             command = machine.amplifiers.command(state) if sample.hold is None else sample.hold
-            loads = machine.loads(state, command, sample.sheet)
+            loads = machine.solve(state, command, sample.sheet)
         except (IllPosedModelError, SingularPoseError):
             continue  # a failed simulation ends there: the efforts have no accelerations
         except InputError:

@@ -124,8 +124,8 @@ class Machine:
         self.chain = self.dynamics.chain
         self.manifold = Manifold(self.chain)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
-        self._loads = tree_loads(robot)
-        self._compiled = _compiled(robot, method, carrier_law is not None)
+        self._tree_loads = tree_loads(robot)
+        self._constraint_dynamics = _constraint_dynamics(robot, method, carrier_law is not None)
         self._split = robot.model.nq
 
     def state(self, t: float, y: Array) -> State:
@@ -148,7 +148,7 @@ class Machine:
         rate = v if model.nq == model.nv else pin.tangentMap(model, q) @ v
         return np.concatenate([rate, acceleration])
 
-    def loads(self, state: State, command: Command, sheet: Sheet | None = None) -> Acceleration:
+    def solve(self, state: State, command: Command, sheet: Sheet | None = None) -> Acceleration:
         """Return accelerations and forces at a closed state under a command; raises like ``rate``."""
         force = self._force(state, command)
         solved = None
@@ -194,7 +194,7 @@ class Machine:
         """Whether the carriers' motion is given."""
         return self._law is not None
 
-    def loads_at(
+    def forces_at(
         self, t: float, q: Array, v: Array, hold: Command | None
     ) -> tuple[Array, tuple[Array, Array, Array] | None]:
         """Return what acts at a state, as machine code asks for it; the command is one that is held, or that of now.
@@ -220,19 +220,19 @@ class Machine:
         force[robot.actuated_velocity] = command[0]
         if self._law is None:
             force[robot.carrier_velocity] = command[1]
-        if of_kind(robot.loads, Wrench) and self._loads is not None:  # other loads are in the equations
-            force += self._loads.external(_tree_state(state))[:, 0]
+        if of_kind(robot.loads, Wrench) and self._tree_loads is not None:  # other loads are in the equations
+            force += self._tree_loads.external(_tree_state(state))[:, 0]
         return force if self._external is None else force + self._external(state)
 
     def energy(self, state: State) -> float:
         """Return kinetic and potential energy with that of rotors and springs, J (zero height at the world origin)."""
         energy = tree_energy(self.robot.model, self.chain.data, state.q, state.v)
-        return float(energy if self._loads is None else energy + self._loads.energy(_tree_state(state))[0])
+        return float(energy if self._tree_loads is None else energy + self._tree_loads.energy(_tree_state(state))[0])
 
     def _acceleration(self, state: State, force: Array, sheet: Sheet | None) -> Array:
         # beside a rank loss Pinocchio's solver, damped, gives an acceleration that belongs to no sheet
-        if self._compiled is not None and sheet is None:
-            return self._compiled(state.q, state.v, force)
+        if self._constraint_dynamics is not None and sheet is None:
+            return self._constraint_dynamics(state.q, state.v, force)
         given = self._given(state.t)
         if self.kernel is not None and sheet is None:
             a = self.kernel.acceleration(state.q, state.v, force, given)
@@ -251,7 +251,7 @@ def _tree_state(state: State) -> TreeState:
     return TreeState(state.q[None], state.v[None], 0.0 * state.v[None], wrenches)
 
 
-def _compiled(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics | None:
+def _constraint_dynamics(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics | None:
     one_of(method, "method", get_args(Method))
     if method == "projected":
         return None

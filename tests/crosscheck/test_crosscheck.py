@@ -157,7 +157,7 @@ def test_small_margins_throughout_are_no_rank_loss():
 )
 def test_cassie_is_checked_in_bounded_time(monkeypatch, name):
     """Twenty draws at most, no rank loss crossed, and every check has states."""
-    monkeypatch.setattr(continuation, "carry", lambda *_, **__: pytest.fail("a rank loss"))
+    monkeypatch.setattr(continuation, "through_rank_loss", lambda *_, **__: pytest.fail("a rank loss"))
     report = crosscheck.run([str(CASSIE / f"{name}.sdf")], samples=2)
     assert report.passed
     assert {row.check for row in report.rows if not row.note} == {"power balance (rnea)", "inverse -> forward (rnea)"}
