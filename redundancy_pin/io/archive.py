@@ -37,8 +37,7 @@ from numpy.typing import NDArray
 from redundancy_pin.arrays import read_only
 from redundancy_pin.errors import InputError, OutputError, PlanFileError, RedundancyPinError, shortened, shown
 from redundancy_pin.io.files import refusing, replacing_file
-from redundancy_pin.io.json_text import read_json
-from redundancy_pin.io.reading import opened
+from redundancy_pin.io.reading import opened, read_json
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 """Arrays by their name in the archive."""

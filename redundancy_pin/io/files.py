@@ -19,8 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from redundancy_pin.errors import OutputError, shortened
-from redundancy_pin.io.json_text import LARGEST_TEXT, read_json
-from redundancy_pin.io.reading import read_text
+from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 
 MANIFEST = "summary.json"
 """File of a results folder that lists, under the key ``io.files``, everything the folder holds."""

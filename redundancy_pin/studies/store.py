@@ -19,7 +19,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import redundancy_pin
 from redundancy_pin.errors import OutputError, shortened, shown
 from redundancy_pin.io.files import expanded, require_writable
-from redundancy_pin.io.json_text import read_json
+from redundancy_pin.io.reading import read_json
 from redundancy_pin.workers import ready
 
 FILE = "store.sqlite"

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, checked, positive
 from redundancy_pin.errors import InputError, shown
-from redundancy_pin.io.json_text import LARGEST_TEXT, read_json
-from redundancy_pin.io.reading import read_text
+from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory.csv_file import checked_poses, table_of_csv
 from redundancy_pin.trajectory.paths import Path, with_constant

@@ -20,7 +20,7 @@ import pytest
 from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.io import archive
 from redundancy_pin.io.archive import read_archive, write_archive
-from redundancy_pin.io.json_text import LARGEST_TEXT, MOST_LISTS
+from redundancy_pin.io.reading import LARGEST_TEXT, MOST_LISTS
 
 SOON = 10.0
 """Seconds of the processor after which a refusal hangs; how long it takes is in the test in a process of its own."""

@@ -29,7 +29,7 @@ from random_plans import difference
 import redundancy_pin as rp
 from redundancy_pin.cli.plan_problem import read_problem
 from redundancy_pin.errors import InputError
-from redundancy_pin.io.json_text import read_json
+from redundancy_pin.io.reading import read_json
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.robot import Robot

@@ -10,7 +10,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from redundancy_pin.io.json_text import DEEPEST, LARGEST_TEXT, MOST_LISTS, read_json
+from redundancy_pin.io.reading import DEEPEST, LARGEST_TEXT, MOST_LISTS, read_json
 
 VALUES = st.recursive(
     st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text()),
