@@ -2,14 +2,14 @@
 
 Points are found by bounds (ε-constraint): y is minimised while x may not exceed a bound, for bounds from the least x
 (or a thousandth of the largest, where that is more) to what x is where nothing but y counts. Unlike weights that finds
-concave parts of a front as well.
+concave parts of a front as well. Where y is least without any x, the front is that one point.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,6 +44,9 @@ _SPAN = 1e-3
 
 _ANY = 1e6
 """A bound that bounds nothing, over the value of the other end: it makes the plan report the quantity."""
+
+_NOTHING = 1e-12
+"""Of the size of an objective, below which it is zero and not rounding. Most are squares."""
 
 _DOMINATED = 1e-6
 """Relative difference that counts as rounding."""
@@ -143,6 +146,8 @@ def trade_off(
         varied = [
             replace(least_y, name=f"{case.name}-{x}-{bound:.4g}").with_options(at_most={x: bound}) for bound in bounds
         ]
+        if high == 0.0:  # y is least where there is nothing of x: the front is that point
+            bounds, varied = [0.0], [ends[1]]
     made.prepare([(one, by) for one in varied], jobs, tell)
     records = [_record(one, made.outcome(one, by), x, y, bound, by) for one, bound in zip(varied, bounds, strict=True)]
     if all(record["reason"] is not None for record in records):
@@ -168,8 +173,9 @@ def _shared(case: Case, x: str, share: float) -> Case:
 
 
 def _value(plan: Plan, name: str) -> float:
-    values: Any = plan.diagnostics["objective"]
-    return float(values[name])
+    values, sizes = (plan.diagnostics[key] for key in ("objective", "objective_size"))
+    value, size = (float(of[name]) for of in (values, sizes))  # type: ignore[index]
+    return value if abs(value) > _NOTHING * size else 0.0
 
 
 def _record(case: Case, outcome: Plan | InfeasiblePlanError, x: str, y: str, bound: float, backend: str) -> Record:

@@ -124,3 +124,19 @@ def test_bad_input_is_named(x: str, y: str, more: dict[str, object], message: st
 def test_a_motion_without_a_speed_keeps_its_time() -> None:
     with pytest.raises(InputError, match="no one speed"):
         trade_off(replace(CASE, path_options=options(radius=0.025)), "time", "effort", points=2)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "ends"),
+    [("effort", "carrier_acceleration", (None, 0.0)), ("peak", "effort", (0.0, 0.0)), ("track", "effort", (None, 0.0))],
+)
+def test_fronts_that_end_in_zero(x: str, y: str, ends: tuple[float | None, float]) -> None:
+    """Massless, with a free end, the 2-RPR can move without any effort, and its carriers can stand still."""
+    line = options(points=[[0.1, 0.45], [0.4, 0.25]], speed=0.3, ramp_time=0.3)
+    wide = options(refinements=0, end="free", acceleration=50.0, speed=10.0, track=(-1.0, 1.0))
+    result = trade_off(Case("line", "2rpr", "points", line, "whole_trajectory", wide, dt=0.05), x, y, points=2)
+    assert not any(point["dominated"] for point in result.points)
+    assert result.points[-1]["y"] == ends[1]
+    if ends[0] is not None:
+        assert {(point["x"], point["y"]) for point in result.points} == {ends}
+    result.draw()

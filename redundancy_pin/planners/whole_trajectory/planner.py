@@ -39,7 +39,7 @@ from redundancy_pin.planners.whole_trajectory.problem import (
     with_middles,
 )
 from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, Solution, draft, exceeds_force, solve
-from redundancy_pin.planners.whole_trajectory.transcription import objective_values
+from redundancy_pin.planners.whole_trajectory.transcription import objective_sizes, objective_values
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -322,6 +322,7 @@ def _plan(task: Task, result: Multistart, look: _Look) -> Plan:
             "costs": starts["costs"],
             "solver_messages": starts["messages"],
             "objective": objective_values(problem, solution.values),
+            "objective_size": objective_sizes(problem),
             "fits": [outcome.fits for outcome in result.outcomes if outcome.fits],
             "nodes": len(nodes.t),
             "singular_instants": np.unique(nodes.t[nodes.singular]).tolist(),

@@ -385,6 +385,12 @@ def objective_values(problem: Problem, values: dict[str, Array]) -> dict[str, fl
     return {name: float(OBJECTIVES[name].formula(quantities)) for name in named}
 
 
+def objective_sizes(problem: Problem) -> dict[str, float]:
+    """Return the size that each weighted or bounded objective is divided by, in its unit."""
+    named = {**problem.settings.objective, **problem.settings.at_most}
+    return {name: float(OBJECTIVES[name].size(problem.scales)) for name in named}
+
+
 def transcribe(
     problem: Problem, elastic: Sequence[str] = (), between: Sequence[BoolArray] | None = None, limit_force: bool = True
 ) -> NLP:

@@ -193,7 +193,8 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
                 stroke = STROKES[1 + names.index(name)]
                 panel.plot([acceleration], [effort], linestyle="none", marker=stroke.marker, color=stroke.color,
                            markersize=7, label=name)  # fmt: skip
-            log_scale(panel)
+            if (np.array([*curve.points, *curve.marks.values()]) > 0.0).all():  # a front may end in zero
+                log_scale(panel)
             panel.set_title(textwrap.fill(curve.title, _LETTERS), fontsize=9)
             panel.set(xlabel=curve.labels[0], ylabel=curve.labels[1] or f"rms of |τ| [{curve.unit}]")
         handles = {line.get_label(): line for panel in panels for line in panel.lines}
