@@ -57,7 +57,7 @@ class _Finder:
 
     def exec_module(self, module: ModuleType) -> None:
         new = _new_name(module.__name__)
-        if new is None:  # find_spec has seen to it
+        if new is None:  # find_spec offers only names it knows
             raise ImportError(f"{module.__name__} has not moved.")
         warnings.warn(f"{module.__name__} is now {new}.", DeprecationWarning, stacklevel=2)
         # the import system hands out what stands in sys.modules after this

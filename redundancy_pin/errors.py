@@ -47,7 +47,7 @@ def _rebuild(
 def shown(value: object) -> str:
     """Return ``repr(value)`` for a message, cut short where it would be long.
 
-    Values come from files nobody vouches for: a few aliases in YAML make one of any size, so it must not be written
+    Values come from untrusted files: a few aliases in YAML make one of any size, so it must not be written
     out before it is cut.
     """
     try:
@@ -138,7 +138,7 @@ class WorkingModeError(RedundancyPinError):
 
 
 class CarrierLimitError(RedundancyPinError):
-    """A carrier is asked to leave its track or to exceed a limit; carries carrier, sample and amount."""
+    """A carrier would leave its track or exceed a limit; carries carrier, sample and amount."""
 
 
 class UnsupportedRobotError(RedundancyPinError):

@@ -112,7 +112,7 @@ def load_with(
 
 @dataclass(frozen=True)
 class _Request:
-    """What is asked of a robot; compared as it is written, for 1, 1.0 and True are three arguments of xacro."""
+    """A request for a robot; compared as written, since 1, 1.0 and True are three arguments of xacro."""
 
     path: Path
     written: str
@@ -278,7 +278,7 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
     guess = np.array(robot.q_reference)
     columns = _columns(robot.model, declaration.reference.guess)
     if target is None:
-        # nothing prescribes where it is: the nearest closed configuration of all joints, kept as it is found
+        # no pose is prescribed: the nearest closed configuration of all joints is kept
         q = closed_near(robot, guess)
         gap, closed = 0.0, bool(in_working_mode(robot, q[None])[0])
     else:

@@ -83,7 +83,7 @@ def show(
         motion = default_motion(shown) if motion is None else motion
         require_sampled(motion)
         carriers = CarrierMotion.parked(len(motion), shown.k) if carriers is None else carriers
-        # a picture may be one of poses, whose rates nobody has
+        # a picture may be one of poses, without rates
         poses = PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
         reduced = RneaDynamics(shown).reduce(poses, carriers)
         efforts = distribute(reduced)

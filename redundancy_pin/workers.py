@@ -152,7 +152,7 @@ def _settle(parent: int) -> None:
     if threading.current_thread() is threading.main_thread():
         # Ctrl-C reaches the whole group of processes, and the parent ends its workers itself
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # a parent that is killed can tell nobody to end, and loky's workers would wait for work for minutes
+    # a parent that is killed cannot end its workers, and loky's workers would wait for work for minutes
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 

@@ -28,7 +28,7 @@ BAD_INPUT = 2  # exit code where the command could not run on what it was given
 _NO_ENGLISH = ("dt", "lam")
 # names of parameters that are also words given to another one, here to the objective
 _VALUES = ("carrier_force",)
-_REWORDED = "reworded"  # detail of an error that is in the user's words already: the outer wording leaves it alone
+_REWORDED = "reworded"  # detail of an error already reworded for the user: outer wordings leave it alone
 # the part of a remedy that only the command with --unreachable can follow
 _MARKED = re.compile(r", or (?:pass unreachable=|ask for unreachable samples).*$")
 
@@ -62,7 +62,7 @@ class Wording:
     def reword(self, error: RedundancyPinError) -> RedundancyPinError:
         """Return an error of the same kind that says the same in these words.
 
-        Once it is in the user's words it is left alone further up.
+        Once reworded it is left alone further up.
         """
         if _REWORDED in error.details:
             return error

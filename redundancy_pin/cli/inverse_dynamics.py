@@ -69,8 +69,8 @@ def inverse_dynamics(
     The result has the columns t, tau0, ..., carrier_force0, ..., status, margin, residual. Where no finite effort
     exists tau is nan and the status says why.
 
-    What the samples do not show is said as well: singularities between them, and joints that leave their limits. The
-    exit code is 3 where no finite effort exists, at a sample or between two, 4 where the motion cannot
+    What the samples do not show is reported as well: singularities between them, and joints that leave their limits.
+    The exit code is 3 where no finite effort exists, at a sample or between two, 4 where the motion cannot
     be followed between its samples.
 
     \b
@@ -167,7 +167,7 @@ class _Sampled:
 
 
 class _Whole:
-    """What is said of a motion that came in blocks."""
+    """The summary of a motion that came in blocks."""
 
     def __init__(self) -> None:
         self.samples, self.without, self.first_without, self.unresolved = 0, 0, "", ""

@@ -153,7 +153,7 @@ def progress(title: str) -> Iterator[Advance]:
     What is yielded takes steps done, steps in all, and what is being done.
     """
     if not (_is_terminal(sys.stderr) and _is_terminal(sys.stdout)):
-        yield lambda done, total, what: None  # nobody looks at it: a bar in a log file is noise
+        yield lambda done, total, what: None  # not a terminal: a bar in a log file is noise
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

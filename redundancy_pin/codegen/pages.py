@@ -20,7 +20,7 @@ from redundancy_pin.kinematics.coordinates import is_revolute, mode_name, row_sc
 from redundancy_pin.robot import Robot
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
-"""Generated functions that ``driver.c`` and ``controller.c`` call; a static one that nobody calls is a warning."""
+"""Generated functions that ``driver.c`` and ``controller.c`` call; a static one without a caller is a warning."""
 
 
 def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:

@@ -50,7 +50,7 @@ class ReducedDynamics(Frozen):
         row_scale: (n,) the characteristic length for rotations, 1 for translations: dividing row i of W and f by it
             turns moments into forces.
         column_scale: (m,) the characteristic length for revolute actuators, 1 for prismatic ones.
-        out_of_range: (N,) whether some joint is beyond its range, passive ones too; None where nobody looked.
+        out_of_range: (N,) whether some joint is beyond its range, passive ones too; None where that was not checked.
     """
 
     t: Array
@@ -316,7 +316,7 @@ def _each(still: Array, part: ArrayLike) -> ArrayLike:
 
 
 def _stacked(part: ArrayLike) -> ArrayLike:
-    """Return one sample as one of many; what is wrong with it is said by the motion."""
+    """Return one sample with a leading axis of length one; ``PlatformMotion`` checks it."""
     return cast(ArrayLike, [part])
 
 

@@ -49,8 +49,9 @@ class SampleStatus(Labelled):
     UNREACHABLE = 6
     """No configuration closes the chains, so there is no W and no f."""
     OUT_OF_RANGE = 7
-    """W τ = f has the solution that is returned, but a joint is beyond its range: nobody can be there. It stands in
-    for the three statuses with a solution, whose margin and rank are still given; those without one come first."""
+    """W τ = f has the solution that is returned, but a joint is beyond its range: the pose cannot be reached. It
+    stands in for the three statuses with a solution, whose margin and rank are still given; those without one come
+    first."""
 
     @property
     def solved(self) -> bool:

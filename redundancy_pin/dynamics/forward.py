@@ -96,7 +96,7 @@ class Feedback:
     """Efforts less K(t) δz, where δz is (x, s, ẋ, ṡ) less a course, as ``simulation.derivatives.state_error`` has it.
 
     With ``scale`` K gives accelerations, planned ones less K δz are wanted, and efforts bring them up like those of
-    ``dynamics.allocation.allocate``. Where these pass the limits, or do not exist, ``Rules.loads`` is asked.
+    ``dynamics.allocation.allocate``. Where these pass the limits, or do not exist, ``Rules.loads`` is called.
 
     Attributes:
         efforts: polynomials of main efforts and carrier forces.
@@ -104,7 +104,7 @@ class Feedback:
         gain: ((m + k) 2d) of K, row by row; (d 2d) with ``scale``.
         limits: (m + k,) of what it commands, infinite for none.
         scale: (m + k,) τ̂ and â of the allocation.
-        robot: whose equations the allocation takes; of any other machine it is asked in Python.
+        robot: whose equations the allocation takes; for any other machine it runs in Python.
     """
 
     efforts: Polynomials

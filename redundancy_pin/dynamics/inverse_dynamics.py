@@ -33,7 +33,7 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 _CONSISTENT = 1e-3
 """Fraction of f outside the range of W that counts as none at an instant between samples: rates and accelerations are
-interpolated there. Efforts that this asks for exceed f only where the margin is below it, for as long as that lasts."""
+interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long as that lasts."""
 
 _AT_INSTANT = 1e-7
 """Rank tolerance there: instants are exact to rounding where the margin goes through zero, to its root where it only
@@ -53,7 +53,7 @@ class EffortStatus(Enum):
     UNBOUNDED_EFFORT = "unbounded_effort"
     """No finite efforts exist at a sample, or at a singularity between two: see ``efforts.status``, ``instants``."""
     UNRESOLVED = "unresolved"
-    """The motion cannot be followed between its samples, so that nobody knows: see ``unresolved``."""
+    """Not known, since the motion cannot be followed between its samples: see ``unresolved``."""
 
 
 @dataclass(frozen=True, eq=False)

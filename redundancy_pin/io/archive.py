@@ -302,7 +302,7 @@ def _read_arrays(path: Path, word: str) -> Arrays:
                 members = archive.infolist()
                 _require_sound(members, size)
                 return {member.filename.removesuffix(".npy"): _read_array(archive, member) for member in members}
-        except Exception as error:  # bytes that nobody vouches for: zip, zlib and numpy raise a dozen kinds
+        except Exception as error:  # untrusted bytes: zip, zlib and numpy raise a dozen kinds
             reason = shortened(" ".join(str(error).split()) or type(error).__name__)
             raise _damaged(path, word, f"its {size} bytes are no complete archive of arrays ({reason})") from error
 

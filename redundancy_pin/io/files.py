@@ -26,9 +26,9 @@ MANIFEST = "summary.json"
 
 # What a name that is too long, a NUL in it, and a loop of links raise
 _BAD_NAME = (OSError, ValueError, RuntimeError)
-# Names of their own, so that nobody else's files are taken for leftovers; the second holds an earlier folder of results
+# Names of their own, so that no other files are taken for leftovers; the second holds an earlier folder of results
 _TEMPORARY, _EARLIER = ".redundancy_pin-", ".redundancy_pin_earlier-"
-# What network file systems without locks answer: leftovers stay there, as nobody knows whose they are
+# What network file systems without locks answer: leftovers stay there, as their owner is not known
 _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
 _LONGEST_NAME = 150  # bytes of a folder's name in that of its earlier version, which must not get too long for a name
 
@@ -291,7 +291,7 @@ def _swap(new: Path, target: Path) -> None:
             os.replace(new, target)
             return
         require_replaceable(target)  # once more: something may have been put there meanwhile
-        # locked, so that nobody restores it between the two renames; a lock stays with a folder that is renamed
+        # locked, so that no writer restores it between the two renames; a lock stays with a folder that is renamed
         lock = _lock(target, wait=True)
         try:
             old = Path(tempfile.mkdtemp(prefix=_earlier(target), dir=target.parent))

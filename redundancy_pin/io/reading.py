@@ -1,4 +1,4 @@
-"""Reading files that nobody vouches for: what is no file, too large, or no text is refused before it is read.
+"""Reading untrusted files: what is no file, too large, or no text is refused before it is read.
 
 And the one reader of JSON: of bounded size and depth, each key once, and nothing that cannot be written again.
 """

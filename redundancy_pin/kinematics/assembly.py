@@ -271,7 +271,7 @@ class _Reached(NamedTuple):
 
 
 def _line_search(equations: _Equations, q: Array, step: Array, residual: Array, shortest_step: float) -> _Reached:
-    """Halve the step where it does not shorten the residual; a step at rounding level is taken as it is."""
+    """Halve the step where it does not shorten the residual; a step at rounding level is taken whole."""
     system = equations.system
     size = np.linalg.norm(residual, axis=1)
     longest = np.abs(step).max(axis=1, initial=0.0)

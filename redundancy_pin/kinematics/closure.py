@@ -366,7 +366,7 @@ class ConstraintSystem:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
         pose, r, world = self.tree.pose(q), len(self.rows), np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))
         vectors = []
-        for name, origin in (*pose.frame_origin.items(), ("", world[:, 0])):  # nobody asks for the world's origin
+        for name, origin in (*pose.frame_origin.items(), ("", world[:, 0])):  # the world's origin is not needed
             axes = pose.frame_rotation.get(name, world)
             vectors += [axes[:, 0], axes[:, 1], axes[:, 2], origin]
         rows = self.all_rows.place_many(vectors, q.T)

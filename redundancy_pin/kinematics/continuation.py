@@ -69,7 +69,7 @@ by one."""
 class Point(NamedTuple):
     """One solved pose: coordinates (n,) or a pose (4, 4), configuration (nq,), Γ (nv, n), and the sign of det K.
 
-    The sign is zero where K is singular, or where nobody asks for it.
+    The sign is zero where K is singular, or where it is not needed.
     """
 
     x: Array
@@ -204,7 +204,7 @@ def _between_anchors(system: ConstraintSystem, x: Array, anchors: Anchors, left:
     span = configuration_difference(model, anchors.q[left], anchors.q[right])
     both = anchors.valid[left] & anchors.valid[right]
     step = np.where(both[:, None], _cubic(u, span, slope_left, slope_right) + across, 0.0)
-    # where the branch is found again behind a gap, the far side of the gap says nothing
+    # where the branch is found again behind a gap, the far side of the gap is no evidence
     base = np.where(~anchors.valid[left] & anchors.valid[right], right, left)
     return integrate(model, anchors.q[base], step)
 

@@ -30,7 +30,7 @@ STAYS_CLOSED = 1e-8
 """m, or rad: how far the rows that are left out may open. Newton leaves 1e-11; the false ones open by 1e-3 and more."""
 
 _ROUNDED = 2e-5
-"""m, or rad: how far they may open where a file's numbers are rounded, which is said: axes that are parallel but for
+"""m, or rad: how far they may open where a file's numbers are rounded, with a note: axes that are parallel but for
 five digits of π/2 (1.5708) open by 5e-6."""
 
 _REDUNDANT = 1e-6

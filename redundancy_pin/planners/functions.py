@@ -182,7 +182,7 @@ MARKED = 1.02
 """Ratio from which a piece is named once any exceeds what is accepted: a grid is refined there."""
 
 SMALL = 1e-3
-"""Efforts below this fraction of what f asks for count as zero here."""
+"""Efforts below this fraction of those that f takes count as zero here."""
 
 PIECE_DEGREE = 5
 """Of efforts and forces in a piece, which is halved where that does not resolve them."""
@@ -236,7 +236,7 @@ class DenseCheck:
         time: (m,) when, s.
         force_peak: (k,) largest force of each carrier's actuator, N.
         ratio: largest |τ| of the motion over the largest at the samples, at least 1; of an actuator whose limit is
-            below that, over its limit. Efforts that are nothing beside what f asks for count as equal.
+            below that, over its limit. Efforts that are negligible beside those that f takes count as equal.
         points: number of points at which the dynamics were evaluated.
     """
 
@@ -410,7 +410,7 @@ def actuator_rates(dynamics: Dynamics, platform: ContinuousMotion, t: Array) -> 
 
 
 def least_effort(reduced: ReducedDynamics) -> float:
-    """Return the effort below which efforts count as zero, N or N·m: a fraction of what f asks for."""
+    """Return the effort below which efforts count as zero, N or N·m: a fraction of those that f takes."""
     needed = float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
     largest = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
     return SMALL * needed / max(float(np.median(largest)), np.finfo(float).tiny)

@@ -49,7 +49,7 @@ class Limits(Frozen):
     effort: ArrayLike | None = None
 
     def resolved(self, robot: Robot) -> ResolvedLimits:
-        """Return them as arrays, with the robot's own where nothing else is said.
+        """Return them as arrays, with the robot's own by default.
 
         Raises:
             InputError: a limit that is not positive, a track whose ends are not in order, wrong shapes.

@@ -237,7 +237,7 @@ class Plan(Frozen):
             functions = replace(functions, platform=platform)
         write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions, robot=robot))
 
-    # Files of other programs; ``planners.export`` says what is in them, and is imported where one is asked for.
+    # Files of other programs; ``planners.export`` says what is in them, and is imported where it is needed.
 
     def table(
         self, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None

@@ -104,7 +104,7 @@ def robot_of_tree(
 ) -> Robot:
     """Return the robot that a declaration makes of a Pinocchio tree, its names and roles checked.
 
-    Of the ``couplings`` of the model those count of whose joints the declaration says nothing else. ``start`` (nq,) is
+    Of the ``couplings`` of the model those count whose joints the declaration does not mention. ``start`` (nq,) is
     where joints are that the declaration's guess does not name; neutral when left out.
 
     Raises:

@@ -147,7 +147,7 @@ def _independent(given: Any) -> dict[str, Any]:
 
 
 def _make_link(model: pin.Model, name: Any) -> None:
-    """Let a frame of another type be found as a link; nothing where there is none, which is said later."""
+    """Let a frame of another type be found as a link; a missing one is reported later."""
     if not isinstance(name, str) or model.existFrame(name, pin.FrameType.BODY) or not model.existFrame(name):
         return
     frame = model.frames[model.getFrameId(name)]

@@ -113,7 +113,7 @@ def simulate(
             make no difference.
 
     Returns:
-        A ``Simulation``. What goes wrong on the way is said by its status: an event at which it stopped, or a failure
+        A ``Simulation``. Its status tells what went wrong on the way: an event at which it stopped, or a failure
         with its reason, the samples before it kept.
 
     Raises:

@@ -197,7 +197,7 @@ class Machine:
     def forces_at(
         self, t: float, q: Array, v: Array, hold: Command | None
     ) -> tuple[Array, tuple[Array, Array, Array] | None]:
-        """Return what acts at a state, as machine code asks for it; the command is one that is held, or that of now.
+        """Return the forces at a state, for machine code; the command is the one on hold, or that of this instant.
 
         NaN where there is no answer. Carriers are put into q and v where their law wants them.
         """

@@ -178,7 +178,7 @@ def workspace(
 
 
 def _modes(robot: Robot, modes: Sequence[Sequence[int]] | str) -> tuple[tuple[int, ...], ...]:
-    """Return the working modes that are asked for."""
+    """Return the working modes to be mapped."""
     if isinstance(modes, str):
         one_of(modes, "modes", ("own", "all"))
         return (robot.working_mode,) if modes == "own" else tuple(all_working_modes(robot))

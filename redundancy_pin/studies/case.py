@@ -62,7 +62,7 @@ PLANNERS: Mapping[str, Callable[..., Plan]] = {
 """Planners by the name the command line uses."""
 
 Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory"]
-"""What moves the carriers: nobody as there are none, nobody as they stay at s = 0, or a planner."""
+"""What moves the carriers: none, as there are none; nothing, as they stay at s = 0; or a planner."""
 
 
 PATHS = ("circle", "line", "corner", "square")
@@ -130,7 +130,7 @@ class Case:
         arguments: xacro arguments of the robot.
         dt: sampling interval, time step or largest step between nodes, s.
         two_sided: whether a stepwise plan sees instants at which the acceleration jumps from both sides.
-        title: of the motion, for people.
+        title: of the motion, for tables and figures.
         gravity: (3,) m/s²; as declared when left out.
         limits: of the carriers in place of the robot's own: "stroke" (length of every track, about its middle),
             "max_speed", "max_acceleration", "max_carrier_force"; m, s, N.

@@ -99,7 +99,7 @@ class MotionRun:
         """(m,) largest |τ| over the regular samples, N or N·m.
 
         Towards a singularity at which efforts are unbounded this is a value at the edge of the near-singular window and
-        says nothing about the machine; ``statement`` says so.
+        tells nothing about the machine; ``statement`` says so.
         """
         regular = self.distribution.status == SampleStatus.REGULAR
         largest: Array = np.abs(self.distribution.tau[regular]).max(axis=0, initial=0.0)

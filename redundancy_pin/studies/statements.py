@@ -107,12 +107,12 @@ class Grid:
 
     @property
     def parameter(self) -> str:
-        """What is varied, for people."""
+        """What is varied, in words."""
         return " and ".join(_PARAMETERS[name][0] for name in self.values)
 
     @property
     def shown(self) -> str:
-        """The values, for people."""
+        """The values, as text."""
         modes = self.values.get("working_mode")
         return f"{len(modes)} modes" if modes else "; ".join(_quantity(*pair) for pair in self.values.items())
 

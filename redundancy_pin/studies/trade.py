@@ -34,7 +34,7 @@ BOUNDED = (*MINIMISED, "track", "time")
 """What may be bounded: objectives, the length of the tracks, and the duration of the motion."""
 
 _SHARES = {"track": (0.1, 1.0), "time": (0.6, 2.0)}
-"""Of the machine's own tracks, and of the motion's own duration, where nothing else is said."""
+"""Of the machine's own tracks, and of the motion's own duration, by default."""
 
 _LEAST = 5e-3
 """Fraction above the least x at which the front begins: at it the carriers have no choice left."""

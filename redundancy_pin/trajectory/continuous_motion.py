@@ -140,7 +140,7 @@ class ContinuousMotion(Frozen):
 def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMotion:
     """Return a trajectory or a sampled motion as a function of time.
 
-    A trajectory is asked for its own exact motion. Between the samples of a motion stands the quintic that matches
+    A trajectory gives its own exact motion. Between the samples of a motion stands the quintic that matches
     x, ẋ, ẍ at both ends; its acceleration is off by O(Δt⁴). Where samples are so dense that the rounding of x shows in
     it, velocity and acceleration are those of the cubic that matches ẋ and ẍ, off by O(Δt³). Of poses these are
     polynomials of the origin and of the quaternion.

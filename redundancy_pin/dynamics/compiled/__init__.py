@@ -137,7 +137,7 @@ class CompiledDynamics(Dynamics):
         *,
         t: float = 0.0,
     ) -> Sample:
-        """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop asks for.
+        """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop needs.
 
         As ``Dynamics.sample``. Newton's method starts from the sample that this thread asked for before, and from the
         reference where that is too far away; ``along`` and ``reduce`` follow a whole motion, check tracks, and say what

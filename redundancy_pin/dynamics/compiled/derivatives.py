@@ -346,7 +346,7 @@ def _block(functions: _Functions, x: Array, q: Array, v: Array, a: Array, extern
     trig = chain.trig_at(q)
     K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(functions.motion, q, trig, x, v, a, external)
     inverse: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
-    # (q, v, a): the platform's rows are what is asked for, the closures' stay shut
+    # (q, v, a): the platform's rows are prescribed, the closures stay shut
     right = np.zeros((3, samples, p, width))
     for order, columns in enumerate((by_x, by_xd, by_xdd)):
         right[order, :, r:, columns] = np.eye(n)

@@ -1,6 +1,6 @@
 """C99 from casadi's expressions: one assignment an operation, nothing else.
 
-casadi's own generator brings a runtime along and parameters that nobody uses. Here a function is
+casadi's own generator adds a runtime and unused parameters. Here a function is
 
     void name(const double *const *arg, double *const *res)
 

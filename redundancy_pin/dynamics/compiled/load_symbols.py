@@ -66,7 +66,7 @@ class LoadSymbols:
             add(self._body(spring.frame_b), b, -force, self.ca.SX.zeros(3))
 
     def in_joint(self, index: int, own: tuple[SX, SX, SX], axis: SX, spin: SX, turn: SX) -> tuple[SX, SX]:
-        """Return the effort that a joint asks for, and the moment (3) that its rotors ask of the link before it.
+        """Return the effort that a joint takes, and the moment (3) that its rotors take from the link before it.
 
         Args:
             index: the joint.

@@ -260,7 +260,7 @@ def braked_speeds(speed: Array, braking_time: Array, elapsed: Array) -> Array:
 
 
 def braking_times(speed: Array, room: Array, deceleration: Array, wanted: float) -> Array:
-    """Return (k,) the time, s, each carrier takes to stop: as wanted, sooner where the track asks for it.
+    """Return (k,) the time, s, each carrier takes to stop: as wanted, sooner where the track ends before.
 
     Never below |v|/a, even where the ``room`` (k,) to the end of the track, m, is too short for it.
     """

@@ -5,7 +5,7 @@ Where they cannot act in some direction, nothing may be left there. The motion i
 a uniform grid, which makes f(s, ṡ, s̈) = W τ_ref k nonlinear equations for the k positions (Parsa 2014, eqs 3.5 and
 3.6). They are solved exactly, so every sample is in balance; but the speed is that of half a step earlier and the
 acceleration that of a whole step, an error of first order. The first sample after switch-on, on the return polynomial,
-asks for efforts in one step: a jump in proportion to the step. It is here to reproduce the thesis and to show where its
+needs efforts in one step: a jump in proportion to the step. It is here to reproduce the thesis and to show where its
 jumps come from.
 """
 
@@ -221,7 +221,7 @@ def _unbounded(
     near = [instant for instant in lost if instant.t >= stuck.t]
     farthest = int(np.argmax(np.abs(stuck.s)))
     if abs(stuck.s[farthest]) > _RUNAWAY:
-        # what is left of the equation there is rounding of huge terms, and says nothing
+        # what is left of the equation there is rounding of huge terms
         return InfeasiblePlanError(
             f"Carrier {farthest + 1} runs away with the main actuators off: at t = {stuck.t:.6g} s it would be at "
             f"{stuck.s[farthest]:.3g} m with {stuck.sd[farthest]:.3g} m/s.",

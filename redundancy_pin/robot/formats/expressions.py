@@ -336,7 +336,7 @@ def _what(node: ast.AST) -> str:
 
 
 def _shown(value: object) -> str:
-    """Return a value as it is shown in a message, short whatever its size."""
+    """Return the text of a value for a message, short whatever its size."""
     if isinstance(value, str):
         return repr(value if len(value) < 60 else value[:57] + "...")
     return str(value) if isinstance(value, (bool, float, Function)) or value is None else f"a {type(value).__name__}"

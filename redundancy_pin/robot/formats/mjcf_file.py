@@ -1,4 +1,4 @@
-"""MJCF as it is written: files that include others, classes of defaults, numbers and orientations of attributes.
+"""The syntax of MJCF: files that include others, classes of defaults, numbers and orientations of attributes.
 
 What a file says and this reader does not know is refused, by name, file and line: a word that is passed over may be one
 that moves a body.
@@ -130,7 +130,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Part:
-    """An element with its defaults: what a reader asks for attributes."""
+    """An element with its defaults: a reader takes attributes from it."""
 
     files: Included
     element: Element

@@ -117,7 +117,7 @@ def _row(joint: JointEntry, axes: tuple[str, ...]) -> list[JointEntry]:
 
 
 def _limits(joint: JointEntry) -> Mapping[str, float]:
-    """Return the limits of a joint; none of position where the file says 0 and 0, as where it says nothing."""
+    """Return the limits of a joint; none of position where the file gives 0 and 0, or none at all."""
     given = {**UNLIMITED, **{key: value for key, value in joint.limits.items() if key in ("effort", "velocity")}}
     lower, upper = (joint.limits.get(key, 0.0) for key in ("lower", "upper"))
     if joint.kind != "continuous" and lower < upper:

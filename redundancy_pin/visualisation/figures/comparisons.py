@@ -171,7 +171,7 @@ _LETTERS = 42  # of a line of a panel's title
 
 @dataclass(frozen=True, eq=False)
 class TradeCurve:
-    """One quantity against another along one motion; acceleration against effort where nothing else is said."""
+    """One quantity against another along one motion; acceleration against effort by default."""
 
     title: str  # of its panel
     unit: str  # of the effort

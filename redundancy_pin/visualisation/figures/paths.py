@@ -68,7 +68,7 @@ def _add_title(axes: Axes, text: str) -> None:
 
 
 def _draw_triad(axes: Axes) -> None:
-    """Draw the directions of the world's axes in a corner, of a length that is said, in place of ticks."""
+    """Draw the directions of the world's axes in a corner, with their length, in place of ticks."""
     axes.set(xticks=[], yticks=[])
     axes.grid(False)
     axes.spines[:].set_visible(False)

@@ -51,7 +51,7 @@ ROLE_NAMES: Mapping[Role, str] = {
 
 MESH_OPACITY = 0.5  # of meshes: joints, closures and carriers are inside them
 _ARC_STEP = 0.05  # of the points along an arc, rad
-_LARGEST_MESH = 50 << 20  # bytes, of a robot that nobody vouches for
+_LARGEST_MESH = 50 << 20  # bytes, of an untrusted robot
 _CLOSED_FORMATS = (".stl", ".obj", ".dae", ".ply")  # others, such as glTF, name further files for their vertices
 _WARNED = 3  # of the meshes that cannot be read, how many the warning names
 _SCHEMES = ("package://", "model://")
