@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -118,10 +118,10 @@ class Course:
     sd: Array
     sdd: Array
     phase: IntArray
-    stretches: list[tuple[int, Stretch]] = field(default_factory=list)
-    returns: list[tuple[float, float]] = field(default_factory=list)
-    parts: list[PiecewisePolynomial] = field(default_factory=list)
-    brake_from: int = -1
+    stretches: tuple[tuple[int, Stretch], ...]
+    returns: tuple[tuple[float, float], ...]
+    parts: tuple[PiecewisePolynomial, ...]
+    brake_from: int
     braking: tuple[float, float] = (math.nan, math.nan)
 
 
@@ -139,49 +139,39 @@ def run_course(
     whether the platform rests at the end of a step.
     """
     t = problems.t
-    shape = (len(t), robot.k)
-    s, sd, sdd = (np.zeros(shape) for _ in range(3))
+    s, sd, sdd = (np.zeros((len(t), robot.k)) for _ in range(3))
     s[0] = settings.start
-    course = Course(t, s, sd, sdd, np.full(len(t), PARKED, dtype=np.intp))
-    edges = np.flatnonzero(np.diff(active)) + 1
-    runs = list(zip([0, *edges], [*edges, len(active)], strict=True))
-    for first, last in runs:
-        steps = slice(first + 1, last + 1)
+    phase, brake_from = np.full(len(t), PARKED, dtype=np.intp), len(active)
+    stretches: list[tuple[int, Stretch]] = []
+    returns: list[tuple[float, float]] = []
+    parts: list[PiecewisePolynomial] = []
+    edges = (np.flatnonzero(np.diff(active)) + 1).tolist()
+    for first, last in zip([0, *edges], [*edges, len(active)], strict=True):
+        here, steps = slice(first, last + 1), slice(first + 1, last + 1)
+        state = CarrierState(float(t[first]), s[first], sd[first], sdd[first])
         if active[first]:
-            state = CarrierState(float(t[first]), s[first], sd[first], sdd[first])
-            stretch = optimise(problems, int(first), int(last), state, box)
-            s[steps], sd[steps], sdd[steps] = stretch.s, stretch.sd, stretch.sdd
-            course.phase[steps] = OPTIMISE
-            course.stretches.append((int(first), stretch))
-            here = slice(first, last + 1)
-            course.parts.append(PiecewisePolynomial.constant_acceleration(t[here], s[here], sd[here], sdd[here]))
+            stretch = optimise(problems, first, last, state, box)
+            s[steps], sd[steps], sdd[steps], phase[steps] = stretch.s, stretch.sd, stretch.sdd, OPTIMISE
+            stretches.append((first, stretch))
+            parts.append(PiecewisePolynomial.constant_acceleration(t[here], s[here], sd[here], sdd[here]))
         elif first == 0:
             s[steps] = settings.start
-            course.parts.append(PiecewisePolynomial.constant(settings.start, t[0], t[last]))
+            parts.append(PiecewisePolynomial.constant(settings.start, t[0], t[last]))
         elif last == len(active) and at_rest[first:last].all():
-            return replace(course, brake_from=int(first))
+            brake_from = first
         else:
-            _follow_return(robot, settings, course, int(first), int(last))
-    return replace(course, brake_from=len(active))
-
-
-def _follow_return(robot: Robot, settings: Settings, course: Course, first: int, last: int) -> None:
-    """Fill in the way back to the datum from instant ``first``, as far as instant ``last``."""
-    state = CarrierState(float(course.t[first]), course.s[first], course.sd[first], course.sdd[first])
-    duration = _return_duration(robot, settings, state, float(course.t[-1]))
-    back = return_polynomial(state, duration, settings.datum)
-    steps = np.arange(first + 1, last + 1)
-    returning = steps[course.t[steps] < back.end]
-    for order, part in enumerate((course.s, course.sd, course.sdd)):
-        part[returning] = back.derivative(order)(course.t[returning])
-    arrived = steps[len(returning) :]
-    course.s[arrived] = settings.datum
-    course.phase[returning] = RETURN
-    course.returns.append((state.t, back.end))
-    followed = back.until(min(back.end, float(course.t[last])))
-    course.parts.append(followed)
-    if followed.end < course.t[last]:
-        course.parts.append(PiecewisePolynomial.constant(settings.datum, followed.end, course.t[last]))
+            duration = _return_duration(robot, settings, state, float(t[-1]))
+            back = return_polynomial(state, duration, settings.datum)
+            s[steps] = settings.datum
+            returning = np.arange(first + 1, last + 1)[t[steps] < back.end]
+            for order, part in enumerate((s, sd, sdd)):
+                part[returning] = back.derivative(order)(t[returning])
+            phase[returning] = RETURN
+            returns.append((state.t, back.end))
+            parts.append(back.until(min(back.end, float(t[last]))))
+            if parts[-1].end < t[last]:
+                parts.append(PiecewisePolynomial.constant(settings.datum, parts[-1].end, t[last]))
+    return Course(t, s, sd, sdd, phase, tuple(stretches), tuple(returns), tuple(parts), brake_from)
 
 
 _MOST_ADDED = 1_000_000  # steps after the motion
@@ -242,7 +232,7 @@ def brake(settings: Settings, box: AccelerationBox, course: Course, step: float,
         sd=np.vstack([course.sd[:kept], speeds]),
         sdd=np.vstack([course.sdd[:kept], deceleration]),
         phase=np.append(course.phase[:kept], np.where(moving, BRAKE, PARKED)),
-        parts=[*course.parts, *([braked] if len(times) > 1 else [])],
+        parts=(*course.parts, *([braked] if len(times) > 1 else [])),
         braking=(start, start + longest) if longest > 0.0 else course.braking,
     )
 

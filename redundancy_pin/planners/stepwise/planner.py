@@ -305,7 +305,7 @@ def diagnostics(problems: StepProblems, course: Course, box: AccelerationBox) ->
         "largest_gradient": float(max((part.max() for part in gradients), default=0.0)),
         "least_curvature": float(min((part.min() for part in curvatures), default=np.inf)),
         "bounds": tuple(_bounds_met(course, box)),
-        "returns": tuple(course.returns),
+        "returns": course.returns,
         "braking": course.braking,
     }
 
