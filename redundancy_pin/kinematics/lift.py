@@ -183,9 +183,9 @@ def _lift_one(robot: Robot, motion: PlatformMotion, start: Point | None) -> Tree
     return TreeMotion(robot, motion, *(read_only(np.array([part])) for part in parts))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Lifted:
-    """Samples that Newton reached; those at a rank loss are ``carried`` (N,) and replaced in place."""
+    """Samples that Newton reached, in progress: those at a rank loss are replaced in place, and ``carried`` (N,)."""
 
     system: ConstraintSystem
     q: Array
