@@ -67,10 +67,7 @@ def robot_flags(command: _Command, *, required: bool = True) -> _Command:
             help="Acceleration of gravity, m/s², such as 0,-9.81,0.",
         ),
         click.option(
-            "--mode",
-            metavar="SIGNS",
-            callback=_by(parse_mode),
-            help="Working mode, one sign a leg, such as +-+.",
+            "--mode", metavar="SIGNS", callback=_by(parse_mode), help="Working mode, one sign a leg, such as +-+."
         ),
         settings_option("--set", "settings", "Parameter of the robot, such as carrier_mass=2.0; may be repeated."),
         click.option(

@@ -172,10 +172,7 @@ STEPWISE: Mapping[str, Parameter] = {
 
 WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
     "objective": Parameter(
-        weights,
-        "WORD[=WEIGHT]",
-        f"What to minimise: {', '.join(OBJECTIVES)}; may be repeated.",
-        multiple=True,
+        weights, "WORD[=WEIGHT]", f"What to minimise: {', '.join(OBJECTIVES)}; may be repeated.", multiple=True
     ),
     "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort that tracking aims at, 0 to 1."),
     "base_point": _BASE_POINT,

@@ -29,9 +29,7 @@ from redundancy_pin.simulation import (
     motion_reference,
     plan_reference,
 )
-from redundancy_pin.simulation import (
-    simulate as run_simulation,
-)
+from redundancy_pin.simulation import simulate as run_simulation
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
 from redundancy_pin.view import show as view

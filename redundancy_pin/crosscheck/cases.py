@@ -227,8 +227,5 @@ def _pose_motion(t: Array, value: Array, rate: Array, acceleration: Array) -> Pl
     omega = rate[:, 3:4] * z_axis + rate[:, 4:5] * y_turned
     alpha = acceleration[:, 3:4] * z_axis + acceleration[:, 4:5] * y_turned + rate[:, 4:5] * y_rate
     return PlatformMotion(
-        t,
-        poses,
-        np.concatenate([rate[:, :3], omega], axis=1),
-        np.concatenate([acceleration[:, :3], alpha], axis=1),
+        t, poses, np.concatenate([rate[:, :3], omega], axis=1), np.concatenate([acceleration[:, :3], alpha], axis=1)
     )

@@ -188,13 +188,7 @@ def leaves_bounds(efforts: Array, lower: Array, upper: Array) -> BoolArray:
 
 
 def fit_into_bounds(
-    matrices: Array,
-    efforts: Array,
-    rank: IntArray,
-    cost: Array,
-    lower: Array,
-    upper: Array,
-    rows: Array | None = None,
+    matrices: Array, efforts: Array, rank: IntArray, cost: Array, lower: Array, upper: Array, rows: Array | None = None
 ) -> Array:
     """Return the minimisers of Σ cost_j u_j² over the solutions of A u = A u₀ with l ≤ C u ≤ h, NaN if there are none.
 

@@ -9,13 +9,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeGuard, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import (
-    Array,
-    BoolArray,
-    Frozen,
-    IntArray,
-    peak,
-)
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, peak
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import (

@@ -19,16 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import (
-    Array,
-    BoolArray,
-    Frozen,
-    blocks,
-    checked,
-    frozen,
-    read_only,
-    require_type,
-)
+from redundancy_pin.arrays import Array, BoolArray, Frozen, blocks, checked, frozen, read_only, require_type
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
     Dynamics,

@@ -11,14 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from redundancy_pin.arrays import (
-    Array,
-    BoolArray,
-    IntArray,
-    frozen,
-    read_only,
-    require_type,
-)
+from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only, require_type
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics, require_dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute, solved_status
 from redundancy_pin.errors import InputError

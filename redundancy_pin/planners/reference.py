@@ -147,11 +147,7 @@ class MotionReference:
         """Return everything at time t, s."""
         flat, (a, b) = self._motion.at(t), self._cuts
         return ReferencePoint(
-            t,
-            *self._platform_of(flat[:a]),
-            *self._carriers_of(flat[a:b]),
-            *self._tree_of(flat[b:]),
-            *self.loads(t),
+            t, *self._platform_of(flat[:a]), *self._carriers_of(flat[a:b]), *self._tree_of(flat[b:]), *self.loads(t)
         )
 
     def course(self, t: float) -> tuple[Array, Array, Array, Array, Array]:

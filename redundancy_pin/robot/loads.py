@@ -63,11 +63,7 @@ class Wrench(Frozen):
     point: Array
 
     def __init__(
-        self,
-        frame: str,
-        value: ArrayLike | WrenchLaw,
-        reference: Axes = "world",
-        point: ArrayLike = (0.0, 0.0, 0.0),
+        self, frame: str, value: ArrayLike | WrenchLaw, reference: Axes = "world", point: ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
         if reference not in get_args(Axes):
             raise InputError(f"reference is {reference!r}.", remedy='Pass "world" or "local".', reference=reference)

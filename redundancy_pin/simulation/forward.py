@@ -154,13 +154,7 @@ class ForwardDynamics:
         self._columns = np.concatenate([partition.dependent, partition.independent])
 
     def acceleration(
-        self,
-        q: Array,
-        v: Array,
-        force: Array,
-        carrier_acceleration: Array | None = None,
-        *,
-        sheet: Sheet | None = None,
+        self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None, *, sheet: Sheet | None = None
     ) -> Array:
         """Return the tree acceleration (nv,).
 

@@ -29,12 +29,7 @@ from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.singularities.classify import (
-    SingularityKind,
-    locked_matrix,
-    margins_of,
-    serial_matrix,
-)
+from redundancy_pin.singularities.classify import SingularityKind, locked_matrix, margins_of, serial_matrix
 from redundancy_pin.singularities.tracing import MatrixOf, Tracer, singular_value
 from redundancy_pin.singularities.workspace import Slice, WorkspaceGrid, default_axes, slice_of, solve_grid
 

@@ -17,10 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from redundancy_pin.arrays import require_few, whole
-from redundancy_pin.errors import (
-    InputError,
-    RedundancyPinError,
-)
+from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.io.files import write_text
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot

@@ -16,12 +16,7 @@ from redundancy_pin.loading import load_robot
 from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Controller, Sampling
-from redundancy_pin.simulation.controllers.by_name import (
-    Drive,
-    NoisyAmplifier,
-    controller_by_name,
-    joint_friction,
-)
+from redundancy_pin.simulation.controllers.by_name import Drive, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
 from redundancy_pin.simulation.replay import away_from, rms_over_time

@@ -10,12 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.errors import (
-    InfeasiblePlanError,
-    SingularPoseError,
-    UnreachablePoseError,
-    WorkingModeError,
-)
+from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.planners.functions import ALLOWED
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.studies.map_problem import MapProblem

@@ -30,12 +30,7 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.compiled.build import Library, build_library, define
 from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
-from redundancy_pin.dynamics.compiled.derivatives import (
-    MotionDerivatives,
-    Partials,
-    TreeSamples,
-    motion_partials,
-)
+from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter

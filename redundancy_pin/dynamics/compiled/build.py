@@ -103,10 +103,7 @@ def _defined(robot: Robot) -> Definition:
     projected = [*tree, gamma, *carriers, chain.external]
     derivatives = [ca.vec(ca.jacobian(part, by).T) for part in reduced for by in carriers]
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
-        "rows": (
-            [*pose, chain.x],
-            [ca.vertcat(-chain.closure_rows, chain.missing), ca.vec(chain.K), chain.alignment],
-        ),
+        "rows": ([*pose, chain.x], [ca.vertcat(-chain.closure_rows, chain.missing), ca.vec(chain.K), chain.alignment]),
         "bias": ([*pose, chain.v], [chain.bias]),
         "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
         "moved": ([chain.q, chain.step], [chain.moved]),
@@ -426,11 +423,7 @@ def _compile(compiler: Compiler, flags: Sequence[str], text: str, target: Path) 
         written.write_text(text, encoding="utf-8")
         command = [*compiler.command, *flags, str(written), "-o", str(target), "-lm"]
         process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
         )
         with process:
             try:

@@ -94,13 +94,7 @@ class VirtualWorkAlongMotion(Frozen):
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        mechanism: Mechanism,
-        motion: PlatformMotion,
-        legs: Any,
-        gap: Array,
-        reachable: BoolArray,
+        self, robot: Robot, mechanism: Mechanism, motion: PlatformMotion, legs: Any, gap: Array, reachable: BoolArray
     ) -> None:
         self._robot = robot
         self._motion = motion

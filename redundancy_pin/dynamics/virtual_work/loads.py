@@ -16,12 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.virtual_work.mechanism import (
-    Body,
-    ComplexArray,
-    PlanarDynamics,
-    wrench_on_ground,
-)
+from redundancy_pin.dynamics.virtual_work.mechanism import Body, ComplexArray, PlanarDynamics, wrench_on_ground
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.robot import JointForces, Load, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind

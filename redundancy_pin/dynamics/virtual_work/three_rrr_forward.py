@@ -134,8 +134,7 @@ def _orientations(geometry: ThreeRrrGeometry, elbows: Array) -> Array:
 
 def _refuse_self_motion(what: str) -> NoReturn:
     raise SingularPoseError(
-        f"{what} with the base joints locked, so the assembly modes are not isolated.",
-        remedy="Change a base angle.",
+        f"{what} with the base joints locked, so the assembly modes are not isolated.", remedy="Change a base angle."
     )
 
 

@@ -13,12 +13,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray, fraction, one_of, positive, require_few, whole
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.base_wrench import BASE, point_of, weights_of
-from redundancy_pin.planners.carrier_return import (
-    CarrierState,
-    no_return,
-    return_polynomial,
-    shortest_return,
-)
+from redundancy_pin.planners.carrier_return import CarrierState, no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, return_duration
 from redundancy_pin.planners.stepwise.optimiser import AccelerationBox, StepProblems, Stretch, optimise
 from redundancy_pin.robot import Robot

@@ -187,10 +187,7 @@ class Tracking(Controller):
     """
 
     def __init__(
-        self,
-        plan: Plan | MotionReference,
-        motion: TimedTrajectory | None = None,
-        sampling: Sampling | None = None,
+        self, plan: Plan | MotionReference, motion: TimedTrajectory | None = None, sampling: Sampling | None = None
     ) -> None:
         self.reference = plan if isinstance(plan, MotionReference) else plan_reference(plan, motion=motion)
         self.robot = self.reference.robot

@@ -34,12 +34,7 @@ _ROUNDING = 1e-17  # bottom of that curve; smaller differences are zero but for 
 
 
 def plot_efforts(
-    drawn: Curves,
-    check: Array,
-    *,
-    backends: tuple[str, str],
-    scale: Array,
-    missing_force: Sequence[float] = (),
+    drawn: Curves, check: Array, *, backends: tuple[str, str], scale: Array, missing_force: Sequence[float] = ()
 ) -> Figure:
     """Draw efforts, what bounds them at singularities, carrier forces, and the difference of the backends.
 

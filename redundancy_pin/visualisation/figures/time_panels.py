@@ -157,10 +157,7 @@ def plot_time_panels(
 
 
 def plot_panel_grid(
-    title: str,
-    columns: Sequence[Sequence[Panel]],
-    size: tuple[float, float],
-    background: Background,
+    title: str, columns: Sequence[Sequence[Panel]], size: tuple[float, float], background: Background
 ) -> Figure:
     """Draw columns of panels, all of the same heights, in a figure of some width and height, inches."""
     with figure(*size, title) as drawn:
