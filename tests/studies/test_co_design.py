@@ -180,3 +180,21 @@ def test_machines_that_cannot_are_passed_over() -> None:
 def test_bad_input_is_named(tasks: Any, design: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         co_design(tasks(), design)
+
+
+def test_twice_the_feed_round_the_corner_under_the_same_torque() -> None:
+    """Carriers parked at both ends; the baseline's torque is that of its own dynamics along the same motion."""
+    slow, fast = (reference.corner(radius=0.025, speed=speed, ramp_time=0.4) for speed in (0.2, 0.4))
+    bare = rp.VirtualWork(rp.load_robot("3rrr", carriers=False, working_mode=(1, 1, 1)))
+    limit, needed = (np.abs(rp.distribute(bare.reduce(m.sample(1e-3))).tau).max() for m in (slow, fast))
+    robot = rp.load_robot("3rrr", carrier_mass=0.6, tail_length=0.56, working_mode=(1, 1, 1))
+    plan = rp.plan_whole_trajectory(
+        rp.VirtualWork(robot), fast, objective="peak", dt=0.02, acceleration=60.0, speed=5.0, refinements=1
+    )
+    assert plan.status.value in ("within_limits", "unresolved")
+    assert plan.peak_effort.max() < 0.75 * limit < 0.2 * needed
+    np.testing.assert_allclose(plan.carriers.s[[0, -1]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(plan.carriers.sd[[0, -1]], 0.0, atol=1e-9)
+    check = np.abs(rp.distribute(rp.RneaDynamics(robot).reduce(plan.motion, plan.carriers)).tau).max()
+    assert check <= plan.peak_effort.max() * (1.0 + 1e-6)
+    assert plan.carrier_energy > plan.main_energy  # the price
