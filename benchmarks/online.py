@@ -1,12 +1,16 @@
 """On-line planning on random paths: ticks by status, limits, peak against the least one known off line, time of a tick.
 
-``python benchmarks/online.py [machine] [paths] [solver ...]``; machines: 2rpr, five_bar, 3rrr. Where solvers are named
-they are compared on these paths. Off line is ``plan_whole_trajectory``, objective "peak", from the same start and free
-at the end.
+``python benchmarks/online.py [machine] [paths] [off line] [file]``; machines: 2rpr, five_bar, 3rrr. Paths are random
+and numbered; of those that the file has already nothing is computed. Off line is ``plan_whole_trajectory``, objective
+"peak", from the same start and free at the end, for the first paths. Times are those of the processor, by
+``time.thread_time``.
 """
 
+import json
 import sys
 import time
+from collections import Counter
+from pathlib import Path
 
 import numpy as np
 
@@ -70,32 +74,83 @@ def off_line(dynamics, trajectory):
     return float(plan.peak_effort.max())
 
 
-def main(name="2rpr", count=10, *solvers):
-    dynamics, ratios, milliseconds = machine(name), [], []
+def judged(name, dynamics, number, trajectory, least):
+    """Plan one path; return a record of it, with the peak over the least known off line where that is asked for."""
+    planner, began = RecedingHorizon(dynamics), time.thread_time()
+    record = {"machine": name, "path": number, "duration": trajectory.duration, "ratio": None}
+    spent, solver = [], []
+    update = planner.update
+
+    def timed(*given):
+        before = time.thread_time()
+        command = update(*given)
+        spent.append(1e3 * (time.thread_time() - before))
+        solver.append(1e3 * command.solver_seconds)
+        return command
+
+    planner.update = timed
+    try:
+        run = run_online(planner, trajectory)
+    except InfeasiblePlanError as error:
+        return {**record, "status": "refused", "reason": str(error)}
+    plan = run.plan
+    best = off_line(dynamics, trajectory) if least else None
+    return {
+        **record,
+        "status": plan.status.value,
+        "ticks": run.counts,
+        "crossings": len(plan.diagnostics["singular_instants"]),
+        "peak": float(plan.peak_effort.max()),
+        "ratio": None if best is None else float(plan.peak_effort.max()) / best,
+        "off_line": None if not least else best is not None,
+        "missing": plan.diagnostics["missing_force"],
+        "outside": outside(plan, dynamics.robot),
+        "milliseconds": [round(x, 3) for x in spent[1:]],
+        "cpu": time.thread_time() - began,
+    }
+
+
+def outside(plan, robot):
+    """By how much the carriers are beyond a limit, as a fraction of it, on a grid of a tenth of a millisecond."""
+    carriers, worst = plan.carriers_at(np.linspace(plan.t[0], plan.t[-1], int(1e4 * (plan.t[-1] - plan.t[0])))), 0.0
+    for limit, s, sd, sdd in zip(robot.carrier_limits, carriers.s.T, carriers.sd.T, carriers.sdd.T, strict=True):
+        half = 0.5 * (limit.upper - limit.lower)
+        beyond = (limit.lower - s.min()) / half, (s.max() - limit.upper) / half
+        rates = np.abs(sd).max() / limit.speed - 1.0, np.abs(sdd).max() / limit.acceleration - 1.0
+        worst = max(worst, *beyond, *rates)
+    return float(worst)
+
+
+def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
+    """Go on where a file ends: ``least`` of the paths are planned off line too."""
+    file = Path(file)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    lines = file.read_text().splitlines() if file.exists() else []
+    records = [record for record in map(json.loads, lines) if record["machine"] == name]
+    done, dynamics = {record["path"] for record in records}, machine(name)
     for number, trajectory in zip(range(int(count)), random_paths(name, dynamics)):  # noqa: B905
-        for solver in solvers or ("piqp",):
-            planner, began = RecedingHorizon(dynamics, solver=solver), time.process_time()
-            try:
-                run = run_online(planner, trajectory)
-            except InfeasiblePlanError as error:
-                print(f"{name} {number} {solver}: {error}")
-                continue
-            spent = 1e3 * (time.process_time() - began) / len(run.commands)
-            best = None if solvers else off_line(dynamics, trajectory)
-            ratio = np.nan if best is None else run.plan.peak_effort.max() / best
-            ratios.append(ratio)
-            milliseconds += [1e3 * command.seconds for command in run.commands[1:]]
-            ticks = ", ".join(f"{n} {status}" for status, n in run.counts.items() if n)
-            print(
-                f"{name} {number} {solver}: {trajectory.duration:.2f} s, "
-                f"{len(run.plan.diagnostics['singular_instants'])} crossings; {ticks}; {run.plan.status.value}; peak "
-                f"{run.plan.peak_effort.max():.3g}, {ratio:.2f} times off line; {spent:.1f} ms of the processor a tick",
-                flush=True,
-            )
-    p50, p99 = np.percentile(milliseconds, [50, 99])
+        if number in done:
+            continue
+        records.append(judged(name, dynamics, number, trajectory, number < int(least)))
+        with file.open("a") as out:
+            out.write(json.dumps(records[-1]) + "\n")
+        shown = {key: value for key, value in records[-1].items() if key != "milliseconds"}
+        print(shown, flush=True)
+    planned = [record for record in records if "ticks" in record]
+    whole = sum(record["ticks"]["planned"] == sum(record["ticks"].values()) for record in planned)
+    kept = sum(record["status"] == "within_limits" for record in planned)
+    ratios = [record["ratio"] for record in planned if record["ratio"]]
+    times = np.percentile(np.concatenate([record["milliseconds"] for record in planned]), [50, 99])
+    ticks = Counter()
+    for record in planned:
+        ticks.update(record["ticks"])
     print(
-        f"ratio {np.nanmedian(ratios):.2f} (median), {np.nanmax(ratios):.2f}; a tick {p50:.1f} ms p50, {p99:.1f} ms p99"
+        f"{name}: {len(records)} paths; every tick planned on {whole}, limits kept on {kept}; {dict(ticks)}; carriers "
+        f"beyond limits by {max(record['outside'] for record in planned):.1e} of them; a tick {times[0]:.2f} ms p50, "
+        f"{times[1]:.2f} ms p99"
     )
+    if ratios:
+        print(f"peak over off line, {len(ratios)} paths: {np.median(ratios):.2f} median, {max(ratios):.2f} at worst")
 
 
 if __name__ == "__main__":

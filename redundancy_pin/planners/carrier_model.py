@@ -244,29 +244,33 @@ def require_carriers(robot: Robot) -> None:
         )
 
 
-def carrier_model(along: DynamicsAlongMotion) -> CarrierModel:
-    """Read the coefficients off a backend along a platform motion."""
+def carrier_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierModel:
+    """Read the coefficients off a backend along a platform motion, from its exact derivatives at two carrier motions.
+
+    Without ``check`` nobody looks whether there are carriers, and whether f has other terms too.
+    """
     robot, samples = along.robot, len(along.motion)
-    require_carriers(robot)
-    parked = along.reduce(CarrierMotion.parked(samples, robot.k))
-    n = parked.f.shape[1]
+    if check:
+        require_carriers(robot)
+    rest, one = np.zeros((samples, robot.k)), np.ones((samples, robot.k))
+    parked, at_one = (
+        CarrierMotion(rest, rest, rest, check_rates=False),
+        CarrierMotion(one, one, rest, check_rates=False),
+    )
+    reduced = along.reduce(parked)
+    first, second = along.carrier_derivatives(parked), along.carrier_derivatives(at_one)
 
-    def added(*motion: Array) -> Array:
-        """Return what a motion (k,) adds to f and the forces (N, n + k) of parked carriers."""
-        reduced = along.reduce(CarrierMotion(*(np.broadcast_to(part, (samples, robot.k)) for part in motion)))
-        return np.concatenate([reduced.f - parked.f, reduced.carrier_force - parked.carrier_force], axis=1)
+    def by_term(name: str) -> Array:
+        by_s, by_sd, by_sdd = (np.asarray(getattr(first, f"{name}_{rate}")) for rate in ("s", "sd", "sdd"))
+        both = np.asarray(getattr(second, f"{name}_sd")) - by_sd
+        square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s - both)
+        return np.stack([by_s, square, by_sd, both, by_sdd], axis=-1)
 
-    zero = np.zeros(robot.k)
-    f_terms = np.empty((samples, n, robot.k, TERMS))
-    force_terms = np.empty((samples, robot.k, TERMS))
-    for i, unit in enumerate(np.eye(robot.k)):
-        plus, minus, rate = added(unit, zero, zero), added(-unit, zero, zero), added(zero, unit, zero)
-        both, push = added(unit, unit, zero), added(zero, zero, unit)
-        split = np.stack([0.5 * (plus - minus), 0.5 * (plus + minus), rate, both - plus - rate, push], axis=-1)
-        f_terms[:, :, i], force_terms[:, i] = split[:, :n], split[:, n + i]
-    parts = (parked.f, f_terms, parked.carrier_force, force_terms)
-    model = CarrierModel(along.motion.t, parked.W, *(read_only(np.asarray(part)) for part in parts))
-    _require_polynomial(along, model)
+    own = np.arange(robot.k)
+    parts = (reduced.f, by_term("f"), reduced.carrier_force, by_term("force")[:, own, own])
+    model = CarrierModel(along.motion.t, reduced.W, *(read_only(np.asarray(part)) for part in parts))
+    if check:
+        _require_polynomial(along, model)
     return model
 
 

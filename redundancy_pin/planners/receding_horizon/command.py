@@ -10,10 +10,22 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, Frozen, each
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.receding_horizon.linearised import extended
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Goal = Literal["effort", "peak"]
+
+
+def extended(position: PiecewisePolynomial, times: Array) -> tuple[Array, Array, Array]:
+    """Return s, ṡ, s̈ (N, k) of a plan at (N,) times, of which some may lie after its end: they are held there."""
+    edges = position.edges
+    piece = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
+    after = (np.clip(times, edges[0], edges[-1]) - edges[piece])[:, None]
+    s, *lower = position.coefficients[:, piece]
+    sd = half = np.zeros_like(s)
+    for coefficient in lower:  # Horner's rule, for the derivatives too
+        half, sd, s = half * after + sd, sd * after + s, s * after + coefficient
+    moving = (times <= edges[-1])[:, None]
+    return s, sd * moving, 2.0 * half * moving
 
 
 @dataclass(frozen=True)
@@ -101,8 +113,8 @@ class Command(Frozen):
 
     def motion_at(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at a time, m, m/s, m/s²; held after the end of the plan."""
-        motion = extended(self.carriers, np.array([t]))
-        return motion.s[0], motion.sd[0], motion.sdd[0]
+        s, sd, sdd = extended(self.carriers, np.array([t]))
+        return s[0], sd[0], sdd[0]
 
     @property
     def sdd(self) -> Array:

@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, each, one_of, positive, require_type
+from redundancy_pin.arrays import Array, each, frozen, one_of, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics, require_dynamics
-from redundancy_pin.errors import InputError
-from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import Limits, grouped
-from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, PlanningStatus, Weights
-from redundancy_pin.planners.receding_horizon.linearised import ZONE, Linearised, extended, nodes_from
+from redundancy_pin.planners.receding_horizon.ahead import FIRST, Ahead, Linearised, nodes_from
+from redundancy_pin.planners.receding_horizon.ahead import NEAR as NEAR_STEPS
+from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, PlanningStatus, Weights, extended
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview, Source
-from redundancy_pin.planners.receding_horizon.programme import SOLVERS, Programme
-from redundancy_pin.planners.receding_horizon.tick import Setup, Sizes, Tick
+from redundancy_pin.planners.receding_horizon.programme import BEYOND, Problem, Programme, Sizes, units_of
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 NEAR = 0.25
 """A singular instant nearer than this, in steps, is reached by the last plan; the new one begins there."""
@@ -40,6 +40,12 @@ MOST_ROUNDS = 5
 PROXIMAL = 3.0
 """Weight of the squared change of s̈ from round to round: they would go to and fro between two plans of one cost."""
 
+SHORTEST_STOP = 1e-6
+"""s; a carrier that stops sooner stands."""
+
+REGULAR = 1e-3
+"""Smallest over largest singular value of W from which W⁻¹ f is the effort; nearer to a pose it magnifies rounding."""
+
 SMALLEST = 0.05
 """Efforts count as of size one from this fraction of those of parked carriers."""
 
@@ -50,10 +56,11 @@ FIRST_ROUNDS = 3
 class RecedingHorizon:
     """Plans the carriers and the efforts again and again, over the path known for a short time ahead.
 
-    Each tick solves one convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, fixed in time, with s̈ linear
-    in between, W τ = f linear about the last plan, and the limits of the carriers between the nodes too. W⁻¹ is not
-    formed: type II singularities ahead become nodes with what makes τ finite and continuous there (``linearised``). At
-    the end of the horizon the carriers can still stop on their tracks, so there always is a motion within their limits.
+    Each tick solves one convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, from a fifth of a second on 40,
+    fixed in time, with s̈ linear in between, W τ = f linear about the last plan, and the limits of the carriers between
+    the nodes too. W⁻¹ is not formed: type II singularities ahead become nodes with what makes τ finite and continuous
+    there (``ahead``). At the end of the horizon the carriers can still stop on their tracks, so there always is a
+    motion within their limits.
 
     Args:
         dynamics: a backend; ``CompiledDynamics`` is the fastest by far.
@@ -62,7 +69,6 @@ class RecedingHorizon:
         objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone; or ``Weights``.
         track, speed, acceleration, jerk, effort, carrier_force: limits as of ``plan_whole_trajectory``.
         limits: these as one group.
-        solver: of the programmes: "piqp" or one of casadi's (``SOLVERS``).
 
     Attributes:
         limits: in force from the next tick on; may be set between ticks. ``resolved`` has them as arrays.
@@ -88,12 +94,10 @@ class RecedingHorizon:
         effort: ArrayLike | None = None,
         carrier_force: ArrayLike | None = None,
         limits: Limits | None = None,
-        solver: str = "piqp",
     ) -> None:
         require_dynamics(dynamics)
         robot = dynamics.robot
         require_carriers(robot)
-        one_of(solver, "solver", SOLVERS)
         if not isinstance(objective, Weights):
             one_of(objective, "objective", GOALS)
         self.dynamics, self.robot = dynamics, robot
@@ -105,13 +109,13 @@ class RecedingHorizon:
         self.weights = objective if isinstance(objective, Weights) else GOALS[objective]
         flat = {"track": track, "speed": speed, "acceleration": acceleration}
         flat |= {"jerk": jerk, "effort": effort, "carrier_force": carrier_force}
-        self._count = round(horizon / step) + EXTRA
-        self._solver = solver
+        steps = round(horizon / step)
+        self._count = min(steps, NEAR_STEPS) + max(steps - NEAR_STEPS, 0) // 2 + EXTRA
         self._bounded = (False, False)
         self._programmes: dict[bool, Programme] = {}
         self.limits = grouped("limits", limits, Limits, **flat)
         self._source: object = None
-        self._preview: Preview | None = None
+        self._ahead: Ahead
         self._last: Command | None = None
         self._sizes: Sizes | None = None
         self.largest = 0.0
@@ -139,9 +143,7 @@ class RecedingHorizon:
         """Return the programme of a tick, which is put together once."""
         if elastic not in self._programmes:
             robot = self.robot
-            sizes = robot.n, robot.m, robot.k, self._count
-            jerk, force = self._bounded
-            self._programmes[elastic] = Programme(*sizes, self._solver, jerk, force, elastic)
+            self._programmes[elastic] = Programme(robot.n, robot.m, robot.k, self._count, self.resolved, elastic)
         return self._programmes[elastic]
 
     def update(self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None) -> Command:
@@ -159,24 +161,25 @@ class RecedingHorizon:
             InfeasiblePlanError: no plan at the first tick, with none before it to go on with.
         """
         began = time.perf_counter()
-        if self._preview is None or preview is not self._source:
-            self._preview, self._source = Preview.of(preview), preview
-        t = self._tick(t)
-        if t < self._preview.start - SAME:
+        if preview is not self._source:
+            self._ahead, self._source = Ahead(self.dynamics, Preview.of(preview), self.step), preview
+        t, known = self._tick(t), self._ahead.preview
+        if t < known.start - SAME:
             raise InputError(
-                f"The tick is at t = {t:.6g} s, and the preview begins at {self._preview.start:.6g} s.",
+                f"The tick is at t = {t:.6g} s, and the preview begins at {known.start:.6g} s.",
                 remedy="Pass what is known of the motion from the tick on.",
             )
         given = tuple(
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
         )
-        last = self._last
-        command = self._plan(t, self._preview, given, last, last)
+        last, until = self._last, min(t + self.horizon, known.end)
+        self._ahead.look(t, until)
+        command = self._plan(t, until, given, last, last)
         for rounds in range(1, MOST_ROUNDS):
             if rounds >= (FIRST_ROUNDS if last is None else 1) and not self._is_rough(t, command):
                 break
-            another = self._plan(t, self._preview, given, last, command)
+            another = self._plan(t, until, given, last, command)
             if another.status is not PlanningStatus.PLANNED:
                 break
             command = another
@@ -213,40 +216,157 @@ class RecedingHorizon:
     def _plan(
         self,
         t: float,
-        preview: Preview,
+        until: float,
         given: tuple[Array | None, ...],
         last: Command | None,
         about: Command | None,
     ) -> Command:
         """Return a plan that goes on from the last one, with f linear about it or about that of the round before."""
-        step, k = self.step, self.robot.k
-        before = t if preview.changing else t - ZONE * step  # for the nodes around one that is past
-        roots = preview.singular_instants(self.dynamics, before, t + step * (self._count + 1), step)
-        ahead = roots[roots > t - SAME]
-        near = len(ahead) and ahead[0] <= t + NEAR * step and last is not None
-        start = float(ahead[0]) if near else t
-        nodes, singular = nodes_from(start, step, self._count + 1, roots)
+        step, k, ahead = self.step, self.robot.k, self._ahead
+        coming = ahead.roots[ahead.roots > t - SAME]
+        near = len(coming) and coming[0] <= t + NEAR * step and last is not None
+        start = float(coming[0]) if near else t
+        # the nodes around a singular instant stay when it is past
+        nodes, singular = nodes_from(start, step, self._count + 1, ahead.roots)
         if last is None:
             s, sd = (np.zeros(k) if part is None else part for part in given)
             first = s, sd, np.zeros(k)
         else:
             own = extended(last.carriers, nodes[:1])
-            settled = len(ahead) and ahead[0] <= t + SETTLED * step
-            pairs = zip(given, (own.s[0], own.sd[0]), strict=True)
+            settled = len(coming) and coming[0] <= t + SETTLED * step
+            pairs = zip(given, (own[0][0], own[1][0]), strict=True)
             s, sd = (planned if part is None or settled else part for part, planned in pairs)
-            first = s, sd, own.sdd[0]
+            first = s, sd, own[2][0]
         if about is None:
-            at = CarrierMotion(*(np.tile(part, (len(nodes), 1)) for part in first), check_rates=False)
+            at = tuple(np.tile(part, (len(nodes), 1)) for part in first)
         else:
             at = extended(about.carriers, nodes)
-        lin = Linearised.about(self.dynamics, preview, nodes, singular, at)
+        lin = Linearised.about(ahead, nodes, singular, at, until)
         if self._sizes is None:
             self._sizes = Sizes.of(lin)
         sizes = self._sizes
         if last is not None:  # of all rounds the same, or the second would be off to another plan
             share = min(max(last.peak / sizes.tau, SMALLEST), 1.0)
             sizes = Sizes(share * sizes.tau, sizes.row)
-        jerk = None if last is None else last.carriers.derivative(3)(nodes[:1], "left")[0]
+        jerk = None
+        if last is not None:
+            piece = max(int(np.searchsorted(last.carriers.edges, nodes[0])) - 1, 0)
+            jerk = 6.0 * last.carriers.coefficients[-4, min(piece, len(last.carriers.edges) - 2)]
         proximal = PROXIMAL if about is not last else 0.0
-        setup = Setup(self.resolved, self.weights, self.step, self.horizon, self._count, self.largest, self.programme)
-        return Tick(setup, lin, first, last is None, jerk, sizes, proximal).command(t, last, roots, preview)
+        problem = Problem(
+            lin,
+            self.resolved,
+            self.weights,
+            sizes,
+            first,
+            last is None,
+            jerk,
+            proximal,
+            step,
+            self.horizon,
+            self.largest,
+        )
+        return self._command(problem, t, last, coming)
+
+    def _command(self, problem: Problem, t: float, last: Command | None, roots: Array) -> Command:
+        """Return what to do from t, s, on; the last command where the programme has no solution.
+
+        Raises:
+            InfeasiblePlanError: nor is there a last one.
+        """
+        lin, (s, sd, _) = problem.lin, problem.first
+        began, status, reason, solved = time.perf_counter(), PlanningStatus.PLANNED, "", False
+        if not self._is_beyond(s, sd):
+            x, solved = self.programme(False).solve(problem)
+        if not solved:
+            x, solved = self.programme(True).solve(problem)
+            status, reason = PlanningStatus.ELASTIC, "no plan keeps every limit"
+        seconds = time.perf_counter() - began
+        if not solved:
+            if last is None:
+                raise InfeasiblePlanError(
+                    f"No plan was found at t = {t:.6g} s.", remedy="Start elsewhere, or widen the limits.", time=t
+                )
+            reason = "the solver found none"
+            return replace(last, t=t, status=PlanningStatus.FALLBACK, reason=reason, solver_seconds=seconds)
+        programme = self.programme(status is PlanningStatus.ELASTIC)
+        a = x[programme.sdd] * units_of(self.resolved)[2]
+        h = np.diff(lin.nodes)[:, None]
+        # integrated once more: the solver's own are off by its tolerance
+        speeds = sd + np.concatenate([0.0 * a[:1], np.cumsum(0.5 * h * (a[:-1] + a[1:]), axis=0)])
+        moved = np.cumsum(h * speeds[:-1] + h**2 / 6.0 * (2.0 * a[:-1] + a[1:]), axis=0)
+        places = s + np.concatenate([0.0 * a[:1], moved])
+        carriers = self._with_stop(lin.nodes, places, speeds, a)
+        efforts, forces, residual, peak = self._efforts(
+            problem, (places, speeds, a), carriers, x[programme.tau] * problem.sizes.tau
+        )
+        if lin.nodes[0] > t + SAME and last is not None:  # to the singular instant by the last plan
+            carriers, efforts = (
+                PiecewisePolynomial.joined([old.between(t, float(lin.nodes[0])), new])
+                for old, new in ((last.carriers, carriers), (last.efforts, efforts))
+            )
+        unknown = np.flatnonzero(~lin.known)
+        known_until = float(lin.nodes[max(unknown[0] - 1, 0)]) if len(unknown) else float(lin.nodes[-1])
+        if len(unknown) and lin.nodes[unknown[0]] <= lin.until + SAME:
+            status = PlanningStatus.REFUSED
+            reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go"
+        return Command(
+            t, status, reason, carriers, efforts, forces, residual, peak, frozen(roots), known_until, 0.0, seconds
+        )
+
+    def _is_beyond(self, s: Array, sd: Array) -> bool:
+        """Return whether a start is beyond the limits by more than rounding: then no plan keeps them."""
+        limits = self.resolved
+        outside = (s < limits.track[:, 0] - BEYOND) | (s > limits.track[:, 1] + BEYOND)
+        return bool((outside | (np.abs(sd) > limits.speed + BEYOND)).any())
+
+    def _with_stop(self, nodes: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
+        """Return the carriers' motion, and a stop behind it: every carrier slows down as fast as it can."""
+        durations = np.abs(sd[-1]) / self.resolved.acceleration
+        durations[durations < SHORTEST_STOP] = 0.0
+        after = np.unique(np.append(0.0, durations))
+        past = np.minimum(after[:, None], durations)
+        a = -np.divide(sd[-1], durations, out=np.zeros_like(sd[-1]), where=durations > 0.0)
+        slowing = after[:, None] < durations
+        stop = s[-1] + past * sd[-1] + 0.5 * past**2 * a, (sd[-1] + past * a) * slowing, a * slowing
+        jerk = np.append(np.diff(sdd, axis=0) / np.diff(nodes)[:, None], np.zeros_like(past), axis=0)
+        whole = (np.append(own[:-1], behind, axis=0) for own, behind in zip((s, sd, sdd), stop, strict=True))
+        return PiecewisePolynomial.taylor(np.append(nodes[:-1], nodes[-1] + after), *whole, jerk)
+
+    def _efforts(
+        self, problem: Problem, plan: tuple[Array, ...], carriers: PiecewisePolynomial, tau: Array
+    ) -> tuple[PiecewisePolynomial, PiecewisePolynomial, float, float]:
+        """Return efforts and carriers' forces as functions of time, the residual at the nodes, the largest effort."""
+        ahead, lin, n = self._ahead, problem.lin, self.robot.n
+        counts = problem.counts
+        early = FIRST + 1
+        t = ahead.instants(lin.nodes[:early], lin.until)
+        places = ahead.at(np.minimum(t, lin.until))
+        coefficients = ahead.known
+        value = coefficients.values(places, *extended(carriers, t))
+        W, f, forces = coefficients.W[places], value[:, :n], PiecewisePolynomial.linear(t, value[:, n:])
+        at_node = np.searchsorted(t, lin.nodes[:early] - SAME).clip(0, len(t) - 1)
+        left = np.einsum("nij,nj->ni", lin.W[:early], tau[:early]) - f[at_node]
+        residual = float(np.abs(left[counts[:early]] / lin.row_scale).max(initial=0.0))
+        singular_values = np.linalg.svd(W / lin.row_scale[:, None], compute_uv=False)
+        fine = singular_values[:, -1] > REGULAR * singular_values[:, 0]
+        peak = float(np.abs(tau[counts]).max(initial=0.0))
+        if self.robot.m == n:
+            own = np.linalg.solve(W[fine], f[fine][:, :, None])[:, :, 0]
+        else:
+            if not counts[0]:  # the start decides the efforts there, but for the preload of redundant actuators
+                tau = np.concatenate([tau[1:2], tau[1:]])
+            planned = PiecewisePolynomial.linear(lin.nodes, tau)(t[fine])  # which these decide
+            missing = f[fine] - np.einsum("nij,nj->ni", W[fine], planned)
+            own = planned + np.einsum("nij,nj->ni", np.linalg.pinv(W[fine]), missing)
+        rest = counts.copy()
+        rest[:early] &= ~fine[at_node]
+        times, values = np.append(t[fine], lin.nodes[rest]), np.concatenate([own, tau[rest]])
+        if not len(times):
+            times, values = lin.nodes[:1], tau[:1]
+        order = np.argsort(times)
+        times, values = times[order], values[order]
+        if len(times) == 1:
+            times, values = np.append(times, times + self.step), np.repeat(values, 2, axis=0)
+        most = self.resolved.effort
+        return PiecewisePolynomial.linear(times, np.clip(values, -most, most)), forces, residual, peak

@@ -17,8 +17,7 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus
-from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
-from redundancy_pin.planners.receding_horizon.tick import REGULAR
+from redundancy_pin.planners.receding_horizon.planner import REGULAR, RecedingHorizon
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 

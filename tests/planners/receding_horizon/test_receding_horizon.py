@@ -19,7 +19,7 @@ from redundancy_pin.planners.receding_horizon import (
     Weights,
     run_online,
 )
-from redundancy_pin.planners.receding_horizon.linearised import Linearised, nodes_from
+from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from
 from redundancy_pin.planners.receding_horizon.run import _through
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
@@ -265,10 +265,18 @@ def test_a_preview_may_be_a_function_or_samples_and_may_end_on_the_way():
         RecedingHorizon(dynamics).update(0.0, "straight on")
 
 
-def test_singular_instants_before_the_zero_of_time_are_as_dense(monkeypatch):
-    monkeypatch.setattr(Preview, "determinant", lambda self, dynamics, times: np.cos(20.0 * times))
-    instants = Preview.of(ACROSS.sample_at).singular_instants(machine()[0], -2.0, -1.0, 0.02)
-    np.testing.assert_allclose(instants, np.pi / 20.0 * (np.arange(-13, -6) + 0.5), atol=1e-9)
+def test_singular_instants_before_the_zero_of_time_are_as_dense():
+    """Up and down over the line, long ago: what is in sight grows tick by tick."""
+
+    def swing(t):
+        waves = np.cos(20.0 * t), -20.0 * np.sin(20.0 * t), -400.0 * np.cos(20.0 * t)
+        x, xd, xdd = (np.outer(wave, [0.0, 0.03]) for wave in waves)
+        return rp.PlatformMotion(t, x + np.array([0.25, 0.0]), xd, xdd)
+
+    ahead = Ahead(machine()[0], Preview(swing, -3.0, 3.0), 0.02)
+    for t in np.arange(-2.0, -1.5, 0.02):
+        ahead.look(t, t + 0.5)
+    np.testing.assert_allclose(ahead.roots, np.pi / 20.0 * (np.arange(-13, -6) + 0.5), atol=1e-9)
 
 
 def test_the_rate_of_f_at_a_singular_instant_is_that_of_differences_by_the_other_backend():
@@ -277,8 +285,9 @@ def test_the_rate_of_f_at_a_singular_instant_is_that_of_differences_by_the_other
     rng = np.random.default_rng(1)
     nodes = root + np.array([-0.02, 0.0, 0.02, 0.04, 0.06])
     s, sd, sdd = (rng.uniform(-1.0, 1.0, (5, 2)) * size for size in (0.1, 0.5, 5.0))
-    at = rp.CarrierMotion(s, sd, sdd, check_rates=False)
-    lin = Linearised.about(dynamics, Preview.of(ACROSS), nodes, np.array([1]), at)
+    at = s, sd, sdd
+    ahead = Ahead(dynamics, Preview.of(ACROSS), 0.02)
+    lin = Linearised.about(ahead, nodes, np.array([1]), at, 1.0)
     changes = [rng.uniform(-1.0, 1.0, 2) * size for size in (1e-3, 1e-2, 0.1, 10.0)]
     changed = lin.f_rate[0] + sum(part[0] @ change for part, change in zip(lin.slope_rates, changes, strict=True))
     h = np.array([-1e-4, 1e-4])
@@ -304,7 +313,8 @@ def test_nodes_are_the_same_whenever_they_are_asked_for():
     assert early[singular].tolist() == roots.tolist()
     assert set(late[1:10].round(9)) <= set(early.round(9))
     assert np.diff(early).min() > 0.05 * 0.02
-    assert np.diff(early).max() < 1.5 * 0.02
+    assert np.diff(early[early < 0.2]).max() < 1.5 * 0.02
+    assert np.diff(early).max() < 1.5 * 0.04
 
 
 @pytest.mark.parametrize(
@@ -312,7 +322,6 @@ def test_nodes_are_the_same_whenever_they_are_asked_for():
     [
         ({"horizon": 0.01}, "has 0.5 steps"),
         ({"objective": "least"}, "objective is"),
-        ({"solver": "abacus"}, "solver is"),
         ({"limits": {"effort": 1.0}}, "Limits"),
     ],
 )
