@@ -54,7 +54,13 @@ class Machines:
         return process
 
     def schedule(self) -> subprocess.Popen[bytes]:
-        return self._start("dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-show")
+        """Start a scheduler, and wait until it listens: on a busy machine its imports alone take ten seconds."""
+        process = self._start("dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-show")
+        for _ in range(600):
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1.0):
+                return process
+            time.sleep(0.1)
+        raise TimeoutError("The scheduler does not listen.")
 
     def work(self, count: int = 1) -> None:
         self.workers += [
@@ -185,13 +191,18 @@ def test_a_scheduler_that_stays_away_leaves_a_store_to_go_on_from(
     machines: Machines, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(feasibility, "compute", small_maps.slow)
-    monkeypatch.setattr(workers, "PATIENCE", 3.0)
     machines.work(2)
+
+    def leave(done: int) -> None:
+        if done == 4:
+            monkeypatch.setattr(workers, "PATIENCE", 3.0)
+            machines.end(machines.scheduler)
+
     with (
         cluster(machines.address),
         pytest.raises(RedundancyPinError, match="what is finished is kept"),
     ):
-        mapped(tmp_path / "store.sqlite", lambda done: machines.end(machines.scheduler) if done == 4 else None)
+        mapped(tmp_path / "store.sqlite", leave)
     kept = stored(tmp_path / "store.sqlite")
     assert 4 <= kept < 18
     monkeypatch.setattr(workers, "PATIENCE", 60.0)
