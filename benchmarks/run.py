@@ -15,6 +15,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 import compiled
 import engine_table
+import planners_future
 import planners_stepwise
 import planners_switch_off
 import planners_whole
@@ -163,6 +164,7 @@ def main():
     rows += planners_stepwise.rows()
     rows += planners_switch_off.rows()
     rows += planners_whole.rows()
+    rows += planners_future.rows()
     rows += simulation.rows()
     rows += engine_table.rows()
     rows += start_up.rows()

@@ -203,8 +203,11 @@ def design(**given: Any) -> None:
     folder = expanded(given["out"] or f"design-{Path(given['robot']).stem}")
     robot = load(given["robot"], given["mode"] or (), as_options(**given["settings"]), given["gravity"], given["trust"])
     dynamics = BACKENDS[given["backend"] or (VIRTUAL_WORK if robot.closed_form else RNEA)](robot)
+    kinds = [text.partition(":")[0] for text in given["tasks"]]
+    named = {kind if kinds.count(kind) == 1 else text: text for kind, text in zip(kinds, given["tasks"], strict=True)}
     tasks = {
-        text: DesignTask(dynamics, options.make_trajectory(*trajectory_of(text)), parameters) for text in given["tasks"]
+        name: DesignTask(dynamics, options.make_trajectory(*trajectory_of(text)), parameters)
+        for name, text in named.items()
     }
     with progress("design") as advance:
         steps = iter(range(10**6))
@@ -216,7 +219,7 @@ def design(**given: Any) -> None:
             progress=lambda line: advance(min(next(steps), total - 1), total, line),
         )
     costs = table("machines", records, "what tasks cost", [Column(name, name, format=".4g") for name in ranges])
-    facts = {"robot": given["robot"], "ranges": ranges, "parameters": parameters, "records": records}
+    facts = {"robot": given["robot"], "tasks": named, "ranges": ranges, "parameters": parameters, "records": records}
     _write(folder, "design", f"Machines for {', '.join(tasks)}", costs, facts)
     written = f"Tables are in {folder}: design.md, design.csv, design.json."
     report(given["as_json"], {**facts, "folder": str(folder)}, costs, written)
