@@ -5,6 +5,7 @@ import pytest
 import zoo
 from scipy.interpolate import BPoly
 
+import redundancy_pin.planners.whole_trajectory.least_peak as method
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
 from redundancy_pin.planners.carrier_model import Actuation, carrier_model, turning_model
@@ -12,7 +13,7 @@ from redundancy_pin.planners.whole_trajectory.least_peak import least_peak, serv
 from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import Task, grid_of, read_coefficients, with_middles
 from redundancy_pin.planners.whole_trajectory.splines import EffortsAlong, Inequalities, Loads, Splines
-from redundancy_pin.planners.whole_trajectory.transcription import scaled_bounds
+from redundancy_pin.planners.whole_trajectory.transcription import REGULARISATION, scaled_bounds
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
@@ -238,3 +239,77 @@ def test_progress_and_the_time_bound_end_it(monkeypatch):
 
     assert least_peak(problem, {}, np.zeros(len(problem.grid.h), dtype=bool), two) is None
     assert asked == [0, 1, 2]
+
+
+@pytest.fixture(scope="module")
+def systems():
+    """Newton's equations at each iteration of a problem without singular instants, with limits that bind between nodes."""
+    dynamics, seen = VirtualWork(zoo.robot_of("3rrr")), []
+    problem = problem_of(dynamics, reference.corner(0.025), limits=Limits(speed=0.02))
+    with pytest.MonkeyPatch.context() as patch:
+
+        class Noted(method._System):
+            def __init__(self, *given):
+                super().__init__(*given)
+                seen.append((self, given))
+
+        patch.setattr(method, "_System", Noted)
+        between = problem.grid.h > 0.0
+        found = least_peak(problem, {}, between, lambda iteration, cost: True)
+    assert found is not None
+    return problem, found, seen
+
+
+def test_a_step_solves_the_equations_linearised(systems):
+    """By differences of residuals, which are put together anew at both ends of a part of the step."""
+    _, found, seen = systems
+    for system, (efforts, limits, gentle, _, y, left, w, z, nu) in seen[3 : found.iterations : 4]:
+        splines, mu = limits.splines, float(w @ z) / len(w)
+        assert system.factorise()
+        solution, dw, dz = system.step(mu, mu)
+        np.testing.assert_allclose(w * z + z * dw + w * dz, mu, rtol=1e-9)
+        n, h = splines.count, 1e-4
+        x, p = splines.fitted(y[..., :3]), float((left + w)[0] + efforts(y).tau.ravel()[0])
+        ends = []
+        for part in (h, -h):
+            beside = splines.course(x + part * solution[:n])
+            at, peak = efforts(beside), p + part * solution[n]
+            g = limits(x + part * solution[:n], peak, at.tau)
+            ends.append(method._System(efforts, limits, gentle, at, beside, g - w, w, z + part * dz, nu))
+        by_step = (ends[0].left - ends[1].left) / (2.0 * h)
+        np.testing.assert_allclose(by_step - dw, -left, atol=1e-6 * np.abs(dw).max())
+        by_step = (ends[0].dual - ends[1].dual) / (2.0 * h)
+        terms = np.abs(system.back.multiply(dz)).sum(axis=1).max()
+        np.testing.assert_allclose(by_step, -system.dual, atol=1e-6 * terms)
+
+
+def test_the_residual_is_the_gradient_of_the_lagrangian(systems):
+    """Of peak and regularisation less z g: by differences of its value."""
+    problem, found, seen = systems
+    rng = np.random.default_rng(4)
+    for system, (efforts, limits, _, _, y, left, w, z, _) in seen[2 : found.iterations : 5]:
+        splines = limits.splines
+        x, p = splines.fitted(y[..., :3]), float((left + w)[0] + efforts(y).tau.ravel()[0])
+
+        def lagrangian(x, p, efforts=efforts, limits=limits, z=z):
+            y = limits.splines.course(x)
+            squares = (y[..., 2] ** 2).sum(axis=1)
+            mean = np.trapezoid(squares, problem.grid.t) / problem.scales.duration
+            return p + REGULARISATION * mean - z @ limits(x, p, efforts(y).tau)
+
+        dx, dp, h = rng.normal(size=splines.count), rng.normal(), 1e-5
+        change = (lagrangian(x + h * dx, p + h * dp) - lagrangian(x - h * dx, p - h * dp)) / (2.0 * h)
+        np.testing.assert_allclose(system.dual @ np.append(dx, dp), change, atol=1e-6 * np.abs(dx).max())
+
+
+def test_few_iterations_and_refinements_are_enough(systems, monkeypatch):
+    """What predictor, correctors and factors are for: an optimum without them is the same, and takes longer."""
+    problem, found, seen = systems
+    rounds = []
+    rough = method._System._rough
+    monkeypatch.setattr(method._System, "_rough", lambda self, right: rounds.append(self) or rough(self, right))
+    least_peak(problem, {}, problem.grid.h > 0.0, lambda iteration, cost: True)
+    # 12 iterations of a predictor, a corrector, up to two more and a refinement, 42 in all; one more by rounding
+    assert found.iterations <= 13
+    assert len(rounds) <= 46
+    np.testing.assert_allclose(np.abs(found.values["sd"]).max(axis=0) * problem.scales.sd, 0.02, rtol=1e-4)
