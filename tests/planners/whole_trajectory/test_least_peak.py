@@ -243,7 +243,7 @@ def test_progress_and_the_time_bound_end_it(monkeypatch):
 
 @pytest.fixture(scope="module")
 def systems():
-    """Newton's equations at each iteration of a problem without singular instants, with limits that bind between nodes."""
+    """Newton's equations at each iteration: no singular instants, limits that bind between nodes."""
     dynamics, seen = VirtualWork(zoo.robot_of("3rrr")), []
     problem = problem_of(dynamics, reference.corner(0.025), limits=Limits(speed=0.02))
     with pytest.MonkeyPatch.context() as patch:
@@ -304,7 +304,7 @@ def test_the_residual_is_the_gradient_of_the_lagrangian(systems):
 
 def test_few_iterations_and_refinements_are_enough(systems, monkeypatch):
     """What predictor, correctors and factors are for: an optimum without them is the same, and takes longer."""
-    problem, found, seen = systems
+    problem, found, _ = systems
     rounds = []
     rough = method._System._rough
     monkeypatch.setattr(method._System, "_rough", lambda self, right: rounds.append(self) or rough(self, right))
