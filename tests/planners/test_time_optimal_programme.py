@@ -1,0 +1,321 @@
+"""The programme of least time as a whole: its rows, bounds and cost at random values, by the other backend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from types import SimpleNamespace
+
+import casadi
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+import redundancy_pin.planners.time_optimal.planner as planner
+from redundancy_pin.planners.time_optimal.problem import Problem
+from redundancy_pin.planners.time_optimal.transcription import REGULARISATION, transcribe
+from redundancy_pin.planners.whole_trajectory.problem import with_middles
+from redundancy_pin.planners.whole_trajectory.transcription import RESERVE
+from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.paths import Path, circle_path
+from redundancy_pin.trajectory.timing import uniform_law
+from redundancy_pin.trajectory.trajectory import Trajectory
+
+POINTS = 4
+HEAVY = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
+
+
+class _Enough(Exception):
+    pass
+
+
+@dataclass(frozen=True)
+class Case:
+    path: Path
+    problem: Problem
+    other: rp.RneaDynamics
+    limits: dict
+    options: dict
+
+
+@cache
+def case(name: str) -> Case:
+    """The numbers of a planning problem, which is not solved."""
+    if name == "corner":
+        robot, path = zoo.robot_of("3rrr", carrier_mass=3.0), reference.corner().path
+        options = {"begin": "rest", "end": "datum", "datum": (0.1, -0.05, 0.02)}
+    else:
+        robot = zoo.robot_of("2rpr", **HEAVY)
+        path = circle_path((0.25, 0.05), 0.09, start_angle=0.3)
+        options = {"begin": "free", "end": "periodic", "lap": True}
+    k = robot.k
+    limits = {
+        "track": [(-0.3 - 0.1 * i, 0.2 + 0.1 * i) for i in range(k)],
+        "speed": [3.0 + i for i in range(k)],
+        "acceleration": [20.0 + 5.0 * i for i in range(k)],
+        "jerk": [400.0 + 100.0 * i for i in range(k)],
+        "carrier_force": [30.0 + 10.0 * i for i in range(k)],
+        "effort": [4.0 + i for i in range(robot.m)],
+    }
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+
+        def stop(problem, between):
+            seen.append(problem)
+            raise _Enough
+
+        patch.setattr(planner, "transcribe", stop)
+        with pytest.raises(_Enough):
+            rp.plan_time_optimal(rp.VirtualWork(robot), path, steps=6, actuator_speed=0.5, **limits, **options)
+    return Case(path, seen[0], rp.RneaDynamics(robot), limits, options)
+
+
+class Numbers:
+    """Random values of the unknowns in units, and the rows of the programme there."""
+
+    def __init__(self, of: Case) -> None:
+        problem, self.of = of.problem, of
+        self.grid, self.u = problem.grid, problem.sizes
+        count, k, m = len(self.grid.t), problem.model.k, problem.model.W.shape[2]
+        self.moving = self.grid.h > 0.0
+        self.between = self.moving & (np.arange(count - 1) % 2 == 0)
+        self.nlp = transcribe(problem, self.between)
+        self.bounds = self.nlp.bounds
+        parts = self.nlp.functions
+        rows, rng = casadi.Function("rows", [parts["x"]], [parts["f"], parts["g"]]), np.random.default_rng(3)
+        self.points, self.rows, self.cost = [], [], []
+        for _ in range(POINTS):
+            v = {name: rng.uniform(-0.5, 0.5, (count, c)) for name, c in
+                 (("pd", 1), ("pdd", 1), ("s", k), ("sd", k), ("sdd", k), ("tau", m))}  # fmt: skip
+            v["pd"] += 0.7
+            v["h"] = np.where(self.moving, rng.uniform(0.5, 1.5, count - 1), 0.0)[:, None]
+            cost, g = rows(self.nlp.join(v))
+            self.cost.append(float(cost))
+            self.rows.append(np.asarray(g).ravel())
+            units = {"pd": self.u.speed, "pdd": self.u.acceleration, "h": self.u.h[:, None], "tau": self.u.tau,
+                     "s": self.u.s, "sd": self.u.sd, "sdd": self.u.sdd}  # fmt: skip
+            self.points.append({name: v[name] * units[name] for name in v})
+        self.rows = np.array(self.rows)
+
+    def motion(self, v, nodes=slice(None)):
+        """The platform at nodes by the path, and the carriers; where the curvature jumps each node has its own side."""
+        p, jump = self.grid.t, np.append(np.diff(self.grid.t) == 0.0, False)
+        sides = [self.of.path.evaluate(p, side) for side in ("right", "left")]
+        x, tangent, curve = (np.where(jump[:, None], b, a) for a, b in zip(*sides, strict=True))
+        platform = rp.PlatformMotion(np.arange(len(p)), x, tangent * v["pd"], curve * v["pd"] ** 2 + tangent * v["pdd"],
+                                     check_rates=False)  # fmt: skip
+        return platform[nodes], rp.CarrierMotion(v["s"], v["sd"], v["sdd"], check_rates=False)[nodes]
+
+    def reduced(self, v):
+        platform, carriers = self.motion(v)
+        return self.of.other.reduce(platform, carriers, check_track=False)
+
+    def rate(self, v, i, u):
+        """uᵀ d(W τ − f)/dt at a node, τ held, along the motion that jerks make of it."""
+        h, ends = 1e-5, []
+        step = i if i < len(self.moving) and self.moving[i] else i - 1
+        jerk, jerk_p = ((v[name][step + 1] - v[name][step]) / v["h"][step] for name in ("sdd", "pdd"))
+        unit = continuous_motion(Trajectory(self.of.path, uniform_law(self.of.path.length, self.of.path.length)))
+        for t in (h, -h):
+            p = self.grid.t[i] + t * v["pd"][i] + t**2 / 2 * v["pdd"][i]
+            pd, pdd = v["pd"][i] + t * v["pdd"][i] + t**2 / 2 * jerk_p, v["pdd"][i] + t * jerk_p
+            at = unit.sample_at(p)
+            platform = rp.PlatformMotion(p, at.x, at.xd * pd, at.xdd * pd**2 + at.xd * pdd, check_rates=False)
+            s, sd, sdd = (v[name][i] for name in ("s", "sd", "sdd"))
+            motion = s + t * sd + t**2 / 2 * sdd + t**3 / 6 * jerk, sd + t * sdd + t**2 / 2 * jerk, sdd + t * jerk
+            carriers = rp.CarrierMotion(*(part[None] for part in motion), check_rates=False)
+            there = self.of.other.reduce(platform, carriers, check_track=False)
+            ends.append(u @ (there.W[0] @ v["tau"][i] - there.f[0]))
+        return (ends[0] - ends[1]) / (2.0 * h)
+
+
+@pytest.fixture(params=["corner", "lap"])
+def numbers(request) -> Numbers:
+    return Numbers(case(request.param))
+
+
+def assert_multiples(rows, expected, tolerance=1e-8):
+    """Each column of one is a positive multiple of that of the other; both are zero where the two nodes are one place."""
+    expected = np.array(expected).reshape(len(rows), -1)
+    used = expected.any(axis=0)
+    assert not rows[:, ~used].any()
+    rows, expected = rows[:, used], expected[:, used]
+    size = np.linalg.norm(rows, axis=0) / np.linalg.norm(expected, axis=0)
+    assert (size > 1e-6).all()
+    assert (size < 1e6).all()
+    np.testing.assert_allclose(rows, size * expected, atol=tolerance * np.abs(rows).max())
+
+
+def test_rows_are_the_equations_and_limits_of_a_plan(numbers):
+    of, grid, points = numbers.of, numbers.grid, numbers.points
+    problem, moving = of.problem, numbers.moving
+    before = 0
+
+    def take(expected, low, high, tolerance=1e-8):
+        """Look at the next rows: g − bound, for each bound that is finite."""
+        nonlocal before
+        count = expected[0].size
+        rows = slice(before, before + count)
+        before += count
+        for bound, limit in (("lbg", low), ("ubg", high)):
+            given = numbers.bounds[bound][rows]
+            if limit is None:
+                assert np.isinf(given).all()
+            else:
+                left = [np.asarray(value - limit).ravel(order="F") for value in expected]
+                assert_multiples(numbers.rows[:, rows] - given, left, tolerance)
+
+    smooth = np.flatnonzero(grid.smooth)
+    for place, rate, bend in (("p", "pd", "pdd"), ("s", "sd", "sdd")):
+        position, speed, jerks = [], [], []
+        for v in points:
+            y = grid.t[:, None] if place == "p" else v[place]
+            h, yd, ydd = v["h"], v[rate], v[bend]
+            jerk = np.diff(ydd, axis=0) / np.where(h > 0.0, h, 1.0)
+            position.append(y[:-1] + h * yd[:-1] + h**2 / 2 * ydd[:-1] + h**3 / 6 * jerk - y[1:])
+            speed.append(yd[:-1] + h * ydd[:-1] + h**2 / 2 * jerk - yd[1:])
+            # the same jerk on both sides of the node, over the durations
+            jerks.append((jerk[smooth - 1] - jerk[smooth]) * h[smooth - 1] * h[smooth])
+        take(position, 0.0, 0.0)
+        take(speed, 0.0, 0.0)
+        if len(smooth):
+            take(jerks, 0.0, 0.0)
+    most = np.array(of.limits["jerk"])
+    change = [np.diff(v["sdd"], axis=0) for v in points]
+    take([c - v["h"] * most for c, v in zip(change, points, strict=True)], None, 0.0)
+    take([c + v["h"] * most for c, v in zip(change, points, strict=True)], 0.0, None)
+    if not problem.lap:
+        take([v["sd"][:1] for v in points], 0.0, 0.0)
+        take([v["sd"][-1:] for v in points], 0.0, 0.0)
+        park = np.array([of.options["datum"]])
+        take([v["s"][-1:] for v in points], park, park)
+    else:
+        for name in ("pd", "pdd", "s", "sd", "sdd"):
+            take([v[name][-1:] - v[name][:1] for v in points], 0.0, 0.0)
+    reduced = [numbers.reduced(v) for v in points]
+    left = [np.einsum("nij,nj->ni", r.W, v["tau"]) - r.f for r, v in zip(reduced, points, strict=True)]
+    take(left, 0.0, 0.0, 1e-7)
+    assert (len(problem.singular) > 0) == (problem.lap is True)
+    for node in problem.singular:
+        for u in node.lost:
+            np.testing.assert_allclose(u @ reduced[0].W[node.index], 0.0, atol=1e-9)
+            take([np.array([[numbers.rate(v, node.index, u)]]) for v in points], 0.0, 0.0, 1e-4)
+    most = (1.0 - RESERVE) * np.array(of.limits["carrier_force"])
+    take([r.carrier_force for r in reduced], -most, most, 1e-7)
+    take([v["pd"][:-1] + v["h"] / 2 * v["pdd"][:-1] for v in points], 0.0, None)
+    at = np.flatnonzero(numbers.between)
+    speed = (1.0 - RESERVE) * np.array(of.limits["speed"])
+    track = np.array(of.limits["track"])
+    low, high = track.T + RESERVE * np.diff(track).T * np.array([[1.0], [-1.0]])
+    take([v["sd"][at] + v["h"][at] / 2 * v["sdd"][at] for v in points], -speed, speed)
+    take([v["s"][at] + v["h"][at] / 3 * v["sd"][at] for v in points], low, high)
+    take([v["s"][at + 1] - v["h"][at] / 3 * v["sd"][at + 1] for v in points], low, high)
+    assert before == numbers.rows.shape[1]
+    assert moving.sum() > 5
+
+
+def test_bounds_are_those_of_the_unknowns_and_the_cost_is_time(numbers):
+    of, u, nlp = numbers.of, numbers.u, numbers.nlp
+    lower, upper = (nlp.split(numbers.bounds[name]) for name in ("lbx", "ubx"))
+    keep, track = 1.0 - RESERVE, np.array(of.limits["track"])
+    sides = {
+        "s": (u.s, *(track.T + RESERVE * np.diff(track).T * np.array([[1.0], [-1.0]]))),
+        **{name: (getattr(u, name), -keep * np.array(of.limits[limit]), keep * np.array(of.limits[limit]))
+           for name, limit in (("sd", "speed"), ("sdd", "acceleration"), ("tau", "effort"))},
+    }  # fmt: skip
+    for name, (unit, least, most) in sides.items():
+        np.testing.assert_allclose(lower[name] * unit - least, 0.0, atol=1e-12)
+        np.testing.assert_allclose(upper[name] * unit - most, 0.0, atol=1e-12)
+    # the fastest actuator is at its limit, by differences of the joints' angles along the path
+    ones = {name: np.ones_like(value) for name, value in numbers.points[0].items()}
+    platform, _ = numbers.motion({**ones, "pdd": 0.0 * ones["pdd"]})
+    robot = of.other.robot
+    rates = np.abs(rp.kinematics.lift.lift(robot, platform).v[:, robot.actuated_velocity]).max(axis=1)
+    ends = np.zeros(len(rates), dtype=bool)
+    ends[[0, -1]] = not of.problem.lap
+    np.testing.assert_allclose(upper["pd"][:, 0] * u.speed, np.where(ends, 0.0, 0.5 / rates * keep), rtol=1e-9)
+    assert (lower["pd"] == 0.0).all()
+    assert (lower["h"][numbers.moving] > 0.0).all()
+    assert (lower["h"] <= 1e-2).all()
+    assert np.isinf(upper["h"][numbers.moving]).all()
+    assert not upper["h"][~numbers.moving].any()
+    for v, cost in zip(numbers.points, numbers.cost, strict=True):
+        gentle = REGULARISATION * np.mean((v["sdd"] / u.sdd) ** 2)
+        np.testing.assert_allclose(cost, v["h"].sum() / u.duration + gentle, rtol=1e-9)
+
+
+def test_the_first_guess_is_a_harmonic_motion_that_the_parked_machine_can_follow():
+    of = case("corner")
+    problem, u, length = of.problem, of.problem.sizes, of.path.length
+    guess = planner._first_guess(problem)
+    t = np.append(0.0, np.cumsum(guess["h"][:, 0] * u.h))
+    phase = np.pi * t / t[-1]
+    place, rate = 0.5 * length * (1.0 - np.cos(phase)), 0.5 * length * np.pi / t[-1]
+    np.testing.assert_allclose(place, problem.grid.t, atol=1e-12)
+    np.testing.assert_allclose(guess["pd"][:, 0] * u.speed, rate * np.sin(phase), atol=1e-9)
+    # sizes are those of a motion of this mean speed
+    np.testing.assert_allclose(guess["pdd"][:, 0] * u.acceleration, np.cos(phase) * u.acceleration, atol=1e-12)
+    np.testing.assert_allclose([u.speed, u.acceleration], [rate, 2.0 * rate**2 / length], rtol=1e-12)
+    np.testing.assert_allclose(u.duration, t[-1], rtol=1e-12)
+    v = {"pd": guess["pd"] * u.speed, "pdd": guess["pdd"] * u.acceleration, "s": guess["s"] * u.s}
+    np.testing.assert_allclose(v["s"], np.tile(of.options["datum"], (len(t), 1)), rtol=1e-12)
+    v |= {name: np.zeros_like(v["s"]) for name in ("sd", "sdd")}
+    reduced = Numbers(of).reduced({**v, "s": 0.0 * v["s"]})
+    tau = np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0]
+    most = max((np.abs(tau) / of.limits["effort"]).max(), (v["pd"][:, 0] / problem.fastest).max())
+    # 101 speeds are tried, each 1.12 times the one before: efforts grow by its square
+    assert 0.9 / 1.123**2 < most <= 0.9
+
+
+def test_values_are_moved_to_other_nodes_along_the_path():
+    """Linear in place, as numpy interpolates; at a jump each side stays what it was."""
+    of = case("corner")
+    problem, grid, u = of.problem, of.problem.grid, of.problem.sizes
+    point = Numbers(of).points[0]
+    values = {**point, "place": grid.t}
+    again = planner._moved(values, problem)
+    for name in ("pd", "pdd", "s", "sd", "sdd", "tau"):
+        unit = getattr(u, {"pd": "speed", "pdd": "acceleration"}.get(name, name))
+        np.testing.assert_allclose(again[name] * unit, point[name], atol=1e-12)
+    np.testing.assert_allclose(again["h"] * u.h[:, None], point["h"], atol=1e-12)
+    finer = with_middles(grid, grid.h > 0.0)
+    fine = replace(problem, grid=finer, sizes=replace(u, h=np.ones(len(finer.h))))
+    moved = planner._moved(values, fine)
+    side = np.append(False, grid.h == 0.0).cumsum() * 1e-9  # numpy knows no two values at one place
+    places = finer.t + np.append(False, finer.h == 0.0).cumsum() * 1e-9
+    for name in ("pd", "s", "tau"):
+        unit = getattr(u, {"pd": "speed"}.get(name, name))
+        for column, expected in zip((moved[name] * unit).T, point[name].T, strict=True):
+            np.testing.assert_allclose(column, np.interp(places, grid.t + side, expected), atol=1e-6)
+    t = np.append(0.0, np.cumsum(point["h"]))
+    np.testing.assert_allclose(np.cumsum(moved["h"]), np.interp(places[1:], grid.t + side, t), atol=1e-6)
+
+
+def test_steps_inside_which_a_carrier_leaves_its_limits_are_found():
+    """On dense samples of the cubics from node to node: of track ends and speed limits of either side."""
+    of = case("corner")
+    problem, u = of.problem, of.problem.sizes
+    rng, count = np.random.default_rng(8), len(problem.grid.t)
+    found = []
+    for _ in range(40):
+        h = np.where(problem.grid.h > 0.0, 0.1, 0.0)
+        sdd = rng.uniform(-1.0, 1.0, (count, 3)) * rng.choice([3.0, 30.0, 60.0])
+        gained = np.cumsum(h[:, None] / 2 * (sdd[1:] + sdd[:-1]), axis=0)
+        sd = rng.uniform(-1.0, 1.0) + np.vstack([np.zeros((1, 3)), gained])
+        moved = h[:, None] * sd[:-1] + h[:, None] ** 2 / 6 * (2 * sdd[:-1] + sdd[1:])
+        s = rng.uniform(-0.1, 0.1) + np.vstack([np.zeros((1, 3)), np.cumsum(moved, axis=0)])
+        values = {"s": s / u.s, "sd": sd / u.sd, "sdd": sdd / u.sdd, "h": (h / u.h)[:, None]}
+        leaves = planner._leaves(problem, SimpleNamespace(values=values))
+        part = np.linspace(0.0, 1.0, 201)[:, None, None] * h[:, None]
+        jerk = np.diff(sdd, axis=0) / 0.1
+        place = s[:-1] + part * sd[:-1] + part**2 / 2 * sdd[:-1] + part**3 / 6 * jerk
+        speed = sd[:-1] + part * sdd[:-1] + part**2 / 2 * jerk
+        track, most = np.array(of.limits["track"]), np.array(of.limits["speed"])
+        beyond = np.max([place - track[:, 1], track[:, 0] - place, np.abs(speed) - most], axis=0).max(axis=(0, 2))
+        clear = (np.abs(beyond) > 1e-3) & (h > 0.0)
+        np.testing.assert_array_equal(leaves[clear], beyond[clear] > 0.0)
+        found.append(leaves[clear].mean())
+    assert min(found) == 0.0
+    assert max(found) > 0.5
