@@ -27,7 +27,7 @@ POINTS = 4
 HEAVY = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
 
 
-class _Enough(Exception):
+class _EnoughError(Exception):
     pass
 
 
@@ -64,10 +64,10 @@ def case(name: str) -> Case:
 
         def stop(problem, between):
             seen.append(problem)
-            raise _Enough
+            raise _EnoughError
 
         patch.setattr(planner, "transcribe", stop)
-        with pytest.raises(_Enough):
+        with pytest.raises(_EnoughError):
             rp.plan_time_optimal(rp.VirtualWork(robot), path, steps=6, actuator_speed=0.5, **limits, **options)
     return Case(path, seen[0], rp.RneaDynamics(robot), limits, options)
 
@@ -137,7 +137,7 @@ def numbers(request) -> Numbers:
 
 
 def assert_multiples(rows, expected, tolerance=1e-8):
-    """Each column of one is a positive multiple of that of the other; both are zero where the two nodes are one place."""
+    """Each column of one is a positive multiple of that of the other; zero where two nodes are one place."""
     expected = np.array(expected).reshape(len(rows), -1)
     used = expected.any(axis=0)
     assert not rows[:, ~used].any()
