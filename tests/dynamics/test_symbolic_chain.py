@@ -11,6 +11,8 @@ import zoo
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled import design
 from redundancy_pin.dynamics.compiled.closing import _TURN, _way
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.kinematics.assembly import project
@@ -111,3 +113,44 @@ def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
     beside[:3, 3] += 1.0
     assert [pose.tolist() for pose in _way(first.ravel(), beside.ravel(), True)] == [beside.ravel().tolist()]
     assert _way(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("name", ["3rrr", "gough"])
+def test_columns_of_masses_are_what_pinocchios_inertias_change_by(name: str) -> None:
+    """Mass, first moment and inertia about the origin: linear in a mass and in its inertia, by differences a centre."""
+    robot = zoo.robot_of(name)
+    joint = next(str(robot.model.names[i]) for i in range(1, robot.model.njoints) if robot.model.inertias[i].mass > 0.0)
+    body = robot.model.inertias[robot.model.getJointId(joint)]
+    mass, centre, inertia, h = body.mass, np.array(body.lever), np.eye(3), 1e-6  # any inertia will do
+
+    def moments(m: float, c: Array, about: Array) -> Array:
+        """By the spatial inertia: its lower right block is about the origin."""
+        whole = pin.Inertia(m, c, about).matrix()
+        first = np.array([whole[5, 1], whole[3, 2], whole[4, 0]])
+        return np.concatenate([[m], first, whole[3:, 3:].ravel()])
+
+    changes = {f"{joint}.mass": lambda d: (mass + d, centre, inertia)}
+    for i, axis in enumerate("xyz"):
+        changes[f"{joint}.centre.{axis}"] = lambda d, i=i: (mass, centre + d * np.eye(3)[i], inertia)
+        for j in range(i, 3):
+            change = np.zeros((3, 3))
+            change[i, j] = change[j, i] = 1.0
+            changes[f"{joint}.inertia.{axis}{'xyz'[j]}"] = lambda d, c=change: (mass, centre, inertia + d * c)
+    for parameter, changed in changes.items():
+        placements, inertias = design._by_tree(robot, parameter)
+        assert not placements
+        expected = (moments(*changed(h)) - moments(*changed(-h))) / (2.0 * h)
+        np.testing.assert_allclose(inertias[joint], expected, atol=1e-8)
+
+
+def test_frames_of_all_corners_are_the_other_backends() -> None:
+    """Pushed at each link of the 3-RRR by itself."""
+    robot, t = zoo.robot_of("3rrr"), np.linspace(0.0, 1.0, 5)
+    motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t)
+    links = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
+    for link in dict.fromkeys(links):
+        push = [rp.Wrench(link, [3.0, -2.0, 0.0, 0.0, 0.0, 1.5], "local", (0.1, 0.2, 0.0))]
+        ours, theirs = (
+            backend(robot).reduce(motion, carriers, external=push).f for backend in (rp.VirtualWork, rp.RneaDynamics)
+        )
+        np.testing.assert_allclose(ours, theirs, atol=1e-10)

@@ -319,3 +319,12 @@ def test_steps_inside_which_a_carrier_leaves_its_limits_are_found():
         found.append(leaves[clear].mean())
     assert min(found) == 0.0
     assert max(found) > 0.5
+
+
+def test_a_lap_is_first_guessed_at_an_even_speed():
+    problem = case("lap").problem
+    guess, u = planner._first_guess(problem), problem.sizes
+    assert not guess["pdd"].any()
+    np.testing.assert_allclose(guess["pd"], 0.5)
+    # half the size of speeds, and steps that last as long as they take at it
+    np.testing.assert_allclose(guess["h"][:, 0] * u.h * 0.5 * u.speed, problem.grid.h, atol=1e-12)
