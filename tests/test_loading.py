@@ -429,11 +429,12 @@ def test_positions_in_degrees_are_said_to_be(changes, says, tmp_path):
         rp.load_robot(write(tmp_path, **changes))
 
 
-def test_a_platform_angle_in_degrees_is_said_to_be(tmp_path):
+@pytest.mark.parametrize("angle", [30, 6.3])
+def test_a_platform_angle_in_degrees_is_said_to_be(angle, tmp_path):
     text = (models_root() / "3rrr" / "robot.yaml").read_text()
     assert "  platform: [" in text
     lines = [
-        '  platform: ["sqrt(3) / 2", 0.5, 30]' if line.startswith("  platform: [") else line
+        f'  platform: ["sqrt(3) / 2", 0.5, {angle}]' if line.startswith("  platform: [") else line
         for line in text.splitlines()
     ]
     (tmp_path / "robot.yaml").write_text("\n".join(lines))

@@ -255,8 +255,12 @@ def test_what_cannot_be_said_is_refused_by_name() -> None:
         RneaDynamics(robot).reduce(motion, external=[Wrench("platform", np.zeros((3, 6)))])
     with pytest.raises(InputError, match="reference"):
         Wrench("platform", np.zeros(6), "body")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="no body has"):
-        Payload("platform", 1.0, inertia=np.diag([1.0, 1.0, 3.0]))
+    tilted = np.eye(3)
+    tilted[0, 1] = 1e-6
+    for inertia in (*map(np.diag, ([1.0, 1.0, 3.0], [1.0, 1.0, 2.000001], [-1e-6, 1.0, 1.0])), tilted):
+        with pytest.raises(InputError, match="no body has"):
+            Payload("platform", 1.0, inertia=inertia)
+    Payload("platform", 1.0, inertia=np.diag([1.0, 1.0, 2.0]))  # a flat body
     with pytest.raises(InputError, match="damping"):
         JointForces("base_1", damping=-1.0)
     with pytest.raises(InputError, match="shape"):

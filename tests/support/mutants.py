@@ -45,6 +45,20 @@ PATIENCE = 8.0, 60.0
 ASLEEP = 7200
 """The same in s on the clock, for one that waits: however busy the machine is."""
 
+NOT_COPIED = (
+    ".git",
+    ".venv",
+    "build",
+    "dist",
+    "results",
+    "study",
+    ".pytest_cache",
+    ".mypy_cache",
+    ".ruff_cache",
+    ".hypothesis",
+)
+"""Of the checkout: what is made in it."""
+
 NOBODY = 65534
 """User and group of mutants that root starts: one of root's own has replaced ``/dev/null`` by a file."""
 
@@ -284,8 +298,9 @@ def _is_nobodys() -> bool:
 
 def tree(folder: Path) -> Path:
     """Copy what tests of the rooms need, so that one copy serves several mutants in turn."""
-    for name in ("redundancy_pin", "tests", "models", "benchmarks", "pyproject.toml", "docs", "README.md"):
-        source = ROOT / name
+    # all that git has: some tests read how the project is made
+    for source in (each for each in sorted(ROOT.iterdir()) if each.name not in NOT_COPIED):
+        name = source.name
         if source.is_dir():
             shutil.copytree(source, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
         elif source.exists():

@@ -33,7 +33,13 @@ def square_plan(**settings):
 def test_the_optimiser_works_exactly_while_the_platform_accelerates():
     plan = square_plan()
     moves = np.abs(plan.motion.xdd).max(axis=1) > 1e-9
-    np.testing.assert_array_equal(phase_names(plan)[1:] == "optimise", moves[1:])
+    optimised = phase_names(plan)[1:] == "optimise"
+    np.testing.assert_array_equal(optimised, moves[1:])
+    said = plan.diagnostics
+    assert (said["steps"], said["optimised_steps"]) == (len(plan.t) - 1, optimised.sum())
+    # one or two Gauss-Newton steps each
+    assert said["optimised_steps"] <= said["iterations"] <= 1.5 * said["optimised_steps"]
+    assert said["most_iterations"] == 2
 
 
 def test_rounding_in_the_reference_is_no_acceleration():
