@@ -241,12 +241,11 @@ def _is_singular(kernel: Library | Interpreter, q: Array, x: Array, size: int) -
     """Return whether K is singular at a configuration, to the square root of rounding."""
     residual, K, alignment = np.empty((1, size)), np.empty((1, size, size)), np.empty((1, kernel.alignments))
     kernel.map("rp_rows", 1, [q[None], kernel.trig_at(q[None]), x[None]], [residual, K, alignment])
-    values = np.linalg.svd(K[0], compute_uv=False)
-    return bool(values[-1] <= _SINGULAR_RATIO * values[0])
+    return bool(np.linalg.cond(K[0]) > _SINGULAR_CONDITION)
 
 
-_SINGULAR_RATIO = 1e-5
-"""Ratio of singular values below which K counts as singular in a message: Newton reaches a double root to 1e-6."""
+_SINGULAR_CONDITION = 1e5
+"""Ratio of singular values above which K counts as singular in a message: Newton reaches a double root to 1e-6."""
 
 
 # --- what is wrong ----------------------------------------------------------------------------------------------------

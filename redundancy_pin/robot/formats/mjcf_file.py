@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
@@ -301,21 +302,13 @@ class Defaults:
 
 def from_quaternion(wxyz: Array) -> Array:
     """Return the rotation (3, 3) of a unit quaternion w, x, y, z."""
-    w, x, y, z = wxyz
-    turn: Array = np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    turn: Array = pin.Quaternion(*map(float, wxyz)).toRotationMatrix()
     return turn
 
 
 def about(axis: Array, angle: float) -> Array:
-    """Return the rotation (3, 3) about a unit axis (Rodrigues)."""
-    skew = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    turn: Array = np.eye(3) + math.sin(angle) * skew + (1.0 - math.cos(angle)) * skew @ skew
+    """Return the rotation (3, 3) about a unit axis."""
+    turn: Array = pin.exp3(axis * angle)
     return turn
 
 
