@@ -11,12 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
+import spatial_chains
 import zoo
 from folding import folding_four_bar
 
 import redundancy_pin as rp
+from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.closing import _brought_near, close
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follow, initial_guess
 from redundancy_pin.kinematics.inverse_kinematics import multistart
@@ -122,3 +126,21 @@ def test_a_pose_from_the_one_before_takes_two_or_three_placements(
     placements = {"four_bar": 38}.get(shipped.name, 57)
     at_most(counted(run), (placements, placements))
     assert None not in points
+
+
+STEPS = {"universal": 73, "hinge": 63, "cylindrical": 45, "continuous": 29}
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_loops_are_closed_from_afar_in_few_steps(name: str) -> None:
+    """From joints up to 1.5 rad or metres off, and never the wrong way round."""
+    robot = spatial_chains.chain_of(name)
+    system, rng, steps = zoo.system_of(robot), np.random.default_rng(0), 0
+    for _ in range(8):
+        q = pin.integrate(robot.model, np.array(robot.q_reference), rng.uniform(-1.5, 1.5, robot.model.nv))
+        near, count, size = _brought_near(system, q)
+        steps += count
+        assert size < 1e-3
+        assert system.misalignment(system.evaluate(near[None])).max() < 0.01
+        assert close(system, near)[1] < CLOSURE_TOLERANCE
+    assert 0.7 * STEPS[name] <= steps <= MORE * STEPS[name]

@@ -150,3 +150,19 @@ def test_two_axes_make_three(tmp_path):
     turn = np.column_stack([x, y, np.cross(x, y)])
     found = body(tmp_path, '<frame xyaxes="1 2 -2 0.5 1 1"><geom size="0.1" mass="1" pos="1 2 4"/></frame>')
     np.testing.assert_allclose(found[1], turn @ [1.0, 2.0, 4.0], atol=1e-12)
+
+
+def test_a_site_with_the_name_of_a_body_gets_another(tmp_path):
+    content = """<geom size="0.1"/><site name="body" pos="0 0 1"/><site name="tip"/><body name="tip"><geom size="0.1"/>
+    <joint name="second" axis="0 0 1"/></body>"""
+    links = read_mjcf(write(tmp_path, MODEL.format(content=content, compiler=""))).links
+    assert {"body", "site:body", "tip", "site:tip"} <= set(links) or {"body", "site:body", "tip", "body:tip"} <= set(
+        links
+    )
+    nested = '<lengthrange mode="none"/>'
+    text = MODEL.format(content='<geom size="0.1"/>', compiler="").replace(
+        "/><worldbody>", f">{nested}</compiler><worldbody>"
+    )
+    assert read_mjcf(write(tmp_path, text)).links["body"].mass > 0.0
+    with pytest.raises(ModelFileError, match="<flag> is not covered"):
+        read_mjcf(write(tmp_path, text.replace(nested, "<flag/>")))

@@ -145,3 +145,36 @@ def test_guesses_after_the_first_swing_about_the_start() -> None:
     second = -(frequency**2 * np.sin(frequency * (t[:, None] - t[0]))) @ size
     np.testing.assert_allclose(sd, np.clip(rate, -0.9 * u.sd, 0.9 * u.sd), atol=1e-9)
     np.testing.assert_allclose(sdd, np.clip(second, -0.9 * u.sdd, 0.9 * u.sdd), atol=1e-8)
+
+
+BLAMED = [
+    ("Maximum_WallTime_Exceeded", "seconds", "time ran out"),
+    ("Restoration_Failed", "balance", "by 0.25 of f"),
+]
+
+
+@pytest.mark.parametrize(("message", "constraint", "says"), BLAMED)
+def test_where_nothing_helps_the_time_or_the_balance_is_to_blame(message: str, constraint: str, says: str) -> None:
+    elastic = SimpleNamespace(message=message, violation=0.25)
+    error = multistart._nothing_helps(problem(), elastic, "Infeasible_Problem_Detected")
+    assert error.details["constraint"] == constraint
+    assert says in str(error)
+    assert error.details["amount"] == 0.25
+
+
+def test_a_platform_at_rest_is_scaled_by_what_its_carriers_do() -> None:
+    """Where f is zero with parked carriers: the largest force that an acceleration at its limit asks for."""
+    dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
+    t = np.linspace(0.0, 1.0, 20)
+    still = np.zeros((20, 2))
+    motion = rp.PlatformMotion(t, still + np.array([0.25, 0.2]), still, still)
+    source = continuous_motion(motion)
+    settings = checked_settings(dynamics.robot, Objective("effort"), Limits(acceleration=8.0), Mesh(0.1, 0))
+    scales = read_coefficients(Task(dynamics, source, settings), grid_of(source, [], 0.1)).scales
+    pushed = []
+    for j in range(2):
+        sdd = np.zeros((1, 2))
+        sdd[0, j] = 8.0
+        carriers = rp.CarrierMotion(np.zeros((1, 2)), np.zeros((1, 2)), sdd, check_rates=False)
+        pushed.append(np.abs(rp.RneaDynamics(dynamics.robot).reduce(motion[:1], carriers).f).max())
+    np.testing.assert_allclose(scales.row, max(pushed), rtol=1e-9)
