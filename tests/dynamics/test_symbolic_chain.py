@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled import design
-from redundancy_pin.dynamics.compiled.closing import _TURN, _way
+from redundancy_pin.dynamics.compiled.closing import _TURN, _waypoints
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.kinematics.assembly import project
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
@@ -101,7 +101,7 @@ def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
     first[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
     last[:3, :3] = Rotation.from_rotvec(angle * turn).as_matrix() @ first[:3, :3]
     first[:3, 3], last[:3, 3] = [1.0, 2.0, 3.0], [0.0, 4.0, 3.5]
-    way = np.array(_way(first.ravel(), last.ravel(), True)).reshape(-1, 4, 4)
+    way = np.array(_waypoints(first.ravel(), last.ravel(), True)).reshape(-1, 4, 4)
     assert len(way) == 4
     for share, pose in zip((0.25, 0.5, 0.75, 1.0), way, strict=True):
         expected = Rotation.from_rotvec(share * angle * turn).as_matrix() @ first[:3, :3]
@@ -111,8 +111,8 @@ def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
     np.testing.assert_array_equal(way[-1], last)
     beside = first.copy()
     beside[:3, 3] += 1.0
-    assert [pose.tolist() for pose in _way(first.ravel(), beside.ravel(), True)] == [beside.ravel().tolist()]
-    assert _way(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
+    assert [pose.tolist() for pose in _waypoints(first.ravel(), beside.ravel(), True)] == [beside.ravel().tolist()]
+    assert _waypoints(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
 
 
 @pytest.mark.parametrize("name", ["3rrr", "gough"])

@@ -19,13 +19,12 @@ from folding import folding_four_bar
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
-from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.chain import ClosedChain, tracker
 from redundancy_pin.kinematics.closing import _brought_near, close
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follow, initial_guess
 from redundancy_pin.kinematics.inverse_kinematics import multistart
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.robot import Robot
 
 MORE = 1.05
