@@ -23,10 +23,10 @@ from redundancy_pin.planners.time_optimal.problem import Problem, Sizes, read_mo
 from redundancy_pin.planners.time_optimal.transcription import transcribe
 from redundancy_pin.planners.whole_trajectory.options import LIMITS, MOST_REFINEMENTS, End
 from redundancy_pin.planners.whole_trajectory.problem import (
-    NEAR,
     Grid,
     SingularNode,
     first_mesh,
+    near_singular,
     singular_node,
     widened,
 )
@@ -40,7 +40,6 @@ from redundancy_pin.planners.whole_trajectory.solver import (
     Solution,
     solve_nlp,
 )
-from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -320,8 +319,7 @@ def _problem(
     fastest = (rates / np.maximum(turning, 1e-300)).min(axis=1, initial=1e300)
     length = unit.end - unit.start
     place = (nodes.t - nodes.t[0]) / length
-    values = spectrum_of(scaled(parked.W, parked.row_scale, parked.column_scale)).singular_values
-    regular = values[:, -1] > NEAR * (values[:, 0] if values.shape[1] > 1 else values.max())
+    regular = ~near_singular(parked)
     inverse = np.linalg.pinv(model.W[regular])
 
     def use(speed: float) -> float:

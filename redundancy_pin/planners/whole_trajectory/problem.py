@@ -26,7 +26,13 @@ from itertools import pairwise
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only, require_few
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlongMotion, has_expressions
+from redundancy_pin.dynamics.base import (
+    Dynamics,
+    DynamicsAlongMotion,
+    ExactAlongMotion,
+    ReducedDynamics,
+    has_expressions,
+)
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.base_wrench import BASE, BaseWrench, base_wrench, load_at_rest
@@ -104,12 +110,16 @@ def grid_of(source: ContinuousMotion, singular: Sequence[float], dt: float, ends
 def first_mesh(dynamics: Dynamics, source: ContinuousMotion, dt: float, ends: bool = False) -> Grid:
     """Return the nodes of ``grid_of``, singular instants among them, and a middle in each step beside a singularity."""
     grid = grid_of(source, Actuation.along(dynamics, source).singular_instants, dt, ends)
-    reduced = dynamics.along(source.sample_at(grid.t)).reduce()
+    near = near_singular(dynamics.along(source.sample_at(grid.t)).reduce())
+    return with_middles(grid, near[1:] | near[:-1])
+
+
+def near_singular(reduced: ReducedDynamics) -> BoolArray:
+    """Return (M,) at which nodes W is near a type II singularity."""
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
     # the only singular value of a single freedom is compared with what it is elsewhere
     size = values[:, 0] if values.shape[1] > 1 else values.max()
-    near: BoolArray = values[:, -1] < NEAR * size
-    return with_middles(grid, near[1:] | near[:-1])
+    return np.asarray(values[:, -1] < NEAR * size)
 
 
 def with_middles(grid: Grid, steps: BoolArray) -> Grid:
