@@ -133,8 +133,8 @@ def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["five_bar", "gough", "geared"])
 def test_a_urdf_and_its_declaration_are_the_same_robot(name: str, tmp_path: Path) -> None:
-    plain = GEARED.replace('<joint armature="0.01"/>', "")
-    robot = rp.load_robot(write(tmp_path, plain)) if name == "geared" else robot_of(name)
+    without_armature = GEARED.replace('<joint armature="0.01"/>', "")
+    robot = rp.load_robot(write(tmp_path, without_armature)) if name == "geared" else robot_of(name)
     robot = robot.loaded(
         Payload(robot.closures[0].frame_a, 0.4, [0.1, 0.0, 0.2]),
         JointForces(robot.actuated[0], 0.2, rotor_inertia=0.01, gear=-5.0),

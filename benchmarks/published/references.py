@@ -103,8 +103,8 @@ class Lagrange:
 
     def acceleration(self, q, v):
         J, speed = self.jacobian(q), np.linalg.norm(v)
-        way = v / speed if speed else v
-        around = np.mean([self.place(q + RADIUS * z * way) / z**2 for z in CIRCLE], axis=0)
+        direction = v / speed if speed else v
+        around = np.mean([self.place(q + RADIUS * z * direction) / z**2 for z in CIRCLE], axis=0)
         bias = 2.0 * around.real / RADIUS**2 * speed**2  # second derivative along the motion
         weighted = self.mass[:, None, None] * J
         M = np.einsum("pia,pib->ab", weighted, J)

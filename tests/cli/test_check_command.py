@@ -33,10 +33,10 @@ def test_a_plan_that_is_what_it_says_has_the_code_it_was_planned_with(code: int,
     plans[code].save(path)
     result = call("check", str(path), "--json")
     assert result.exit_code == code
-    said = json.loads(result.stdout)
-    assert said["passed"]
-    assert said["status"] == said["saved_status"] == plans[code].status.value
-    np.testing.assert_allclose(said["peak_effort"], plans[code].peak_effort, rtol=1e-3)
+    facts = json.loads(result.stdout)
+    assert facts["passed"]
+    assert facts["status"] == facts["saved_status"] == plans[code].status.value
+    np.testing.assert_allclose(facts["peak_effort"], plans[code].peak_effort, rtol=1e-3)
     table = call("check", str(path), "--backend", "virtual-work")
     assert table.exit_code == code
     assert "yes" in table.stdout

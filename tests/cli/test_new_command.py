@@ -86,9 +86,9 @@ def test_a_pin_that_is_marked_on_one_link(tmp_path):
     assert facts["closures"] == [{"frames": ["end", "slider"], "axes": ["x", "y"]}]
     assert len(facts["independent"]) == 1
     path.write_text(SLIDER.replace("0.4 -0.3 0", "0.4 -0.2 0"))  # closes, but not at zero
-    said = call("new", path, "--out", tmp_path / "far.yaml").stdout
-    assert "no two frames coincide" in said
-    assert "which are one point: end, mark" in said
+    printed = call("new", path, "--out", tmp_path / "far.yaml").stdout
+    assert "no two frames coincide" in printed
+    assert "which are one point: end, mark" in printed
 
 
 def test_refusals(urdf, tmp_path):

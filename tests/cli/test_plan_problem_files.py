@@ -45,9 +45,9 @@ def test_the_documented_problem_is_that_of_the_python_api(tmp_path: Path) -> Non
 def test_the_documented_problem_names_every_key_there_is() -> None:
     text = EXAMPLE.read_text(encoding="utf-8")
     for name, make in TRAJECTORIES.items():
-        said = re.search(rf"^#   {name} +(.*)$", text, flags=re.MULTILINE)
-        assert said, name
-        keys = {key.strip() for key in said[1].partition(":")[0].split(",")}
+        match = re.search(rf"^#   {name} +(.*)$", text, flags=re.MULTILINE)
+        assert match, name
+        keys = {key.strip() for key in match[1].partition(":")[0].split(",")}
         assert keys == set(inspect.signature(make).parameters), name
     words = set(re.findall(r"\w+", text))
     assert {*SWITCH_OFF, *STEPWISE, *WHOLE_TRAJECTORY} <= words

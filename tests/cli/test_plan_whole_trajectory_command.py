@@ -162,10 +162,10 @@ def test_the_picture_of_a_plan_that_stopped_early_says_so() -> None:
 @pytest.mark.long
 def test_an_impossible_task_names_the_limit_and_what_would_suffice(tmp_path: Path) -> None:
     task = (*CORNER, "--max-effort", "1", "--end", "free")
-    said = refused(*task, "--out", tmp_path / "plan.npz")
-    assert "What would suffice" in said
-    match = re.search(r"the acceleration of carrier_\d, from 7 to (\S+) m", said)
-    assert match, said
+    message = refused(*task, "--out", tmp_path / "plan.npz")
+    assert "What would suffice" in message
+    match = re.search(r"the acceleration of carrier_\d, from 7 to (\S+) m", message)
+    assert match, message
     assert list(tmp_path.iterdir()) == []
     # what would suffice does, and less does not; the nodes are refined meanwhile, which moves it by a percent at most
     assert call(*task, "--max-acceleration", f"{1.01 * float(match[1])}").exit_code == 0

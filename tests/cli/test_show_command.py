@@ -30,9 +30,9 @@ def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_robot_is_written_to_one_file(tmp_path: Path) -> None:
     done = call("show", "--robot", "3rrr", "--html", tmp_path / "out.html", "--json")
     assert done.exit_code == 0
-    said = json.loads(done.stdout)
-    assert said["title"] == "3rrr"
-    assert said["duration"] == pytest.approx(reference.corner().duration)
+    facts = json.loads(done.stdout)
+    assert facts["title"] == "3rrr"
+    assert facts["duration"] == pytest.approx(reference.corner().duration)
     assert [path.name for path in tmp_path.iterdir()] == ["out.html"]
     assert (tmp_path / "out.html").stat().st_size < 3e6
 

@@ -97,14 +97,14 @@ def test_a_digital_controller_with_noise_friction_and_encoders(plan_file: Path, 
                   "--friction", "prismatic_viscous=2", "--max-effort", "1.5", "--duration", "0.1",
                   "--out", out)  # fmt: skip
     assert result.exit_code == 0, result.stderr
-    robot, held = rp.load_robot("3rrr"), plan_reference(rp.load_plan(plan_file))
+    robot, planned = rp.load_robot("3rrr"), plan_reference(rp.load_plan(plan_file))
     sampling = Sampling(0.004, 0.002)
-    controller = ComputedTorque(held, sampling=sampling, effort_limit=1.5)
-    point = held.at(0.0)
+    controller = ComputedTorque(planned, sampling=sampling, effort_limit=1.5)
+    point = planned.at(0.0)
     sliding = np.array([name.startswith("carrier") for name in list(robot.model.names)[1:]])
     friction = JointFriction(np.where(sliding, 0.0, 0.3), np.where(sliding, 2.0, 0.0), np.where(sliding, 0.01, 0.05))
     expected = rp.simulate(
-        robot, Noisy(Encoders(controller, held, period=0.004), 5, 0.2), duration=0.1, dt=0.004, sampling=sampling,
+        robot, Noisy(Encoders(controller, planned, period=0.004), 5, 0.2), duration=0.1, dt=0.004, sampling=sampling,
         start=closed_state(robot, point.x, point.xd, point.s, point.sd), external=friction, effort_limit=1.5,
         rtol=1e-7, atol=1e-9, integrator="RK45",
     )  # fmt: skip

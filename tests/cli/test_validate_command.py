@@ -25,16 +25,16 @@ def test_small_run_passes_and_is_the_api() -> None:
 
 
 def test_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
+    calls = []
 
     def run(*arguments: object, **_: object) -> CrossCheckReport:
-        asked.append(arguments[-1])
+        calls.append(arguments[-1])
         return CrossCheckReport((), 0)
 
     monkeypatch.setattr(crosscheck, "run", run)
     for jobs in ("1", "3", "-1"):
         call("validate", "--jobs", jobs)
-    assert asked == [1, 3, os.cpu_count()]
+    assert calls == [1, 3, os.cpu_count()]
 
 
 def test_failure_shows_in_table_json_and_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,6 +60,6 @@ def test_bad_input(arguments: tuple[str, ...], says: str) -> None:
 def test_what_a_declaration_says_wrong_is_said_and_not_drawn_again(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("name: x\nurdf: nowhere.urdf\nactuated: 3\n", encoding="utf-8")
-    said = refused("validate", "--robot", path, "--samples", "5")
-    assert said == refused("info", "--robot", path)
-    assert "nowhere.urdf" in said
+    message = refused("validate", "--robot", path, "--samples", "5")
+    assert message == refused("info", "--robot", path)
+    assert "nowhere.urdf" in message

@@ -260,8 +260,8 @@ def test_efforts_obey_lagrange(name: str, seed: int) -> None:
         want = oracle.generalised_force(*state, gravity)
         got = np.concatenate([reduced.f[k], reduced.carrier_force[k]])
         np.testing.assert_allclose(got, want, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(want).max()))
-        held = oracle.base_wrench(*state, gravity)
-        np.testing.assert_allclose(wrench[k], held, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(held).max()))
+        at_rest = oracle.base_wrench(*state, gravity)
+        np.testing.assert_allclose(wrench[k], at_rest, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(at_rest).max()))
 
 
 def test_the_layout_of_a_motion_in_memory_does_not_matter() -> None:

@@ -228,8 +228,8 @@ def test_closure_forces(name: str) -> None:
         i = robot.n - 1
         want = difference(lambda by, p=part, i=i: forces(shifted(motion, p, i, by)), STEP, WEIGHTS)
         assert_derivative(result, part, i, want["closure_force"], EQUAL, "closure force")
-    held = got.closure_force(tau)
-    np.testing.assert_allclose(held.xdd - result.xdd, got.share @ got.tau.xdd, atol=1e-9)
+    closure_force = got.closure_force(tau)
+    np.testing.assert_allclose(closure_force.xdd - result.xdd, got.share @ got.tau.xdd, atol=1e-9)
     with pytest.raises(InputError, match="tau"):
         got.closure_force(tau[:, :-1] if robot.m > 1 else np.zeros((2, 2)))
 

@@ -20,16 +20,16 @@ OPTIMUM = 1e-5  # relative; DAQP keeps conditions to 1e-6
 @pytest.fixture(scope="module")
 def gripping() -> tuple[rp.Robot, rp.PlatformMotion]:
     """A five-bar with all four hinges driven: two arms that hold a point between them, and squeeze it."""
-    plain = zoo.robot_of("five_bar")
+    five_bar = zoo.robot_of("five_bar")
     robot = rp.Robot.from_model(
-        plain.model,
+        five_bar.model,
         closures=[{"name": "grip", "frames": ["tip_2", "end_effector"], "axes": ["x", "y"]}],
         actuated=["base_1", "elbow_1", "base_2", "elbow_2"],
-        carriers=plain.carriers,
-        independent=plain.platform,
-        reference=np.array(plain.q_reference),
+        carriers=five_bar.carriers,
+        independent=five_bar.platform,
+        reference=np.array(five_bar.q_reference),
     )
-    return robot, zoo.smooth_motion(plain, 1).at(np.linspace(0.0, 1.0, 6))
+    return robot, zoo.smooth_motion(five_bar, 1).at(np.linspace(0.0, 1.0, 6))
 
 
 def least(W: Array, f: Array, rows: EffortRows, k: int) -> Array:
@@ -43,8 +43,8 @@ def least(W: Array, f: Array, rows: EffortRows, k: int) -> Array:
     G, h = G / size[:, None], h / size
     multipliers, left = nnls(np.concatenate([G.T, h[None] / np.abs(h).max()]), np.eye(W.shape[1] + 1)[-1])
     assert left > 1e-9  # else nothing keeps them
-    held = multipliers > 0.0
-    return np.asarray(np.linalg.lstsq(G[held], h[held], rcond=None)[0])
+    pressed = multipliers > 0.0
+    return np.asarray(np.linalg.lstsq(G[pressed], h[pressed], rcond=None)[0])
 
 
 def test_a_squeeze_holds_exactly_and_costs_least(gripping) -> None:
@@ -61,8 +61,8 @@ def test_a_squeeze_holds_exactly_and_costs_least(gripping) -> None:
     for k in range(len(motion)):
         oracle = least(reduced.W[k], reduced.f[k], squeeze, k)
         assert np.abs(distribution.tau[k] - oracle).max() < OPTIMUM * np.abs(oracle).max()
-    plain = rp.distribute(reduced)
-    assert np.linalg.norm(plain.tau) < np.linalg.norm(distribution.tau)
+    free = rp.distribute(reduced)
+    assert np.linalg.norm(free.tau) < np.linalg.norm(distribution.tau)
 
 
 def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping) -> None:
@@ -99,8 +99,8 @@ def test_conditions_that_cannot_be_kept_are_a_status(gripping) -> None:
     other = force.rows(force.component("grip", "x"), 30.0, 30.0)
     assert np.isinf(rp.distribute(reduced, rows=[squeeze, other]).residual).all()
     # a robot without choice keeps rows or does not
-    plain = zoo.robot_of("five_bar")
-    own = rp.RneaDynamics(plain).reduce(motion)
+    five_bar = zoo.robot_of("five_bar")
+    own = rp.RneaDynamics(five_bar).reduce(motion)
     efforts = rp.distribute(own).tau
     limit = float(np.median(efforts[:, 0]))
     kept = rp.distribute(own, rows=[EffortRows(np.array([[1.0, 0.0]]), np.array([-np.inf]), np.array([limit]))])

@@ -357,9 +357,9 @@ def test_a_squeeze_is_held_exactly_whatever_the_force_does():
     W = rng.normal(size=(5, 3, 4))
     problem = reduced(W, rng.normal(size=(5, 3)))
     free = np.array([np.linalg.svd(one)[2][-1] for one in W])
-    plain, squeezed = distribute(problem), distribute(problem, preferred=20.0 * free)
-    np.testing.assert_allclose(squeezed.tau - plain.tau, 20.0 * free, atol=1e-9)
-    assert (squeezed.status == plain.status).all()
+    unsqueezed, squeezed = distribute(problem), distribute(problem, preferred=20.0 * free)
+    np.testing.assert_allclose(squeezed.tau - unsqueezed.tau, 20.0 * free, atol=1e-9)
+    assert (squeezed.status == unsqueezed.status).all()
     np.testing.assert_allclose(squeezed.residual, 0.0, atol=1e-9)
 
 
@@ -386,10 +386,10 @@ def test_bounds_of_a_motor_fall_with_its_speed():
 
 def test_preload_against_backlash_presses_every_gear_to_its_side():
     """A five-bar with a third motor: bounds one side of zero, against the segment of all solutions, by hand."""
-    plain = load_robot("five_bar")
+    shipped = load_robot("five_bar")
     robot = Robot.from_model(
-        plain.model, closures=plain.closures, actuated=[*plain.actuated, "elbow_1"], carriers=plain.carriers,
-        independent=plain.platform, reference=np.array(plain.q_reference),
+        shipped.model, closures=shipped.closures, actuated=[*shipped.actuated, "elbow_1"], carriers=shipped.carriers,
+        independent=shipped.platform, reference=np.array(shipped.q_reference),
     )  # fmt: skip
     t = np.linspace(0.0, 2.0 * np.pi, 60)
     home = constraint_system(robot).evaluate(np.array(robot.q_reference)[None])

@@ -207,16 +207,16 @@ def test_rates_are_compared_over_all_blocks(size: int) -> None:
     tolerant.require()
     for scale in ((1e3, 1.0, 1.0), (1.0, -1.0, -1.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)):
         parts = [factor * part for factor, part in zip(scale, (sampled.x, sampled.xd, sampled.xdd), strict=True)]
-        one, check, said = PlatformMotion(sampled.t, *parts), Consistency(), []
+        one, check, messages = PlatformMotion(sampled.t, *parts), Consistency(), []
         for part, _ in cut(one, size):
             check.add(part)
         for judge in (check.require, lambda one=one: require_consistent(one)):
             try:
-                said.append(judge())
+                messages.append(judge())
             except rp.errors.InputError as error:
-                said.append(str(error))
-        assert said[0] == said[1]
-        assert (said[0] is None) == (scale == (1.0, 1.0, 1.0))
+                messages.append(str(error))
+        assert messages[0] == messages[1]
+        assert (messages[0] is None) == (scale == (1.0, 1.0, 1.0))
 
 
 def test_long_motions_are_compared_at_some_of_their_samples(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -96,9 +96,9 @@ def test_backends_agree_on_loads_of_every_kind(name: str, mode: tuple[int, ...])
     robot = machine(name, mode)
     motion, carriers = moving(robot)
     loads = all_loads(name, len(motion))
-    plain = RneaDynamics(robot).reduce(motion, carriers)
+    unloaded = RneaDynamics(robot).reduce(motion, carriers)
     first = RneaDynamics(robot).with_external(*loads).along(motion)
-    assert np.abs(first.reduce(carriers).f - plain.f).max(axis=0).min() > 1.0
+    assert np.abs(first.reduce(carriers).f - unloaded.f).max(axis=0).min() > 1.0
     for other in (VirtualWork(robot), CompiledDynamics(robot, interpret=True)):
         second = other.with_external(*loads).along(motion)
         one, two = first.reduce(carriers), second.reduce(carriers)
@@ -134,16 +134,16 @@ def test_a_wrench_on_the_platform_is_what_f_falls_by() -> None:
     robot = machine("3rrr")
     motion, carriers = moving(robot)
     wrench = np.random.default_rng(1).normal(size=(len(motion), 6))
-    angle, plain = motion.x[:, 2], RneaDynamics(robot).reduce(motion, carriers).f
+    angle, unloaded = motion.x[:, 2], RneaDynamics(robot).reduce(motion, carriers).f
     rows = wrench[:, [0, 1, 5]]
     for dynamics in (RneaDynamics(robot), VirtualWork(robot), CompiledDynamics(robot, interpret=True)):
         world = dynamics.reduce(motion, carriers, external=[Wrench("platform", wrench)]).f
-        assert_alike(plain - world, rows)
+        assert_alike(unloaded - world, rows)
         local = dynamics.reduce(motion, carriers, external=[Wrench("platform", wrench, "local", (0.2, 0.0, 0.0))]).f
         c, s = np.cos(angle), np.sin(angle)
         push = np.stack([c * rows[:, 0] - s * rows[:, 1], s * rows[:, 0] + c * rows[:, 1]], axis=1)
         turned = rows[:, 2] + 0.2 * (c * push[:, 1] - s * push[:, 0])
-        assert_alike(plain - local, np.column_stack([push, turned]))
+        assert_alike(unloaded - local, np.column_stack([push, turned]))
 
 
 def test_a_payload_is_mass_of_the_platform() -> None:

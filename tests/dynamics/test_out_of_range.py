@@ -42,14 +42,14 @@ def test_passive_joints_beyond_their_range_are_a_status_in_every_backend(robot: 
         pytest.importorskip("casadi")
         more = {"interpret": True}
     make = getattr(rp, backend)
-    plain = rp.distribute(make(zoo.robot_of("2rpr"), **more).reduce(LINE))
+    unlimited = rp.distribute(make(zoo.robot_of("2rpr"), **more).reduce(LINE))
     distribution = rp.distribute(make(robot, **more).reduce(LINE))
-    out = beyond(LINE) & plain.solved
+    out = beyond(LINE) & unlimited.solved
     assert out.any()
     assert (~beyond(LINE)).any()
-    assert (distribution.status == np.where(out, SampleStatus.OUT_OF_RANGE, plain.status)).all()
-    assert (distribution.solved == plain.solved).all()
-    np.testing.assert_array_equal(distribution.tau, plain.tau)
+    assert (distribution.status == np.where(out, SampleStatus.OUT_OF_RANGE, unlimited.status)).all()
+    assert (distribution.solved == unlimited.solved).all()
+    np.testing.assert_array_equal(distribution.tau, unlimited.tau)
 
 
 def test_statuses_without_a_solution_come_first(robot: rp.Robot) -> None:
@@ -89,22 +89,22 @@ def test_limits_that_are_none_are_none(ends: tuple[float, float]) -> None:
 def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp.Robot) -> None:
     both = zoo.robot_of("2rpr"), robot
     plans = [rp.plan_switch_off(rp.VirtualWork(one), reference.line(), threshold=4.0, dt=0.05) for one in both]
-    plain, marked = plans
-    assert (plain.status, marked.status) == (PlanStatus.WITHIN_LIMITS, PlanStatus.VIOLATES_LIMITS)
+    unlimited, marked = plans
+    assert (unlimited.status, marked.status) == (PlanStatus.WITHIN_LIMITS, PlanStatus.VIOLATES_LIMITS)
     left = [event for event in marked.limits.violated if event.quantity == "range"]
     assert {event.limit for event in left} == set(RANGE.values())
     assert {event.carrier for event in left} == {"swivel_1"}
     assert marked.robot.limit_unit("range", "swivel_1") == "rad"
     assert rp.plot.plan(marked).get_suptitle().endswith("(range of swivel_1)")
-    np.testing.assert_array_equal(marked.tau, plain.tau)
+    np.testing.assert_array_equal(marked.tau, unlimited.tau)
     out = marked.sample_status == SampleStatus.OUT_OF_RANGE
-    assert (out == (beyond(plain.motion) & (plain.sample_status <= SampleStatus.SINGULAR_CONSISTENT))).all()
+    assert (out == (beyond(unlimited.motion) & (unlimited.sample_status <= SampleStatus.SINGULAR_CONSISTENT))).all()
     assert rp.check_plan(marked, rp.VirtualWork(robot)).deviations == ()
 
 
 def test_singular_instants_out_of_range_are_not_unbounded_for_that(robot: rp.Robot) -> None:
-    plain = rp.inverse_dynamics(rp.VirtualWork(zoo.robot_of("2rpr")), LINE)
+    unlimited = rp.inverse_dynamics(rp.VirtualWork(zoo.robot_of("2rpr")), LINE)
     result = rp.inverse_dynamics(rp.VirtualWork(robot), LINE)
-    assert result.status is plain.status
-    assert [one.unbounded for one in result.instants] == [one.unbounded for one in plain.instants]
+    assert result.status is unlimited.status
+    assert [one.unbounded for one in result.instants] == [one.unbounded for one in unlimited.instants]
     assert [one.limit for one in result.joint_limits] == [RANGE["lower"], RANGE["upper"]]

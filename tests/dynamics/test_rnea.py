@@ -255,13 +255,13 @@ def test_forces_are_quadratic_in_the_carriers_and_affine_in_their_acceleration(n
     along = RneaDynamics(robot, threads=1).along(zoo.smooth_motion(robot, 3).at(t))
     base = zoo.carriers_at(robot, t, seed)
     rng = np.random.default_rng(seed)
-    way = rng.uniform(-1.0, 1.0, (3, robot.k))
+    direction = rng.uniform(-1.0, 1.0, (3, robot.k))
 
     def at(amount: float, *, only_acceleration: bool = False) -> np.ndarray:
         keep = np.array([0.0, 0.0, 1.0]) if only_acceleration else np.ones(3)
         moved = (
             part + amount * factor * line
-            for part, factor, line in zip((base.s, base.sd, base.sdd), keep, way, strict=True)
+            for part, factor, line in zip((base.s, base.sd, base.sdd), keep, direction, strict=True)
         )
         reduced = along.reduce(CarrierMotion(*moved))
         return np.concatenate([reduced.f, reduced.carrier_force], axis=1)

@@ -57,7 +57,7 @@ def crossings_by_scanning(geometry, theta, samples=4000):
     height = np.sqrt(np.maximum(half_height_squared, 0))
     across = np.stack([-side[:, 1], side[:, 0]], axis=1) * (height / r)[:, None]
     errors = [
-        np.hypot(*((C[:, 0] + C[:, 1]) / 2 + way * across - C[:, 2]).T) - geometry.distal_length for way in (1, -1)
+        np.hypot(*((C[:, 0] + C[:, 1]) / 2 + sign * across - C[:, 2]).T) - geometry.distal_length for sign in (1, -1)
     ]
     # near r = 0 the intersection turns fast, next to an end of the range or to a double root the count is not clear
     if r.min() < 0.05 or not (exists.all() or np.abs(np.diff(exists.astype(int))).sum() % 2 == 0):

@@ -173,7 +173,7 @@ def test_the_script_runs_as_the_documentation_says(
     page = tmp_path / "solo.html"
     monkeypatch.setattr(sys, "argv", ["solo_feet.py", "--html", str(page)])
     example.main()
-    said = capsys.readouterr().out
-    assert said.count("N·m") == 8
-    assert "smallest margin" in said
+    printed = capsys.readouterr().out
+    assert printed.count("N·m") == 8
+    assert "smallest margin" in printed
     assert page.stat().st_size > 5e5

@@ -218,8 +218,8 @@ def test_a_size_that_lies_in_the_directory(tmp_path: Path) -> None:
     """The member unpacks to eight times what the directory says: only that much is read, and the sum is wrong."""
     path = pack(tmp_path / "a.npz", METADATA, ("a.npy", npy(np.zeros(1000))))
     content = path.read_bytes()
-    true, said = len(npy(np.zeros(1000))), len(npy(np.zeros(125)))
-    content = content.replace(true.to_bytes(4, "little"), said.to_bytes(4, "little"))
+    true, claimed = len(npy(np.zeros(1000))), len(npy(np.zeros(125)))
+    content = content.replace(true.to_bytes(4, "little"), claimed.to_bytes(4, "little"))
     path.write_bytes(content)
     refused(path, "archive")
 

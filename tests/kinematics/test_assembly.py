@@ -128,12 +128,12 @@ def test_many_at_once_equal_each_alone(shipped: Robot) -> None:
     system = zoo.system_of(shipped)
     guess = np.concatenate([zoo.random_tree(shipped, 31, 4)[0], zoo.random_closed(shipped, 31, 3)])
     target = np.repeat(zoo.home_of(shipped)[None], 7, axis=0)
-    together = assemble(system, guess, target)
+    batch = assemble(system, guess, target)
     for i in range(7):
         alone = assemble(system, guess[i : i + 1], target[i : i + 1])
-        assert alone.closed[0] == together.closed[i]
+        assert alone.closed[0] == batch.closed[i]
         if alone.closed[0]:
-            np.testing.assert_allclose(alone.q[0], together.q[i], atol=SAME)
+            np.testing.assert_allclose(alone.q[0], batch.q[i], atol=SAME)
 
 
 def test_a_singular_sample_does_not_spoil_its_stack() -> None:

@@ -69,14 +69,14 @@ def configuration(model: pin.Model, pose_a: pin.SE3, relative: pin.SE3) -> np.nd
 def closed_relative(axes: tuple[str, ...], rng: np.random.Generator) -> pin.SE3:
     """Return a random relative placement that the mask allows."""
     translation = np.where([axis in axes for axis in AXES[:3]], 0.0, rng.uniform(-1.0, 1.0, 3))
-    held = [k for k in range(3) if AXES[3 + k] in axes]
-    free = [k for k in range(3) if k not in held]
-    if len(held) == 3:
+    rows = [k for k in range(3) if AXES[3 + k] in axes]
+    free = [k for k in range(3) if k not in rows]
+    if len(rows) == 3:
         turn = Rotation.identity()
-    elif len(held) == 2:  # a hinge, at any angle
+    elif len(rows) == 2:  # a hinge, at any angle
         turn = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * np.eye(3)[free[0]])
-    elif len(held) == 1:  # a universal joint: about the second free axis of A, then the first free axis of B
-        i, j = (held[0] + 1) % 3, (held[0] + 2) % 3
+    elif len(rows) == 1:  # a universal joint: about the second free axis of A, then the first free axis of B
+        i, j = (rows[0] + 1) % 3, (rows[0] + 2) % 3
         outer, inner = rng.uniform(-np.pi, np.pi, 2)
         turn = Rotation.from_rotvec(outer * np.eye(3)[j]) * Rotation.from_rotvec(inner * np.eye(3)[i])
     else:

@@ -185,9 +185,9 @@ def test_from_a_model_and_held_joints(robot: Robot) -> None:
     made = rp.Robot.from_model(robot.model, couplings=given, reference={"joints": {"arm": 0.3, "lid": 0.2}}, **roles)
     assert made.couplings == robot.couplings
     np.testing.assert_allclose(made.q_reference, robot.q_reference, atol=1e-12)
-    held = rp.Robot.from_model(robot.model, couplings=[*given, ("lid", "", [0.7])], actuated=["arm"])
-    assert held.independent_joints == ("arm",)
-    assert held.q_reference[3:] == pytest.approx([0.7, 0.5 + GEAR * 0.7])
+    fixed = rp.Robot.from_model(robot.model, couplings=[*given, ("lid", "", [0.7])], actuated=["arm"])
+    assert fixed.independent_joints == ("arm",)
+    assert fixed.q_reference[3:] == pytest.approx([0.7, 0.5 + GEAR * 0.7])
     with pytest.raises(InputError, match=r"couplings\[0\] is 'slide'"):
         rp.Robot.from_model(robot.model, couplings=["slide"], **roles)
     twice = [*given, ("slide", "arm", CAM.coef)]

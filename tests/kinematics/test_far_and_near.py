@@ -64,8 +64,8 @@ def test_the_elbow_stays_on_its_side_next_to_full_stretch(five_bar_without_modes
         np.testing.assert_array_equal(np.sign(tree.q[:, elbow]), expected)
     marked = rp.lift(robot, still(reach[:, None] * direction), mark_unreachable=True)
     sides = np.sign(marked.q[:, elbow])
-    together = marked.reachable[1:] & marked.reachable[:-1]
-    assert not (together & (sides[1:] * sides[:-1] < 0)).any()
+    both = marked.reachable[1:] & marked.reachable[:-1]
+    assert not (both & (sides[1:] * sides[:-1] < 0)).any()
 
 
 def test_a_crank_counts_its_turns():

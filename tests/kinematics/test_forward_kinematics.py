@@ -108,11 +108,11 @@ def test_joint_range_of_a_passive_joint(five_bar: rp.Robot) -> None:
     joint = five_bar.model.getJointId("elbow_2")
     elbow = free.q[:, five_bar.model.joints[joint].idx_q]
     limit = float(np.median(elbow))
-    held = rp.forward_kinematics(five_bar.with_limits({"elbow_2": {"upper": limit}}), u)
-    assert ((held.status == ForwardStatus.OUT_OF_RANGE) == (elbow > limit + 1e-9)).all()
-    assert held.known.all()
-    assert (held.x == free.x).all()
-    assert np.abs(held.excess[:, joint - 1] - (elbow - limit)).max() < TOLERANCE
+    limited = rp.forward_kinematics(five_bar.with_limits({"elbow_2": {"upper": limit}}), u)
+    assert ((limited.status == ForwardStatus.OUT_OF_RANGE) == (elbow > limit + 1e-9)).all()
+    assert limited.known.all()
+    assert (limited.x == free.x).all()
+    assert np.abs(limited.excess[:, joint - 1] - (elbow - limit)).max() < TOLERANCE
 
 
 def three_circles(robot: rp.Robot, u: Array) -> Array:
@@ -244,11 +244,11 @@ def redundant(five_bar: rp.Robot) -> rp.Robot:
 
 def test_redundant_motors_must_agree(five_bar: rp.Robot) -> None:
     robot = redundant(five_bar)
-    plain = rp.forward_kinematics(five_bar, turning(np.linspace(0.0, 1.0, 5))[0])
-    u = np.array(plain.q[:, robot.actuated_velocity])
+    positions = rp.forward_kinematics(five_bar, turning(np.linspace(0.0, 1.0, 5))[0])
+    u = np.array(positions.q[:, robot.actuated_velocity])
     solution = rp.forward_kinematics(robot, u)
     assert solution.known.all()
-    assert np.abs(solution.x - plain.x).max() < TOLERANCE
+    assert np.abs(solution.x - positions.x).max() < TOLERANCE
     u[2, 2] += 1e-3
     solution = rp.forward_kinematics(robot, u)
     assert solution.status.tolist() == [0, 0, ForwardStatus.OUT_OF_REACH, 0, 0]

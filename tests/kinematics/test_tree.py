@@ -190,10 +190,10 @@ def test_pose_of_many_samples_equals_pose_of_each() -> None:
     model = chain([JOINTS["floating"], JOINTS["continuous skew"], JOINTS["prismatic skew"]])
     q, v = random_states(model, 8, 7)
     tree = TreeKinematics(model, ["body_2"])
-    _, together = tree.motions(tree.pose(q), v)["body_2"]
+    _, total = tree.motions(tree.pose(q), v)["body_2"]
     for i in range(len(q)):
         _, alone = tree.motions(tree.pose(q[i : i + 1]), v[i : i + 1])["body_2"]
-        np.testing.assert_array_equal(together[:, i], alone[:, 0])
+        np.testing.assert_array_equal(total[:, i], alone[:, 0])
 
 
 def test_bias_is_the_derivative_of_velocity_at_constant_rates() -> None:

@@ -160,13 +160,13 @@ def test_a_bound_counts_what_no_carrier_changes() -> None:
     carrier = {"joint": "c", "position": [-1.0, 1.0], "speed": 5.0, "acceleration": 50.0}
     gantry = RneaDynamics(Robot.from_model(model, actuated=["x", "y"], carriers=[carrier], independent=["x", "y"]))
     assert gantry.robot.carrier_limits[0].force == np.inf  # Pinocchio's largest number is no limit
-    way = from_points([[0.0, 0.0], [0.1, 0.2]], speed=0.5, ramp_time=0.2)
-    made = plan_whole_trajectory(gantry, way, at_most={"base_force": 1e3}, end="free", dt=0.02)
+    line = from_points([[0.0, 0.0], [0.1, 0.2]], speed=0.5, ramp_time=0.2)
+    made = plan_whole_trajectory(gantry, line, at_most={"base_force": 1e3}, end="free", dt=0.02)
     t = made.t
     least = np.trapezoid(made.motion.xdd[:, 1] ** 2, t)  # of 1 kg, whatever the carrier does
     np.testing.assert_allclose(np.trapezoid(made.base_wrench(gantry)[:, 1] ** 2, t), least, rtol=1e-8)
     with pytest.raises(InfeasiblePlanError, match="base_force at most"):
-        plan_whole_trajectory(gantry, way, at_most={"base_force": 0.9 * least}, end="free", dt=0.02)
+        plan_whole_trajectory(gantry, line, at_most={"base_force": 0.9 * least}, end="free", dt=0.02)
 
 
 def test_what_is_no_objective_is_named() -> None:

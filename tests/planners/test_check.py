@@ -140,22 +140,22 @@ def test_a_file_that_was_edited_is_refused(factor: float, whole: Plan, tmp_path:
     path = tmp_path / "plan.npz"
     whole.save(path)
     with np.load(path) as archive:
-        held = dict(archive)
-    np.savez_compressed(path, **{**held, "tau": factor * held["tau"]})
+        arrays = dict(archive)
+    np.savez_compressed(path, **{**arrays, "tau": factor * arrays["tau"]})
     with pytest.raises(PlanFileError, match="digest" if factor == 7.0 else "no finite efforts"):
         rp.load_plan(path)
     # not even a word of the metadata
-    content = json.loads(str(held["metadata"]))
+    content = json.loads(str(arrays["metadata"]))
     content["record"]["planner"] = "someone"
-    np.savez_compressed(path, **{**held, "metadata": np.array(json.dumps(content))})
+    np.savez_compressed(path, **{**arrays, "metadata": np.array(json.dumps(content))})
     with pytest.raises(PlanFileError, match="digest"):
         rp.load_plan(path)
     # nor the digest itself: only version 1 of the format had none
-    content = {key: value for key, value in json.loads(str(held["metadata"])).items() if key != "digest"}
-    np.savez_compressed(path, **{**held, "metadata": np.array(json.dumps(content))})
+    content = {key: value for key, value in json.loads(str(arrays["metadata"])).items() if key != "digest"}
+    np.savez_compressed(path, **{**arrays, "metadata": np.array(json.dumps(content))})
     with pytest.raises(PlanFileError, match="digest"):
         rp.load_plan(path)
-    np.savez(path, **held)  # packed in another way it is the same plan
+    np.savez(path, **arrays)  # packed in another way it is the same plan
     np.testing.assert_array_equal(rp.load_plan(path).tau, whole.tau)
 
 
@@ -298,5 +298,5 @@ def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
             if name != "upper":
                 error[("speed", "acceleration").index(name)] = 1e-3 * peak
             events = motion_broken(replace(robot, carrier_limits=limits), position, error)
-            said = {event.quantity for event in events}
-            assert said == ({"track"} if name == "upper" else {name} if certain else set())
+            quantities = {event.quantity for event in events}
+            assert quantities == ({"track"} if name == "upper" else {name} if certain else set())

@@ -181,13 +181,13 @@ def _rewrite(
 ) -> None:
     """Change the metadata and the arrays of a saved plan, as someone with numpy would."""
     with np.load(path) as archive:
-        held = dict(archive)
-    metadata = json.loads(str(held.pop("metadata")))
+        saved_arrays = dict(archive)
+    metadata = json.loads(str(saved_arrays.pop("metadata")))
     if content:
         content(metadata)
     if arrays:
-        arrays(held)
-    np.savez_compressed(path, metadata=np.array(json.dumps(metadata)), **held)
+        arrays(saved_arrays)
+    np.savez_compressed(path, metadata=np.array(json.dumps(metadata)), **saved_arrays)
 
 
 def test_missing_files_and_folders(tmp_path: Path) -> None:

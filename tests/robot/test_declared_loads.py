@@ -50,14 +50,16 @@ def test_friction_of_a_urdf_is_in_force(tmp_path: Path) -> None:
     """The power of the motor grows by what friction takes, from rates of the tree."""
     robot = rp.load_robot(four_bar(tmp_path, '<dynamics damping="0.3" friction="0.2"/>'))
     assert set(robot.loads) == {JointForces(joint, 0.3, 0.2) for joint in ("crank", "rocker", "coupler")}
-    plain = zoo.robot_of("four_bar")
-    motion = zoo.smooth_motion(plain, 13).at(np.linspace(0.1, 1.0, 8))
-    tree = rp.lift(plain, motion)
-    columns = [plain.model.joints[plain.model.getJointId(name)].idx_v for name in ("crank", "rocker", "coupler")]
+    frictionless = zoo.robot_of("four_bar")
+    motion = zoo.smooth_motion(frictionless, 13).at(np.linspace(0.1, 1.0, 8))
+    tree = rp.lift(frictionless, motion)
+    columns = [
+        frictionless.model.joints[frictionless.model.getJointId(name)].idx_v for name in ("crank", "rocker", "coupler")
+    ]
     v = tree.v[:, columns]
     taken = (v * (0.3 * v + 0.2 * np.tanh(v / 0.01))).sum(axis=1)
     rate = v[:, 0]
-    np.testing.assert_allclose((torque(robot) - torque(plain))[:, 0] * rate, taken, rtol=1e-10)
+    np.testing.assert_allclose((torque(robot) - torque(frictionless))[:, 0] * rate, taken, rtol=1e-10)
 
 
 @pytest.mark.parametrize("dynamics", ["", '<dynamics damping="0.0" friction="0"/>'])
@@ -68,11 +70,11 @@ def test_files_that_state_none_have_the_numbers_they_had(tmp_path: Path, dynamic
 
 
 def test_a_declaration_leaves_friction_of_the_urdf_out_or_replaces_it(tmp_path: Path) -> None:
-    stated = '<dynamics damping="0.3"/>'
-    off = rp.load_robot(four_bar(tmp_path, stated, "\nurdf_dynamics: false\n"))
+    tag = '<dynamics damping="0.3"/>'
+    off = rp.load_robot(four_bar(tmp_path, tag, "\nurdf_dynamics: false\n"))
     assert off.loads == ()
     assert "not in force" in off.notes[0]
-    own = rp.load_robot(four_bar(tmp_path, stated, "\njoint_forces: [{joint: crank, damping: 0.1}]\n"))
+    own = rp.load_robot(four_bar(tmp_path, tag, "\njoint_forces: [{joint: crank, damping: 0.1}]\n"))
     assert set(own.loads) == {JointForces("crank", 0.1), JointForces("rocker", 0.3), JointForces("coupler", 0.3)}
 
 

@@ -262,5 +262,5 @@ def test_springdamper_takes_the_place_of_both(law, flags, tmp_path):
     assert load.friction == 2.0
     assert load.stiffness == (0.0 if replaced or "spring" in flags else 10.0)
     assert load.damping == (0.0 if replaced or "damper" in flags else 3.0)
-    said = f"{NOT_IN_FORCE} springdamper of j." in mechanism.notes
-    assert said == (replaced and _spring_and_damper(text, 0.9, 1.0)[0] != 0.0)
+    noted = f"{NOT_IN_FORCE} springdamper of j." in mechanism.notes
+    assert noted == (replaced and _spring_and_damper(text, 0.9, 1.0)[0] != 0.0)

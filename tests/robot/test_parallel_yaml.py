@@ -44,24 +44,24 @@ ANKLE_YAML = {
 }
 
 
-def written(folder: Path, joints: list[J], said: dict) -> Path:
+def written(folder: Path, joints: list[J], content: dict) -> Path:
     # as the collection writes limits: none of position, which urdfdom reads as 0 and 0
     text = urdf_of(joints).replace('lower="-100" upper="100" ', "")
     (folder / "robot.urdf").write_text(text)
-    (folder / "robot.yaml").write_text(yaml.safe_dump(said))
+    (folder / "robot.yaml").write_text(yaml.safe_dump(content))
     return folder
 
 
-def model_by_hand(urdf: str, said: dict) -> pin.Model:
+def model_by_hand(urdf: str, content: dict) -> pin.Model:
     """Build the model joint by joint out of Pinocchio's own of the URDF."""
-    plain, model = pin.buildModelFromXML(urdf), pin.Model()
-    kinds = dict(zip(said.get("joint_name", ()), said.get("joint_type", ()), strict=True))
+    tree, model = pin.buildModelFromXML(urdf), pin.Model()
+    kinds = dict(zip(content.get("joint_name", ()), content.get("joint_type", ()), strict=True))
     hinges = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
     places = {0: (0, pin.SE3.Identity())}
-    for index in range(1, plain.njoints):
-        name, kind = str(plain.names[index]), kinds.get(str(plain.names[index]), "")
-        carrier, place = places[int(plain.parents[index])]
-        place = place * plain.jointPlacements[index]
+    for index in range(1, tree.njoints):
+        name, kind = str(tree.names[index]), kinds.get(str(tree.names[index]), "")
+        carrier, place = places[int(tree.parents[index])]
+        place = place * tree.jointPlacements[index]
         if kind == "FIXED":
             places[index] = carrier, place
         elif kind.startswith("UJOINT"):
@@ -69,10 +69,10 @@ def model_by_hand(urdf: str, said: dict) -> pin.Model:
             second = model.addJoint(first, hinges[kind[-1]](), pin.SE3.Identity(), f"{name}_{kind[-1].lower()}")
             places[index] = second, pin.SE3.Identity()
         else:
-            joint = pin.JointModelSpherical() if kind else plain.joints[index]
+            joint = pin.JointModelSpherical() if kind else tree.joints[index]
             places[index] = model.addJoint(carrier, joint, place, name), pin.SE3.Identity()
-        model.appendBodyToJoint(places[index][0], plain.inertias[index], places[index][1])
-    for frame in plain.frames:
+        model.appendBodyToJoint(places[index][0], tree.inertias[index], places[index][1])
+    for frame in tree.frames:
         carrier, place = places[int(frame.parentJoint)]
         model.addFrame(pin.Frame(frame.name, carrier, place * frame.placement, pin.FrameType.OP_FRAME))
     return model
@@ -89,16 +89,16 @@ def in_order(robot: rp.Robot, model: pin.Model, vector: Array, attribute: str) -
     return result
 
 
-@pytest.mark.parametrize(("joints", "said"), [(PLANAR, PLANAR_YAML), (ANKLE, ANKLE_YAML)], ids=["planar", "ankle"])
-def test_accelerations_are_those_of_pinocchio(joints: list[J], said: dict, tmp_path: Path) -> None:
-    robot = rp.load_robot(written(tmp_path, joints, said))
+@pytest.mark.parametrize(("joints", "content"), [(PLANAR, PLANAR_YAML), (ANKLE, ANKLE_YAML)], ids=["planar", "ankle"])
+def test_accelerations_are_those_of_pinocchio(joints: list[J], content: dict, tmp_path: Path) -> None:
+    robot = rp.load_robot(written(tmp_path, joints, content))
     assert robot.name == tmp_path.name
-    assert robot.actuated == tuple(said["name_mot"])
+    assert robot.actuated == tuple(content["name_mot"])
     assert (robot.model.lowerPositionLimit < -1.0).all()
     assert (robot.model.upperPositionLimit > 1.0).all()
-    model = model_by_hand((tmp_path / "robot.urdf").read_text(), said)
+    model = model_by_hand((tmp_path / "robot.urdf").read_text(), content)
     assert (model.nq, model.nv) == (robot.model.nq, robot.model.nv)
-    ((one, other),) = said["closed_loop"]
+    ((one, other),) = content["closed_loop"]
     frames = (model.frames[model.getFrameId(name)] for name in (one, other))
     ends = [part for frame in frames for part in (frame.parentJoint, frame.placement)]
     constraint = pin.RigidConstraintModel(pin.ContactType.CONTACT_6D, model, *ends, pin.ReferenceFrame.LOCAL)
@@ -195,8 +195,8 @@ def test_a_base_that_moves_and_a_declaration_of_ones_own(tmp_path: Path) -> None
     assert free.independent_joints[:2] == ("motor_2", "motor_1")
     own = tmp_path / "own"
     own.mkdir()
-    said = {"urdf": "../robot.yaml", "reference": {"guess": {"motor_1": 0.1}}, "actuated": ["motor_1"]}
-    (own / "robot.yaml").write_text(yaml.safe_dump(said))
+    content = {"urdf": "../robot.yaml", "reference": {"guess": {"motor_1": 0.1}}, "actuated": ["motor_1"]}
+    (own / "robot.yaml").write_text(yaml.safe_dump(content))
     assert rp.load_robot(own).actuated == ("motor_1",)
 
 
@@ -221,8 +221,8 @@ def test_mistakes_are_named(change: dict, error: type, message: str, tmp_path: P
 
 
 def test_files_beside_it_and_names_that_are_not_there(tmp_path: Path) -> None:
-    said = {**PLANAR_YAML, "joint_name": ["elbow_9"], "joint_type": ["SPHERICAL"]}
-    robot = rp.load_robot(written(tmp_path, PLANAR, said))
+    content = {**PLANAR_YAML, "joint_name": ["elbow_9"], "joint_type": ["SPHERICAL"]}
+    robot = rp.load_robot(written(tmp_path, PLANAR, content))
     assert any("Passed over" in note and "elbow_9" in note for note in robot.notes)
     (tmp_path / "robot.urdf").rename(tmp_path / "one.urdf")
     assert rp.load_robot(tmp_path).n == robot.n

@@ -271,17 +271,17 @@ def off_course(**changed: float) -> tuple[MotionReference, dict[str, Any]]:
 
 def spied(monkeypatch: pytest.MonkeyPatch, law: Any) -> list[Any]:
     """Return what fills with the calls of a controller's ``effort``."""
-    asked: list[Any] = []
+    calls: list[Any] = []
     whole = law.effort
-    monkeypatch.setattr(law, "effort", lambda self, *at: asked.append(at) or whole(self, *at))
-    return asked
+    monkeypatch.setattr(law, "effort", lambda self, *at: calls.append(at) or whole(self, *at))
+    return calls
 
 
 def test_a_linear_feedback_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """Off its course, along angles a turn from those of the state, saturated; what a subclass changes is Python's."""
     reference, options = off_course()
     robot, (*_, efforts) = reference.robot, reference.course(0.0)
-    asked = spied(monkeypatch, TimeVaryingLqr)
+    calls = spied(monkeypatch, TimeVaryingLqr)
     run, own = both(robot, TimeVaryingLqr(reference, step=0.05), **options)
     require_same(run, own, 1e-6)
     commanded = np.concatenate([run.tau[0], run.carrier_force[0]])
@@ -299,15 +299,15 @@ def test_a_linear_feedback_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> N
             return 0.5 * super().gain(t)
 
     for one, is_code in ((law, True), (Softer(reference, step=0.05), False)):
-        asked.clear()
+        calls.clear()
         run = rp.simulate(robot, one, dynamics=compiled(robot), **options)
-        assert (len(asked) < run.statistics.evaluations) == is_code  # the report asks for each sample
+        assert (len(calls) < run.statistics.evaluations) == is_code  # the report asks for each sample
 
 
 def test_a_computed_torque_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same cases. Beyond its limits it is asked in Python, whose quadratic program shares out what they cut off."""
     reference, options = off_course()
-    robot, asked = reference.robot, spied(monkeypatch, ComputedTorque)
+    robot, spied_calls = reference.robot, spied(monkeypatch, ComputedTorque)
     scales = {"damping": 0.7, "effort_scale": [1.0, 2.0, 3.0], "carrier_scale": [5.0, 3.0, 2.0]}
     law = ComputedTorque(reference, **scales)
     run, own = both(robot, law, **options)
@@ -331,9 +331,9 @@ def test_a_computed_torque_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> N
         (Softer(reference, **scales), True, True),
         (ComputedTorque(off_course(carrier_mass=3.5)[0], **scales), True, True),  # it knows another machine
     ):
-        asked.clear()
+        spied_calls.clear()
         run = rp.simulate(robot, one, dynamics=compiled(robot), **options)
-        calls = len(asked) - len(run.t) - 1  # the report asks for each sample, the start for its own
+        calls = len(spied_calls) - len(run.t) - 1  # the report asks for each sample, the start for its own
         assert (calls > 0, calls >= run.statistics.evaluations) == (some, every)
         if one is not law:
             require_same(run, rp.simulate(robot, one, **options), 1e-10)
@@ -374,12 +374,12 @@ def test_poses_are_fed_back_in_machine_code(monkeypatch: pytest.MonkeyPatch) -> 
     away[:3, 3] += [1e-3, 2e-3, -1e-3]
     away[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix() @ away[:3, :3]
     options = {"start": closed_state(robot, away), "duration": 0.01, "dt": 0.01}
-    asked = [spied(monkeypatch, law) for law in (ComputedTorque, TimeVaryingLqr)]
+    calls = [spied(monkeypatch, law) for law in (ComputedTorque, TimeVaryingLqr)]
     for law in (ComputedTorque(reference), TimeVaryingLqr(reference, step=0.5)):
         require_same(*both(robot, law, **options), 1e-10)
-        [part.clear() for part in asked]
+        [part.clear() for part in calls]
         run = rp.simulate(robot, law, dynamics=compiled(robot), **options)
-        assert sum(map(len, asked)) < run.statistics.evaluations
+        assert sum(map(len, calls)) < run.statistics.evaluations
 
 
 @pytest.mark.parametrize("sampling", [Sampling(0.02), None])

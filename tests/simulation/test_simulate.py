@@ -255,20 +255,20 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_bad_settings_are_refused_by_name(case: str) -> None:
-    options, said = REFUSED[case]
-    with pytest.raises(InputError, match=said):
+    options, message = REFUSED[case]
+    with pytest.raises(InputError, match=message):
         rp.simulate(zoo.robot_of("3rrr"), **options)
 
 
 def test_bad_starts_are_refused_by_name() -> None:
     robot = zoo.robot_of("3rrr")
-    for start, said in (
+    for start, message in (
         (open_state(robot), "not closed: a gap"),
         (parting_state(robot), "opening at"),
         (closed_state(robot, s=[0.0, 1.5, 0.0]), "carrier_2 upper"),
         (closed_state(zoo.robot_of("five_bar")), r"nq = 10"),
     ):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             rp.simulate(robot, start=start, duration=1.0)
     with pytest.raises(InputError, match="A robot was expected, not list"):
         rp.simulate(["3rrr"], duration=1.0)  # type: ignore[arg-type]
@@ -417,15 +417,15 @@ def test_a_controller_without_an_answer_to_a_trial_step_alone_does_no_harm() -> 
         misses = 0
 
         def effort(self, t: float, state: State) -> tuple[Array, Array]:
-            if asked and 0.02 < t < 0.05 and len(asked) < 3:
-                asked.append(t)
+            if calls and 0.02 < t < 0.05 and len(calls) < 3:
+                calls.append(t)
                 return np.full(2, np.nan), np.zeros(2)
             return super().effort(t, state)
 
-    asked = [0.0]
+    calls = [0.0]
     drive = Real(np.array([0.3, -0.2]), np.zeros(2))
     run = rp.simulate(robot, drive, duration=0.1)
-    assert len(asked) == 3
-    plain = rp.simulate(robot, Constant(drive.tau, drive.carrier_force), duration=0.1)
+    assert len(calls) == 3
+    constant = rp.simulate(robot, Constant(drive.tau, drive.carrier_force), duration=0.1)
     assert run.status is SimulationStatus.COMPLETED
-    np.testing.assert_allclose(run.q, plain.q, atol=SAME)
+    np.testing.assert_allclose(run.q, constant.q, atol=SAME)

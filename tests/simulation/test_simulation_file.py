@@ -53,7 +53,7 @@ def test_what_is_no_simulation_is_refused_by_name(simulation: Simulation, tmp_pa
     path.write_bytes(b"no archive")
     with pytest.raises(PlanFileError, match=r"run\.npz"):
         load_simulation(path)
-    for field, value, said in (
+    for field, value, message in (
         ("tau", np.array(simulation.tau[:-1]), "tau has shape"),
         ("energy", np.zeros(len(simulation.t), dtype=int), "energy is no array of floats"),
         ("x", np.zeros((3, 2)), "x has shape"),
@@ -62,7 +62,7 @@ def test_what_is_no_simulation_is_refused_by_name(simulation: Simulation, tmp_pa
         ("statistics", {"steps": 1}, "damaged"),
     ):
         replace(simulation, **{field: value}).save(path)
-        with pytest.raises(PlanFileError, match=said):
+        with pytest.raises(PlanFileError, match=message):
             load_simulation(path)
     with pytest.raises(OutputError):
         simulation.save(tmp_path / "nowhere" / "run.npz")

@@ -148,8 +148,8 @@ def require_change_point(seed: int, options: Mapping[str, Any], within: float) -
     np.testing.assert_allclose(run.q[:, 0], angles, atol=within)
     ends = np.array([np.array(oracle.angles(one)).ravel() for one in angles])
     np.testing.assert_allclose(np.exp(1j * run.q[:, 2]), ends[:, 0] + 1j * ends[:, 1], atol=within)
-    together = run.q[:, 0] + run.q[:, 1]
-    np.testing.assert_allclose(np.exp(1j * together), ends[:, 2] + 1j * ends[:, 3], atol=within)
+    angle_sum = run.q[:, 0] + run.q[:, 1]
+    np.testing.assert_allclose(np.exp(1j * angle_sum), ends[:, 2] + 1j * ends[:, 3], atol=within)
     assert abs(coupler - (ends[0, 2] + 1j * ends[0, 3])) < 1e-8
     return len(of_kind(run, "closure_rank"))
 
@@ -427,8 +427,10 @@ def test_work_is_energy_through_flat_poses_with_carriers_and_sampled_controllers
 
 
 def test_joints_without_end_are_carried_across_too() -> None:
-    plain, endless = parallelogram(), parallelogram("continuous")
-    runs = [rp.simulate(one, start=closed_state(one, [1.2], [-3.0]), duration=2.0, dt=0.02) for one in (plain, endless)]
+    bounded, endless = parallelogram(), parallelogram("continuous")
+    runs = [
+        rp.simulate(one, start=closed_state(one, [1.2], [-3.0]), duration=2.0, dt=0.02) for one in (bounded, endless)
+    ]
     np.testing.assert_allclose(runs[0].x, runs[1].x, atol=1e-8)
     np.testing.assert_allclose(of_kind(runs[0], "closure_rank"), of_kind(runs[1], "closure_rank"), atol=1e-8)
     assert len(of_kind(runs[0], "closure_rank")) == 3

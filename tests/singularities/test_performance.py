@@ -116,12 +116,12 @@ def test_play_is_attained_at_a_corner_of_the_box_and_never_passed() -> None:
 
 
 def test_play_of_redundant_motors_is_what_all_of_them_allow() -> None:
-    plain = zoo.robot_of("2rpr")
+    own = zoo.robot_of("2rpr")
     robot = rp.Robot.from_model(
-        plain.model, closures=plain.closures, actuated=["slide_1", "slide_2", "swivel_1"], carriers=plain.carriers,
-        independent=plain.platform, reference=np.array(plain.q_reference),
+        own.model, closures=own.closures, actuated=["slide_1", "slide_2", "swivel_1"], carriers=own.carriers,
+        independent=own.platform, reference=np.array(own.q_reference),
     )  # fmt: skip
-    q, off = zoo.random_closed(plain, 1, 4), np.array([1e-3, 2e-3, 3e-3])
+    q, off = zoo.random_closed(own, 1, 4), np.array([1e-3, 2e-3, 3e-3])
     play = rp.platform_play(robot, q, off)
     for W, largest in zip(rp.performance(robot, q).W, play, strict=True):
         # vertices of |Wᵀ Δx| ≤ δ: two of the bounds hold with equality
@@ -132,7 +132,7 @@ def test_play_of_redundant_motors_is_what_all_of_them_allow() -> None:
                 if (np.abs(W.T @ x) <= off + 1e-12).all():
                     vertices.append(np.abs(x))
         assert np.abs(largest - np.max(vertices, axis=0)).max() < 1e-9
-    assert (play <= rp.platform_play(plain, q, off[:2]) + 1e-12).all()
+    assert (play <= rp.platform_play(own, q, off[:2]) + 1e-12).all()
 
 
 def test_refusals() -> None:

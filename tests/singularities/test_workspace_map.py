@@ -180,21 +180,23 @@ def test_refusals() -> None:
 
 
 def test_of_a_robot_without_platform_one_or_two_joints_span_a_workspace() -> None:
-    plain = zoo.robot_of("five_bar")
-    home = dict(zip([str(name) for name in plain.model.names][1:], np.array(plain.q_reference).tolist(), strict=True))
+    shipped = zoo.robot_of("five_bar")
+    home = dict(
+        zip([str(name) for name in shipped.model.names][1:], np.array(shipped.q_reference).tolist(), strict=True)
+    )
     robot = rp.Robot.from_model(
-        plain.model,
-        actuated=plain.actuated,
-        carriers=[{"joint": name, "position": [-0.1, 0.1]} for name in plain.carriers],
-        closures=plain.closures,
-        independent={"joints": plain.actuated},
+        shipped.model,
+        actuated=shipped.actuated,
+        carriers=[{"joint": name, "position": [-0.1, 0.1]} for name in shipped.carriers],
+        closures=shipped.closures,
+        independent={"joints": shipped.actuated},
         reference={
-            "joints": {name: home[name] for name in plain.actuated},
-            "guess": {name: at for name, at in home.items() if name not in (*plain.actuated, *plain.carriers)},
+            "joints": {name: home[name] for name in shipped.actuated},
+            "guess": {name: at for name, at in home.items() if name not in (*shipped.actuated, *shipped.carriers)},
         },
     )
     space = rp.workspace(robot, resolution=13)
-    middle = [home[name] for name in plain.actuated]
+    middle = [home[name] for name in shipped.actuated]
     for axis, at in zip(space.axes, middle, strict=True):
         assert np.abs(axis[[0, -1]] - [at - np.pi, at + np.pi]).max() < 1e-12
     u = nodes(space)
@@ -202,7 +204,7 @@ def test_of_a_robot_without_platform_one_or_two_joints_span_a_workspace() -> Non
     apart = np.linalg.norm(ends[..., 1, :] - ends[..., 0, :], axis=-1)
     assert not space.reachable[0][apart > 1.0].any()  # links of half a metre do not meet
     assert space.reachable[0][apart < 1.0].mean() > 0.8
-    one = rp.workspace(robot, [plain.actuated[1]], resolution=9)
+    one = rp.workspace(robot, [shipped.actuated[1]], resolution=9)
     assert np.abs(one.axes[0][4] - middle[1]) < 1e-12
 
 

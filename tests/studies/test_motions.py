@@ -36,8 +36,8 @@ def test_line_is_singular_after_the_way_to_the_base_line(name: str, speed: float
     """From (0.15, 0.4) to (0.25, −0.7): y = 0 after 4/11 of the way; a ramp of length v T/2 costs T/2."""
     (instant,) = quick_results.motion_run(name).instants
     assert instant.x[0] == pytest.approx(0.15 + 0.1 * 4.0 / 11.0, abs=ROOT_TOLERANCE)
-    way = math.hypot(0.1, 1.1) * 4.0 / 11.0
-    assert instant.t == pytest.approx(way / speed + ramp / 2.0, abs=ROOT_TOLERANCE)
+    length = math.hypot(0.1, 1.1) * 4.0 / 11.0
+    assert instant.t == pytest.approx(length / speed + ramp / 2.0, abs=ROOT_TOLERANCE)
 
 
 def _missing_force(x: float, v: tuple[float, float], a_y: float) -> float:

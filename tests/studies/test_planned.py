@@ -122,16 +122,16 @@ def made(
     moving: float = 1.0, crossing: Any = CROSSING, heavy: Any = HEAVY, holds: bool = False
 ) -> dict[str, dict[str, Any]]:
     """Conclusions of every motion in two modes: 3 N·m without carriers, 12 parked, and a given peak moving."""
-    fair = []
+    records = []
     for motion in ("corner-r0.025", "corner-r0.013", "square"):
         for mode in MODES:
             for what, peak, energy in ((NONE, 3.0, 0.4), (PARKED, 12.0, 1.4), (KEY, moving, 0.1 * moving)):
                 carriers = 5.0 if what == KEY else 0.0
-                fair.append({"motion": motion, "mode": mode, "what": what, "peak": peak, "rms": peak / 2.0,
+                records.append({"motion": motion, "mode": mode, "what": what, "peak": peak, "rms": peak / 2.0,
                              "carrier_force": 20.0, "main_energy": energy, "energy": energy + carriers,
                              "status": "within_limits"})  # fmt: skip
     claims = [{"modes": {"+": {"holds": True}, "-": {"holds": holds}}}]
-    chapter = {"crossings": [crossing], "fair_comparison": fair, "heavy_end_effector": heavy, "claims": claims}
+    chapter = {"crossings": [crossing], "fair_comparison": records, "heavy_end_effector": heavy, "claims": claims}
     return {record["name"]: record for record in conclusions(chapter)}
 
 

@@ -56,7 +56,7 @@ def turned(hinge: Hinge, angle: float) -> np.ndarray:
     return place
 
 
-def in_mujoco(path: Path, tips: dict[str, tuple[str, Any, Any]], held: tuple[str, ...]) -> Any:
+def in_mujoco(path: Path, tips: dict[str, tuple[str, Any, Any]], fixed: tuple[str, ...]) -> Any:
     """Return the machine as a model of MuJoCo, pelvis free: bodies and joints by their names in the file.
 
     Args:
@@ -77,7 +77,7 @@ def in_mujoco(path: Path, tips: dict[str, tuple[str, Any, Any]], held: tuple[str
         sites.setdefault("", "")
         sites[""] += f'<site name="ground {name}" pos="{text(place)}"/>'
         equalities.append(f'<connect name="{name}" site1="{name}" site2="ground {name}"/>')
-    equalities += [f'<joint joint1="{name}"/>' for name in held]
+    equalities += [f'<joint joint1="{name}"/>' for name in fixed]
     tree: dict[str, list[str]] = {name: [] for name in links}
     for name, joint in joints.items():
         if joint.child in taken:  # a loop: the second parent

@@ -84,7 +84,7 @@ def run(action: Action, files: Mapping[str, bytes], patience: int = HANGS, secon
             _, status, usage = os.wait4(child, 0)
             complaints.seek(0)
             answer.seek(0)
-            heard, said = complaints.read().decode("utf-8", "replace").strip(), answer.read()
+            heard, reply = complaints.read().decode("utf-8", "replace").strip(), answer.read()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     taken = usage.ru_utime + usage.ru_stime
@@ -94,11 +94,11 @@ def run(action: Action, files: Mapping[str, bytes], patience: int = HANGS, secon
     if code in (-signal.SIGALRM, -signal.SIGXCPU):
         hangs = f"hangs for {patience} s of the processor" if code == -signal.SIGXCPU else "waits, and does nothing"
         return Outcome(WRONG, hangs, heard[-200:], taken, megabytes)
-    if code != 0 or not said:
+    if code != 0 or not reply:
         return Outcome(
             WRONG, f"crash: {signal.Signals(-code).name if code < 0 else code}", heard[-200:], taken, megabytes
         )
-    verdict, reason, text = json.loads(said)
+    verdict, reason, text = json.loads(reply)
     if verdict == REFUSED and taken > seconds:
         verdict, reason = WRONG, f"refused after more than {seconds:g} s"
     if verdict == REFUSED and megabytes > MEGABYTES:
@@ -123,8 +123,8 @@ def _in_child(action: Action, folder: Path, complaints: int, answer: int, patien
         signal.signal(signal.SIGXCPU, signal.SIG_DFL)
         signal.alarm(ASLEEP * patience)
         resource.setrlimit(resource.RLIMIT_CPU, (patience, resource.RLIM_INFINITY))
-        held = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-        resource.setrlimit(resource.RLIMIT_AS, (held + MEMORY, resource.RLIM_INFINITY))
+        resident = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        resource.setrlimit(resource.RLIMIT_AS, (resident + MEMORY, resource.RLIM_INFINITY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         types: tuple[str, str, str]
         try:

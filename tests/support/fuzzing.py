@@ -131,11 +131,11 @@ def load_mjcf(folder: Path) -> str | None:
     except (ValueError, KeyError, IndexError, ImportError):
         return wrong_robot(robot)  # nobody to compare with
     model, data = robot.model, robot.model.createData()
-    held = pin.computeGeneralizedGravity(model, data, np.array(robot.q_reference))
+    gravity_efforts = pin.computeGeneralizedGravity(model, data, np.array(robot.q_reference))
     pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
     expected = np.array(engine.data.qfrc_bias)[engine.columns(robot)]
-    if not np.abs(held - expected).max() <= SAME_READING * max(1.0, float(np.abs(expected).max())):
-        return f"accepted: held by {held.round(6).tolist()}, MuJoCo says {expected.round(6).tolist()}"
+    if not np.abs(gravity_efforts - expected).max() <= SAME_READING * max(1.0, float(np.abs(expected).max())):
+        return f"accepted: held by {gravity_efforts.round(6).tolist()}, MuJoCo says {expected.round(6).tolist()}"
     sites = {engine.model.site(i).name for i in range(engine.model.nsite)}
     for i in range(1, engine.model.nbody):
         name = engine.model.body(i).name

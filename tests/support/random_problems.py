@@ -150,13 +150,15 @@ def broken_promise(plan: Plan, robot: Robot, other: Dynamics) -> str | None:
         if use > ALLOWED:
             return f"promise: the carrier's force between the samples: {use:.4g} of its limit ({plan.planner})"
     efforts = np.abs(plan.functions_of_time.efforts(dense))
-    stated = float(plan.peak_effort.max())
+    reported = float(plan.peak_effort.max())
     finite = np.isfinite(efforts).all(axis=1)
     if not finite.all():
         return f"promise: efforts are finite between the samples ({plan.planner})"
     largest = float(efforts.max())
-    if largest > ALLOWED * stated + ROUNDING * size:
-        return f"promise: the stated peak effort: {largest:.4g} between the samples, not {stated:.4g} ({plan.planner})"
+    if largest > ALLOWED * reported + ROUNDING * size:
+        return (
+            f"promise: the stated peak effort: {largest:.4g} between the samples, not {reported:.4g} ({plan.planner})"
+        )
     return None
 
 

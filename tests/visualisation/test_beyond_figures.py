@@ -42,8 +42,8 @@ def test_columns_show_each_plan_and_its_limits(plans: dict[str, Plan]) -> None:
     assert len(carriers) == 2
     assert not carriers & mains
     (legend,) = figure.legends
-    said = [text.get_text() for text in legend.get_texts()]
-    assert said == ["slide_1", "slide_2", "carrier_1", "carrier_2", "singular instant", "beyond a limit"]
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels == ["slide_1", "slide_2", "carrier_1", "carrier_2", "singular instant", "beyond a limit"]
     hatched = [patch.get_bbox() for patch in axes[1, 0].patches if patch.get_hatch()]
     bottom, top = axes[1, 0].get_ylim()
     np.testing.assert_allclose(sorted((box.y0, box.y1) for box in hatched), [(bottom, -0.2), (0.2, top)])
@@ -97,6 +97,6 @@ def test_logarithmic_axes_have_numbers_without_powers() -> None:
     figure = plot_bars("title", ["+", "-"], "mode", "τ [N·m]", {"a": np.array([3.0, 40.0])})
     figure.draw_without_rendering()
     axis = figure.axes[0].yaxis
-    said = [text.get_text() for text in (*axis.get_majorticklabels(), *axis.get_minorticklabels())]
-    assert {"10", "20"} <= set(said)
-    assert not [text for text in said if "^" in text]
+    labels = [text.get_text() for text in (*axis.get_majorticklabels(), *axis.get_minorticklabels())]
+    assert {"10", "20"} <= set(labels)
+    assert not [text for text in labels if "^" in text]

@@ -292,12 +292,12 @@ def test_values_stand_by_joint_name_under_the_cursor_and_in_the_list(page: Any) 
             assert np.exp(1j * position) == pytest.approx(np.exp(1j * angle), abs=2e-3)  # frames are 15 ms apart
             assert effort == pytest.approx(tau[i, k], abs=0.02 * np.abs(tau).max())
         assert values["carrier_1"][1][1] == "N"
-        said = _under_the_cursor(page, *page.execute_script(PLACE, "base_2", "joint_base_2"))
-        assert said.splitlines()[0] == "base_2 (driven joint)"
-        assert [_number(line) for line in said.splitlines()[1:]] == list(values["base_2"])
-    said = _under_the_cursor(page, *page.execute_script(PLACE, "wrist_1", "joint_wrist_1"))
-    assert said.startswith("wrist_1 (passive joint)\n")
-    assert len(said.splitlines()) == 2  # it has no effort
+        tooltip = _under_the_cursor(page, *page.execute_script(PLACE, "base_2", "joint_base_2"))
+        assert tooltip.splitlines()[0] == "base_2 (driven joint)"
+        assert [_number(line) for line in tooltip.splitlines()[1:]] == list(values["base_2"])
+    tooltip = _under_the_cursor(page, *page.execute_script(PLACE, "wrist_1", "joint_wrist_1"))
+    assert tooltip.startswith("wrist_1 (passive joint)\n")
+    assert len(tooltip.splitlines()) == 2  # it has no effort
     assert _under_the_cursor(page, *page.execute_script(PLACE, "carrier_1", "mass_1_0")).startswith(
         "carrier_1 (carrier)"
     )

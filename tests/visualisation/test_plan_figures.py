@@ -81,8 +81,8 @@ def _panel(drawn: Figure, label: str) -> Any:
 
 
 def _texts(drawn: Figure) -> list[str]:
-    said = [text.get_text() for axes in drawn.axes for text in axes.texts]
-    return [*said, *(text.get_text() for legend in drawn.legends for text in legend.get_texts())]
+    labels = [text.get_text() for axes in drawn.axes for text in axes.texts]
+    return [*labels, *(text.get_text() for legend in drawn.legends for text in legend.get_texts())]
 
 
 def _horizontals(axes: Any) -> set[float]:

@@ -220,8 +220,8 @@ def test_snapshots_show_the_mechanism_once_an_instant() -> None:
 def test_snapshots_say_what_is_what() -> None:
     view = rp.show(zoo.robot_of("3rrr"))
     drawn = rp.plot.snapshots(view, 3)
-    said = [text.get_text() for text in drawn.legends[0].get_texts()]
-    assert said == ["driven joint", "passive joint", "closure", "track", "carrier", "margin above 0.4"]
+    labels = [text.get_text() for text in drawn.legends[0].get_texts()]
+    assert labels == ["driven joint", "passive joint", "closure", "track", "carrier", "margin above 0.4"]
     base = [patch for patch in drawn.axes[0].patches if to_hex(patch.get_facecolor()) == "#5a5a5a"]
     assert len(base) == 1  # it does not move
 

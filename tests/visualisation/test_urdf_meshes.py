@@ -193,12 +193,12 @@ def test_files_that_cannot_be_read_are_named_once_and_bars_stand_in(
     with caplog.at_level(logging.WARNING):
         scene = scene_of(robot)
     (record,) = caplog.records
-    said = record.getMessage()
-    assert said.startswith("3 mesh file(s) of five_bar_with_shapes are not drawn")
-    assert f"{tmp_path / 'broken.stl'} cannot be read" in said
-    assert "package://nowhere/gone.dae is not found" in said
-    assert "gone.obj is not found" in said
-    assert "ROS_PACKAGE_PATH" in said
+    message = record.getMessage()
+    assert message.startswith("3 mesh file(s) of five_bar_with_shapes are not drawn")
+    assert f"{tmp_path / 'broken.stl'} cannot be read" in message
+    assert "package://nowhere/gone.dae is not found" in message
+    assert "gone.obj is not found" in message
+    assert "ROS_PACKAGE_PATH" in message
     assert shapes_on(scene, "left_base") == []
     body = scene.names.index("left_base")
     assert any(solid.name.startswith("bar") for solid in scene.solids if solid.body == body)

@@ -230,13 +230,13 @@ def reversals(tau):
 
 @pytest.mark.long
 def test_a_little_weight_on_the_rate_calms_the_efforts_beside_singularities():
-    plain, calm = (
+    swinging, calm = (
         plan_whole_trajectory(two_rpr(), circle(), objective=objective, dt=0.01)
         for objective in ("effort", {"effort": 1.0, "effort_rate": 0.01})
     )
-    assert reversals(plain.tau).max() > 20
+    assert reversals(swinging.tau).max() > 20
     assert reversals(calm.tau).max() < 10
-    for plan, most in ((plain, 0.21), (calm, 0.27)):
+    for plan, most in ((swinging, 0.21), (calm, 0.27)):
         assert plan.diagnostics["dense_check"]["passed"]
         assert plan.diagnostics["dense_check"]["peak_effort"] < most
 

@@ -254,15 +254,15 @@ def test_with_expressions_one_solution_finds_the_optimum_of_the_full_model(robot
 def test_forces_of_carriers_on_curved_tracks_are_limited_and_minimised_by_their_expressions(robot, exact):
     free = exact("line", "effort")
     largest = np.abs(RneaDynamics(robot).reduce(free.motion, free.carriers).carrier_force).max()
-    held = exact("line", "effort", carrier_force=0.7 * largest)
+    limited = exact("line", "effort", carrier_force=0.7 * largest)
     gentle = exact("line", "carrier_force")
-    for plan in (held, gentle):
+    for plan in (limited, gentle):
         require_balanced(robot, plan)
         forces = RneaDynamics(robot).reduce(plan.motion, plan.carriers).carrier_force
         assert np.abs(forces).max() <= 0.7 * largest * (1.0 + 1e-8) or plan is gentle
         np.testing.assert_allclose(plan.carrier_force, forces, atol=1e-9 * largest)
-    assert held.diagnostics["objective"]["effort"] > free.diagnostics["objective"]["effort"] * (1.0 + 1e-4)
-    squares = [np.trapezoid((one.carrier_force**2).sum(axis=1), one.t) for one in (gentle, held, free)]
+    assert limited.diagnostics["objective"]["effort"] > free.diagnostics["objective"]["effort"] * (1.0 + 1e-4)
+    squares = [np.trapezoid((one.carrier_force**2).sum(axis=1), one.t) for one in (gentle, limited, free)]
     assert squares[0] < 0.9 * min(squares[1:])
 
 

@@ -22,8 +22,8 @@ def held():
 def test_noise_is_on_top_of_what_is_commanded(held):
     drive = NoisyAmplifier(FeedForward(held), np.random.default_rng(3), NOISE)
     run = rp.simulate(held.robot, drive, sampling=Sampling(PERIOD), dt=PERIOD, rtol=1e-6, atol=1e-8)
-    asked = np.array([np.concatenate(held.loads(t)) for t in run.t[:-1]])
-    noise = np.concatenate([run.tau, run.carrier_force], axis=1)[:-1] - asked
+    planned = np.array([np.concatenate(held.loads(t)) for t in run.t[:-1]])
+    noise = np.concatenate([run.tau, run.carrier_force], axis=1)[:-1] - planned
     expected = np.random.default_rng(3).standard_normal((len(noise), 6)) * NOISE
     np.testing.assert_allclose(noise, expected, atol=1e-9)
 
