@@ -1,0 +1,340 @@
+"""The programme of a tick as a whole: each row and the cost at random plans, by the other backend and by formulas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.interpolate import BPoly, PPoly, make_interp_spline
+
+import redundancy_pin as rp
+from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
+from redundancy_pin.planners.receding_horizon.programme import CLOSER, FORCE_KEPT, Problem, Programme, units_of
+from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory.paths import circle_path
+
+_ARC = circle_path((0.25, 0.05), 0.09, start_angle=np.pi, sweep=np.pi)
+ACROSS = Trajectory(_ARC, SpeedProfile(_ARC.length, 0.45, 0.2))
+ROBOT = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
+
+TRACK = np.array([(-0.15, 0.2), (-0.2, 0.17)])
+LIMITS = Limits(
+    TRACK, speed=(0.9, 1.1), acceleration=(9.0, 11.0), jerk=(400.0, 500.0), carrier_force=(30.0, 35.0),
+    effort=(40.0, 50.0),
+)  # fmt: skip
+WEIGHTS = Weights(0.11, 0.7, 0.8, 0.13, 0.31, 0.17, 0.23, 0.19, 2e4)
+"""All different, so that none passes for another."""
+
+PLANS = 5
+
+
+@cache
+def other() -> rp.VirtualWork:
+    return rp.VirtualWork(rp.load_robot("2rpr", **ROBOT))
+
+
+@cache
+def ticks() -> dict[str, tuple[RecedingHorizon, Problem]]:
+    """The first tick, the second round of it, one on the way, and one that begins at a singular instant."""
+    seen, solve = [], Programme.solve
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Programme, "solve", lambda self, problem: seen.append(problem) or solve(self, problem))
+        dynamics = rp.CompiledDynamics(rp.load_robot("2rpr", **ROBOT))
+        planner = RecedingHorizon(dynamics, objective=WEIGHTS, limits=LIMITS)
+        crossing = rp.find_crossings(dynamics.robot, ACROSS)[0].t
+        for t in (*np.arange(0.0, crossing - 0.01, 0.02), crossing - 0.003):
+            planner.update(t, ACROSS)
+    assert seen[0].free
+    assert seen[1].proximal > 0.0
+    assert seen[-1].lin.singular[0] == 0
+    cases = {"first": seen[0], "second round": seen[1], "on the way": seen[6], "begins there": seen[-1]}
+    return {name: (planner, problem) for name, problem in cases.items()}
+
+
+class Rows:
+    """The numbers of a tick's programme, dense, and the blocks of its rows."""
+
+    def __init__(self, planner: RecedingHorizon, tick: Problem, elastic: bool = False) -> None:
+        self.tick, self.lin, self.programme = tick, tick.lin, planner.programme(elastic)
+        values = self.programme._values(tick)
+        self.P, self.q, self.A, self.b, self.G, self.low, self.high, self.lower, self.upper = (
+            np.array(part.todense() if hasattr(part, "todense") else part) for part in values
+        )
+        self.units = units_of(tick.limits)
+        lin, rng = tick.lin, np.random.default_rng(5)
+        self.plans, self.splines = [], []
+        for _ in range(PLANS):
+            changes = [size * rng.uniform(-1.0, 1.0, lin.at[0].shape) for size in (0.02, 0.2, 2.0)]
+            self._add(self.plans, rng, [own + change for own, change in zip(lin.at, changes, strict=True)])
+            ends = [(1, rng.uniform(-0.3, 0.3, 2)), (1, rng.uniform(-0.3, 0.3, 2))]
+            spline = make_interp_spline(lin.nodes, 0.1 * changes[0] / 0.02, 3, bc_type=([ends[0]], [ends[1]]))
+            self._add(
+                self.splines, rng, [spline.derivative(i)(lin.nodes) if i else spline(lin.nodes) for i in range(3)]
+            )
+            self.splines[-1] = (*self.splines[-1], spline.c)
+
+    def _add(self, plans, rng, motion):
+        p = self.programme
+        tau, peak = 5.0 * rng.uniform(-1.0, 1.0, (len(self.lin.nodes), 2)), 5.0 * rng.random()
+        x = np.zeros(p.variables)
+        for place, part, unit in zip((p.s, p.sd, p.sdd), motion, self.units, strict=True):
+            x[place] = part / unit
+        x[p.tau], x[p.peak] = tau / self.tick.sizes.tau, peak / self.tick.sizes.tau
+        plans.append((x, *motion, tau, peak))
+
+    def block(self, name):
+        """The numbers of the rows of a block."""
+        for rows in (self.programme.equal, self.programme.within):
+            before = 0
+            for other, count in rows.blocks.items():
+                if other == name:
+                    return slice(before, before + count)
+                before += count
+        raise KeyError(name)
+
+    def left(self, name):
+        """What is left of each equation of a block at each plan, (plans, rows)."""
+        rows = self.block(name)
+        return np.array([self.A[rows] @ plan[0] - self.b[rows] for plan in self.plans])
+
+    def room(self, name, plans):
+        """The room below the upper and above the lower bound of each row of a block at each plan, (2, plans, rows)."""
+        rows = self.block(name)
+        value = np.array([self.G[rows] @ plan[0] for plan in plans])
+        return np.array([self.high[rows] - value, value - self.low[rows]])
+
+    def pieces(self, plan):
+        """Position and speed of the carriers from a node to the next by the values at the first, as Bézier points.
+
+        (4, steps, k) and (3, steps, k): s̈ is linear in between.
+        """
+        _, s, sd, sdd, *_ = plan
+        h = np.diff(self.lin.nodes)[:, None]
+        powers = np.array([np.diff(sdd, axis=0) / h / 6.0, sdd[:-1] / 2.0, sd[:-1], s[:-1]])
+        # one polynomial after the other, each from its own beginning
+        curve = PPoly(powers, self.lin.nodes)
+        return BPoly.from_power_basis(curve).c, BPoly.from_power_basis(curve.derivative()).c
+
+    def f(self, places, motion, t=0.0, what="f"):
+        """What the other backend makes of a motion of the carriers, at nodes or beside them."""
+        carriers = rp.CarrierMotion(*motion, check_rates=False)
+        return getattr(other().reduce(ACROSS.sample_at(self.lin.nodes[places] + t), carriers, check_track=False), what)
+
+    def linear(self, plan, what):
+        """The same at the nodes, linear about the last plan: quadratic terms cancel."""
+        at, every = self.lin.at, slice(None)
+        change = [1e-2 * (new - old) for new, old in zip(plan[1:4], at, strict=True)]
+        ends = [self.f(every, [a + sign * c for a, c in zip(at, change, strict=True)], 0.0, what) for sign in (1, -1)]
+        return self.f(every, at, 0.0, what) + (ends[0] - ends[1]) / 2e-2
+
+    def rate(self, index, plan, jerk):
+        """uᵀ Ẇ τ − uᵀ ḟ at a singular instant, ḟ linear about the last plan, by differences of the other backend."""
+        q = self.lin.singular[index]
+        at = [*(part[q] for part in self.lin.at), np.zeros(2)]
+        change = [1e-2 * (new - old) for new, old in zip([*(part[q] for part in plan[1:4]), jerk], at, strict=True)]
+        u, h = self.lin.lost[index], 1e-4
+
+        def slope(sign):
+            s, sd, sdd, sddd = (a + sign * c for a, c in zip(at, change, strict=True))
+            ends = []
+            for t in (h, -h):
+                motion = s + t * sd + t**2 / 2 * sdd + t**3 / 6 * sddd, sd + t * sdd + t**2 / 2 * sddd, sdd + t * sddd
+                ends.append(u @ self.f([q], [part[None] for part in motion], t)[0])
+            return (ends[0] - ends[1]) / (2.0 * h)
+
+        nothing = [np.zeros((1, 2))] * 3
+        W = [u @ self.f([q], nothing, t, "W")[0] for t in (h, -h)]
+        return (W[0] - W[1]) / (2.0 * h) @ plan[4][q] - slope(0.0) - (slope(1.0) - slope(-1.0)) / 2e-2
+
+
+def assert_multiples(rows, expected, tolerance=1e-9):
+    """Each column is a positive multiple of what is expected: a row may be divided by a size."""
+    size = np.linalg.norm(rows, axis=0) / np.linalg.norm(expected, axis=0)
+    assert (size > 1e-4).all()
+    assert (size < 1e4).all()
+    np.testing.assert_allclose(rows / size, expected, atol=tolerance * np.abs(expected).max())
+
+
+@pytest.fixture(params=["first", "second round", "on the way", "begins there"])
+def rows(request) -> Rows:
+    return Rows(*ticks()[request.param])
+
+
+def test_rows_are_the_equations_of_a_plan(rows):
+    lin, tick = rows.lin, rows.tick
+    assert lin.known[lin.singular].all()
+    assert lin.known.mean() > 0.8  # of what is not, nothing is asked
+    position, speed = (
+        np.array([part.T for part in parts]) for parts in zip(*map(rows.pieces, rows.plans), strict=True)
+    )
+    s, sd = (np.array([plan[i][1:].T for plan in rows.plans]) for i in (1, 2))
+    for name, end, node in (("position", position[..., -1], s), ("speed", speed[..., -1], sd)):
+        left = (end - node).transpose(0, 2, 1).reshape(PLANS, -1)
+        assert_multiples(rows.left(name), left)
+    W = rows.f(slice(None), [np.zeros((len(lin.nodes), 2))] * 3, 0.0, "W")
+    left = np.array([np.einsum("nij,nj->ni", W, plan[4]) - rows.linear(plan, "f") for plan in rows.plans])
+    counts = tick.counts
+    if not tick.free:
+        begins = lin.singular[0] == 0
+        u = np.linalg.svd(W[0])[0][:, -1]
+        left[:, 0] -= np.outer(left[:, 0] @ u, u) * begins
+    found = rows.left("dynamics").reshape(left.shape)
+    assert_multiples(found[:, counts].reshape(PLANS, -1), left[:, counts].reshape(PLANS, -1), 1e-6)
+    assert not found[:, ~counts].any()
+    before, after = rows.left("before"), rows.left("after")
+    for index, q in enumerate(lin.singular):
+        jerks = [np.diff(plan[3], axis=0) / np.diff(lin.nodes)[:, None] for plan in rows.plans]
+        sides = [(before, q - 1), (after, q)]
+        for found, step in sides:
+            if 0 <= step < len(lin.nodes) - 1:
+                left = [rows.rate(index, plan, jerk[step]) for plan, jerk in zip(rows.plans, jerks, strict=True)]
+                assert_multiples(found[:, [step]], np.array(left)[:, None], 1e-4)
+    steps = np.arange(len(lin.nodes) - 1)
+    assert not before[:, ~np.isin(steps, lin.singular - 1)].any()
+    assert not after[:, ~np.isin(steps, lin.singular)].any()
+    if not tick.free and lin.singular[0] == 0:
+        left = [rows.rate(0, plan, tick.jerk) for plan in rows.plans]
+        assert_multiples(rows.left("start"), np.array(left)[:, None], 1e-4)
+    else:
+        assert not rows.left("start").any()
+
+
+def test_rows_are_the_limits_of_a_plan_between_its_nodes_too(rows):
+    """Of cubic splines: track limits by their control points, which scipy knows; closer by ``CLOSER`` at the end."""
+    limits, plans, tick = rows.tick.limits, rows.splines, rows.tick
+    _, speed = (np.array(parts) for parts in zip(*map(rows.pieces, plans), strict=True))
+    h = np.diff(rows.lin.nodes)[:, None]
+    jerk = np.array([np.diff(plan[3], axis=0) / h for plan in plans])
+    tau, peak = np.array([plan[4] for plan in plans]), np.array([plan[5] for plan in plans])[:, None, None]
+    s, sd = (np.array([plan[i][-1:] for plan in plans]) for i in (1, 2))
+    control = np.array([plan[6] for plan in plans])
+    inner, last = control[:, 2:-2], control[:, -2:-1]
+    speed_most, force = limits.speed, FORCE_KEPT * limits.carrier_force
+    fastest = np.minimum(limits.speed, np.sqrt(2.0 * limits.acceleration * np.diff(TRACK)[:, 0]))
+    stop = fastest**2 / (2.0 * limits.acceleration) * sd / fastest  # at this speed, and no more at any lower
+    forces = np.array([rows.linear(plan, "carrier_force") for plan in plans])
+    expected = {
+        "above": (-(tau - peak), None),
+        "below": (None, tau + peak),
+        "track": (TRACK[:, 1] - inner, inner - TRACK[:, 0]),
+        "last_track": (TRACK[:, 1] - last, last - TRACK[:, 0]),
+        "hull_speed": (speed_most - speed[:, 1], speed[:, 1] + speed_most),
+        "stop": (TRACK[:, 1] - s - stop, s + stop - TRACK[:, 0]),
+        "stop_back": (TRACK[:, 1] - s + stop, s - stop - TRACK[:, 0]),
+        "jerk": (limits.jerk - jerk, jerk + limits.jerk),
+        "force": (force - forces, forces + force),
+    }
+    assert expected.keys() == rows.programme.within.blocks.keys()
+    for name, rooms in expected.items():
+        for left, room in zip(rows.room(name, plans), rooms, strict=True):
+            if room is None:
+                assert (left > 1e3).all()
+                continue
+            counting = slice(None)
+            if name in ("above", "below"):
+                counting = np.repeat(tick.counts, 2)
+            elif name == "force":
+                counting = np.repeat(rows.lin.known, 2)
+            elif name == "hull_speed" and not tick.free:
+                assert (left[:, :2] > 1e3).all()  # the first half step is given
+                counting = slice(2, None)
+            room = room.reshape(PLANS, -1)
+            assert_multiples(left[:, counting], room[:, counting], 3.0 * CLOSER)
+
+
+def test_bounds_are_the_limits_at_the_nodes_and_what_the_start_is(rows):
+    tick, p, limits = rows.tick, rows.programme, rows.tick.limits
+    ut, near = tick.sizes.tau, {"rtol": 2.0 * CLOSER}
+    given = int(not tick.free)
+    np.testing.assert_allclose(
+        rows.upper[p.sdd[given:]] * rows.units[2], limits.acceleration + 0.0 * p.sdd[given:], **near
+    )
+    np.testing.assert_allclose(rows.upper[p.sd[-1]] * rows.units[1], limits.speed, **near)
+    assert (rows.upper[p.sdd[given:]] * rows.units[2] <= limits.acceleration).all()
+    np.testing.assert_allclose(rows.upper[p.tau] * ut, limits.effort + 0.0 * p.tau, rtol=1e-12)
+    np.testing.assert_array_equal(rows.lower[:-1], -rows.upper[:-1])
+    np.testing.assert_allclose(rows.lower[p.peak] * ut, WEIGHTS.memory * tick.largest)
+    # what is given is an equation each: place and speed, and later the acceleration and efforts that these decide
+    block = rows.block("given")
+    A, b = rows.A[block], rows.b[block]
+    wanted = [part / unit for part, unit in zip(tick.first, rows.units, strict=True)] + [np.zeros(2)]
+    for part, (places, value) in enumerate(zip((p.s[0], p.sd[0], p.sdd[0], p.tau[0]), wanted, strict=True)):
+        counts = (True, True, not tick.free, not tick.counts[0])[part]
+        own = slice(2 * part, 2 * part + 2)
+        np.testing.assert_allclose(A[own][:, places], counts * np.eye(2))
+        np.testing.assert_allclose(b[own], counts * value, atol=1e-15)
+    assert np.count_nonzero(A) == b.size - 2 * tick.free - 2 * tick.counts[0]
+
+
+def test_the_cost_is_the_weighted_mean_squares_of_the_page(rows):
+    tick, lin, w = rows.tick, rows.lin, WEIGHTS
+    duration, steps = lin.nodes[-1] - lin.nodes[0], np.diff(lin.nodes)[:, None]
+
+    def mean(values):
+        return np.trapezoid((values**2).sum(axis=1), lin.nodes) / duration
+
+    for x, *motion, tau, peak in rows.plans:
+        s, sd, sdd = (part / unit for part, unit in zip(motion, rows.units, strict=True))
+        tau, peak = tau / tick.sizes.tau, peak / tick.sizes.tau
+        jerk = np.diff(sdd, axis=0) * tick.step / steps  # over that which reaches the limit in a step
+        about = lin.at[2] / rows.units[2]
+        expected = (
+            w.effort * mean(tau)
+            + w.peak * peak**2
+            + w.acceleration * mean(sdd)
+            + w.jerk * (jerk**2 * steps).sum() / tick.horizon
+            + w.centre * mean(s)
+            + w.end * (s[-1] ** 2).sum()
+            + w.end_speed * (sd[-1] ** 2).sum()
+            + tick.proximal * (mean(sdd - about) - mean(about))
+        )
+        np.testing.assert_allclose(0.5 * x @ rows.P @ x + rows.q @ x, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_sizes_divide_unknowns_by_what_they_are_at_most(rows):
+    limits = rows.tick.limits
+    half = 0.5 * np.diff(TRACK)[:, 0]
+    for unit, expected in zip(rows.units, (half, limits.speed, limits.acceleration), strict=True):
+        np.testing.assert_allclose(unit, expected)
+
+
+def test_an_elastic_programme_has_room_to_come_back_and_pays_for_what_is_missing():
+    """A carrier too fast to stay on its track comes back with half of its acceleration; no farther."""
+    planner, tick = ticks()["on the way"]
+    start = np.array([0.1, -0.1]), np.array([1.0, -1.2]), np.array([9.0, -11.0])
+    rows = Rows(planner, replace(tick, first=start), elastic=True)
+    p, units, limits = rows.programme, rows.units, tick.limits
+    t = tick.lin.nodes - tick.lin.nodes[0]
+    # as hard as it may outwards, at once after the first node half as hard back
+    sdd = np.where(t[:, None] > 0.0, -0.5 * np.sign(start[0]) * limits.acceleration, start[2])
+    curve = PPoly(np.array([np.diff(sdd, axis=0) / np.diff(t)[:, None], sdd[:-1]]), t)
+    speed = curve.antiderivative()
+    sd, s = start[1] + speed(t), start[0] + t[:, None] * start[1] + speed.antiderivative()(t)
+    back = np.argmax((np.abs(s) < 0.15) & (sd * start[0] < 0.0), axis=0)  # from there on it may stop
+    assert (back > 0).all()
+    x = np.zeros(p.variables)
+    for place, unit, value in ((p.s, units[0], s), (p.sd, units[1], sd), (p.sdd, units[2], sdd)):
+        x[place] = value / unit
+    for name, before in (("track", back - 2), ("hull_speed", back - 1)):
+        rooms = rows.room(name, [(x,)])[:, 0].reshape(2, -1, 2)
+        for j in range(2):
+            assert rooms[:, : before[j], j].min() >= -1e-9
+    turn = 1.5 * limits.acceleration * t[1]  # of speed, at most, until it has turned round
+    block = rows.block("track")
+    high, low = (bound[block].reshape(-1, 2) * units[0] for bound in (rows.high, rows.low))
+    farthest = start[0] + np.sign(start[0]) * ((np.abs(start[1]) + turn) ** 2 / limits.acceleration + 2e-6)
+    assert TRACK[0, 1] < high[:, 0].max() <= farthest[0]
+    assert TRACK[1, 0] > low[:, 1].min() >= farthest[1]
+    np.testing.assert_allclose([high[-1], low[-1]], TRACK.T[::-1], rtol=0.01)
+    block = rows.block("hull_speed")
+    most = np.maximum(limits.speed, np.abs(start[1]) + turn)
+    assert (rows.high[block].reshape(-1, 2)[1:] * units[1] <= most + 1e-12).all()
+    np.testing.assert_allclose(rows.upper[p.sd[-1]] * units[1], limits.speed, rtol=2.0 * CLOSER)
+    assert (rows.P[p.missing.ravel(), p.missing.ravel()] == WEIGHTS.missing).all()
+    # what is missing of an equation is one unknown of it, and enters no other
+    equations = rows.A[:, p.missing.ravel()]
+    assert set(np.unique(equations)) == {0.0, 1.0}
+    assert (np.count_nonzero(equations, axis=0) <= 2).all()
