@@ -318,7 +318,7 @@ STARTED: tuple[Case, ...] = (_LIGHT, _HEAVY, _FIVE_BAR, *TURNS[:2])
 TRADED: tuple[Case, ...] = (_LIGHT, TURNS[0])
 """Tasks whose effort is traded against the carriers' acceleration."""
 
-CHAPTERS = ("planned", "beyond", "replay")
+CHAPTERS = ("planned", "beyond", "future", "replay")
 
 
 @dataclass(frozen=True)

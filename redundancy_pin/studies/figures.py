@@ -16,7 +16,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.replay import Replay
-from redundancy_pin.studies import cases
+from redundancy_pin.studies import cases, future
 from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK, Case, Plans
 from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
 from redundancy_pin.studies.measures import MotionRun, rms_acceleration, window
@@ -355,6 +355,23 @@ def trade_figure(results: Results) -> Figure:
     return comparisons.plot_trade_off("Main effort against the carriers' acceleration", trades)
 
 
+# --- future --------------------------------------------------------------------------------------------------------
+
+
+def future_pictures(results: Results) -> list[Picture]:
+    """Return the figures of spatial machines through singularities."""
+    pictures = []
+    for case in future.SPATIAL:
+        caption = "Motion of the carriers, with their limits; dotted: the singular instant."
+        pictures.append(Picture(f"future-{case.name}", case.title, caption, spatial_figure, (case,)))
+    return pictures
+
+
+def spatial_figure(results: Results, case: Case) -> Figure:
+    """Return the carriers of a plan."""
+    return plots.carriers(results.plans.plan(future.coarsened(case, results.extent)))
+
+
 # --- replay --------------------------------------------------------------------------------------------------------
 
 
@@ -382,6 +399,7 @@ def pictures(results: Results) -> dict[str, list[Picture]]:
         "motions": lambda: motion_pictures(results.runs),
         "planned": thesis_pictures,
         "beyond": beyond_pictures,
+        "future": lambda: future_pictures(results),
         "replay": lambda: replay_pictures(results),
     }
     return {name: make() for name, make in makers.items() if name in ("motions", *results.chapters)}

@@ -31,7 +31,7 @@ from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replacea
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.simulation.replay import Drive, Replay, replay
-from redundancy_pin.studies import beyond, cases, planned
+from redundancy_pin.studies import beyond, cases, future, planned
 from redundancy_pin.studies.case import Case, Plans, machine_code
 from redundancy_pin.studies.figures import THESIS, Results, pictures
 from redundancy_pin.studies.measures import CSV_DIGITS, MotionRun, run
@@ -117,7 +117,7 @@ def reproduce(
         RedundancyPinError: an experiment cannot run, or matplotlib or, for the last chapters, casadi is not installed.
     """
     require_matplotlib()
-    if {"beyond", "replay"} & set(extent.chapters):
+    if {"beyond", "future", "replay"} & set(extent.chapters):
         casadi()
     require_replaceable(folder)
     total, steps, tell = _count(motions, extent), count(_CROSS_CHECK_STEPS + 1), progress or (lambda *_: None)
@@ -143,7 +143,8 @@ def _count(motions: Sequence[Case], extent: cases.Extent) -> int:
     names = [cases.motion_name(case) for case in motions]
     comparisons = sum(names.count(name) > 1 for name in set(names))
     parts = {"planned": lambda: planned.parts(extent) + len(THESIS), "replay": lambda: len(extent.replayed) + 2,
-             "beyond": lambda: beyond.parts(extent) + len(cases.TASKS) + 4}  # fmt: skip
+             "beyond": lambda: beyond.parts(extent) + len(cases.TASKS) + 4,
+             "future": lambda: future.parts() + len(future.SPATIAL)}  # fmt: skip
     return _CROSS_CHECK_STEPS + 3 * len(motions) + comparisons + sum(parts[chapter]() for chapter in extent.chapters)
 
 
@@ -184,6 +185,8 @@ def compute(
         chapters["planned"] = planned.run_planned(plans, extent, tell)
     if "beyond" in extent.chapters:
         chapters["beyond"] = beyond.run_beyond(plans, extent, tell)
+    if "future" in extent.chapters:
+        chapters["future"] = future.run_future(plans, extent, tell)
     if "replay" in extent.chapters:
         replays, missing = run_replays(plans, extent, tell)
         records = [{key: value for key, value in asdict(one).items() if key not in ("t", "error")} for one in replays]
@@ -298,6 +301,7 @@ def tables(results: Results) -> dict[str, Table]:
         "thesis": table("thesis", results.compared, "what the thesis states (Parsa 2014), and what comes out here"),
         **(_planned(chapters["planned"], results.extent) if "planned" in chapters else {}),
         **(_beyond(chapters["beyond"]) if "beyond" in chapters else {}),
+        **({"future": table("future", chapters["future"]["plans"])} if "future" in chapters else {}),
         **({"replays": table("replays", chapters["replay"]["replays"])} if "replay" in chapters else {}),
     }
 

@@ -1,0 +1,133 @@
+"""What the thesis leaves to the future: balancing, least time and spatial machines, with what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.base_wrench import load_at_rest
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
+from redundancy_pin.studies.case import Case, Plans, options
+from redundancy_pin.studies.cases import Extent
+from redundancy_pin.studies.measures import numbers
+from redundancy_pin.studies.planned import Chapter, Tell
+from redundancy_pin.studies.table import Record
+
+CENTRE = (0.866, 0.5, 0.0)
+"""Of the base of the 3-RRR, m; moments are taken about it."""
+
+_WIDE: Mapping[str, Any] = {"track": (-1.0, 1.0), "speed": 5.0, "acceleration": 20.0}
+_CORNER = Case(
+    "corner",
+    "3rrr",
+    "corner",
+    options(radius=0.025, speed=0.2, ramp_time=0.4),
+    "whole_trajectory",
+    options(**_WIDE),
+    working_mode=(1, 1, 1),
+    dt=0.02,
+)
+_BARE = Case("corner", "3rrr", "corner", _CORNER.path_options, "none", working_mode=(1, 1, 1), dt=2e-3)
+_BALANCED = _CORNER.with_options(objective="base_wrench", base_point=CENTRE)
+
+PLANNED: Mapping[tuple[str, str], Case] = {
+    ("3-RRR corner, balanced", "no carriers"): _BARE,
+    ("3-RRR corner, balanced", "least effort, parked at the end"): _CORNER,
+    ("3-RRR corner, balanced", "least base wrench, parked at the end"): _BALANCED,
+    ("3-RRR corner, balanced", "least base wrench, free end"): _BALANCED.with_options(end="free"),
+    ("Gough platform, 70 to 110° of yaw", "least effort"): Case(
+        "gough",
+        "gough",
+        "pose",
+        options(
+            start=(0.0, 0.0, 0.6, 0.0, 0.0, 0.573576436, 0.819152044),
+            end=(0.0, 0.0, 0.6, 0.0, 0.0, 0.819152044, 0.573576436),
+        ),
+        "whole_trajectory",
+        arguments=options(carriers=True),
+        dt=0.05,
+        title="Gough platform through the type II pose at 90° of yaw, under gravity",
+    ),
+    ("delta, through the plane of its elbows", "least effort"): Case(
+        "delta",
+        "delta",
+        "points",
+        options(points=((-0.04, 0.02, -0.25), (0.05, 0.0, -0.05)), speed=0.6, ramp_time=0.2),
+        "whole_trajectory",
+        arguments=options(rod_carriers=True, rod_length=0.35),
+        dt=0.02,
+        title="delta through the plane of its elbows, under gravity",
+    ),
+}
+"""Whole-trajectory plans by task and way."""
+
+TIMED: Mapping[tuple[str, str], Case] = {
+    ("3-RRR corner, least time", "no carriers"): _BARE,
+    **{
+        ("3-RRR corner, least time", way): _CORNER.with_options(**ends)
+        for way, ends in (
+            ("parked before, free after", {"end": "free"}),
+            ("at rest before and after", {"begin": "rest", "end": "rest"}),
+        )
+    },
+}
+"""Plans of least time under ``TORQUE``."""
+
+TORQUE = 3.03
+"""N·m, largest of the corner at 0.2 m/s without carriers."""
+
+SPATIAL = tuple(case for case in PLANNED.values() if case.title)
+
+
+def parts() -> int:
+    """Return how often ``run_future`` tells of progress."""
+    return len(PLANNED) + 1
+
+
+def run_future(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
+    """Run the chapter, on several processes."""
+    cases = {key: coarsened(case, extent) for key, case in PLANNED.items()}
+    beside = [(least_time, *key, case) for key, case in TIMED.items()]
+    timed = plans.prepare([(case, case.backends[0]) for case in cases.values()], extent.jobs, tell, beside=beside)
+    tell("least time")
+    planned = [_record(*key, case, plans.outcome(case)) for key, case in cases.items()]
+    return {"plans": [*planned, *timed]}
+
+
+def coarsened(case: Case, extent: Extent) -> Case:
+    """Return a case with the steps of an extent, up to a factor of two: fewer nodes do not show the crossings."""
+    return replace(case, dt=case.dt * min(extent.coarser, 2.0))
+
+
+def least_time(task: str, way: str, case: Case) -> Record:
+    """Return the record of a plan of least time."""
+    settings = {name: value for name, value in case.options if case.planner != "none"}
+    dynamics = case.dynamics()
+    return _record(task, way, case, plan_time_optimal(dynamics, case.trajectory().path, effort=TORQUE, **settings))
+
+
+def _record(task: str, way: str, case: Case, outcome: Plan | InfeasiblePlanError) -> Record:
+    if isinstance(outcome, InfeasiblePlanError):
+        return {"task": task, "way": way, "status": f"no plan: {outcome.message}"}
+    dynamics, carriers = case.dynamics(), outcome.carriers
+    robot, point = dynamics.robot, np.array(CENTRE if case.robot == "3rrr" else (0.0, 0.0, 0.0))
+    push = outcome.base_wrench(dynamics, point) - load_at_rest(dynamics, outcome.motion, carriers.s[0], point)
+    added = sum(robot.model.inertias[robot.model.getJointId(name)].mass for name in robot.carriers)
+    return {
+        **numbers(outcome),
+        "task": task,
+        "way": way,
+        "unit": case.unit if case.robot != "gough" else "N",
+        "added": float(added),
+        "duration": float(outcome.t[-1] - outcome.t[0]),
+        "peak": float(outcome.peak_effort.max()),
+        "stroke": float(np.ptp(carriers.s, axis=0).max(initial=0.0)),
+        "base_force": float(np.linalg.norm(push[:, :3], axis=1).max()),
+        "base_moment": float(np.linalg.norm(push[:, 3:], axis=1).max()),
+        "singular_instants": list(outcome.diagnostics.get("singular_instants", ())),  # type: ignore[call-overload]
+    }

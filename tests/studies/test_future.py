@@ -1,0 +1,56 @@
+"""The chapter on what the thesis leaves open, against figures known before and Pinocchio's momentum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from redundancy_pin import lift
+from redundancy_pin.studies import future
+from redundancy_pin.studies.case import Plans
+from redundancy_pin.studies.cases import QUICK
+
+pytest.importorskip("casadi")
+
+TASK = "3-RRR corner, balanced"
+
+
+def test_a_balanced_corner_keeps_its_momentum() -> None:
+    case = replace(future.PLANNED[TASK, "least base wrench, free end"], dt=0.05)
+    plan = case.plan()
+    record = future._record(TASK, "", case, plan)
+    assert record["base_force"] < 1e-3
+    assert record["added"] == 9.0
+    robot = case.load_robot()
+    tree = lift(robot, plan.motion).with_carriers(plan.carriers)
+    data = robot.model.createData()
+    momenta = []
+    for q, v in zip(tree.q, tree.v, strict=True):
+        pin.computeCentroidalMomentum(robot.model, data, q, v)
+        momenta.append(data.hg.linear[:2].copy())
+    alone = case.with_options(objective="effort").plan()
+    # between the nodes the balance is of second order in the step
+    drift = np.abs(np.array(momenta) - momenta[0]).max()
+    assert drift < 0.02 * np.abs(alone.base_wrench(case.dynamics())[:, :2]).max() * plan.t[-1]
+
+
+@pytest.mark.long
+def test_the_chapter_has_the_known_figures() -> None:
+    told: list[str] = []
+    records = future.run_future(Plans(), QUICK, told.append)["plans"]
+    assert len(told) == future.parts()
+    by = {(record["task"], record["way"]): record for record in records}
+    assert {record["status"] for record in records} <= {"within_limits", "unresolved"}
+    bare = by[TASK, "no carriers"]
+    assert (bare["base_force"], bare["base_moment"]) == pytest.approx((7.05, 0.705), rel=5e-3)
+    free = by[TASK, "least base wrench, free end"]
+    assert max(free["base_force"], free["base_moment"]) < 1e-3
+    parked = by[TASK, "least base wrench, parked at the end"]
+    assert parked["base_force"] < 0.6 * bare["base_force"]
+    times = [record["duration"] for record in records if record["task"].endswith("least time")]
+    assert times == pytest.approx([1.070, 0.655, 0.500], rel=5e-3)
+    spatial = [record for record in records if record["task"].startswith(("Gough", "delta"))]
+    assert [len(record["singular_instants"]) for record in spatial] == [1, 1]
