@@ -281,7 +281,7 @@ def attempt(plans: Plans, case: Case) -> Record:
             failed = {**record, **details, "said": outcome.message}
         elif outcome.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.STOPPED_EARLY, PlanStatus.UNRESOLVED):
             binding = sorted({f"{event.quantity} of {event.carrier}" for event in outcome.limits.binding})
-            peak = max(float(outcome.peak_effort.max()), measures.dense_peak(attempted, outcome))
+            peak = float(outcome.peak_effort.max())
             return {**record, "feasible": True, "status": outcome.status.value, "peak": peak, "binding": binding}
         else:
             message = "the plan breaks limits or has no finite efforts"

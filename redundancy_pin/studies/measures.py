@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, runs
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
+from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.stepwise.planner import between_samples
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.studies.case import BACKENDS, RNEA, VIRTUAL_WORK, Case
@@ -241,9 +240,6 @@ SWING = 0.05
 FINER = 20
 """Points in a step at which plans are looked at between their samples, as in the planner's own dense check."""
 
-_FINER_SWITCH_OFF = 5
-"""The same for switch-off plans, whose samples are 1 ms apart: a fifth of the nodes' 5 ms."""
-
 _SAME_TIME = 9
 """Digits of a time, s, that have to agree for two samples to be the same: those at events may be apart by rounding."""
 
@@ -434,28 +430,14 @@ def limits_met(plan: Plan) -> str:
 
 
 def dense_peak(case: Case, plan: Plan) -> float:
-    """Return the largest |τ| between the samples of a plan, N or N·m; of a switch-off plan while the motors are on."""
-    dynamics, trajectory = case.dynamics(), case.trajectory()
-    match case.planner:
-        case "switch_off":
-            return _dense_switch_off(dynamics, trajectory, plan)
-        case "stepwise":
-            return max(between_samples(dynamics, plan, FINER - 1, trajectory)["peak_effort"])  # type: ignore[call-overload, no-any-return]
-        case "whole_trajectory":  # the planner looks itself
-            check: Mapping[str, Any] = plan.diagnostics["dense_check"]  # type: ignore[assignment]
-            return float(check["peak_effort"])
-    motion = trajectory.sample(case.dt / FINER)
-    carriers = CarrierMotion.parked(len(motion), dynamics.robot.k)
-    return float(np.abs(distribute(dynamics.reduce(motion, carriers)).tau).max())
+    """Return the largest |τ| between the samples of a plan too, N or N·m.
 
-
-def _dense_switch_off(dynamics: Dynamics, trajectory: Trajectory, plan: Plan) -> float:
-    off = plan.phase == plan.phases.index("off")
-    left = np.flatnonzero((np.diff(plan.t) > 0.0) & ~off[1:] & ~off[:-1])
-    fraction = (np.arange(_FINER_SWITCH_OFF) + 0.5) / _FINER_SWITCH_OFF
-    times = (plan.t[left, None] + np.diff(plan.t)[left, None] * fraction).ravel()
-    reduced = dynamics.reduce(trajectory.sample_at(times), plan.carriers_at(times), check_track=False)
-    return float(np.nanmax(np.abs(distribute(reduced).tau)))
+    Planners look between their samples themselves; a machine whose carriers rest or are none has no planner.
+    """
+    if plan.between is not None:
+        return float(plan.between.peak.max())
+    motion = case.trajectory().sample(case.dt / FINER)
+    return float(np.abs(distribute(case.dynamics().reduce(motion)).tau).max())
 
 
 # --- plans in numbers ----------------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ import pytest
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.cases import EFFORT, SINGULAR, TURNS, by_method, parked, without_carriers
 from redundancy_pin.studies.measures import (
@@ -59,15 +58,6 @@ def test_switch_off_between_its_samples_is_what_finer_samples_show() -> None:
     fine = replace(CIRCLE, dt=2.5e-4).plan("rnea")
     # curvature of τ at its peak: both grids see it to better than 1e-4
     assert dense_peak(CIRCLE, switched_off()) == pytest.approx(float(np.nanmax(np.abs(fine.tau))), rel=1e-4)
-
-
-def test_motors_that_are_off_need_no_force() -> None:
-    plan = switched_off()
-    off = np.flatnonzero(plan.phase == plan.phases.index("off"))[3:-3]
-    sdd = np.array(plan.carriers.sdd)
-    sdd[off] += 1e3  # would take forces of kilonewtons, were the motors on
-    shaken = replace(plan, carriers=CarrierMotion(plan.carriers.s, plan.carriers.sd, sdd), functions=None)
-    assert dense_peak(CIRCLE, plan) == pytest.approx(dense_peak(CIRCLE, shaken), rel=1e-6)
 
 
 def test_numbers_of_a_switch_off_plan() -> None:
