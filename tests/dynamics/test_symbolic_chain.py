@@ -94,6 +94,16 @@ def test_efforts_and_energy_of_the_tree_are_pinocchios(robot: rp.Robot) -> None:
         np.testing.assert_allclose(energy, kinetic + pin.computePotentialEnergy(model, data, q), atol=1e-9)
 
 
+def test_angles_have_their_cosines_and_sines_once(robot: rp.Robot) -> None:
+    """Who evaluates many functions computes them once: of joints that turn, but carriers and continuous ones."""
+    turning = [
+        int(joint.idx_q)
+        for joint in robot.model.joints
+        if joint.nq == 1 and joint.shortname().startswith("JointModelR") and joint.idx_v not in robot.carrier_velocity
+    ]
+    assert SymbolicChain(robot).turning == turning
+
+
 def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
     """By the least rotation, and along a straight line; coordinates go at once."""
     first, last = np.eye(4), np.eye(4)

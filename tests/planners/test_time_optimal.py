@@ -23,6 +23,7 @@ from redundancy_pin import (
 )
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.planners.functions import ALLOWED
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.trajectory import reference
 
@@ -106,6 +107,10 @@ def test_carriers_make_the_corner_faster() -> None:
     assert np.abs(plan.carriers.sdd).max() <= LIMITS["acceleration"]
     assert plan.between is not None
     assert plan.between.peak.max() <= 1.05 * EFFORT
+    # finer meshes until the efforts between the nodes are those at them, and no longer
+    *before, last = plan.diagnostics["dense_ratios"]
+    assert last <= ALLOWED
+    assert all(ratio > ALLOWED for ratio in before)
 
 
 @pytest.mark.long

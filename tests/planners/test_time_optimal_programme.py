@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from types import SimpleNamespace
 
 import casadi
@@ -15,10 +16,11 @@ import redundancy_pin as rp
 import redundancy_pin.planners.time_optimal.planner as planner
 from redundancy_pin.planners.time_optimal.problem import Problem
 from redundancy_pin.planners.time_optimal.transcription import REGULARISATION, transcribe
-from redundancy_pin.planners.whole_trajectory.problem import with_middles
+from redundancy_pin.planners.whole_trajectory.problem import Grid, with_middles
 from redundancy_pin.planners.whole_trajectory.transcription import RESERVE
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path, circle_path
 from redundancy_pin.trajectory.timing import uniform_law
 from redundancy_pin.trajectory.trajectory import Trajectory
@@ -43,7 +45,7 @@ class Case:
 @cache
 def case(name: str) -> Case:
     """The numbers of a planning problem, which is not solved."""
-    if name == "corner":
+    if name != "lap":
         robot, path = zoo.robot_of("3rrr", carrier_mass=3.0), reference.corner().path
         options = {"begin": "rest", "end": "datum", "datum": (0.1, -0.05, 0.02)}
     else:
@@ -59,7 +61,9 @@ def case(name: str) -> Case:
         "carrier_force": [30.0 + 10.0 * i for i in range(k)],
         "effort": [4.0 + i for i in range(robot.m)],
     }
-    seen = []
+    if name == "rates alone":
+        limits["effort"] = np.inf
+    seen, rate = [], None if name == "efforts alone" else 0.5
     with pytest.MonkeyPatch.context() as patch:
 
         def stop(problem, between):
@@ -68,7 +72,7 @@ def case(name: str) -> Case:
 
         patch.setattr(planner, "transcribe", stop)
         with pytest.raises(_EnoughError):
-            rp.plan_time_optimal(rp.VirtualWork(robot), path, steps=6, actuator_speed=0.5, **limits, **options)
+            rp.plan_time_optimal(rp.VirtualWork(robot), path, steps=6, actuator_speed=rate, **limits, **options)
     return Case(path, seen[0], rp.RneaDynamics(robot), limits, options)
 
 
@@ -246,8 +250,9 @@ def test_bounds_are_those_of_the_unknowns_and_the_cost_is_time(numbers):
         np.testing.assert_allclose(cost, v["h"].sum() / u.duration + gentle, rtol=1e-9)
 
 
-def test_the_first_guess_is_a_harmonic_motion_that_the_parked_machine_can_follow():
-    of = case("corner")
+@pytest.mark.parametrize("name", ["corner", "efforts alone", "rates alone"])
+def test_the_first_guess_is_a_harmonic_motion_that_the_parked_machine_can_follow(name):
+    of = case(name)
     problem, u, length = of.problem, of.problem.sizes, of.path.length
     guess = planner._first_guess(problem)
     t = np.append(0.0, np.cumsum(guess["h"][:, 0] * u.h))
@@ -267,6 +272,13 @@ def test_the_first_guess_is_a_harmonic_motion_that_the_parked_machine_can_follow
     most = max((np.abs(tau) / of.limits["effort"]).max(), (v["pd"][:, 0] / problem.fastest).max())
     # 101 speeds are tried, each 1.12 times the one before: efforts grow by its square
     assert 0.9 / 1.123**2 < most <= 0.9
+    # efforts are of the size of the least limit, or of those at this speed and acceleration everywhere
+    everywhere = {"pd": 0.0 * v["pd"] + u.speed, "pdd": 0.0 * v["pdd"] + u.acceleration}
+    f = Numbers(of).reduced({**v, **everywhere, "s": 0.0 * v["s"]}).f / reduced.row_scale
+    largest = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
+    size = np.abs(f).max() / np.median(largest)
+    np.testing.assert_allclose(u.tau, size if name == "rates alone" else 4.0, rtol=1e-9)
+    np.testing.assert_allclose(u.row / reduced.row_scale, max(np.abs(f).max(), u.tau * np.median(largest)), rtol=1e-9)
 
 
 def test_values_are_moved_to_other_nodes_along_the_path():
@@ -328,3 +340,23 @@ def test_a_lap_is_first_guessed_at_an_even_speed():
     np.testing.assert_allclose(guess["pd"], 0.5)
     # half the size of speeds, and steps that last as long as they take at it
     np.testing.assert_allclose(guess["h"][:, 0] * u.h * 0.5 * u.speed, problem.grid.h, atol=1e-12)
+
+
+def test_finer_meshes_have_nodes_halfway_in_time_where_it_is_needed():
+    """In steps around what exceeds, and in long ones, where no more is free; places are those of the law."""
+    t = np.array([0.0, 1.0, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.75, 1.8, 1.85, 20.0])
+    law = PiecewisePolynomial.linear(np.unique(t), (0.1 * np.unique(t) ** 2)[:, None])
+    places = 0.1 * t**2
+    grid = Grid(places, np.array([2, 5]), np.arange(14) == 6)
+    finer = planner._finer(grid, SimpleNamespace(t=t, law=law), np.array([1.35]))
+    # the step from 1.3 to 1.4, two on both sides, and the last; that from 0 to 1 is as long as a twentieth of all
+    new = np.setdiff1d(finer.t, places)
+    middles = [0.5 * (a + b) for a, b in pairwise(t) if a in (1.1, 1.2, 1.3, 1.4, 1.5, 1.85)]
+    np.testing.assert_allclose(new, [law(np.array([m]))[0, 0] for m in middles])
+    np.testing.assert_allclose(finer.t[finer.singular], places[[2, 5]])
+    smooth = finer.t[finer.smooth]
+    np.testing.assert_allclose(smooth, np.sort([places[6], *new[:-1]]))
+    # a law that stands still, or runs back, leaves a fiftieth of the step
+    still = SimpleNamespace(t=t, law=lambda times: np.zeros((len(times), 1)))
+    stuck = np.setdiff1d(planner._finer(grid, still, np.array([1.35])).t, places)
+    np.testing.assert_allclose(stuck[-1], places[-2] + 0.02 * (places[-1] - places[-2]))

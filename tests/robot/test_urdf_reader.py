@@ -22,7 +22,15 @@ from redundancy_pin import VirtualWork, load_robot
 from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
 from redundancy_pin.robot import build
 from redundancy_pin.robot.declaration import CLOSED_FORMS
-from redundancy_pin.robot.formats.urdf_tree import DEEPEST_CHAIN, MOST_FREEDOMS, MOST_LINKS, read_tree, require_same
+from redundancy_pin.robot.formats.urdf_mechanism import UNLIMITED, _limits
+from redundancy_pin.robot.formats.urdf_tree import (
+    DEEPEST_CHAIN,
+    MOST_FREEDOMS,
+    MOST_LINKS,
+    JointEntry,
+    read_tree,
+    require_same,
+)
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES
 from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
 
@@ -523,3 +531,19 @@ def test_angles_of_an_origin_are_about_the_fixed_axes() -> None:
     (joint,) = read_tree(text, Path("r.urdf")).joints
     np.testing.assert_allclose(joint.placement[:3, :3], Rotation.from_euler("xyz", angles).as_matrix(), atol=1e-15)
     np.testing.assert_array_equal(joint.placement[:3, 3], [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "expected"),
+    [
+        ("revolute", {"lower": -1.0, "upper": 2.0}, (-1.0, 2.0)),
+        ("revolute", {"lower": 0.0, "upper": 0.0}, None),  # what urdfdom makes of no limits
+        ("revolute", {}, None),
+        ("continuous", {"lower": -1.0, "upper": 2.0}, None),
+    ],
+)
+def test_ranges_of_joints_are_those_of_the_file(kind: str, given: dict[str, float], expected: Any) -> None:
+    joint = JointEntry("a", kind, "base", "link", np.eye(4), np.eye(3)[2], {**given, "effort": 3.0})
+    found = _limits(joint)
+    assert found["effort"] == 3.0
+    assert (found["lower"], found["upper"]) == (expected or (UNLIMITED["lower"], UNLIMITED["upper"]))
