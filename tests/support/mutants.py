@@ -98,6 +98,11 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "-",
     ): "random swings to begin with: at another phase they are as random",
     (
+        "dynamics/compiled/design.py",
+        "return _without_rounding(placements, 1.0 / step), _without_rounding(inertias, 1.0 / step)",
+        "1.0",
+    ): "twice the size of what counts as rounding",
+    (
         "planners/switch_off/crossing.py",
         "size = float(max(np.abs(here.f0 / row_scale).max(), np.abs(load / row_scale).max(), 1e-12))",
         "/",

@@ -38,7 +38,8 @@ class _Programme:
         self.pd = variable("pd", (nodes, 1), at_rest, fastest) * u.speed
         self.pdd = variable("pdd", (nodes, 1)) * u.acceleration
         lower, upper = limits.track.T
-        margin = RESERVE * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+        width = upper - lower
+        margin = RESERVE * np.where(np.isfinite(width), width, 0.0)
         self._bounds = {
             "s": ((lower + margin) / u.s, (upper - margin) / u.s),
             "sd": (-limits.speed / u.sd * keep, limits.speed / u.sd * keep),
