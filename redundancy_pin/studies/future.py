@@ -64,13 +64,13 @@ PLANNED: Mapping[tuple[str, str], Case] = {
         title="delta through the plane of its elbows, under gravity",
     ),
 }
-"""Whole-trajectory plans by task and way."""
+"""Whole-trajectory plans by task and method."""
 
 TIMED: Mapping[tuple[str, str], Case] = {
     ("3-RRR corner, least time", "no carriers"): _BARE,
     **{
-        ("3-RRR corner, least time", way): _CORNER.with_options(**ends)
-        for way, ends in (
+        ("3-RRR corner, least time", method): _CORNER.with_options(**ends)
+        for method, ends in (
             ("parked before, free after", {"end": "free"}),
             ("at rest before and after", {"begin": "rest", "end": "rest"}),
         )
@@ -104,16 +104,16 @@ def coarsened(case: Case, extent: Extent) -> Case:
     return replace(case, dt=case.dt * min(extent.coarser, 2.0))
 
 
-def least_time(task: str, way: str, case: Case) -> Record:
+def least_time(task: str, method: str, case: Case) -> Record:
     """Return the record of a plan of least time."""
     settings = {name: value for name, value in case.options if case.planner != "none"}
     dynamics = case.dynamics()
-    return _record(task, way, case, plan_time_optimal(dynamics, case.trajectory().path, effort=TORQUE, **settings))
+    return _record(task, method, case, plan_time_optimal(dynamics, case.trajectory().path, effort=TORQUE, **settings))
 
 
-def _record(task: str, way: str, case: Case, outcome: Plan | InfeasiblePlanError) -> Record:
+def _record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePlanError) -> Record:
     if isinstance(outcome, InfeasiblePlanError):
-        return {"task": task, "way": way, "status": f"no plan: {outcome.message}"}
+        return {"task": task, "way": method, "status": f"no plan: {outcome.message}"}
     dynamics, carriers = case.dynamics(), outcome.carriers
     robot, point = dynamics.robot, np.array(CENTRE if case.robot == "3rrr" else (0.0, 0.0, 0.0))
     push = outcome.base_wrench(dynamics, point) - load_at_rest(dynamics, outcome.motion, carriers.s[0], point)
@@ -121,7 +121,7 @@ def _record(task: str, way: str, case: Case, outcome: Plan | InfeasiblePlanError
     return {
         **numbers(outcome),
         "task": task,
-        "way": way,
+        "way": method,
         "unit": case.unit if case.robot != "gough" else "N",
         "added": float(added),
         "duration": float(outcome.t[-1] - outcome.t[0]),
