@@ -593,3 +593,13 @@ def test_a_xacro_whose_insides_are_others_is_not_guessed_at(monkeypatch: pytest.
     monkeypatch.setitem(xacro_engine._INSIDES, "safe_eval", ("expression",))
     with pytest.raises(ModelFileError, match="its safe_eval is another"):
         xacro_engine._copy_of_xacro()
+
+
+def test_files_of_numbers_are_paid_for_by_their_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "v.yaml").write_text("\n".join(f"k{i}: {i}" for i in range(300)))
+    spent: list[int] = []
+    spend = Budget.spend
+    monkeypatch.setattr(Budget, "spend", lambda self, steps: spent.append(steps) or spend(self, steps))
+    body = '<xacro:property name="v" value="${xacro.load_yaml(\'v.yaml\')}"/><a n="${v[\'k7\']}"/>'
+    assert 'n="7"' in rendered(tmp_path, doc(body))
+    assert max(spent) >= 600
