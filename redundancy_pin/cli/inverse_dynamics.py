@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, blocks
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
+from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.dynamics.base import OnUnreachable
 from redundancy_pin.dynamics.inverse_dynamics import (
     EffortStatus,
@@ -25,6 +26,7 @@ from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.motion import PlatformMotion, require_consistent
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot.joint_ranges import JointExcess
+from redundancy_pin.robot.loads import Load
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.table import csv_text
 from redundancy_pin.trajectory.csv_file import BLOCK, MotionBlock, MotionFile
@@ -33,6 +35,12 @@ STEP = 1e-3  # between samples of a trajectory, s
 EXIT_CODES = {EffortStatus.FINITE_EFFORT: 0, EffortStatus.UNBOUNDED_EFFORT: 3, EffortStatus.UNRESOLVED: 4}
 _WORST_FIRST = (EffortStatus.UNBOUNDED_EFFORT, EffortStatus.UNRESOLVED, EffortStatus.FINITE_EFFORT)
 _LISTED = 10  # instants that a warning names
+_FLAGS = {"unreachable": "--unreachable", "dt": "--dt", "lower": "--min-effort", "upper": "--max-effort",
+          "preferred": "--preferred"}  # fmt: skip
+
+
+def _numbers(name: str) -> Any:
+    return lambda _context, _option, text: None if text is None else numbers(name, text)
 
 
 @click.command("inverse-dynamics")
@@ -48,6 +56,13 @@ _LISTED = 10  # instants that a warning names
     show_default=True,
     help="Refuse a motion that leaves the workspace, or mark those samples.",
 )
+@click.option("--max-effort", "upper", metavar="E[,E...]", callback=_numbers("--max-effort"),
+              help="Bound of the main efforts, N or N·m, of both signs unless --min-effort is given.")  # fmt: skip
+@click.option("--min-effort", "lower", metavar="E[,E...]", callback=_numbers("--min-effort"),
+              help="Smallest main efforts, such as a preload against backlash.")  # fmt: skip
+@click.option("--preferred", metavar="E[,E...]", callback=_numbers("--preferred"),
+              help="Main efforts kept to where the motion leaves a choice, such as a squeeze.")  # fmt: skip
+@options.load_options
 @options.json_option
 def inverse_dynamics(
     robot: options.RobotOptions,
@@ -56,6 +71,10 @@ def inverse_dynamics(
     dt: float | None,
     out: str,
     unreachable: OnUnreachable,
+    upper: Any,
+    lower: Any,
+    preferred: Any,
+    loads: Sequence[Load],
     as_json: bool,
 ) -> int:
     r"""Compute the efforts along a motion.
@@ -67,10 +86,10 @@ def inverse_dynamics(
     jump.
 
     The result has the columns t, tau0, ..., carrier_force0, ..., status, margin, residual. Where no finite effort
-    exists tau is nan and the status says why.
+    exists, or none within the bounds, tau is nan and the status says why.
 
     What the samples do not show is reported as well: singularities between them, and joints that leave their limits.
-    The exit code is 3 where no finite effort exists, at a sample or between two, 4 where the motion cannot
+    The exit code is 3 where no such effort exists, at a sample or between two, 4 where the motion cannot
     be followed between its samples.
 
     \b
@@ -78,6 +97,8 @@ def inverse_dynamics(
       redundancy-pin inverse-dynamics --robot 3rrr --set carrier_mass=2.0 \
           --motion motion.csv --out efforts.csv
       redundancy-pin inverse-dynamics --robot 2rpr --trajectory way.csv:speed=0.1 --out efforts.csv
+      redundancy-pin inverse-dynamics --robot two_arms.yaml --motion motion.csv --payload bar=2 \
+          --preferred 0,0,0,5,0,0 --max-effort 40 --out efforts.csv
     """
     # whatever is wrong with the output is reported before the work, and a motion is never written over
     for read in (motion.path, options.split_trajectory(motion.trajectory)[0] if motion.trajectory else None):
@@ -87,9 +108,11 @@ def inverse_dynamics(
     require_writable(out)
     with (
         output.progress("inverse dynamics") as advance,
-        in_words(OPTIONS.knowing({"unreachable": "--unreachable", "dt": "--dt"})),
+        in_words(OPTIONS.knowing(_FLAGS)),
     ):
         loaded = robot.load()
+        loaded = loaded.loaded(*loads) if loads else loaded
+        wanted = {"upper": upper, "lower": -upper if lower is None and upper is not None else lower}
         trajectory = motion.of_trajectory("Inverse dynamics", dt=dt)
         samples: MotionFile | _Sampled
         if trajectory is None:
@@ -105,7 +128,9 @@ def inverse_dynamics(
         result = _Whole()
 
         def texts() -> Iterator[str]:
-            parts = inverse_dynamics_in_blocks(BACKENDS[backend](loaded), samples, unreachable=unreachable)
+            parts = inverse_dynamics_in_blocks(
+                BACKENDS[backend](loaded), samples, unreachable=unreachable, preferred=preferred, **wanted
+            )
             for part in parts:
                 reduced, efforts = part.reduced, part.efforts
                 columns: dict[str, Any] = {"t": reduced.t, "tau": efforts.tau, "carrier_force": reduced.carrier_force}

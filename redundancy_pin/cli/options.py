@@ -19,6 +19,7 @@ from redundancy_pin.errors import InputError, did_you_mean, shown
 if TYPE_CHECKING:
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.robot import Robot
+    from redundancy_pin.robot.loads import Load
     from redundancy_pin.trajectory import Trajectory
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -116,6 +117,54 @@ def settings_option(flag: str, name: str, text: str) -> Callable[[_Command], _Co
         help=text,
         callback=lambda _context, _option, texts: dict(parse_setting(each) for each in texts),
     )
+
+
+def load_options(command: _Command) -> Callable[..., Any]:
+    """Add ``--payload`` and ``--wrench``; the command gets both as its argument ``loads``."""
+
+    @functools.wraps(command)
+    def called(*args: Any, payload: Sequence[Load], wrench: Sequence[Load], **given: Any) -> Any:
+        return command(*args, loads=(*payload, *wrench), **given)
+
+    for name, make, numbers, text in (
+        ("--wrench", _wrench, "FX,FY,FZ[,MX,MY,MZ]", "Force, N, and moment, N·m, on a link, in axes of the world"),
+        ("--payload", _payload, "MASS[,X,Y,Z]", "Mass, kg, that a link carries, and where in its frame, m"),
+    ):
+        called = click.option(
+            name,
+            multiple=True,
+            metavar=f"LINK={numbers}",
+            help=f"{text}; may be repeated.",
+            callback=lambda _context, option, texts, make=make: [
+                make(*_link_and_numbers(f"--{option.name}", each, option.metavar)) for each in texts
+            ],
+        )(called)
+    return called
+
+
+def _link_and_numbers(name: str, text: str, form: str) -> tuple[str, list[float]]:
+    """Return link and numbers of ``LINK=NUMBER,...``."""
+    link, _, values = text.rpartition("=")
+    allowed = {values.count(",") + 1 for values in (form.replace("[", "").replace("]", ""), form.partition("[")[0])}
+    try:
+        given = [float(value) for value in values.split(",")]
+    except ValueError:
+        given = []
+    if not link.strip() or len(given) not in allowed:
+        raise InputError(f"{name} {shown(text)} is not {form}.", remedy=f"Write {name} {form}.", value=text)
+    return link.strip(), given
+
+
+def _payload(link: str, values: list[float]) -> Load:
+    from redundancy_pin.robot.loads import Payload
+
+    return Payload(link, values[0], values[1:] or (0.0, 0.0, 0.0))
+
+
+def _wrench(link: str, values: list[float]) -> Load:
+    from redundancy_pin.robot.loads import Wrench
+
+    return Wrench(link, [*values, *[0.0] * (6 - len(values))])
 
 
 def json_option(command: _Command) -> _Command:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import Any, TypeGuard
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, frozen, require_type, runs
 from redundancy_pin.dynamics.base import (
@@ -20,6 +21,7 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
+from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import difference, row_scale, working_modes
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
@@ -51,7 +53,8 @@ class EffortStatus(Enum):
     FINITE_EFFORT = "finite_effort"
     """Every reachable sample has finite efforts, and so has every instant between the samples."""
     UNBOUNDED_EFFORT = "unbounded_effort"
-    """No finite efforts exist at a sample, or at a singularity between two: see ``efforts.status``, ``instants``."""
+    """No finite efforts, or none within bounds that were given, exist at a sample, or no finite ones at a singularity
+    between two: see ``efforts.status``, ``instants``."""
     UNRESOLVED = "unresolved"
     """Not known, since the motion cannot be followed between its samples: see ``unresolved``."""
 
@@ -127,6 +130,9 @@ def inverse_dynamics(
     *,
     unreachable: OnUnreachable = "raise",
     external: Sequence[Load] = (),
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    preferred: ArrayLike | None = None,
 ) -> InverseDynamics:
     """Return the efforts along a motion, what lies between its samples, and the limits of joints that it leaves.
 
@@ -140,6 +146,9 @@ def inverse_dynamics(
         carriers: N samples of the carriers; parked at s = 0 when left out.
         unreachable: as in ``Dynamics.along``.
         external: further loads, as in ``Dynamics.reduce``; sampled wrenches are linear between their samples.
+        lower: smallest efforts at the samples, as in ``distribute``.
+        upper: largest ones, likewise.
+        preferred: efforts that are kept to where there is a choice, likewise.
 
     Raises:
         CarrierLimitError, InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in
@@ -150,7 +159,8 @@ def inverse_dynamics(
     require_sampled(motion)
     require_matching_carriers(dynamics.robot, carriers, len(motion))
     require_consistent(motion, carriers)
-    return _part(dynamics, motion, carriers, unreachable, motion.check_rates, {})[0]
+    wanted = {"lower": lower, "upper": upper, "preferred": preferred}
+    return _part(dynamics, motion, carriers, unreachable, motion.check_rates, {}, wanted)[0]
 
 
 def inverse_dynamics_in_blocks(
@@ -158,6 +168,9 @@ def inverse_dynamics_in_blocks(
     blocks: Iterable[tuple[PlatformMotion, CarrierMotion | None]],
     *,
     unreachable: OnUnreachable = "raise",
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    preferred: ArrayLike | None = None,
 ) -> Iterator[InverseDynamics]:
     """Give what ``inverse_dynamics`` returns for a motion that comes in blocks, block by block: memory does not grow.
 
@@ -170,6 +183,9 @@ def inverse_dynamics_in_blocks(
         dynamics: any backend; loads sampled in time do not go in blocks.
         blocks: samples of platform and carriers, each block following the one before.
         unreachable: as in ``inverse_dynamics``.
+        lower: smallest efforts, scalar or (m,), as in ``distribute``.
+        upper: largest ones, likewise.
+        preferred: efforts that are kept to where there is a choice, likewise.
 
     Raises:
         InputError: a load of the robot is sampled in time, or blocks are not those of one motion.
@@ -184,6 +200,7 @@ def inverse_dynamics_in_blocks(
         )
     before: tuple[PlatformMotion, CarrierMotion | None] | None = None
     turns: Turns = {}
+    wanted = {"lower": lower, "upper": upper, "preferred": preferred}
     done = 0  # samples that have been given
     for block in blocks:
         require_type(block, tuple, "A pair of motion and carriers", "Pass [(motion, None)] for one without carriers.")
@@ -198,7 +215,7 @@ def inverse_dynamics_in_blocks(
         whole, moved = _joined(before, (motion, carriers)) if before else (motion, carriers)
         until = -np.inf if before is None else before[0].t[-1]
         with numbered_from(done - again):
-            result, tree = _part(dynamics, whole, moved, unreachable, motion.check_rates, turns)
+            result, tree = _part(dynamics, whole, moved, unreachable, motion.check_rates, turns, wanted)
         yield _without(result, again, until)
         done += len(motion)
         turns = turns or turns_of(dynamics.robot, tree.q)
@@ -215,8 +232,12 @@ def _part(
     unreachable: OnUnreachable,
     between: bool,
     turns: Turns,
+    wanted: Mapping[str, Any],
 ) -> tuple[InverseDynamics, TreeMotion]:
-    """Return the efforts along consistent samples and the motion of the tree; ``between`` looks between them."""
+    """Return the efforts along consistent samples and the motion of the tree; ``between`` looks between them.
+
+    ``wanted`` are arguments of ``distribute``.
+    """
     robot = dynamics.robot
     require_on_track(robot, require_matching_carriers(robot, carriers, len(motion)), motion.t)
     along = dynamics.along(motion, unreachable=unreachable)
@@ -232,7 +253,8 @@ def _part(
         part, margin = motion[first:stop], margins[first:stop]
         if part.t[-1] > part.t[0] and _may_meet(robot, part, margin, _NEAR):
             try:
-                crossings += find_crossings(robot, _unchecked(part))
+                start = Point(part.x[0], tree.q[first], tree.gamma[first]) if tree.reachable[first] else None
+                crossings += find_crossings(robot, _unchecked(part), start=start)
             except RedundancyPinError as error:
                 # the samples can be followed, the motion between them cannot, or is too near a rank loss to search
                 if _may_meet(robot, part, margin, _FAR):
@@ -240,7 +262,7 @@ def _part(
     met = [one for one in crossings if one.kind != SingularityKind.TYPE_I]
     instants = _instants(dynamics, motion, carriers, met, unreachable) if met else ()
     excesses = beyond_limits(robot, tree.q, motion.t, turns)
-    return InverseDynamics(reduced, distribute(reduced), instants, excesses, unresolved), tree
+    return InverseDynamics(reduced, distribute(reduced, **wanted), instants, excesses, unresolved), tree
 
 
 def _unchecked(motion: PlatformMotion) -> PlatformMotion:

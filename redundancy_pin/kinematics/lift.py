@@ -62,6 +62,9 @@ _ALMOST_CLOSED = 1e-6
 _NO_SIDE = 1e-6
 """A mode indicator (sine or metres) this small at a pose where modes meet is zero."""
 
+_EVEN = 0.5
+"""Least part of its largest margin that a stretch keeps which is near a rank loss all along and goes through none."""
+
 _STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
 
@@ -118,6 +121,7 @@ def lift(
     mark_unreachable: bool = False,
     progress: Callable[[int, int], None] | None = None,
     start: Point | None = None,
+    positions_only: bool = False,
 ) -> TreeMotion:
     """Lift a platform motion to the tree.
 
@@ -133,6 +137,8 @@ def lift(
         progress: called with samples done and samples in all, now and then.
         start: a point of the branch to come from, in place of the reference configuration: the first pose lies on the
             straight line from it, and is not looked for elsewhere.
+        positions_only: rates play no part. Where a motion is near a rank loss all along, as where a loop that does not
+            move stands beside one, they are not carried there from farther away, which takes a dozen times as long.
 
     Raises:
         InputError: the motion does not have the robot's coordinates.
@@ -147,8 +153,9 @@ def lift(
     if len(motion) == 1 and (tree := _lift_one(robot, motion, start)) is not None:
         return tree
     # the guesses lie on the branch, so that all samples can be solved at once: no sample waits for the one before
-    solved = _solve(system, motion, _guesses(system, motion, mark_unreachable, start), progress)
-    _solve_rank_losses(motion, solved, start)
+    guesses, first = _guesses(system, motion, mark_unreachable, start)
+    solved = _solve(system, motion, guesses, progress)
+    _solve_rank_losses(motion, solved, first if start is None else start, positions_only)
     if not mark_unreachable:
         _require_closed_and_regular(motion, solved, 0)
     good = solved.regular & _require_modes(motion, solved, start, mark=mark_unreachable)
@@ -223,8 +230,11 @@ def _solve(
     return _Lifted(system, guess, gamma, v, a, gap, margin, np.zeros(samples, dtype=bool))
 
 
-def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | None) -> None:
-    """Replace the samples at and beside a rank loss of the closures that the branch goes through."""
+def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | None, positions_only: bool) -> None:
+    """Replace the samples at and beside a rank loss of the closures that the branch goes through.
+
+    ``start`` is a point of the branch at the first sample or before it.
+    """
     system, carried = solved.system, solved.carried
     near = (solved.gap < _ALMOST_CLOSED) & (solved.margin < NEAR_RANK_LOSS)
     if near.any():
@@ -232,6 +242,9 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
     parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap
     unit = row_scale(system.robot)
     for first, stop in runs(near):
+        beside = solved.margin[max(first - 1, 0) : stop + 1]
+        if positions_only and solved.regular[first:stop].all() and beside.min() > _EVEN * beside.max():
+            continue
         while first < stop:
             away = np.linalg.norm(
                 difference(system.robot, motion.x[first:stop], motion.x[first : first + 1]) * unit, axis=1
@@ -244,9 +257,8 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
                 if 0 <= k < len(near) and (carried[k] or (solved.regular[k] and not near[k]))
             ]
             points = [_point(motion, solved, k) for k in neighbours]
-            if first == 0:
-                with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
-                    points.append(start or point_on_branch(system, motion.x[0]))
+            if first == 0 and start is not None:
+                points.append(start)
             for point in points:
                 result = through_rank_loss(system, point, motion.x[part], motion.xd[part], motion.xdd[part])
                 if result is not None:
@@ -329,22 +341,28 @@ def _between_modes(robot: Robot, q: Array) -> bool:
     return bool((np.abs(mode_indicator(robot, q[None])) < _NO_SIDE).any())
 
 
-def _guesses(system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None) -> Array:
-    """Return (N, nq) guesses along the branch: from the first sample solved on it onward, and from there back."""
+def _guesses(
+    system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None
+) -> tuple[Array, Point | None]:
+    """Return (N, nq) guesses along the branch, and the first sample's point where it is on it.
+
+    They go from the first sample solved on the branch onward, and from there back.
+    """
     solved = _first_on_branch(system, motion, mark, start)
     if solved is None:
-        return np.repeat(system.robot.q_reference[None], len(motion), axis=0)
-    first, (_, q, slope, _) = solved
+        return np.repeat(system.robot.q_reference[None], len(motion), axis=0), None
+    first, point = solved
+    _, q, slope, _ = point
     onward = motion.x[first:]
     anchors = follow(system, onward, q, slope, resume=mark)
     if not mark:
         _require_branch(system, motion, anchors)
     guess = initial_guess(system, onward, anchors)
     if first == 0:
-        return guess
+        return guess, point
     back = motion.x[first::-1]
     before = initial_guess(system, back, follow(system, back, q, slope, resume=mark))
-    return np.concatenate([before[:0:-1], guess])
+    return np.concatenate([before[:0:-1], guess]), None
 
 
 def _first_on_branch(

@@ -16,7 +16,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, Bool
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.continuation import continuous
+from redundancy_pin.kinematics.continuation import Point, continuous
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
@@ -121,18 +121,23 @@ class FollowedPath:
         return margins_of(self.system, self.system.evaluate(self.configurations(times)))
 
 
-def follow_law(system: ConstraintSystem, law: ContinuousMotion, spacing: float) -> FollowedPath:
+def follow_law(
+    system: ConstraintSystem, law: ContinuousMotion, spacing: float, start: Point | None = None
+) -> FollowedPath:
     """Solve a path on the robot's branch at steps of at most ``spacing`` characteristic lengths.
 
-    Rotations count with the characteristic length.
+    Rotations count with the characteristic length. ``start`` is a point of the branch at or near the first pose, where
+    one is known.
 
     Raises:
         UnreachablePoseError: a pose cannot be reached; carries the time at which the path leaves the workspace.
         WorkingModeError: the path cannot be followed in the robot's working mode.
     """
     t, x = _times(system.robot, law, spacing)
-    still = np.zeros((len(t), system.robot.n))  # rates play no part here
-    tree = lift(system.robot, PlatformMotion(t, x, still, still), mark_unreachable=True)
+    still = np.zeros((len(t), system.robot.n))
+    tree = lift(
+        system.robot, PlatformMotion(t, x, still, still), mark_unreachable=True, start=start, positions_only=True
+    )
     q = _without_strays(np.array(tree.q))
     if np.isnan(q).any():
         _fill_in(system, law, t, x, q, tree.gap)
@@ -328,6 +333,7 @@ def find_crossings(
     *,
     spacing: float = SPACING,
     tolerance: float = RANK_TOLERANCE,
+    start: Point | None = None,
 ) -> tuple[Crossing, ...]:
     """Return every singularity along a motion, in order of time.
 
@@ -337,6 +343,7 @@ def find_crossings(
             through x, ẋ, ẍ; see ``continuous_motion``).
         spacing: longest step of the search along the path, in characteristic lengths.
         tolerance: scaled margin of W below which a minimum counts as touching type II.
+        start: as in ``lift``, where the motion's first pose has been solved already.
 
     Raises:
         InputError: coordinates of another robot, a single instant, a spacing or tolerance that is not positive.
@@ -347,7 +354,7 @@ def find_crossings(
         if not 0.0 < value < 1.0:
             raise InputError(f"{name} is {value}.", remedy="Pass a number between 0 and 1.", name=name)
     robot = as_robot(robot)
-    path = follow_law(constraint_system(robot), motion_of(robot, motion), spacing)
+    path = follow_law(constraint_system(robot), motion_of(robot, motion), spacing, start)
 
     def parallel(times: Array) -> Array:
         margins = path.margins(times)

@@ -79,6 +79,56 @@ def test_carrier_columns_may_be_left_out(tmp_path: Path) -> None:
     np.testing.assert_array_equal(_columns(out)["tau2"], parked.tau[:, 2])
 
 
+def test_payload_wrench_squeeze_and_bounds(tmp_path: Path) -> None:
+    """Two arms hold a bar at rest: what it weighs more is a force on it, and a squeeze does no work."""
+    motion = tmp_path / "motion.csv"
+    names = ["t", *(f"x{k}" for k in range(7)), *(f"xd{k}" for k in range(6)), *(f"xdd{k}" for k in range(6))]
+    rows = [[t, 0.511, 0.109, 0.2375, 0.0, 0.0, 0.0, 1.0, *np.zeros(12)] for t in (0.0, 1.0)]
+    motion.write_text("\n".join(",".join(map(str, row)) for row in [names, *rows]))
+
+    def efforts(*options: str, code: int = 0) -> dict[str, np.ndarray]:
+        out = tmp_path / "out.csv"
+        arguments = ("inverse-dynamics", "--robot", "two_arms", "--motion", str(motion), "--out", str(out), *options)
+        assert call(*arguments).exit_code == code
+        columns = _columns(out)
+        return {"tau": np.stack([columns[f"tau{k}"] for k in range(12)], axis=1), "status": columns["status"]}
+
+    free = efforts()["tau"]
+    carrying = efforts("--payload", "bar=2,0.1,0,0")["tau"]
+    pulled = efforts("--wrench", f"bar=0,0,{-2.0 * 9.81},0,{0.1 * 2.0 * 9.81},0")["tau"]
+    np.testing.assert_allclose(carrying, pulled, atol=1e-9)
+    assert np.abs(carrying - free).max() > 1.0
+    W = RneaDynamics(load_robot("two_arms")).reduce(from_csv(motion)).W
+    squeezed = efforts("--preferred", "0,0,5,0,0,0,0,0,-5,0,0,0")["tau"]
+    np.testing.assert_allclose(np.einsum("Nij,Nj->Ni", W, squeezed - free), 0.0, atol=1e-9)
+    assert np.abs(squeezed - free).max() > 1.0
+    preloaded = efforts("--min-effort", "0.1" + 11 * ",-40", "--max-effort", "40")["tau"]
+    assert preloaded[:, 0].min() >= 0.1 - 1e-9
+    np.testing.assert_allclose(np.einsum("Nij,Nj->Ni", W, preloaded - free), 0.0, atol=1e-6)  # of a QP
+    # by a linear programme (HiGHS) no efforts below 26.3238 N·m hold the bar; those of least norm reach 26.3346
+    assert np.abs(free).max() > 26.33
+    assert np.abs(efforts("--max-effort", "26.33")["tau"]).max() <= 26.33 + 1e-9
+    assert set(efforts("--max-effort", "26.32", code=3)["status"]) == {"bound_infeasible"}
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--payload", "end_effector"), "LINK=MASS[,X,Y,Z]"),
+        (("--payload", "end_effector=1,2"), "LINK=MASS[,X,Y,Z]"),
+        (("--wrench", "end_effector=1,2,x"), "LINK=FX,FY,FZ[,MX,MY,MZ]"),
+        (("--payload", "end_efector=1"), "Did you mean 'end_effector'?"),
+        (("--min-effort", "3", "--max-effort", "1"), "--min-effort is above"),
+        (("--preferred", "1,2,3"), "--preferred has shape (3,)"),
+    ],
+)
+def test_loads_and_bounds_that_make_no_sense(options: tuple[str, ...], says: str, tmp_path: Path) -> None:
+    motion = write_motion(tmp_path / "motion.csv", reference.circle(), 0.5)
+    assert says in refused(
+        "inverse-dynamics", "--robot", "2rpr", "--motion", str(motion), "--out", str(tmp_path / "o.csv"), *options
+    )
+
+
 def test_spatial_poses_are_position_and_quaternion(tmp_path: Path) -> None:
     turn = Rotation.from_rotvec([0.1, -0.05, 0.2])
     xyz, quaternion = [0.02, -0.01, 0.62], turn.as_quat()

@@ -215,7 +215,7 @@ def test_a_jump_to_another_branch_is_refused_or_marked(monkeypatch: pytest.Monke
     other = np.array(load_robot("five_bar", working_mode=tuple(-sign for sign in shipped.working_mode)).q_reference)
     motion = along(zoo.home_of(shipped) + np.array([[0.0, 0.0], [0.0, -0.01], [0.0, -0.02]]))
     guesses = np.stack([np.array(shipped.q_reference), np.array(shipped.q_reference), other])
-    monkeypatch.setattr(state, "_guesses", lambda *_: guesses)
+    monkeypatch.setattr(state, "_guesses", lambda *_: (guesses, None))
     with pytest.raises(WorkingModeError, match="continuously from sample 1 to 2"):
         lift(robot, motion)
     np.testing.assert_array_equal(lift(robot, motion, mark_unreachable=True).reachable, [True, True, False])

@@ -90,6 +90,17 @@ def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
     np.testing.assert_allclose(tree.v, np.einsum("nvi,ni->nv", tree.gamma, motion.xd), atol=RATE)
 
 
+@pytest.mark.parametrize("linkage", LINKAGES)
+@pytest.mark.parametrize("samples", ["one at the pose", "one a little further", "dense"])
+def test_positions_alone_are_on_the_branch_too(linkage: str, samples: str, tmp_path: Path) -> None:
+    lengths, guess = LINKAGES[linkage]
+    robot = folding_four_bar(tmp_path, lengths, guess)
+    motion = turning(np.pi + SAMPLES[samples])
+    tree = lift(robot, motion, positions_only=True)
+    angle, *_ = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
+    assert np.abs(np.sin((tree.q[:, joint(robot, "rocker")] - angle) / 2.0)).max() < POSITION
+
+
 def test_two_turns_of_a_parallelogram_leave_its_sides_parallel(tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
     motion = turning(np.linspace(1.0, 1.0 + 4.0 * np.pi, 3001))
