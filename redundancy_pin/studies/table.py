@@ -85,7 +85,8 @@ class Table:
 
     def markdown(self) -> str:
         """Return a table of GitHub's Markdown, without a caption; cells that are links stay links."""
-        lines = [[column.heading for column in self.columns], ["---"] * len(self.columns)]
+        headings = [column.heading.replace("|", "\\|") for column in self.columns]
+        lines = [headings, ["---"] * len(self.columns)]
         for record, texts in zip(self.records, self.texts, strict=True):
             cells = [column.cell(record) for column in self.columns]
             lines.append(

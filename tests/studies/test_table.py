@@ -14,7 +14,7 @@ from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.studies.table import Column, Link, Table, csv_text, json_data, span, table, text
 
 TABLE = Table.of(
-    [Column("name"), Column("tau", "torque", "N·m", ".2f"), Column("good"),
+    [Column("name"), Column("tau", "|torque|", "N·m", ".2f"), Column("good"),
      Column("file", value=lambda r: Link("run", "a.csv"))],
     [{"name": "a|b", "tau": (1.0, math.nan), "good": True}, {"name": "c", "tau": math.inf, "good": np.bool_(False)}],
     "title",
@@ -23,7 +23,7 @@ TABLE = Table.of(
 
 def test_markdown() -> None:
     assert TABLE.markdown().splitlines() == [
-        "| name | torque [N·m] | good | file |",
+        "| name | \\|torque\\| [N·m] | good | file |",
         "| --- | --- | --- | --- |",
         "| a\\|b | 1.00, – | yes | [run](a.csv) |",
         "| c | unbounded | no | [run](a.csv) |",
