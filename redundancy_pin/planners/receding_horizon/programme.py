@@ -20,6 +20,9 @@ from redundancy_pin.planners.receding_horizon.command import Weights
 PRECISION, GAP = 1e-8, 1e-6
 """Of the solution, whose unknowns are of size one, and of the cost."""
 
+RELATIVE = 1e-10, 1e-8
+"""The same relative to the largest number in a programme, at first and where no solution is found."""
+
 ENOUGH = 1e-6
 """Of the solution where the solver comes no nearer, as with a start on a limit; of its cost a hundred times that."""
 
@@ -28,8 +31,8 @@ ITERATIONS = 60
 INFINITE = 1e30
 """What the solver takes for no bound."""
 
-NO_BOUND = 1e4
-"""In place of both infinite bounds of a row."""
+NO_BOUND = 100.0
+"""In place of both infinite bounds of a row, of size one else: the solver's tolerance is relative to the largest."""
 
 FORCE_KEPT = 0.98
 """Share of the limit of the carriers' forces that the nodes use: between them they are a little larger."""
@@ -176,23 +179,31 @@ class Programme:
     def solve(self, problem: Problem) -> tuple[Array, bool]:
         """Return the variables, and whether they are an optimum."""
         values = self._values(problem)
-        if self._solver is None:
-            self._solver = self._piqp.SparseSolver()
-            settings = self._solver.settings
-            settings.kkt_solver = self._piqp.KKTSolver.sparse_ldlt_ineq_cond
-            settings.eps_abs, settings.eps_rel = PRECISION, 1e-12  # of bounds that are no bounds
-            settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = GAP
-            settings.eps_primal_inf = settings.eps_dual_inf = PRECISION  # of what is nearly infeasible more is asked
-            settings.max_iter = ITERATIONS
-            settings.preconditioner_iter = 0  # all is of size one
-            self._solver.setup(*values)
-        else:
-            self._solver.update(*values)
-        solved = self._solver.solve() == self._piqp.PIQP_SOLVED
-        info = self._solver.result.info
-        x = np.array(self._solver.result.x)
-        near = info.primal_res < ENOUGH and max(info.dual_res, info.duality_gap_rel) < 100.0 * ENOUGH
-        return x, (solved or near) and bool(np.isfinite(x).all())
+        for relative in RELATIVE:
+            if self._solver is None:
+                self._solver = self._new_solver(relative)
+                self._solver.setup(*values)
+            else:
+                self._solver.update(*values)
+            solved = self._solver.solve() == self._piqp.PIQP_SOLVED
+            info = self._solver.result.info
+            near = info.primal_res < ENOUGH and max(info.dual_res, info.duality_gap_rel) < 100.0 * ENOUGH
+            x = np.array(self._solver.result.x)
+            if (solved or near) and np.isfinite(x).all():
+                return x, True
+            self._solver = None
+        return x, False
+
+    def _new_solver(self, relative: float) -> Any:
+        solver = self._piqp.SparseSolver()
+        settings = solver.settings
+        settings.kkt_solver = self._piqp.KKTSolver.sparse_ldlt_ineq_cond
+        settings.eps_abs, settings.eps_rel = PRECISION, relative
+        settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = GAP
+        settings.eps_primal_inf = settings.eps_dual_inf = PRECISION  # of what is nearly infeasible more is asked
+        settings.max_iter = ITERATIONS
+        settings.preconditioner_iter = 0  # all is of size one
+        return solver
 
     def _values(self, problem: Problem) -> tuple[Any, ...]:
         """Return P, q, A, b, G and bounds: ½ xᵀ P x + qᵀ x, A x = b, low ≤ G x ≤ high, lower ≤ x ≤ upper."""
@@ -334,8 +345,8 @@ class Programme:
             wide = np.moveaxis(lin.force_slopes * np.stack(units)[:, None], 0, 2) / size[:, None]
             counting = lin.known[:, None] & np.isfinite(limits.carrier_force)
             closer = CLOSER * (lin.nodes - lin.nodes[0])[:, None] / (lin.nodes[-1] - lin.nodes[0])
-            most = np.where(counting, FORCE_KEPT - closer, NO_BOUND)
-            rows["force"] = (wide * lin.known[:, None, None], bounded(-most - base), bounded(most - base))
+            most, base = np.where(counting, FORCE_KEPT - closer, NO_BOUND), base * counting
+            rows["force"] = (wide * counting[:, :, None], -most - base, most - base)
         return rows
 
 

@@ -17,12 +17,16 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus
-from redundancy_pin.planners.receding_horizon.planner import REGULAR, RecedingHorizon
+from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 SAMPLES = 0.0025
 """Between samples of the plan of a run, s."""
+
+STRAIGHT = 1e-4
+"""Smallest over largest singular value of W below which the efforts of a run are straight in time: in a longer stretch
+they would miss W τ = f by more than a millionth, and in a shorter one W⁻¹ magnifies what the plans leave of f."""
 
 WITHIN = 16
 """Pieces of the efforts where W is next to singular."""
@@ -139,7 +143,7 @@ def _through(
     dynamics, parts = planner.dynamics, []
     if planner.robot.n != planner.robot.m:
         return []
-    for window in Actuation.along(dynamics, source).windows("condition", 1.0 / REGULAR):
+    for window in Actuation.along(dynamics, source).windows("condition", 1.0 / STRAIGHT):
         ends = np.array([window.start, window.end])
         reduced = dynamics.along(source.sample_at(ends)).reduce(carriers_at(carriers, ends))
         tau = np.array(distribute(reduced).tau)
