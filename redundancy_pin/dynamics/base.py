@@ -188,7 +188,7 @@ class Dynamics(Protocol):
         """
 
     def for_robot(self: _Backend, robot: Robot) -> _Backend:
-        """Return the same backend, with its settings, for a robot that differs in its loads.
+        """Return the same backend, with its settings, for a robot that differs in its loads, or its reference.
 
         Raises:
             UnsupportedRobotError: a load that the backend does not cover.

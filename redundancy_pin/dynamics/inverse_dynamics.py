@@ -305,7 +305,7 @@ def _edge(tree: TreeMotion) -> int:
 def _starting_at(dynamics: Dynamics, q: Array) -> Dynamics:
     """Return the backend with a configuration (nq,) of the branch as the reference: what follows comes from there."""
     robot = dynamics.robot
-    mode = tuple(working_modes(robot, q[None])[0]) if robot.working_modes else robot.working_mode
+    mode = tuple(working_modes(robot, q[None])[0].tolist()) if robot.working_modes else robot.working_mode
     return dynamics.for_robot(replace(robot, q_reference=frozen(q), working_mode=mode))
 
 

@@ -18,6 +18,7 @@ from folding import folding_four_bar, rocker_motion
 
 import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion, motion
+from redundancy_pin.dynamics import compiled
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics
 from redundancy_pin.motion import Consistency, require_consistent
@@ -311,3 +312,16 @@ def test_the_command_goes_by_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def _with_block(init: object, size: int) -> object:
     return lambda self, path, **more: init(self, path, **{**more, "block": size})
+
+
+def test_blocks_compile_nothing_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each block starts from another configuration, which is no other code."""
+    monkeypatch.setenv("REDUNDANCY_PIN_CACHE", str(tmp_path))
+    made, build = [], compiled.define
+    monkeypatch.setattr(compiled, "define", lambda robot: (made.append(robot), build(robot))[1])
+    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0]).sample(0.05)
+    dynamics = rp.CompiledDynamics("four_bar", interpret=True)
+    blocks = list(rp.inverse_dynamics_in_blocks(dynamics, cut(motion, 5)))
+    assert len(made) == 1
+    whole = rp.distribute(rp.RneaDynamics("four_bar").reduce(motion)).tau
+    np.testing.assert_allclose(together(blocks, "efforts", "tau"), whole, atol=ROUNDING)

@@ -280,6 +280,16 @@ def test_backends_keep_their_settings_under_other_loads() -> None:
     assert RneaDynamics(robot, threads=3).with_external(weight)._threads == 3
 
 
+def test_backends_of_other_dimensions_are_those_of_the_other_machine() -> None:
+    """Co-design goes from one to the next."""
+    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0]).sample(0.2)
+    for own in (CompiledDynamics("four_bar", interpret=True), RneaDynamics("four_bar")):
+        for length in (0.1, 0.12):
+            robot = rp.load_robot("four_bar", crank_length=length)
+            expected = RneaDynamics(robot).reduce(motion).f
+            np.testing.assert_allclose(own.for_robot(robot).reduce(motion).f, expected, atol=1e-9)
+
+
 def test_symbols_hold_constant_wrenches_only() -> None:
     robot = machine("four_bar")
     link = str(robot.model.frames[-1].name)

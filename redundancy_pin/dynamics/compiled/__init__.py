@@ -11,7 +11,6 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Sequence
-from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -28,13 +27,12 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.compiled.build import Library, build_library, define
+from redundancy_pin.dynamics.compiled.build import Library, build_library, define, key
 from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
-from redundancy_pin.dynamics.compiled.load_symbols import shape_of
 from redundancy_pin.errors import InputError, SingularPoseError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
@@ -58,27 +56,23 @@ class CompiledDynamics(Dynamics):
         threads: threads for many samples; as many as there are processors when left out.
         interpret: do not compile.
 
-    Attributes:
-        compiled: whether this runs machine code.
-
     Raises:
         RedundancyPinError: casadi is not installed.
         UnsupportedRobotError: a joint of a type that is not covered.
     """
 
     def __init__(self, robot: RobotLike, *, threads: int | None = None, interpret: bool = False) -> None:
-        self._robot = robot = as_robot(robot)
+        self._robot = as_robot(robot)
         self._threads = threads or os.cpu_count() or 1
         self._interpret = interpret
-        library, reason = (None, "") if interpret else build_library(robot)
-        if reason:
-            warnings.warn(
-                f"The dynamics of {robot.name} are interpreted, not compiled: {reason}.", RuntimeWarning, stacklevel=2
-            )
-        self._kernel: Library | Interpreter = Interpreter(define(robot)) if library is None else library
-        self.compiled = library is not None
         self._local = threading.local()
-        self._loaded: dict[str, CompiledDynamics] = {}
+        self._kernels: dict[str, Library | Interpreter] = {}
+        self._kernel = self._kernel_of(self._robot)
+
+    @property
+    def compiled(self) -> bool:
+        """Whether this runs machine code."""
+        return isinstance(self._kernel, Library)
 
     def __reduce__(self) -> tuple[Callable[..., CompiledDynamics], tuple[Any, ...]]:
         """Build it again, from the cache, where it is copied or sent to."""
@@ -110,16 +104,28 @@ class CompiledDynamics(Dynamics):
         return CompiledAlongMotion(self, lifted(self._loops, motion, mark=unreachable == "mark"))
 
     def for_robot(self, robot: Robot) -> CompiledDynamics:
-        """Return this backend for a robot that differs in its loads.
+        """Return this backend, with its settings, for another robot.
 
-        What is compiled for one set of loads serves all values of its wrenches.
+        What is compiled once serves all values of wrenches and all reference configurations in a working mode.
         """
-        shape = shape_of(robot)
-        if shape not in self._loaded:
-            self._loaded[shape] = CompiledDynamics(robot, threads=self._threads, interpret=self._interpret)
-        other = copy(self._loaded[shape])
-        other._robot, other._local = robot, threading.local()
+        other = object.__new__(CompiledDynamics)
+        other._threads, other._interpret, other._kernels = self._threads, self._interpret, self._kernels
+        other._robot, other._local, other._kernel = robot, threading.local(), self._kernel_of(robot)
         return other
+
+    def _kernel_of(self, robot: Robot) -> Library | Interpreter:
+        """Return what evaluates a robot, new where none has been made for one alike."""
+        alike = key(robot, "")
+        if alike not in self._kernels:
+            library, reason = (None, "") if self._interpret else build_library(robot)
+            if reason:
+                warnings.warn(
+                    f"The dynamics of {robot.name} are interpreted, not compiled: {reason}.",
+                    RuntimeWarning,
+                    stacklevel=3,
+                )
+            self._kernels[alike] = Interpreter(define(robot)) if library is None else library
+        return self._kernels[alike]
 
     def sample(
         self,

@@ -15,7 +15,6 @@ import functools
 import hashlib
 import importlib.metadata
 import importlib.resources
-import json
 import os
 import shlex
 import shutil
@@ -184,7 +183,10 @@ _WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "driver.c", 
 
 
 def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Sequence[str] = FLAGS) -> str:
-    """Return what tells one library from another: a hash of all that goes into it."""
+    """Return what tells one library from another: a hash of all that goes into it.
+
+    The reference does not: it only tells which frame axis of a planar platform lies in its plane, in every pose alike.
+    """
     model = robot.model
     roles = [
         robot.closures,
@@ -206,7 +208,6 @@ def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Seq
         repr(roles),
         shape_of(robot),
         repr((robot.working_mode, robot.characteristic_length, robot.gravity.tolist())),
-        json.dumps(np.array(robot.q_reference).tolist()),
         *versions,
         repr(CLOSURE_TOLERANCE),
         *written,
