@@ -114,13 +114,13 @@ def test_what_is_written_as_mjcf_is_read_as_the_same_robot(tmp_path: Path) -> No
 
 
 def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
-    """The quaternion is w, x, y, z there; their armature is that of the model."""
+    """The quaternion is w, x, y, z there; their armature and damping are those of the model."""
     mujoco = pytest.importorskip("mujoco")
-    geared = SPATIAL.replace('name="ball"', 'name="ball" armature="0.02"')
-    robot = dataclasses.replace(rp.load_robot(write(tmp_path, geared), keyframe="bent"), closures=())
+    robot = dataclasses.replace(rp.load_robot(write(tmp_path, SPATIAL), keyframe="bent"), closures=())
     model = mujoco.MjModel.from_xml_path(str(robot.to_mjcf(tmp_path / "open.xml")))
     dof = int(model.joint("ball").dofadr[0])
     assert model.dof_armature[dof : dof + 3].tolist() == [0.02] * 3
+    assert model.dof_damping[dof : dof + 3].tolist() == [0.3] * 3
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)

@@ -51,8 +51,9 @@ def load_power(robot: Robot, motion: PlatformMotion, q: Array, v: Array, wide: A
     """
     samples, power = q.shape[1], np.zeros(q.shape[1])
     for load in of_kind(robot.loads, JointForces):
-        speed = v[robot.model.joints[robot.model.getJointId(load.joint)].idx_v]
-        power += (load.damping * speed + load.friction * np.tanh(speed / load.friction_speed)) * speed
+        joint = robot.model.joints[robot.model.getJointId(load.joint)]
+        speed = v[joint.idx_v : joint.idx_v + joint.nv]
+        power += ((load.damping * speed + load.friction * np.tanh(speed / load.friction_speed)) * speed).sum(axis=0)
     for spring in of_kind(robot.loads, Spring):
         power += spring.damping * (_length(robot, spring, wide).reshape(samples, -1) @ rate) ** 2
     values = wrench_values(robot.loads, motion.t, motion.x, motion.xd)
@@ -80,9 +81,10 @@ def load_efforts(robot: Robot, motion: PlatformMotion, q: Array, v: Array, a: Ar
     data = model.createData()
     joints = [(load, int(model.getJointId(load.joint))) for load in of_kind(robot.loads, JointForces)]
     for load, index in joints:
-        position, speed = q[model.joints[index].idx_q], v[model.joints[index].idx_v]
-        drag = load.damping * speed + load.friction * np.tanh(speed / load.friction_speed)
-        efforts[model.joints[index].idx_v] += drag + load.stiffness * (position - load.rest)
+        joint = model.joints[index]
+        columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+        drag = load.damping * v[columns] + load.friction * np.tanh(v[columns] / load.friction_speed)
+        efforts[columns] += drag + load.stiffness * (q[joint.idx_q] - load.rest)
     wrenches = of_kind(robot.loads, Wrench)
     values = wrench_values(robot.loads, motion.t, motion.x, motion.xd)
 

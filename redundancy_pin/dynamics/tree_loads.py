@@ -83,8 +83,9 @@ class TreeLoads:
         effort = np.zeros((self.robot.model.nv, len(state.q)))
         if joints:
             for load, joint in self._joints:
-                v = state.v[:, joint.idx_v]
-                effort[joint.idx_v] += load.resistance(state.q[:, joint.idx_q] if joint.nq == 1 else 0.0 * v, v)
+                for column in range(joint.idx_v, joint.idx_v + joint.nv):
+                    v = state.v[:, column]
+                    effort[column] += load.resistance(state.q[:, joint.idx_q] if joint.nq == 1 else 0.0 * v, v)
         if self._frames:
             placed = self._placed(state)
             for index, wrench in self._bodies(state, placed).items():

@@ -21,7 +21,7 @@ from redundancy_pin.kinematics.closing import SEED, close, closed_near, scattere
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.mobility import row_names
-from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.robot import AXES, Closure, Robot
 
 _NEIGHBOURS, _SPREAD = 6, 0.1
 """Configurations around the reference, and how far the joints are from it, rad, or in characteristic lengths."""
@@ -61,6 +61,22 @@ class Selection(NamedTuple):
     q: Array
 
 
+class _Rod(NamedTuple):
+    """A body between two balls.
+
+    Attributes:
+        closure: number of the closure that is the second ball, None where it is a joint.
+        ends: the joints that carry the two sides of the second ball.
+        near: (3,) centre of the first ball, m.
+        far: (3,) centre of the second ball, m.
+    """
+
+    closure: int | None
+    ends: tuple[int, ...]
+    near: Array
+    far: Array
+
+
 def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool) -> Selection:
     """Choose closure rows and independent joints near a configuration.
 
@@ -97,24 +113,26 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool) -> Selec
     return Selection(robot, left_out, opened, fixed_spins, independent, q)
 
 
-def _spins(robot: Robot, joint: str, q: Array) -> tuple[int, Array, Array] | None:
-    """Return the closure that is the second ball of the body behind a ball joint, and the two balls' centres (3,)."""
+def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
+    """Return the rod that a ball joint carries, if it has one more end, another ball, of a closure or of the tree."""
     model, data = robot.model, robot.model.createData()
     index = model.getJointId(joint)
-    if model.joints[index].nq != 4 or index in [model.parents[each] for each in range(index + 1, model.njoints)]:
+    if model.joints[index].nq != 4:
         return None
     pin.framesForwardKinematics(model, data, q)
-    ends = [
-        (number, frame)
-        for number, closure in enumerate(robot.closures)
-        for frame in (closure.frame_a, closure.frame_b)
-        if model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint == index
-    ]
-    if len(ends) != 1 or robot.closures[ends[0][0]].axes != AXES[:3]:
+    joints = [each for each in range(index + 1, model.njoints) if model.parents[each] == index]
+    ends = [_Rod(None, (index, each), data.oMi[index].translation, data.oMi[each].translation) for each in joints]
+    for number, closure in enumerate(robot.closures):
+        frames = [model.getFrameId(name, pin.FrameType.BODY) for name in (closure.frame_a, closure.frame_b)]
+        carriers = tuple(int(model.frames[frame].parentJoint) for frame in frames)
+        for frame, carrier in zip(frames, carriers, strict=True):
+            if carrier == index:
+                ends.append(_Rod(number, carriers, data.oMi[index].translation, data.oMf[frame].translation))
+    if len(ends) != 1 or np.linalg.norm(ends[0].far - ends[0].near) <= RANK_TOLERANCE:
         return None
-    far: Array = data.oMf[model.getFrameId(ends[0][1], pin.FrameType.BODY)].translation.copy()
-    near: Array = data.oMi[index].translation.copy()
-    return (ends[0][0], near, far) if np.linalg.norm(far - near) > RANK_TOLERANCE else None
+    rod = ends[0]
+    is_ball = model.joints[joints[0]].nq == 4 if rod.closure is None else robot.closures[rod.closure].axes == AXES[:3]
+    return rod if is_ball else None
 
 
 def _with_spin_fixed(robot: Robot, joint: str, q: Array) -> Robot:
@@ -122,21 +140,23 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array) -> Robot:
     rod = _spins(robot, joint, q)
     if rod is None:
         return robot
-    number, near, far = rod
-    closure, model = robot.closures[number], pin.Model(robot.model)
+    model = pin.Model(robot.model)
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    z = (far - near) / np.linalg.norm(far - near)
+    z = (rod.far - rod.near) / np.linalg.norm(rod.far - rod.near)
     x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)
-    place = pin.SE3(np.column_stack([x, np.cross(z, x), z]), far)
-    names = []
-    for name in (closure.frame_a, closure.frame_b):
-        carrier = model.frames[model.getFrameId(name, pin.FrameType.BODY)].parentJoint
-        names.append(f"{name}::universal")
-        model.addFrame(pin.Frame(names[-1], carrier, data.oMi[carrier].inverse() * place, pin.FrameType.BODY))
-    universal = replace(closure, frame_a=names[0], frame_b=names[1], axes=(*AXES[:3], "rz"))
-    closures = (*robot.closures[:number], universal, *robot.closures[number + 1 :])
+    place = pin.SE3(np.column_stack([x, np.cross(z, x), z]), rod.far)
+    ball = None if rod.closure is None else robot.closures[rod.closure]
+    ends = (joint, str(model.names[rod.ends[1]])) if ball is None else (ball.frame_a, ball.frame_b)
+    names = f"{ends[0]}::universal", f"{ends[1]}::universal"
+    for name, carrier in zip(names, rod.ends, strict=True):
+        model.addFrame(pin.Frame(name, carrier, data.oMi[carrier].inverse() * place, pin.FrameType.BODY))
+    if ball is None:
+        closures = (*robot.closures, Closure(f"spin of {joint}", *names, ("rz",)))
+    else:
+        universal = replace(ball, frame_a=names[0], frame_b=names[1], axes=(*AXES[:3], "rz"))
+        closures = tuple(universal if each is ball else each for each in robot.closures)
     return replace(robot, model=model, closures=closures)
 
 

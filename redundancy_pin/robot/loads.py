@@ -168,7 +168,7 @@ class JointForces:
     ``gear``). The rotor's mass belongs to the link.
 
     Attributes:
-        joint: name of a joint of one freedom.
+        joint: name of a joint of one freedom, or of a ball, which has damping alone: against its angular velocity.
         damping: viscous friction, N·s/m or N·m·s.
         friction: Coulomb friction, N or N·m.
         friction_speed: speed, m/s or rad/s, at which Coulomb friction is at 76 % of it: with a jump at zero forces
@@ -277,11 +277,15 @@ def checked_loads(model: pin.Model, loads: Sequence[Load]) -> tuple[Load, ...]:
         if isinstance(load, JointForces):
             _require(load.joint, tuple(model.names)[1:], "joint")
             joint = model.joints[model.getJointId(load.joint)]
+            others = load.friction or load.stiffness or load.rotor_inertia
+            if str(joint.shortname()) == "JointModelSpherical" and not others:
+                continue
             if joint.nv != 1 or (joint.nq != 1 and load.stiffness):
                 what = f"{joint.nv} freedoms" if joint.nv != 1 else "no position that counts its turns"
                 raise UnsupportedRobotError(
                     f"Joint {load.joint!r} has {what}.",
-                    remedy="Forces in joints need one freedom, springs a revolute or prismatic joint (not continuous).",
+                    remedy="Forces in joints need one freedom, springs a revolute or prismatic joint (not continuous); "
+                    "a ball can have damping.",
                     joint=load.joint,
                 )
         else:

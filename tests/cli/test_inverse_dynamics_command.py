@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import call, refused, write_motion
+from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import PlatformMotion, load_robot
@@ -83,7 +85,8 @@ def test_payload_wrench_squeeze_and_bounds(tmp_path: Path) -> None:
     """Two arms hold a bar at rest: what it weighs more is a force on it, and a squeeze does no work."""
     motion = tmp_path / "motion.csv"
     names = ["t", *(f"x{k}" for k in range(7)), *(f"xd{k}" for k in range(6)), *(f"xdd{k}" for k in range(6))]
-    rows = [[t, 0.511, 0.109, 0.2375, 0.0, 0.0, 0.0, 1.0, *np.zeros(12)] for t in (0.0, 1.0)]
+    turned = Rotation.from_rotvec([0.3, 0.0, 0.1])  # axes of the bar are not those of the world
+    rows = [[t, 0.511, 0.109, 0.2375, *turned.as_quat(), *np.zeros(12)] for t in (0.0, 1.0)]
     motion.write_text("\n".join(",".join(map(str, row)) for row in [names, *rows]))
 
     def efforts(*options: str, code: int = 0) -> dict[str, np.ndarray]:
@@ -95,20 +98,27 @@ def test_payload_wrench_squeeze_and_bounds(tmp_path: Path) -> None:
 
     free = efforts()["tau"]
     carrying = efforts("--payload", "bar=2,0.1,0,0")["tau"]
-    pulled = efforts("--wrench", f"bar=0,0,{-2.0 * 9.81},0,{0.1 * 2.0 * 9.81},0")["tau"]
-    np.testing.assert_allclose(carrying, pulled, atol=1e-9)
-    assert np.abs(carrying - free).max() > 1.0
-    W = RneaDynamics(load_robot("two_arms")).reduce(from_csv(motion)).W
+    force, lever = np.array([0.0, 0.0, -2.0 * 9.81]), turned.apply([0.1, 0.0, 0.0])
+    wrench = ",".join(map(str, [*force, *np.cross(lever, force)]))
+    np.testing.assert_allclose(carrying, efforts("--wrench", f"bar={wrench}")["tau"], atol=1e-9)
+    central = efforts("--payload", "bar=1.5", "--payload", "bar=0.5")["tau"]
+    np.testing.assert_allclose(central, efforts("--wrench", "bar=0,0,-19.62")["tau"], atol=1e-9)
+    assert min(np.abs(one - other).max() for one, other in combinations((free, carrying, central), 2)) > 1.0
+    reduced = RneaDynamics(load_robot("two_arms")).reduce(from_csv(motion))
+    W = reduced.W
     squeezed = efforts("--preferred", "0,0,5,0,0,0,0,0,-5,0,0,0")["tau"]
     np.testing.assert_allclose(np.einsum("Nij,Nj->Ni", W, squeezed - free), 0.0, atol=1e-9)
     assert np.abs(squeezed - free).max() > 1.0
     preloaded = efforts("--min-effort", "0.1" + 11 * ",-40", "--max-effort", "40")["tau"]
     assert preloaded[:, 0].min() >= 0.1 - 1e-9
     np.testing.assert_allclose(np.einsum("Nij,Nj->Ni", W, preloaded - free), 0.0, atol=1e-6)  # of a QP
-    # by a linear programme (HiGHS) no efforts below 26.3238 N·m hold the bar; those of least norm reach 26.3346
-    assert np.abs(free).max() > 26.33
-    assert np.abs(efforts("--max-effort", "26.33")["tau"]).max() <= 26.33 + 1e-9
-    assert set(efforts("--max-effort", "26.32", code=3)["status"]) == {"bound_infeasible"}
+    # the least bound within which efforts hold the bar, by a linear programme: those of least norm need a little more
+    within = np.vstack([np.hstack([sign * np.eye(12), -np.ones((12, 1))]) for sign in (1.0, -1.0)])
+    held = {"A_eq": np.hstack([reduced.W[0], np.zeros((6, 1))]), "b_eq": reduced.f[0]}
+    least = linprog([*np.zeros(12), 1.0], within, np.zeros(24), **held, bounds=(None, None)).fun
+    assert np.abs(free).max() > least * (1.0 + 2e-4)
+    assert np.abs(efforts("--max-effort", f"{least * (1.0 + 1e-4)}")["tau"]).max() <= least * (1.0 + 1.01e-4)
+    assert set(efforts("--max-effort", f"{least * (1.0 - 1e-4)}", code=3)["status"]) == {"bound_infeasible"}
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
+from mjcf_models import RSSR, write
 
 import redundancy_pin as rp
 from redundancy_pin import (
@@ -278,6 +280,19 @@ def test_backends_keep_their_settings_under_other_loads() -> None:
     assert own._threads == 3
     assert own.robot.loads[-1] is weight
     assert RneaDynamics(robot, threads=3).with_external(weight)._threads == 3
+
+
+def test_damping_of_balls_is_the_same_in_both_backends(tmp_path: Path) -> None:
+    robot = rp.load_robot(write(tmp_path, RSSR))
+    assert {load.joint for load in robot.loads if isinstance(load, JointForces)} == {"ball", "second"}
+    motion, _ = moving(robot, 6)
+    one, two = RneaDynamics(robot).along(motion), CompiledDynamics(robot, interpret=True).along(motion)
+    assert_alike(one.reduce().f, two.reduce().f)
+    assert_alike(one.base_wrench(), two.base_wrench())
+    assert_alike(one.energy(), two.energy())
+    for given in ({"friction": 1.0}, {"stiffness": 1.0}, {"rotor_inertia": 1.0}):
+        with pytest.raises(UnsupportedRobotError, match=r"'ball' has 3 freedoms.*can have damping"):
+            robot.loaded(JointForces("ball", **given))
 
 
 def test_backends_of_other_dimensions_are_those_of_the_other_machine() -> None:

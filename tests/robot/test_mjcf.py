@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from mjcf_models import FOUR_BAR, FREE, GEARED, SPATIAL, WELD, Engine, write
+from mjcf_models import FOUR_BAR, FREE, GEARED, RSSR, SPATIAL, WELD, Engine, write
 from zoo import home_of
 
 import redundancy_pin as rp
@@ -19,6 +19,7 @@ MODELS = {
     "four_bar": FOUR_BAR,
     "geared": GEARED,
     "spatial": SPATIAL,
+    "rssr": RSSR,
     "weld": WELD.format(weld=""),
     "weld_anchor": WELD.format(weld='anchor="-0.05 0 0.02"'),
     "weld_relpose": WELD.format(weld='anchor="0.01 0 0.02" relpose="0.3 0 0.05 0.9689 0 -0.2474 0"'),
@@ -95,14 +96,12 @@ def test_efforts_of_the_closed_chain_are_those_of_mujoco(name, tmp_path):
     system = rp.kinematics.closure.ConstraintSystem(robot)
     # a rod between two balls: its spin is held here and nowhere in the file
     own = ["ball" in robot.model.names and row.startswith("rz") for row in robot.constraint_names]
-    assert sum(own) == (name == "spatial")
+    assert sum(own) == (name in ("spatial", "rssr"))
     rows = system.evaluate(lifted.q).Jc[:, own]
     for i in range(4):
         engine.set(robot, lifted.q[i], lifted.v[i])
         equality = engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        assert equality.sum() == {"connect": 3, "weld": 6}["weld" if "weld" in name else "connect"] + len(
-            robot.couplings
-        )
+        assert equality.sum() == (6 if "weld" in name or name == "rssr" else 3) + len(robot.couplings)
         np.testing.assert_allclose(engine.data.efc_pos[equality], 0.0, atol=1e-9)
         J = engine.data.efc_J.reshape(-1, engine.model.nv)[equality][:, engine.columns(robot)]
         np.testing.assert_allclose(J @ lifted.v[i], 0.0, atol=1e-9)

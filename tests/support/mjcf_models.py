@@ -57,7 +57,7 @@ SPATIAL = """<mujoco model="spatial">
         <joint name="turn" axis="0 1 0" pos="0.05 0 0.02" ref="20" range="-90 90"/>
         <geom type="box" size="0.1 0.05 0.02"/>
         <body name="rod" pos="0 0 0.2" zaxis="1 0 1">
-          <joint name="ball" type="ball" pos="0 0.01 0"/>
+          <joint name="ball" type="ball" pos="0 0.01 0" armature="0.02" damping="0.3"/>
           <geom type="cylinder" size="0.01 0.2"/>
           <geom type="ellipsoid" size="0.05 0.03 0.02" pos="0 0 0.2" mass="0.3"/>
           <frame euler="0 30 0"><geom type="sphere" size="0.03" pos="0.1 0 0"/></frame>
@@ -96,6 +96,28 @@ SETTINGS = """<mujocoinclude>
   <default><joint frictionloss="0"/><default class="other"><geom rgba="1 0 0 1"/></default></default>
 </mujocoinclude>
 """
+
+RSSR = """<mujoco model="rssr">
+  <worldbody>
+    <site name="ground_a" pos="0.5 0.1 0"/><site name="ground_b" pos="0.5 0.2 0.03"/>
+    <body name="crank"><joint name="crank" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.02"/>
+      <body name="rod" pos="0 0 0.1"><joint name="ball" type="ball" armature="0.001" damping="0.05"/>
+        <geom type="capsule" fromto="0 0 0 0.4 0.1 0.1" size="0.02"/>
+        <body name="rocker" pos="0.4 0.1 0.1"><joint name="second" type="ball" damping="0.02"/>
+          <geom type="capsule" fromto="0 0 0 0.1 0 -0.2" size="0.02"/>
+          <site name="a" pos="0.1 0 -0.2"/><site name="b" pos="0.1 0.1 -0.17"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <equality>
+    <connect name="a" site1="a" site2="ground_a"/><connect name="b" site1="b" site2="ground_b"/>
+  </equality>
+  <actuator><motor joint="crank"/></actuator>
+</mujoco>
+"""
+"""A rod between two balls of the tree; the rocker's hinge is two points on its axis, a row of them redundant."""
 
 WELD = """<mujoco model="welded">
   <compiler angle="radian"/>

@@ -70,26 +70,27 @@ class LoadSymbols:
 
         Args:
             index: the joint.
-            own: its position, rate and acceleration.
+            own: its position, rate and acceleration, (3) each of the latter two of a ball.
             axis: (3) its axis, in the frame of the link before it, as are the others.
             spin: (3) angular velocity of that link.
             turn: (3) its rate.
         """
-        (q, v, a), effort, moment = own, self.ca.SX(0.0), self.ca.SX.zeros(3)
+        (q, v, a), moment = own, self.ca.SX.zeros(3)
+        effort = 0.0 * v
         for load in of_kind(self._loads, JointForces):
             if self.chain.model.getJointId(load.joint) == index:
                 effort += load.damping * v + load.friction * self.ca.tanh(v / load.friction_speed)
                 if load.stiffness:
                     effort += load.stiffness * (q - load.rest)
-                size = load.rotor_inertia * load.gear
-                effort += size * (load.gear * a + self.ca.dot(axis, turn))
-                moment += size * (axis * a + self.ca.cross(spin, axis) * v)
+                if size := load.rotor_inertia * load.gear:
+                    effort += size * (load.gear * a + self.ca.dot(axis, turn))
+                    moment += size * (axis * a + self.ca.cross(spin, axis) * v)
         return effort, moment
 
     def energy(self, joint: Callable[[int], tuple[SX, SX, SX, SX]]) -> SX:
         """Return what rotors and springs add to the energy, J; ``joint`` gives q, v, axis and spin, world axes."""
         total = self.ca.SX(0.0)
-        for load in of_kind(self._loads, JointForces):
+        for load in (each for each in of_kind(self._loads, JointForces) if each.stiffness or each.rotor_inertia):
             q, v, axis, spin = joint(int(self.chain.model.getJointId(load.joint)))
             if load.stiffness:
                 total += 0.5 * load.stiffness * (q - load.rest) ** 2

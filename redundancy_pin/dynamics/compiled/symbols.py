@@ -437,7 +437,7 @@ class SymbolicChain:
         for joint in reversed(self._joints):
             force, moment = forces[joint.index]
             efforts[joint.v] = joint.subspace.T @ ca.vertcat(force, moment)
-            if joint.subspace.shape[1] == 1:
+            if joint.subspace.shape[1] in (1, 3):
                 axis = joint.rotation @ (joint.subspace[3:, 0] if joint.subspace[3:].any() else joint.subspace[:3, 0])
                 own = self.q[joint.q][0], self.v[joint.v], self.a[joint.v]
                 effort, turned = self._loads.in_joint(joint.index, own, axis, *motions[joint.parent][0:3:2])

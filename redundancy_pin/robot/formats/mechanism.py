@@ -133,9 +133,18 @@ class Mechanism:
                 f"A ball joint of {self.name} that moves freely has an armature, which is not covered.",
                 remedy="Make it of three hinges.",
             )
+        damped = [load.joint for load in self.forces if load.joint in names]
+        left_out = (f"{NOT_IN_FORCE} damping of {', '.join(damped)}.",) if damped else ()
+        forces = tuple(load for load in self.forces if load.joint not in names)
         note = f"Ball joints that move freely are three hinges each (singular at a pitch of 90°): {', '.join(names)}."
         return replace(
-            self, links=links, joints=tuple(joints), start=start, armature=armature, notes=(*self.notes, note)
+            self,
+            links=links,
+            joints=tuple(joints),
+            start=start,
+            armature=armature,
+            forces=forces,
+            notes=(*self.notes, *left_out, note),
         )
 
     def configuration(self, model: pin.Model) -> Array:

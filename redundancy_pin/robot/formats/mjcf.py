@@ -1,7 +1,7 @@
 """Read MJCF, the models of MuJoCo: bodies, joints and sites, the equalities that close loops, what drives the joints.
 
 A subset, read as MuJoCo reads it; what else changes the mechanics is refused by name, file and line. Forces that are
-left out (contacts, tendons, dampers of balls) are named in the notes.
+left out (contacts, tendons) are named in the notes.
 """
 
 from __future__ import annotations

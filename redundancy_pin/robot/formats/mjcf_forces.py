@@ -52,7 +52,7 @@ class Forces:
     left_out: dict[str, list[str]] = field(default_factory=dict)
 
     def read(self, part: Part, name: str, kind: str) -> None:
-        """Take friction and spring of a hinge or slide over; of other joints, and other laws, note them."""
+        """Take friction and spring of a hinge or slide and damping of a ball over; other joints and laws are noted."""
         given = {key: part.numbers(key, 1, 9) for key in _FORCES if part.tag != "freejoint" and part.has(key)}
         law = part.numbers("springdamper", 2) if "springdamper" in given else np.zeros(2)
         if law.any():
@@ -63,7 +63,8 @@ class Forces:
         given = {key: value for key, value in given.items() if not _FORCES[key] <= self.disabled}
         values = {}
         for key, numbers in given.items():
-            if kind in ("hinge", "slide") and key != "springdamper" and not numbers[1:].any() and numbers[0] >= 0.0:
+            kinds = ("hinge", "slide", "ball") if key == "damping" else ("hinge", "slide")
+            if kind in kinds and key != "springdamper" and not numbers[1:].any() and numbers[0] >= 0.0:
                 values[key] = float(numbers[0])
             elif numbers.any():
                 self.left_out.setdefault(key, []).append(name)
