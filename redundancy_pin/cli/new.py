@@ -19,12 +19,15 @@ if TYPE_CHECKING:
     import pinocchio as pin
 
     from redundancy_pin.robot import Robot
-    from redundancy_pin.robot.formats.urdf_tree import Tree
+    from redundancy_pin.robot.formats.urdf_tree import JointEntry, Tree
 
 _SINGLE = ("revolute", "continuous", "prismatic")
 
-_COINCIDE = 1e-6
-"""m: frames that are nearer at the zero configuration are taken to be one point, cut in two."""
+_COINCIDE = 1e-5
+"""m: frames that are nearer at the zero configuration are taken to be one point, cut in two; files are rounded."""
+
+_NO_MASS = 1e-6
+"""Of the mass of all: exporters give frames a gram in a tonne, as some readers refuse links that weigh nothing."""
 
 
 @click.command()
@@ -37,8 +40,8 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
 
     Nothing is asked. It looks at the tree: a frame that carries nothing and weighs nothing, and coincides with another
     such one or with another chain's link when all joints are at zero, is where a loop was cut, and so are the only two
-    such frames; joints with transmissions are driven, else as many
-    as there are freedoms; joints that mimic others are coupled to them; the reference is a closed configuration. What
+    such frames; joints with transmissions are driven, else as many as there are freedoms, those with limits of effort
+    and position first; joints that mimic others are coupled to them; the reference is a closed configuration. What
     is written loads; read it, and correct it.
 
     \b
@@ -66,7 +69,8 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     pairs, how = _proposed_closures(tree, model)
     transmissions = _transmissions(urdf, tree)
-    driven = transmissions or [joint.name for joint in tree.joints if joint.kind in _SINGLE and not joint.mimic]
+    single = [joint for joint in tree.joints if joint.kind in _SINGLE and not joint.mimic]
+    driven = transmissions or [joint.name for joint in single if _is_limited(joint)] or [joint.name for joint in single]
     if not driven:
         raise InputError(f"{source.name} has no joint of one freedom to drive.", remedy="Add one.")
     data = {
@@ -103,10 +107,11 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
     at = {str(frame.name): data.oMf[model.getFrameId(frame.name, pin.FrameType.BODY)].translation for frame in frames}
     carrier = {str(frame.name): int(frame.parentJoint) for frame in frames}
     parents = {joint.parent for joint in tree.joints}
+    weight = _NO_MASS * sum(link.mass for link in tree.links.values())
     ends = [
         joint.child
         for joint in tree.joints
-        if joint.kind == "fixed" and joint.child not in parents and not tree.links[joint.child].mass
+        if joint.kind == "fixed" and joint.child not in parents and tree.links[joint.child].mass <= weight
     ]
     pairs: list[list[str]] = []
     for one, other in itertools.combinations(ends, 2):
@@ -131,6 +136,13 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
         return [ends], "the only two links that carry nothing and weigh nothing"
     loose = f" (say under closures which are one point: {', '.join(ends)})" if len(ends) > 1 else ""
     return [], f"no two frames coincide when all joints are at zero{loose}"
+
+
+def _is_limited(joint: JointEntry) -> bool:
+    """Return whether a joint has a motor's limits: an effort, and bounds short of a full turn."""
+    limits = joint.limits
+    bounds = limits.get("upper", np.inf) - limits.get("lower", -np.inf)
+    return limits.get("effort", 0.0) > 0.0 and bounds < (np.inf if joint.kind == "prismatic" else 2.0 * np.pi - 0.01)
 
 
 def _transmissions(urdf: str, tree: Tree) -> list[str]:
@@ -158,7 +170,8 @@ def _text(robot: Robot, urdf: str, how: str, transmissions: bool) -> str:
         if joint.nv == 1:
             angle = q[joint.idx_q] if joint.nq == 1 else np.arctan2(q[joint.idx_q + 1], q[joint.idx_q])
             positions[str(name)] = round(float(angle), 6)
-    driven = "the joints with transmissions." if transmissions else "as many joints as freedoms; choose."
+    guessed = "as many joints as freedoms, those with limits first; choose."
+    driven = "the joints with transmissions." if transmissions else guessed
     free = {name: positions[name] for name in robot.independent_joints}
     rest = {name: value for name, value in positions.items() if name not in free}
     made = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.cli", ""), trim_blocks=True)

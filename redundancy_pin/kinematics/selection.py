@@ -40,6 +40,10 @@ _WELL_APART = 1e-2
 """A velocity whose column is nearer to the others, in its own length, is taken as dependent only where there is no
 other: it would make a reference next to a singularity of type I."""
 
+_SHORT = 1e-3
+"""Of the longest column: shorter ones count as this long there. What spins a rod between two balls is 2e-5 and less
+where the file is rounded."""
+
 
 class Selection(NamedTuple):
     """What was chosen.
@@ -263,14 +267,14 @@ def _dependent(rows: Array, classes: Sequence[Sequence[int]]) -> set[int]:
     """
     rank = _rank(rows)
     taken: list[int] = []
-    basis = np.zeros((len(rows), 0))
+    basis, size = np.zeros((len(rows), 0)), np.linalg.norm(rows, axis=0)
+    own = np.maximum(size, max(_SHORT * size.max(initial=0.0), 1e-300))
     for apart in (_WELL_APART, RANK_TOLERANCE):
         for group in classes:
             waiting = [i for i in group if i not in taken]
             while waiting and len(taken) < rank:
                 rest = rows[:, waiting] - basis @ (basis.T @ rows[:, waiting])
-                lengths = np.linalg.norm(rest, axis=0) / np.maximum(np.linalg.norm(rows[:, waiting], axis=0), 1e-300)
-                lengths[np.linalg.norm(rows[:, waiting], axis=0) < RANK_TOLERANCE] = 0.0
+                lengths = np.where(size[waiting] < RANK_TOLERANCE, 0.0, np.linalg.norm(rest, axis=0) / own[waiting])
                 best = int(np.argmax(lengths))
                 if lengths[best] <= apart:
                     break

@@ -37,7 +37,7 @@ def test_what_is_written_loads_and_moves(urdf):
     assert np.isfinite(rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau).all()
     comments = (urdf.parent / "robot.yaml").read_text()
     assert "only two links that carry nothing" in comments
-    assert "as many joints as freedoms; choose" in comments
+    assert "as many joints as freedoms, those with limits first; choose" in comments
     assert "is there already" in refused("new", urdf)
 
 
@@ -84,11 +84,41 @@ def test_a_pin_that_is_marked_on_one_link(tmp_path):
     path.write_text(SLIDER)
     facts = json.loads(call("new", path, "--json").stdout)
     assert facts["closures"] == [{"frames": ["end", "slider"], "axes": ["x", "y"]}]
-    assert len(facts["independent"]) == 1
+    assert facts["actuated"] == facts["independent"] == ["slide"]  # the joint with limits
+    path.write_text(SLIDER.replace('effort="9"', 'effort="0"'))  # which is none of a motor
+    assert json.loads(call("new", path, "--out", tmp_path / "passive.yaml", "--json").stdout)["actuated"] == ["pin"]
+    # exporters give marks a little mass, and round
+    text = SLIDER.replace('<link name="end"/>', f'<link name="end">{MASS.replace("1", "1e-9")}</link>')
+    path.write_text(text.replace("0.4 -0.3 0", "0.400003 -0.3 0"))
+    assert json.loads(call("new", path, "--out", tmp_path / "light.yaml", "--json").stdout)["closures"]
     path.write_text(SLIDER.replace("0.4 -0.3 0", "0.4 -0.2 0"))  # closes, but not at zero
     printed = call("new", path, "--out", tmp_path / "far.yaml").stdout
     assert "no two frames coincide" in printed
     assert "which are one point: end, mark" in printed
+
+
+def test_what_only_rounding_keeps_from_spinning_freely_is_no_dependent_joint(tmp_path):
+    """A rod on three hinges for a ball, its end 1e-6 m off the first one's axis, as exporters write it."""
+    joints = [
+        ("crank", "base", "0 0 0", "0 1 0", '<limit lower="-1" upper="1" effort="9" velocity="9"/>'),
+        ("rod_x", "crank", "0 0 0.1", "1 0 0", ""),
+        ("rod_y", "rod_x", "0 0 0", "0 1 0", ""),
+        ("rod_z", "rod_y", "0 0 0", "0 0 1", ""),
+        ("rocker", "base", "0.5 0 0.3", "0 1 0", ""),
+    ]
+    text = "".join(
+        f'<link name="{name}">{MASS}</link><joint name="{name}" type="{"revolute" if limit else "continuous"}">'
+        f'<parent link="{parent}"/><child link="{name}"/><origin xyz="{at}"/><axis xyz="{axis}"/>{limit}</joint>'
+        for name, parent, at, axis, limit in joints
+    )
+    for name, on, at in (("tip", "rod_z", "0.4 0.000001 0"), ("end", "rocker", "-0.1 0.000001 -0.2")):
+        text += f'<link name="{name}"/><joint name="at_{name}" type="fixed"><parent link="{on}"/><child link="{name}"/>'
+        text += f'<origin xyz="{at}"/></joint>'
+    path = tmp_path / "rod.urdf"
+    path.write_text(f'<robot name="rod"><link name="base"/>{text}</robot>')
+    facts = json.loads(call("new", path, "--json").stdout)
+    assert facts["closures"] == [{"frames": ["tip", "end"], "axes": ["x", "y", "z"]}]
+    assert facts["independent"] == ["crank", "rod_x"]
 
 
 def test_refusals(urdf, tmp_path):
