@@ -117,7 +117,8 @@ def test_what_only_rounding_keeps_from_spinning_freely_is_no_dependent_joint(tmp
     path = tmp_path / "rod.urdf"
     path.write_text(f'<robot name="rod"><link name="base"/>{text}</robot>')
     facts = json.loads(call("new", path, "--json").stdout)
-    assert facts["closures"] == [{"frames": ["tip", "end"], "axes": ["x", "y", "z"]}]
+    (closure,) = facts["closures"]
+    assert set(closure["frames"]) == {"tip", "end"}
     assert facts["independent"] == ["crank", "rod_x"]
 
 
