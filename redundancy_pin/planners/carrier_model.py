@@ -384,7 +384,7 @@ def _require_regular(model: CarrierModel, margin: Array, least_margin: float) ->
     if margin[worst] < least_margin:
         raise _singular(
             f"comes too close to a type II singularity: at t = {model.t[worst]:.6g} s the margin of W is "
-            f"{margin[worst]:.3g}, below {least_margin:.3g}; this planner needs W⁻¹.",
+            f"{margin[worst]:.3g}, below {least_margin:.3g}; this planner needs W⁻¹ at every sample.",
             float(model.t[worst]),
             float(margin[worst]),
         )
@@ -400,7 +400,10 @@ def _require_regular(model: CarrierModel, margin: Array, least_margin: float) ->
 
 
 def _singular(what: str, t: float, margin: float) -> InfeasiblePlanError:
-    remedy = "Plan with plan_switch_off, which crosses it, or lead the platform along another path."
+    remedy = (
+        "Plan with plan_whole_trajectory, which crosses it within the limits where carriers can, or with "
+        "plan_switch_off; or lead the platform along another path."
+    )
     return InfeasiblePlanError(f"The motion {what}", remedy=remedy, constraint="margin", time=t, margin=margin)
 
 

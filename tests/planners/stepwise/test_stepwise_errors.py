@@ -7,7 +7,7 @@ import functools
 import numpy as np
 import pytest
 
-from redundancy_pin import PlatformMotion, VirtualWork, load_robot
+from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, load_robot
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.trajectory import reference
@@ -85,6 +85,16 @@ def test_a_motion_across_a_type_ii_singularity():
         plan_stepwise(dynamics_of("2rpr"), motion)
     assert caught.value.details["constraint"] == "margin"
     assert 0.40 < caught.value.details["time"] < 0.95
+
+
+def test_a_spatial_singularity_is_refused_and_the_planner_that_crosses_it_named():
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, 2, 3] = 0.6
+    for pose, yaw in zip(poses, np.radians([70.0, 110.0]), strict=True):
+        pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    with pytest.raises(InfeasiblePlanError, match="plan_whole_trajectory") as caught:
+        plan_stepwise(RneaDynamics(load_robot("gough", carriers=True)), reference.pose(*poses, 1.0), dt=0.05)
+    assert caught.value.details["time"] == pytest.approx(0.5)  # half way, at 90 degrees of yaw
 
 
 def test_a_crossing_between_samples_with_margins_on_both_sides():
