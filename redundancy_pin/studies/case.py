@@ -155,7 +155,8 @@ class Case:
     @property
     def backends(self) -> tuple[str, ...]:
         """Backends that know the robot; the first one plans."""
-        return (VIRTUAL_WORK, RNEA) if self.robot in ("2rpr", "3rrr") else (RNEA,)
+        known = self.robot in ("2rpr", "3rrr") and self.load_robot().closed_form  # none with carriers elsewhere
+        return (VIRTUAL_WORK, RNEA) if known else (RNEA,)
 
     @property
     def unit(self) -> str:

@@ -1,4 +1,4 @@
-"""What the thesis leaves to the future: balancing, least time and spatial machines, with what they cost."""
+"""What the thesis leaves to the future: carriers elsewhere, balancing, design, time and space, with what each costs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.base_wrench import load_at_rest
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
-from redundancy_pin.studies.case import Case, Plans, options
+from redundancy_pin.simulation.replay import replay
+from redundancy_pin.studies.case import Case, Plans, machine_code, options
 from redundancy_pin.studies.cases import Extent
 from redundancy_pin.studies.measures import numbers
 from redundancy_pin.studies.planned import Chapter, Tell
 from redundancy_pin.studies.table import Record
+from redundancy_pin.workers import parallel
 
 CENTRE = (0.866, 0.5, 0.0)
 """Of the base of the 3-RRR, m; moments are taken about it."""
@@ -34,8 +36,44 @@ _CORNER = Case(
 )
 _BARE = Case("corner", "3rrr", "corner", _CORNER.path_options, "none", working_mode=(1, 1, 1), dt=2e-3)
 _BALANCED = _CORNER.with_options(objective="base_wrench", base_point=CENTRE)
+_ARMS = options(arm_length=0.3)
+_TWICE = replace(_BARE, path_options=options(radius=0.025, speed=0.4, ramp_time=0.4))
+_CIRCLE = Case(
+    "circle",
+    "2rpr",
+    "circle",
+    options(speed=0.5, ramp_time=0.2),
+    "whole_trajectory",
+    arguments=options(end_effector_mass=0.5),
+    dt=0.02,
+)
 
 PLANNED: Mapping[tuple[str, str], Case] = {
+    **{
+        ("2-RPR circle, 0.5 kg at the end-effector", f"least effort, carriers {where}"): replace(
+            _CIRCLE, arguments=options(end_effector_mass=0.5, **arguments)
+        )
+        for where, arguments in (
+            ("on the legs", {}),
+            ("on the end-effector", {"carriers": False, "end_effector_carriers": True}),
+            ("on arms of 0.3 m", dict(_ARMS)),
+        )
+    },
+    ("3-RRR corner, carriers on arms of 0.3 m", "least effort"): replace(_CORNER, options=(), arguments=_ARMS),
+    ("3-RRR corner at twice the feed", "no carriers"): _TWICE,
+    ("3-RRR corner at twice the feed", "machine of co-design, least peak"): replace(
+        _TWICE,
+        planner="whole_trajectory",
+        options=options(objective="peak", speed=5.0, acceleration=60.0),
+        arguments=options(carrier_mass=0.6, tail_length=0.56),
+        dt=0.01,
+    ),
+    **{
+        ("3-RRR corner, front of peak over energy", f"least peak with at most {energy:g} J"): _CORNER.with_options(
+            objective="peak", at_most=(("energy", energy),)
+        )
+        for energy in (2.0, 3.0, 4.0)
+    },
     ("3-RRR corner, balanced", "no carriers"): _BARE,
     ("3-RRR corner, balanced", "least effort, parked at the end"): _CORNER,
     ("3-RRR corner, balanced", "least base wrench, parked at the end"): _BALANCED,
@@ -95,8 +133,8 @@ def run_future(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     beside = [(least_time, *key, case) for key, case in TIMED.items()]
     timed = plans.prepare([(case, case.backends[0]) for case in cases.values()], extent.jobs, tell, beside=beside)
     tell("least time")
-    planned = [_record(*key, case, plans.outcome(case)) for key, case in cases.items()]
-    return {"plans": [*planned, *timed]}
+    calls = [(*key, case, plans.outcome(case)) for key, case in cases.items()]
+    return {"plans": [*parallel(_record, calls, extent.jobs, ordered=True), *timed]}
 
 
 def coarsened(case: Case, extent: Extent) -> Case:
@@ -128,6 +166,7 @@ def _record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePlanEr
         "peak": float(outcome.peak_effort.max()),
         "stroke": float(np.ptp(carriers.s, axis=0).max(initial=0.0)),
         "base_force": float(np.linalg.norm(push[:, :3], axis=1).max()),
+        "replay": replay(outcome, backend=machine_code).largest,
         "base_moment": float(np.linalg.norm(push[:, 3:], axis=1).max()),
         "singular_instants": list(outcome.diagnostics.get("singular_instants", ())),  # type: ignore[call-overload]
     }
