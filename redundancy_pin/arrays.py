@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from functools import cached_property
@@ -18,6 +17,9 @@ from redundancy_pin.errors import InputError, shown
 Array: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.intp]
+
+LARGEST = 1e100
+"""Numbers beyond it are refused as infinite, for their products are; so are positive ones below its inverse."""
 
 CLOSURE_TOLERANCE = 1e-11
 """Largest closure residual (metres, or radians for rotation rows) a configuration may leave and still
@@ -136,7 +138,7 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
             shape=array.shape,
             expected=tuple(shape),
         )
-    bad = ~np.isfinite(array)
+    bad = ~(np.abs(array) <= LARGEST)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InputError(
@@ -225,7 +227,7 @@ def rows_of(values: ArrayLike, name: str, shape: tuple[int | str, int | str]) ->
 
 
 def positive(value: float, name: str, unit: str) -> float:
-    """Return ``value`` as a float after checking that it is positive and finite.
+    """Return ``value`` as a float after checking that it is positive and finite: from 1e-100 to 1e100.
 
     Args:
         value: the number.
@@ -240,10 +242,9 @@ def positive(value: float, name: str, unit: str) -> float:
     except (TypeError, ValueError, OverflowError) as error:
         of = f" of {unit}" if unit else ""
         raise InputError(f"{name} is {shown(value)}, expected a number{of}.", name=name) from error
-    if not (math.isfinite(number) and number > 0.0):
-        raise InputError(
-            f"{name} is {f'{number:g} {unit}'.rstrip()}, expected a positive number.", name=name, value=number
-        )
+    if not 1.0 / LARGEST <= number <= LARGEST:
+        wanted = f"one from {1.0 / LARGEST:g} to {LARGEST:g}" if 0.0 < number < np.inf else "a positive number"
+        raise InputError(f"{name} is {f'{number:g} {unit}'.rstrip()}, expected {wanted}.", name=name, value=number)
     return number
 
 

@@ -28,7 +28,7 @@ def test_read_only_locks_in_place() -> None:
     assert not fresh.flags.writeable
 
 
-@given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2), elements=st.floats(-1e300, 1e300)))
+@given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2), elements=st.floats(-1e100, 1e100)))
 def test_finite_arrays_of_the_right_shape_pass_unchanged(values: np.ndarray) -> None:
     rows, columns = values.shape
     np.testing.assert_array_equal(checked(values, "x", ("N", columns)), values)
@@ -43,6 +43,7 @@ def test_finite_arrays_of_the_right_shape_pass_unchanged(values: np.ndarray) -> 
         ("down", ("N",), "x is not an array of numbers"),
         ([[1.0], [1.0, 2.0]], ("N", "n"), "x is not an array of numbers"),
         ([1.0, None], ("N",), "not finite, the first at index"),
+        ([1.0, -1.1e100], ("N",), r"not finite, the first at index \(1,\): -1.1e\+100"),
         ([1j, 2.0], ("N",), "x is not an array of numbers"),
         (np.array([1j, 2.0]), ("N",), "x is not an array of numbers"),
         (["1", "2"], ("N",), "x is not an array of numbers"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
 import click
 
-from redundancy_pin.arrays import checked
+from redundancy_pin.arrays import LARGEST, checked
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, did_you_mean, shown
 
@@ -228,7 +227,7 @@ def parse_vector(given: Any) -> tuple[float, ...]:
         numbers = tuple(float(part) for part in (given.split(",") if isinstance(given, str) else given))
     except (TypeError, ValueError, OverflowError):
         numbers = ()
-    if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
+    if len(numbers) != 3 or not all(abs(number) <= LARGEST for number in numbers):
         raise InputError(f"gravity is {shown(given)}, not three numbers.", remedy="Write 0,-9.81,0 (m/s²).")
     return numbers
 

@@ -21,7 +21,7 @@ from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.formats.urdf_tree import Tree, read_tree, require_same
+from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, Tree, read_tree, require_same
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot, slides
 from redundancy_pin.robot.urdf import Argument, source_of
@@ -245,6 +245,13 @@ def _require_name(name: str, known: Sequence[str], what: str, of: str) -> None:
 
 
 def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.Model, of: str) -> None:
+    count = len(declaration.closures)
+    if count > MOST_FREEDOMS:  # each of them takes a freedom at least
+        raise DeclarationError(
+            f"The {of} has {count} closures, more than the {MOST_FREEDOMS} freedoms that one may have.",
+            remedy="Take out those that say again what others say.",
+            closures=count,
+        )
     joints = tuple(str(name) for name in model.names)[1:]
     links = tuple(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
     driven = (*declaration.actuated, *carriers, *declaration.independent.joints)

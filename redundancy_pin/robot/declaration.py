@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, RootModel, ValidationInfo, field_validator
 
+from redundancy_pin.arrays import LARGEST
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.io.reading import read_text
 from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, validated
@@ -33,9 +34,6 @@ CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
 }
 """The closed forms there are, and the xacro arguments that each is written out in."""
 
-_LARGEST = 1e300
-"""Numbers of this size are refused as infinite: their squares are."""
-
 
 class Evaluator:
     """Evaluates the expressions of one declaration."""
@@ -56,7 +54,7 @@ def _number(value: object, info: ValidationInfo[Evaluator]) -> float:
             value = info.context.eval(value)
         except Exception as error:  # an expression may raise anything
             raise ValueError(f"a number or an expression in the xacro arguments ({error})") from error
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < _LARGEST:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
         raise ValueError("a finite number")
     return float(value)
 

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import InputError, numbered_from, shown
 from redundancy_pin.io.reading import opened
 from redundancy_pin.motion import CarrierMotion, Consistency, PlatformMotion, require_consistent
@@ -22,9 +22,6 @@ from redundancy_pin.trajectory.quaternions import poses_of
 
 _QUATERNION_TOLERANCE = 1e-6
 """How far the norm of a quaternion may be from one: text with six digits passes; it is then normalised."""
-
-_LARGEST = 1e100
-"""Numbers beyond it are refused as infinite: their products are."""
 
 
 _LONGEST_LINE = 1_000_000
@@ -159,9 +156,17 @@ def _carriers(table: dict[str, Array], path: str | os.PathLike[str], check_rates
     return CarrierMotion(s, sd, sdd, check_rates=check_rates)
 
 
-def table_of_csv(path: str | os.PathLike[str], needs: Sequence[str] = ("t",)) -> dict[str, Array]:
-    """Return the columns of the file by name; InputError where it cannot be read, or lacks one of those needed."""
-    tables = list(tables_of_csv(path, needs))
+def table_of_csv(path: str | os.PathLike[str], needs: Sequence[str] = ("t",), most: float = np.inf) -> dict[str, Array]:
+    """Return the columns of the file by name.
+
+    InputError where it cannot be read, lacks one of those needed, or has more rows than ``most``.
+    """
+    tables, rows = [], 0
+    for table in tables_of_csv(path, needs):
+        tables.append(table)
+        rows += len(next(iter(table.values())))
+        if rows > most:
+            raise _bad(path, f" has more than {most} rows.", "Take fewer points.")
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
@@ -219,7 +224,7 @@ def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: 
         values = np.array([row for _, row in rows], dtype=np.float64)
     except ValueError:
         values = np.array([[_number(cell) for cell in row] for _, row in rows])
-    bad = np.argwhere(~(np.abs(values) <= _LARGEST))
+    bad = np.argwhere(~(np.abs(values) <= LARGEST))
     if len(bad):
         r, c = (int(i) for i in bad[0])
         line, cell = rows[r][0], rows[r][1][c]

@@ -30,6 +30,9 @@ SUFFIXES = (".csv", ".json")
 _RAMP = 0.1
 """Length of each ramp, as a fraction of the path, where no ramp time is given."""
 
+MOST_POINTS = 100_000
+"""Of a file: each is a piece of a spline. Longer motions are sampled ones (``from_csv``)."""
+
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -173,7 +176,7 @@ def read_points(path: str | os.PathLike[str]) -> tuple[Array, Array | None, Arra
     suffix = place.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{place} ends in neither .csv nor .json.", remedy="Name it as what it is.", path=str(place))
-    columns = table_of_csv(place, needs=()) if suffix == ".csv" else _read_json(place)
+    columns = table_of_csv(place, needs=(), most=MOST_POINTS) if suffix == ".csv" else _read_json(place)
     if isinstance(columns, tuple):
         return columns
     columns = dict(columns)

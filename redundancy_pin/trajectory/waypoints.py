@@ -328,6 +328,9 @@ def _near(points: ArrayLike, name: str) -> Array:
     return array
 
 
+_PASSED = 1e-6
+"""Part of the size of all by which points may be missed: by more, times are too uneven for the spline's equations."""
+
 _LEAST_NORM = 0.3
 """Of a quaternion between poses, before it is normalised: below, the poses turn too far for what is between them."""
 
@@ -361,7 +364,20 @@ class TimedSpline(Frozen, SmoothPath):
             )
         t = t - t[0]
         rest = [(1, np.zeros(given.shape[1])), (2, np.zeros(given.shape[1]))]
-        spline = make_interp_spline(t, given, k=5, bc_type=(rest, rest))
+        try:
+            with np.errstate(all="ignore"):
+                spline = make_interp_spline(t, given, k=5, bc_type=(rest, rest))
+                missed = float(np.abs(spline(t) - given).max())
+        except ValueError:  # numbers that are infinite, or LinAlgError
+            missed = np.inf
+        if not missed <= _PASSED * max(float(np.ptp(given, axis=0).max()), 1e-12):
+            k = int(np.diff(t).argmin())
+            raise InputError(
+                f"No spline passes points at these times: numbers {k} and {k + 1} are {t[k + 1] - t[k]:g} s apart, of "
+                f"{t[-1]:g} s.",
+                remedy="Space them more evenly.",
+                index=k,
+            )
         assign(self, points=given, times=frozen(t), length=float(t[-1]), _spline=spline)
 
     @property

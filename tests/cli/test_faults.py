@@ -102,7 +102,7 @@ TOO_MANY: tuple[tuple[str, ...], ...] = (
     (*WHOLE, "--dt", "1e-9"),
     (*WHOLE, "--speed", "1e-9"),
     (*OFF, "--dt", "1e-9"),
-    (*OFF, "--dt", "1e-300"),
+    (*OFF, "--dt", "1e-90"),
     (*STEPWISE, "--step", "1e-9"),
     (*STEPWISE, "--between", "1000000000"),
     (*STEPWISE, "--speed", "1e-12"),

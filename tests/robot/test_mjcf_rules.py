@@ -11,6 +11,7 @@ from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError, ModelFileError
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.mjcf import read_mjcf
+from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -45,6 +46,22 @@ def test_a_model_that_does_not_move_is_refused(tmp_path):
         DeclarationError, match="four_bar does not move: 2 joint velocities less 2 closure rows leave 0"
     ):
         load_robot(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("kind", ["pin", "gear"])
+def test_equalities_are_no_more_than_freedoms_can_be(kind, tmp_path):
+    """Each took time, and thousands took ten seconds before the file was refused."""
+    one = {
+        "pin": '<connect name="pin" site1="tip" site2="end"/>',
+        "gear": '<joint joint1="crank" joint2="rocker" polycoef="0 0.5"/>',
+    }[kind]
+    more = one.replace('name="pin" ', "") * (MOST_FREEDOMS - 1)
+    text = FOUR_BAR.replace("</equality>", f"{more}</equality>")
+    assert len(read_mjcf(write(tmp_path, text)).closures) == {"pin": MOST_FREEDOMS, "gear": 1}[kind]
+    with pytest.raises(ModelFileError, match=f"a {one[1:].split()[0]} is one more than the {MOST_FREEDOMS}"):
+        read_mjcf(
+            write(tmp_path, text.replace("</equality>", f"{more[: len(more) // (MOST_FREEDOMS - 1)]}</equality>"))
+        )
 
 
 def _spring_and_damper(text, q, v):

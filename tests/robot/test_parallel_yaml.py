@@ -210,6 +210,11 @@ def test_a_base_that_moves_and_a_declaration_of_ones_own(tmp_path: Path) -> None
         ({"joint_name": ["elbow_1"], "joint_type": ["UJOINT_XX"]}, DeclarationError, "UJOINT_XX"),
         ({"name_mot": ["motor_3"]}, DeclarationError, "no moving joint 'motor_3'"),
         ({"joint_nam": ["elbow_1"]}, DeclarationError, "joint_nam"),
+        (
+            {"closed_loop": [["loop_A", "loop_B"]] * 121, "type": ["6d"] * 121},
+            DeclarationError,
+            "121 closures, more than the 120",
+        ),
     ],
 )
 def test_mistakes_are_named(change: dict, error: type, message: str, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import Line, Trajectory, circle_path, corner_path, from_points, through_points
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.points import MOST_POINTS, read_points
 from redundancy_pin.trajectory.time_optimal import BLEND, fastest_law, least_duration
 from redundancy_pin.trajectory.timing import law_through_speeds
 
@@ -272,6 +273,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "two stops": ({"speed": [0.0, 0.1, 0.0, 0.0, 0.1]}, r"speed\[2\] and speed\[3\] are zero"),
     "text": ({"times": TIMES, "alpha": "x"}, "values is not an array of numbers"),
     "closed times": ({"times": TIMES, "closed": True}, "closed is for coordinates"),
+    "times no spline can take": ({"times": [0.0, 1e-300, 1.0, 2.0, 3.0]}, "numbers 0 and 1 are 1e-300 s apart, of 3 s"),
+    "times that lose all digits": ({"times": [0.0, 1e-9, 1.0, 2.0, 1e9]}, "Space them more evenly"),
+    "a speed that is none": ({"speed": 1e-300}, "speed is 1e-300 m/s, expected one from 1e-100 to 1e[+]100"),
+    "a speed beyond all": ({"speed": 1e101}, "speed is 1e[+]101 m/s"),
 }
 
 
@@ -315,6 +320,18 @@ def test_files_that_hold_no_points_are_named(name: str, text: str, says: str, tm
     (tmp_path / name).write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=says):
         from_points(tmp_path / name)
+
+
+@pytest.mark.parametrize("count", [MOST_POINTS, MOST_POINTS + 1])
+def test_a_file_has_no_more_points_than_a_spline_may(count: int, tmp_path: Path) -> None:
+    """Three million took 17 s and 0.9 GB before they were refused for the samples they make."""
+    place = tmp_path / "way.csv"
+    place.write_text("x\n" + "1\n" * count, encoding="utf-8")
+    if count == MOST_POINTS:
+        assert len(read_points(place)[0]) == count
+        return
+    with pytest.raises(InputError, match=f"has more than {MOST_POINTS} rows"):
+        read_points(place)
 
 
 def test_times_of_a_file_are_not_overridden_in_silence(tmp_path: Path) -> None:

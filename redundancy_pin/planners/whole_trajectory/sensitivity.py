@@ -120,9 +120,10 @@ def _turned(task: Task, problem: Problem, node: SingularNode, plan: CarrierMotio
     edges, times = times_beside(task.source, t, "left" if i < len(h) and before else "right")
     step = i - 1 if before else i  # whose jerk both sides have
     jerk, since = (plan.sdd[step + 1] - plan.sdd[step]) / h[step], (times - t)[:, None]
-    sdd = plan.sdd[i] + since * jerk
-    sd = plan.sd[i] + since * plan.sdd[i] + 0.5 * since**2 * jerk
-    s = plan.s[i] + since * plan.sd[i] + 0.5 * since**2 * plan.sdd[i] + since**3 / 6.0 * jerk
+    # values and first rates at the node are all that counts
+    s, sd, sdd = (
+        values[i] + since * rate for values, rate in ((plan.s, plan.sd[i]), (plan.sd, plan.sdd[i]), (plan.sdd, jerk))
+    )
     motion, carriers = task.source.sample_at(times), CarrierMotion(s, sd, sdd, check_rates=False)
     reduced, by_design = task.dynamics.along(motion).reduce(carriers), slopes(motion, carriers)
 

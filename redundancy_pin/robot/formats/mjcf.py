@@ -33,7 +33,7 @@ from redundancy_pin.robot.formats.mjcf_file import (
 )
 from redundancy_pin.robot.formats.mjcf_forces import Forces, effort_limit, forces_of
 from redundancy_pin.robot.formats.mjcf_masses import POSE, body_mass, place_of_geom, shape_of
-from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry
+from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, JointEntry, LinkEntry
 from redundancy_pin.robot.formats.xml_files import Element
 from redundancy_pin.robot.types import AXES, Closure, Coupling
 
@@ -432,7 +432,8 @@ class _Reader:
     # --- what closes loops, what drives, where it starts --------------------------------------------------------------
 
     def _equalities(self) -> tuple[tuple[Closure, ...], tuple[Coupling, ...]]:
-        closures, couplings = [], []
+        closures: list[Closure] = []
+        couplings: list[Coupling] = []
         for number, part in enumerate(self._elements("equality")):
             name = part.name or f"{part.tag}_{number + 1}"
             if part.tag not in _EQUALITIES:
@@ -442,6 +443,8 @@ class _Reader:
             if part.choice("active", ("true", "false"), "true") == "false":
                 self.notes.append(f"The equality {name!r} is not active, and left out.")
                 continue
+            if len(closures) + len(couplings) == MOST_FREEDOMS:  # each takes a freedom at least
+                part.refuse(f"{part} is one more than the {MOST_FREEDOMS} that a model may have")
             if part.tag == "joint":
                 couplings.append(self._coupling(part, name))
                 continue

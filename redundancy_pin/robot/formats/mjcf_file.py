@@ -15,14 +15,13 @@ from typing import NoReturn
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.xacro_engine import is_within, own_folders
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES, Element, parsed
 
 _MOST_INCLUDED = 100
-_LARGEST = 1e100
 
 ORIENTATION = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 
@@ -185,7 +184,7 @@ class Part:
         except ValueError:
             values = []
         count = len(values)
-        if not least <= count <= (most or least) or not all(abs(value) < _LARGEST for value in values):
+        if not least <= count <= (most or least) or not all(abs(value) < LARGEST for value in values):
             wanted = str(least) if most in (None, least) else f"{least} to {most}"
             self.refuse(f"{self} has {key}={shown(text)}, not {wanted} finite number(s)", "Correct it.")
         return np.array(values)

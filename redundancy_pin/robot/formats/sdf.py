@@ -16,7 +16,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, UNLIMITED, Mechanism, placed, six_joints
 from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry
@@ -24,7 +24,6 @@ from redundancy_pin.robot.formats.xml_files import Element, parsed
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import Closure, Coupling
 
-_LARGEST = 1e100
 _SAME_DIRECTION = 1e-6
 _UNLIMITED = 1e15
 """SDF writes 1e16 where there is no limit, and −1 for speeds and efforts."""
@@ -164,7 +163,7 @@ class _Reader:
             values = [float(part) for part in text.split()]
         except ValueError:
             values = []
-        if len(values) != count or not all(abs(value) < _LARGEST for value in values):
+        if len(values) != count or not all(abs(value) < LARGEST for value in values):
             self.refuse(element, f"{shown(text)} is not {count} finite number(s)", "Correct it.")
         return np.array(values)
 

@@ -17,7 +17,7 @@ from typing import NoReturn
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import ModelFileError, did_you_mean
 from redundancy_pin.robot.formats.xml_files import FORMATS, Element, parsed_text
 from redundancy_pin.robot.types import Coupling
@@ -31,8 +31,6 @@ DEEPEST_CHAIN = 200
 MOST_FREEDOMS = 120
 """Joint velocities. Pinocchio's data grow with their cube: 0.1 GB with 100 of them, 1.6 GB with 300."""
 
-_LARGEST = 1e100
-"""Lengths, masses, and inertias beyond it are refused as infinite: their products are."""
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -220,7 +218,7 @@ class _Part:
                 place = replace(self, element=part) if isinstance(part, Element) else self
                 place.refuse(f"{self.owner} has an element <{_short(part.tag)}>", f"Did you mean {near[0]!r}?")
 
-    def number(self, key: str, what: str = "", most: float = _LARGEST) -> float:
+    def number(self, key: str, what: str = "", most: float = LARGEST) -> float:
         """Return the number of an attribute."""
         text = self.element.get(key)
         number = _as_number((text or "").strip(), most)
@@ -232,7 +230,7 @@ class _Part:
     def triple(self, key: str, what: str) -> Array:
         """Return the (3,) numbers of an attribute."""
         text = self.element.get(key, "")
-        numbers = [_as_number(part, _LARGEST) for part in text.split()]
+        numbers = [_as_number(part, LARGEST) for part in text.split()]
         if len(numbers) != 3 or None in numbers:
             remedy = "Write three numbers with blanks between them."
             self.refuse(f"{self.owner} has {what} {_short(text)!r}, which is not three finite numbers", remedy)
