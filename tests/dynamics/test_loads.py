@@ -24,7 +24,7 @@ from redundancy_pin import (
     VirtualWork,
     Wrench,
 )
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, frozen
 from redundancy_pin.crosscheck.load_power import load_efforts
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
@@ -111,6 +111,21 @@ def test_backends_agree_on_loads_of_every_kind(name: str, mode: tuple[int, ...])
         by_one, by_two = first.carrier_derivatives(carriers), second.carrier_derivatives(carriers)
         for part in by_one.__dataclass_fields__:
             assert_alike(getattr(by_one, part), getattr(by_two, part), 1e-9)  # springs: differences of order eight
+
+
+def test_a_spring_in_a_joint_is_wound_up_by_whole_turns_of_the_reference() -> None:
+    """A turn more is 2π times the stiffness more, on all sides of the walls."""
+    stiffness, joint, turns = 0.7, "base_1", -2
+    robot = machine("3rrr", (1, -1, 1))
+    q = np.array(robot.q_reference)
+    q[robot.model.joints[robot.model.getJointId(joint)].idx_q] += 2.0 * np.pi * turns
+    wound = replace(robot, q_reference=frozen(q))
+    motion, carriers = moving(robot)
+    spring = JointForces(joint, stiffness=stiffness)
+    for backend in (RneaDynamics, VirtualWork, functools.partial(CompiledDynamics, interpret=True)):
+        before, after = (backend(one).reduce(motion, carriers, external=[spring]) for one in (robot, wound))
+        more = np.linalg.solve(before.W, (after.f - before.f)[..., None])[..., 0]
+        assert_alike(more, np.tile([2.0 * np.pi * turns * stiffness, 0.0, 0.0], (len(motion), 1)), 1e-10)
 
 
 @pytest.mark.parametrize("name", ["five_bar", "four_bar", pytest.param("gough", marks=pytest.mark.long)])

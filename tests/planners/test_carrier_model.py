@@ -7,10 +7,10 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from redundancy_pin import PlatformMotion, VirtualWork
+from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, load_robot
 from redundancy_pin.planners.carrier_model import Actuation, TimedModel, carrier_model
 from redundancy_pin.singularities.roots import below_zero, minima
-from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -135,3 +135,16 @@ def test_between_samples_at_rest_there_is_a_motion():
     np.testing.assert_allclose(
         ours.xdd[:, 0], length / duration**2 * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u), atol=1e-12
     )
+
+
+def test_the_worst_condition_number_is_that_of_dense_samples():
+    """Beside a singularity, by the singular values of W as the backend gives it."""
+    dynamics = RneaDynamics(load_robot("2rpr"))
+    line = Line((0.1, 0.05), (0.4, 0.03))
+    beside = Trajectory(line, SpeedProfile(line.length, 0.1, 0.1))
+    actuation = Actuation.along(dynamics, continuous_motion(beside))
+    reduced = dynamics.along(beside.sample_at(np.linspace(0.0, beside.duration, 4001))).reduce()
+    values = np.linalg.svd(reduced.W / reduced.row_scale[:, None] / reduced.column_scale, compute_uv=False)
+    condition = values[:, 0] / values[:, -1]
+    assert actuation.worst("condition") == pytest.approx(condition.max(), rel=1e-5)
+    assert actuation.worst("margin") == pytest.approx(values[:, -1].min(), rel=1e-5)

@@ -71,6 +71,16 @@ def test_gradient_of_an_optimum(name: str, objective: str, closeness: dict[str, 
         assert gradient[i] == pytest.approx((up - down) / (2.0 * h), rel=close), key
 
 
+def test_gradient_of_the_least_energy() -> None:
+    """The rates of the main actuators change with the machine too."""
+    line = rp.trajectory.from_points([[0.15, 0.3], [0.2, -0.2]], speed=0.5, ramp_time=0.2)
+    task = DesignTask(heavy().dynamics, line, {"acceleration": 20.0, "dt": 0.1, "objective": "energy"})
+    search = _Search((task,), {"base_distance": (0.3, 0.7)})
+    machines = (task.dynamics.robot.with_parameters(base_distance=0.5 + by) for by in (1e-4, -1e-4))
+    up, down = (replanned(task, "energy", robot) for robot in machines)
+    assert search.machine(search.start).gradients[0, 0] == pytest.approx((up - down) / 2e-4, rel=1e-4)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["proximal_length", "distal_length"])
 def test_gradient_where_the_singular_instant_moves(name: str) -> None:

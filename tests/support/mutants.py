@@ -117,6 +117,51 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "acceleration = 2.0 * speed**2 / length",
         "2.0*/",
     ): "the unit of an unknown, which the programme is solved in",
+    (
+        "kinematics/tree.py",
+        "rotation, translation = np.stack([e[1] for e in elements]), np.stack([e[2] for e in elements], axis=-1)",
+        "-",
+    ): "of stacked vectors the second axis is the last one",
+    (
+        "kinematics/continuation.py",
+        "start, done, size = here.x, 0.0, 0.5",
+        "0.5",
+    ): "the whole step, which has failed already, fails once more, and its half follows",
+    (
+        "kinematics/chain.py",
+        "if places != (96 * i, 96 * i + 72) or rotation.strides != (8, 24) or translation.strides != (8,):",
+        "!=",
+    ): "what need not be copied is copied",
+    (
+        "kinematics/lift.py",
+        "if (side[first] * mode < 0.0).any() and first > 0 and regular[first - 1 : first + 1].all():",
+        "*",
+    ): "sides and modes are signs",
+    (
+        "planners/stepwise/optimiser.py",
+        "if most > 0.0 and (step + 0.5 * most / a) * most > ahead:",
+        "0.5",
+    ): "asks for the stoppable speed where it is the larger one: the least of both is the same",
+    (
+        "planners/stepwise/optimiser.py",
+        "if least < 0.0 and (step - 0.5 * least / a) * -least > behind:",
+        "0.5",
+    ): "as the line before it",
+    (
+        "planners/receding_horizon/ahead.py",
+        "inside = (zeros.real >= start - 1e-9 * width) & (zeros.real <= end + 1e-9 * width)",
+        "*",
+    ): "a slack for rounding: what is beyond the ends is found from the next piece, and once",
+    (
+        "planners/receding_horizon/planner.py",
+        "if self.robot.m == n:",
+        "==",
+    ): "of a square W that is regular the pseudoinverse is the inverse",
+    (
+        "dynamics/inverse_dynamics.py",
+        "return bool((margin[1:] * margin[:-1] <= 0.0).any() or (size - 2.0 * fall <= 0.0).any() or stays.any())",
+        "<=",
+    ): "singularities are looked for where there are none",
 }
 """Path, line and operators of changes that change no result, and why: they are not drawn."""
 

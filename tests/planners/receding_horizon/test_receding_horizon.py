@@ -297,6 +297,16 @@ def test_a_preview_may_be_a_function_or_samples_and_may_end_on_the_way():
         RecedingHorizon(dynamics).update(0.0, "straight on")
 
 
+def test_a_motion_that_ends_at_rest_stays_there_and_one_that_does_not_ends():
+    t = np.linspace(0.0, ACROSS.duration, 400)
+    rests, moves = Preview.of(ACROSS), Preview.of(ACROSS.sample_at(t[:200]))
+    later = rests.motion(ACROSS.duration + np.array([0.0, 1.0, 1000.0]))
+    np.testing.assert_allclose(later.x, np.tile(later.x[:1], (3, 1)), atol=1e-12)
+    assert np.abs(later.xd).max() < 1e-9
+    assert rests.end > 1000.0 + ACROSS.duration
+    assert moves.end == t[199]
+
+
 def test_singular_instants_before_the_zero_of_time_are_as_dense():
     """Up and down over the line, long ago: what is in sight grows tick by tick."""
 
