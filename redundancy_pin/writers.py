@@ -415,7 +415,14 @@ def _urdf_joint(
     if joint.nv != 1:
         return
     _add(element, "axis", xyz=axis)
-    limits = {"effort": model.upperEffortLimit[joint.idx_v], "velocity": model.upperVelocityLimit[joint.idx_v]}
+    least, most = model.lowerEffortLimit[joint.idx_v], model.upperEffortLimit[joint.idx_v]
+    if least > 0.0 or most < 0.0 or (least == 0.0) != (most == 0.0):
+        raise UnsupportedRobotError(
+            f"A URDF has one limit of effort, both ways; those of joint {name!r} have one sign, {least:g} to {most:g}.",
+            remedy=f"Set one: robot.with_limits({{{name!r}: {{'effort': ...}}}}).",
+            joint=name,
+        )
+    limits = {"effort": min(-least, most), "velocity": model.upperVelocityLimit[joint.idx_v]}
     if joint.nq == 1:
         lower, upper = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
         limits |= {"lower": 0.0, "upper": 0.0}

@@ -319,7 +319,11 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
         what = f"The track of the carrier {entry.joint!r} runs from {lower:g} to {upper:g}."
         remedy = "Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`."
         raise _refused(entry.joint, what, remedy)
-    speed, force = (float(limit[joint.idx_v]) for limit in (model.upperVelocityLimit, model.upperEffortLimit))
+    own = model.upperVelocityLimit, model.lowerEffortLimit, model.upperEffortLimit
+    speed, least, force = (float(limit[joint.idx_v]) for limit in own)
+    if least != -force and not entry.force:
+        what = f"The forces of the carrier {entry.joint!r} are from {least:g} to {force:g}; its limit counts both ways."
+        raise _refused(entry.joint, what, "Give the carrier a `force`.")
     unknown, largest = float("inf"), np.finfo(float).max  # the latter is Pinocchio's for none
     return CarrierLimits(
         lower,

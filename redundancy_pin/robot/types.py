@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, IntArray
+from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -343,6 +344,17 @@ class Robot(Frozen):
     def k(self) -> int:
         """Number of carriers."""
         return len(self.carriers)
+
+    @property
+    def effort_limits(self) -> Array:
+        """(2, m) smallest and largest efforts of the main actuators, N or N·m, as the file says; infinite for none.
+
+        Nothing is kept within them unless it is asked for: ``rp.distribute(reduced, lower=low, upper=high)``.
+        """
+        model, columns = self.model, self.actuated_velocity
+        limits = np.stack([model.lowerEffortLimit[columns], model.upperEffortLimit[columns]])
+        none = np.array([[-np.inf], [np.inf]])
+        return frozen(np.where((limits == 0.0).all(axis=0) | (np.abs(limits) >= np.finfo(float).max), none, limits))
 
     @property
     def constraint_names(self) -> tuple[str, ...]:

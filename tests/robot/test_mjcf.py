@@ -157,7 +157,7 @@ def test_start_limits_gear_armature_and_notes(tmp_path):
     robot = rp.load_robot(write(tmp_path, FOUR_BAR))
     model = robot.model
     crank, elbow = (model.joints[model.getJointId(name)] for name in ("crank", "elbow"))
-    assert model.upperEffortLimit[crank.idx_v] == 40.0  # 2 of −2 … 3 times a gear of 20
+    assert robot.effort_limits[:, 0].tolist() == [-40.0, 60.0]  # −2 … 3 times a gear of 20
     assert (model.lowerPositionLimit[crank.idx_q], model.upperPositionLimit[crank.idx_q]) == (-3.0, 3.0)
     assert (model.armature[crank.idx_v], model.armature[elbow.idx_v]) == (0.01, 0.0)
     assert np.isinf(model.upperPositionLimit[elbow.idx_q])

@@ -7,8 +7,9 @@ import pinocchio as pin
 import pytest
 from mjcf_models import FOUR_BAR, write
 
+import redundancy_pin as rp
 from redundancy_pin import load_robot
-from redundancy_pin.errors import DeclarationError, ModelFileError
+from redundancy_pin.errors import DeclarationError, ModelFileError, UnsupportedRobotError
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS
@@ -224,18 +225,18 @@ def test_empty_ranges_count_as_none(numbers, compiler, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("motors", "driven", "limit", "says"),
+    ("motors", "driven"),
     [
-        ([(2, "-1 3", "")], "", 2.0, "from -2 to 6: their limit here, 2 both ways, is the smaller"),
-        ([(-2, "-1 3", "")], "", 2.0, "from -6 to 2: their limit here, 2 both ways, is the smaller"),
-        ([(2, "-5 5", "-3 1")], "", 2.0, "from -6 to 2: their limit here, 2 both ways, is the smaller"),
-        ([(2, "-5 5", "")], "-4 3", 3.0, "from -4 to 3: their limit here, 3 both ways, is the smaller"),
-        ([(2, "0 3", "")], "", 6.0, "from 0 to 6: their limit here, 6 both ways, allows the other sign"),
-        ([(2, "0 3", ""), (-2, "0 3", "")], "", 6.0, ""),  # one pulls, the other pushes
+        ([(2, "-1 3", "")], ""),
+        ([(-2, "-1 3", "")], ""),
+        ([(2, "-5 5", "-3 1")], ""),
+        ([(2, "-5 5", "")], "-4 3"),
+        ([(2, "0 3", "")], ""),
+        ([(2, "-3 3", "1 2")], ""),
+        ([(2, "0 3", ""), (-2, "0 3", "")], ""),  # one pulls, the other pushes
     ],
 )
-def test_efforts_within_the_limit_are_mujocos_too(motors, driven, limit, says, tmp_path):
-    """The limit has no sign: no motor may be asked for what its range does not allow, and what is lost is said."""
+def test_limits_of_efforts_are_what_mujoco_reaches(motors, driven, tmp_path):
     text = _model().replace('name="k"', f'name="k" actuatorfrcrange="{driven}"' if driven else 'name="k"')
     lines = [
         f'<motor joint="k" gear="{gear}" ctrlrange="{control}"' + (f' forcerange="{force}"/>' if force else "/>")
@@ -248,15 +249,15 @@ def test_efforts_within_the_limit_are_mujocos_too(motors, driven, limit, says, t
         data.ctrl[:] = control[: engine.nu]
         mujoco.mj_forward(engine, data)
         reached.append(data.qfrc_actuator[1])
-    mechanism = read_mjcf(write(tmp_path, text))
-    (joint,) = (joint for joint in mechanism.joints if joint.name == "k")
-    assert joint.limits["effort"] == limit
-    if "allows" not in says:
-        assert min(reached) <= -limit < limit <= max(reached)
-        assert limit in np.abs(reached)
-    notes = [note for note in mechanism.notes if note.startswith("Efforts of k")]
-    assert len(notes) == bool(says)
-    assert says in "".join(notes)
+    path = write(tmp_path, text)
+    robot = rp.load_robot(path)
+    assert robot.effort_limits[:, robot.actuated.index("k")].tolist() == sorted(reached)
+    notes = [note for note in robot.notes if note.startswith("Efforts of k")]
+    assert len(notes) == (sum(reached) != 0.0)
+    if min(reached) >= 0.0:
+        with pytest.raises(UnsupportedRobotError, match=r"one limit of effort, both ways.*'k'"):
+            robot.to_urdf(tmp_path / "k.urdf")
+        robot.with_limits({"k": {"effort": 2.0}}).to_urdf(tmp_path / "k.urdf")
 
 
 def test_an_empty_range_replaces_one_by_default(tmp_path):

@@ -163,7 +163,11 @@ def _added(model: pin.Model, joint: JointEntry, carrier: int, place: pin.SE3) ->
     along = np.flatnonzero(joint.axis == 1.0)
     kind = aligned[int(along[0])]() if len(along) == 1 else unaligned(joint.axis)
     limits = (np.array([joint.limits[key]]) for key in ("effort", "velocity", "lower", "upper"))
-    return int(model.addJoint(carrier, kind, place, joint.name, *limits))
+    number = int(model.addJoint(carrier, kind, place, joint.name, *limits))
+    lower_effort = model.lowerEffortLimit
+    lower_effort[model.joints[number].idx_v] = joint.limits.get("effort_lower", -joint.limits["effort"])
+    model.lowerEffortLimit = lower_effort
+    return number
 
 
 def six_joints(name: str, parent: str, child: str, place: Array) -> tuple[list[JointEntry], dict[str, float]]:

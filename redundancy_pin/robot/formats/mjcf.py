@@ -31,7 +31,7 @@ from redundancy_pin.robot.formats.mjcf_file import (
     about,
     from_quaternion,
 )
-from redundancy_pin.robot.formats.mjcf_forces import Forces, effort_limit, forces_of
+from redundancy_pin.robot.formats.mjcf_forces import Forces, forces_of
 from redundancy_pin.robot.formats.mjcf_masses import POSE, body_mass, place_of_geom, shape_of
 from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, JointEntry, LinkEntry
 from redundancy_pin.robot.formats.xml_files import Element
@@ -530,11 +530,13 @@ class _Reader:
         bounds = {**self.forces.ranges, **efforts}
         for name in self.forces.ranges.keys() & efforts.keys():
             bounds[name] = efforts[name].clip(*self.forces.ranges[name])
-        limits = {name: effort_limit(name, ends, self.notes) for name, ends in bounds.items()}
-        self.joints = [
-            replace(joint, limits={**joint.limits, "effort": limits[joint.name]}) if joint.name in limits else joint
-            for joint in self.joints
-        ]
+        for number, joint in enumerate(self.joints):
+            if joint.name in bounds:
+                least, most = bounds[joint.name].tolist()
+                limits = {**joint.limits, "effort": most, "effort_lower": least}
+                self.joints[number] = replace(joint, limits=limits)
+                if least != -most:
+                    self.notes.append(f"Efforts of {joint.name} are from {least:g} to {most:g}: robot.effort_limits.")
         if feedback:
             self.notes.append(f"Servos count as motors, their control law is left out: {', '.join(feedback)}.")
         return tuple(efforts)

@@ -112,18 +112,3 @@ def forces_of(part: Part) -> Array:
     if part.limited("forcelimited", "forcerange"):
         ends = ends.clip(*part.numbers("forcerange", 2))
     return np.sort(gear * ends)
-
-
-def effort_limit(name: str, ends: Array, notes: list[str]) -> float:
-    """Return the limit of |effort|, N or N·m, for efforts between two ends (2,); what does not fit is noted.
-
-    It is the smaller end, which is allowed both ways; where efforts have one sign only there is none: the larger end.
-    """
-    both = ends[0] < 0.0 < ends[1]
-    limit = float(np.abs(ends).min() if both else np.abs(ends).max())
-    if ends[0] != -ends[1]:
-        why = "is the smaller one" if both else "allows the other sign too, which the file does not"
-        notes.append(
-            f"Efforts of {name} are from {ends[0]:g} to {ends[1]:g}: their limit here, {limit:g} both ways, {why}."
-        )
-    return limit
