@@ -257,7 +257,9 @@ def switch_off(**given: Any) -> int:
 @plan.command("stepwise")
 @_shared_options
 @plan_problem.planner_options("stepwise")
-@click.option("--step", type=float, metavar="SECONDS", help=f"Length of the steps.  [default: {plan_problem.STEP:g}]")
+@click.option(
+    "--step", "--dt", type=float, metavar="SECONDS", help=f"Length of the steps.  [default: {plan_problem.STEP:g}]"
+)
 def stepwise(**given: Any) -> int:
     r"""Least torque around corners, step by step.
 

@@ -119,7 +119,7 @@ def test_points_of_the_command_line(tmp_path: Path) -> None:
     out = tmp_path / "plan.npz"
     path = "points:points=1.0 0.4;1.02 0.5;0.95 0.6,speed=0.1,ramp_time=0.2,alpha=0.1"
     assert (
-        call("plan", "stepwise", "--robot", "3rrr", "--step", "0.02", "--trajectory", path, "--out", out).exit_code == 4
+        call("plan", "stepwise", "--robot", "3rrr", "--dt", "0.02", "--trajectory", path, "--out", out).exit_code == 4
     )
     x = rp.load_plan(out).motion.x
     np.testing.assert_allclose(x[0], [1.0, 0.4, 0.1], atol=1e-12)

@@ -525,6 +525,8 @@ def test_dynamics_of_another_robot_or_method_are_refused_and_those_without_code_
     robot = moving.massive("2rpr")
     with pytest.raises(InputError, match="another 2rpr"):
         rp.simulate(robot, duration=0.1, dynamics=compiled(zoo.robot_of("2rpr")))
+    with pytest.raises(InputError, match="those of five_bar, and 2rpr is"):
+        rp.simulate(robot, duration=0.1, dynamics=rp.RneaDynamics("five_bar"))
     with pytest.raises(InputError, match="another 2rpr"):
         ComputedTorque(motion_reference(robot, slow()), dynamics=compiled(zoo.robot_of("2rpr")))
     with pytest.raises(InputError, match="constraint_dynamics"):

@@ -307,8 +307,10 @@ def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
     if dynamics is None:
         return None
     if not is_same(dynamics.robot, robot):
+        given = dynamics.robot.name
+        which = f"another {given}, with other parameters" if given == robot.name else given
         raise InputError(
-            f"dynamics are those of another {dynamics.robot.name} than the robot they are for.",
+            f"dynamics are those of {which}, and {robot.name} is the robot they are for.",
             remedy="simulate takes those of the robot that is simulated, a controller those of the robot it knows.",
         )
     kernel: ForwardKernel | None = getattr(dynamics, "forward", lambda: None)()
