@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from redundancy_pin import CarrierMotion, PlatformMotion
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.dynamics.inverse_dynamics import EffortStatus
 from redundancy_pin.errors import InputError
+from redundancy_pin.singularities.crossings import SPACING
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
 CIRCLE = reference.circle(speed=0.5)
@@ -279,3 +282,65 @@ def test_wrenches_given_at_samples_are_known_between_them(name: str) -> None:
 def test_what_is_no_backend_is_refused(ask: Callable[..., object]) -> None:
     with pytest.raises(InputError, match="str was given for the dynamics"):
         ask("2rpr", [])
+
+
+def test_bounds_and_preference_are_those_of_distribute() -> None:
+    dynamics = rp.RneaDynamics("two_arms")
+    at_rest = np.repeat(rp.forward_kinematics(dynamics.robot, dynamics.robot.q_reference[None]).x, 2, axis=0)
+    motion = PlatformMotion([0.0, 1.0], at_rest, np.zeros((2, 6)), np.zeros((2, 6)))
+    reduced = dynamics.reduce(motion)
+    free = rp.distribute(reduced).tau
+    bound = np.where(np.arange(12) == 0, 0.1, np.inf)  # of the first motor, which has nothing to do by itself
+    for wanted in (
+        {"lower": np.where(bound < 1.0, bound, -bound)},
+        {"upper": np.where(bound < 1.0, -bound, bound)},
+        {"preferred": np.arange(12.0)},
+    ):
+        found = rp.inverse_dynamics(dynamics, motion, **wanted).efforts.tau
+        np.testing.assert_array_equal(found, rp.distribute(reduced, **wanted).tau)
+        assert np.abs(found - free).max() > 1e-3
+
+
+def shallow(steps: float, depth: float = 0.9) -> PlatformMotion:
+    """A parabola of the 2-RPR over its base line, samples so many spacings of the search apart, two about its foot.
+
+    Its foot is below the line, or above it where ``depth`` is negative, by that part of how high these two are over it.
+    """
+    t = np.arange(-3.5, 4.0)
+    h = steps * SPACING * zoo.robot_of("2rpr").characteristic_length
+    one = np.ones(8)
+    x = np.stack([0.25 + h * t, 0.2 * h**2 * (t**2 - 0.25 * depth)], axis=1)
+    return PlatformMotion(
+        t, x, np.stack([h * one, 0.4 * h**2 * t], axis=1), np.stack([0.0 * one, 0.4 * h**2 * one], axis=1)
+    )
+
+
+@pytest.mark.parametrize("steps", [0.5, 5.0])
+def test_a_dip_between_samples_is_searched_however_near_they_are(steps: float) -> None:
+    motion = shallow(steps)
+    assert (motion.x[:, 1] > 0.0).all()
+    result = rp.inverse_dynamics(rp.RneaDynamics(zoo.robot_of("2rpr")), motion)
+    np.testing.assert_allclose([one.t for one in result.instants], [-np.sqrt(0.225), np.sqrt(0.225)], atol=1e-6)
+
+
+def test_what_cannot_be_searched_counts_where_samples_are_far_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def failing(*_: Any, **__: Any) -> None:
+        calls.append(1)
+        raise InputError("It cannot be followed.", remedy="None.")
+
+    monkeypatch.setattr(importlib.import_module("redundancy_pin.dynamics.inverse_dynamics"), "find_crossings", failing)
+    dynamics, status = rp.RneaDynamics(zoo.robot_of("2rpr")), EffortStatus
+    # samples that are near and stay away from the line need no search; farther ones are searched, and trusted where
+    # that fails; where they are farther still nothing is known, nor where the margin comes down to the line
+    cases = [(1.0, -60.0, 0, status.FINITE_EFFORT), (5.0, -60.0, 1, status.FINITE_EFFORT)]
+    cases += [(20.0, -60.0, 1, status.UNRESOLVED), (1.0, 0.9, 1, status.UNRESOLVED), (5.0, 0.9, 1, status.UNRESOLVED)]
+    for steps, depth, searched, expected in cases:
+        calls.clear()
+        result = rp.inverse_dynamics(dynamics, shallow(steps, depth))
+        assert (len(calls), result.status, bool(result.unresolved)) == (
+            searched,
+            expected,
+            expected is status.UNRESOLVED,
+        )

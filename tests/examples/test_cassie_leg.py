@@ -12,6 +12,7 @@ from doc_blocks import example_script
 from scipy.optimize import brentq, minimize
 
 import redundancy_pin as rp
+from redundancy_pin.kinematics.closure import ConstraintSystem
 
 example = example_script(Path(__file__).resolve().parents[2] / "docs" / "examples" / "cassie_leg.py")
 try:
@@ -125,3 +126,18 @@ def test_corrected_it_bends_and_carries_as_geometry_says(tmp_path: Path) -> None
         share = [robot.actuated.index(f"left-{name}") for name in ("pitch-op", "knee-op", "tarsus-crank-joint")]
         np.testing.assert_allclose((loaded - bare)[k, share], -example.CARRIED * np.array(climb), atol=1e-5)
     assert np.abs(loaded - bare).max() > 40.0
+
+
+@pytest.mark.long
+def test_a_search_between_samples_takes_no_longer_than_the_samples(tmp_path: Path, monkeypatch) -> None:
+    """The other leg stands beside a rank loss all along, which is nothing to be carried through for positions."""
+    robot = example.load(tmp_path)
+    row = dict(zip(robot.independent_joints, np.eye(robot.n), strict=True))
+    motion = rp.trajectory.from_points([0.0 * row["left-knee-op"], -0.5 * row["left-knee-op"]], [0.0, 1.0]).sample(0.1)
+    calls, evaluate = [], ConstraintSystem.evaluate
+    monkeypatch.setattr(ConstraintSystem, "evaluate", lambda *given: (calls.append(len(given[1])), evaluate(*given))[1])
+    rp.RneaDynamics(robot).reduce(motion)
+    alone = len(calls)
+    result = rp.inverse_dynamics(rp.RneaDynamics(robot), motion)
+    assert (result.status.value, result.instants) == ("finite_effort", ())
+    assert alone < len(calls) - alone < 1.1 * alone
