@@ -10,6 +10,7 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.loads import JointForces
 
@@ -151,6 +152,19 @@ def test_a_base_that_is_held(root, key, tmp_path):
     np.testing.assert_allclose(robot.q_reference, [0.3])
     loose = rp.load_robot(path)
     assert loose.n == 7
+
+
+def test_a_ball_that_carries_a_hinge_is_no_rod(tmp_path):
+    """It moves freely, as three hinges, whose damping is no longer that of a ball."""
+    text = """<mujoco><worldbody><body name="arm"><joint name="ball" type="ball" damping="0.1"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/><body name="hand" pos="0.3 0 0">
+      <joint name="hinge" axis="0 1 0" damping="0.2"/><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02"/>
+      </body></body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>"""
+    robot = rp.load_robot(write(tmp_path, text))
+    assert robot.independent_joints == ("hinge", "ball_rz", "ball_ry", "ball_rx")
+    assert not robot.closures
+    assert robot.loads == (JointForces("hinge", 0.2),)
+    assert f"{NOT_IN_FORCE} damping of ball." in robot.notes
 
 
 def test_start_limits_gear_armature_and_notes(tmp_path):
