@@ -21,7 +21,7 @@ from redundancy_pin.dynamics.inverse_dynamics import (
     SingularInstant,
     inverse_dynamics_in_blocks,
 )
-from redundancy_pin.errors import OutputError
+from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.motion import PlatformMotion, require_consistent
 from redundancy_pin.planners.robot_record import robot_record
@@ -108,8 +108,13 @@ def inverse_dynamics(
     require_writable(out)
     with (
         output.progress("inverse dynamics") as advance,
-        in_words(OPTIONS.knowing(_FLAGS)),
+        in_words(OPTIONS.knowing(_FLAGS if lower is not None else {**_FLAGS, "lower": "--max-effort"})),
     ):
+        if lower is None and upper is not None and (np.asarray(upper) < 0.0).any():
+            raise InputError(
+                f"--max-effort is {np.min(upper):g}, and counts for both signs.",
+                remedy="Pass zero or more, or --min-effort as well.",
+            )
         loaded = robot.load()
         loaded = loaded.loaded(*loads) if loads else loaded
         wanted = {"upper": upper, "lower": -upper if lower is None and upper is not None else lower}

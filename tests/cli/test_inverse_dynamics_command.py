@@ -129,6 +129,9 @@ def test_payload_wrench_squeeze_and_bounds(tmp_path: Path) -> None:
         (("--wrench", "end_effector=1,2,x"), "LINK=FX,FY,FZ[,MX,MY,MZ]"),
         (("--payload", "end_efector=1"), "Did you mean 'end_effector'?"),
         (("--min-effort", "3", "--max-effort", "1"), "--min-effort is above"),
+        (("--max-effort", "-1"), "--max-effort is -1"),
+        (("--max-effort", "nan"), "--max-effort has"),
+        (("--max-effort", "1,2,3"), "--max-effort has shape"),
         (("--preferred", "1,2,3"), "--preferred has shape (3,)"),
     ],
 )
