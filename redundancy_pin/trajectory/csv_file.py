@@ -228,7 +228,7 @@ def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: 
     if len(bad):
         r, c = (int(i) for i in bad[0])
         line, cell = rows[r][0], rows[r][1][c]
-        message = f", row {line}, column {names[c]!r}: {cell!r} is not a finite number."
+        message = f", row {line}, column {names[c]!r}: {shown(cell)} is not a finite number."
         raise _bad(path, message, "Use a decimal point and no unit.", row=line, column=names[c])
     return values
 
