@@ -156,6 +156,14 @@ def _other_mode(details: Mapping[str, Any], wording: Wording) -> tuple[str, str]
 class OneLineErrors(click.Group):
     """A group of commands that reports every expected error in one line."""
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; see ``click.Group.invoke``, whose caller ends with 1 where the reader of a pipe is gone."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            sys.stdout = None
+            raise click.exceptions.Exit(0) from None
+
     def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command line; see ``click.Group.main``."""
         run: Callable[..., Any] = super().main

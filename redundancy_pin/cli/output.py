@@ -38,10 +38,14 @@ def console(*, markup: bool = False) -> Console:
     """
     from rich.console import Console
 
+    class Printer(Console):
+        def on_broken_pipe(self) -> None:
+            raise  # rich handles the error by this, and would end with 1: a reader that has seen enough is no fault
+
     # a width of its own in a pipe: rich would take 80 columns there and cut numbers
     if _is_terminal(sys.stdout):
-        return Console(markup=markup, highlight=False)
-    return Console(markup=markup, highlight=False, width=_PIPE_WIDTH, color_system=None)
+        return Printer(markup=markup, highlight=False)
+    return Printer(markup=markup, highlight=False, width=_PIPE_WIDTH, color_system=None)
 
 
 def _is_terminal(stream: Any) -> bool:

@@ -40,6 +40,17 @@ def test_a_full_disk_behind_stdout(tmp_path: Path) -> None:
     assert done.stderr == b"error: Cannot write the output: No space left on device.\n"
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs pipes without a reader")
+@pytest.mark.parametrize("arguments", [("info",), ("info", "--robot", "2rpr")], ids=" ".join)
+def test_a_reader_that_has_seen_enough_is_no_fault(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    """The tables are rich's, which would end with 1."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as closed:
+        done = started(tmp_path, *arguments, stdout=closed)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_a_terminal_without_greek_letters(monkeypatch: pytest.MonkeyPatch) -> None:
     streams = [io.TextIOWrapper(io.BytesIO(), encoding="ascii") for _ in range(2)]
     monkeypatch.setattr(sys, "stdout", streams[0])
