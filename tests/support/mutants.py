@@ -162,6 +162,16 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "return bool((margin[1:] * margin[:-1] <= 0.0).any() or (size - 2.0 * fall <= 0.0).any() or stays.any())",
         "<=",
     ): "singularities are looked for where there are none",
+    (
+        "kinematics/continuation.py",
+        "others = _NODES[None, :] - _NODES[:, None] + np.eye(count)",
+        "+",
+    ): "all weights change their sign, and count relative to each other",
+    (
+        "kinematics/coordinates.py",
+        "result: BoolArray = (mode_indicator(robot, q) * wanted > 0.0).all(axis=1)",
+        "*",
+    ): "what is wanted are signs",
 }
 """Path, line and operators of changes that change no result, and why: they are not drawn."""
 
