@@ -51,6 +51,9 @@ APART = 0.05, 0.2
 FIRST = 3
 """Steps in which the efforts of a plan are evaluated exactly, at every instant that is known."""
 
+BESIDE = 1e-8
+"""Before and after an instant at which ẍ jumps, s: f jumps with it, and so do the efforts."""
+
 TINY = 1e-30
 """Complex step: derivatives without differences."""
 
@@ -167,10 +170,13 @@ class Ahead:
             self._add(np.unique(times[missing]))
 
     def instants(self, nodes: Array, until: float) -> Array:
-        """Return nodes up to a time, s, or the first alone, and the instants of the grid between them."""
+        """Return nodes up to a time, s, or the first alone, the instants of the grid, and both sides of jumps of ẍ."""
         nodes = nodes[: max(int((nodes <= until + SAME).sum()), 1)]
+        breaks = self.preview.breaks
+        breaks = breaks[(breaks > nodes[0] + 2.0 * BESIDE) & (breaks < nodes[-1] - 2.0 * BESIDE)]
         grid = self.spacing * np.arange(np.ceil(nodes[0] / self.spacing), np.ceil(nodes[-1] / self.spacing))
-        return np.sort(np.append(nodes, grid[np.abs(grid[:, None] - nodes).min(axis=1) > 0.1 * self.spacing]))
+        away = np.abs(grid[:, None] - np.append(nodes, breaks)).min(axis=1) > 0.1 * self.spacing
+        return np.unique(np.concatenate([nodes, grid[away], breaks - BESIDE, breaks + BESIDE]))
 
     def _add(self, times: Array) -> None:
         along = self.dynamics.along(self.preview.motion(times), unreachable="mark")

@@ -35,6 +35,9 @@ CONVERGED = 2.5
 EXACT = 1e-6
 """Fraction of f that may be left."""
 
+CUT_OFF = 1e-3
+"""Fraction of f that limits of the efforts may cut off between the nodes of a plan that keeps every limit."""
+
 MOST_ROUNDS = 5
 
 PROXIMAL = 3.0
@@ -183,9 +186,34 @@ class RecedingHorizon:
             if another.status is not PlanningStatus.PLANNED:
                 break
             command = another
+        if command.status is PlanningStatus.PLANNED:
+            command = self._checked_between(t, command)
         self._last = command = replace(command, seconds=time.perf_counter() - began)
         self.largest = max(self.largest, float(np.abs(command.efforts(np.linspace(t, t + self.step, 5))).max()))
         return command
+
+    def _checked_between(self, t: float, command: Command) -> Command:
+        """Return a command whose status and residual know of what the efforts' limits cut off up to the next node.
+
+        Between nodes f may be larger than at them, above all where ẍ jumps.
+        """
+        if not (self._sizes and np.isfinite(self.resolved.effort).any()):
+            return command
+        ahead, end = self._ahead, min(t + 2.0 * self.step, command.known_until)
+        times = ahead.instants(np.array([t, end]), end) if end > t else np.array([t])
+        times = times[times <= t + self.step + SAME]
+        efforts = command.efforts(times)
+        meets = (np.abs(efforts) >= self.resolved.effort * (1.0 - 1e-12)).any(axis=1)
+        if not meets.any():
+            return command
+        places, n = ahead.at(times[meets]), self.robot.n
+        f = ahead.known.values(places, *extended(command.carriers, times[meets]))[:, :n]
+        missing = np.abs(np.einsum("nij,nj->ni", ahead.known.W[places], efforts[meets]) - f) / ahead.row_scale
+        residual = max(command.residual, float(missing.max()))
+        if missing.max() <= CUT_OFF * float(self._sizes.row.max()):
+            return replace(command, residual=residual)
+        reason = "between the nodes the efforts meet their limits"
+        return replace(command, status=PlanningStatus.ELASTIC, reason=reason, residual=residual)
 
     def skip(self, t: float) -> Command:
         """Return what to do where a tick is missed: the last plan goes on, to its end and to the stop behind it.

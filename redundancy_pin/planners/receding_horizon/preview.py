@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -34,12 +34,14 @@ class Preview(Frozen):
         motion: returns the motion at (N,) increasing times, s.
         start, end: between which it is known, s; a trajectory that ends at rest is held after its end.
         changing: whether ``motion`` may answer otherwise when asked again.
+        breaks: (b,) times at which its acceleration jumps, s, as far as that is known.
     """
 
     motion: Callable[[Array], PlatformMotion]
     start: float
     end: float
     changing: bool = False
+    breaks: Array = field(default_factory=lambda: np.empty(0))
 
     @staticmethod
     def of(source: Source) -> Preview:
@@ -56,7 +58,7 @@ class Preview(Frozen):
             rests = np.abs(ends[-1]).max() <= STILL * np.abs(ends).max()
             polynomials = replace(known, source=known.polynomials)
             prolonged = polynomials.prolonged_until(known.end + FOR_EVER) if rests else polynomials
-            return Preview(prolonged.sample_at, known.start, prolonged.end)
+            return Preview(prolonged.sample_at, known.start, prolonged.end, breaks=prolonged.breaks)
         if callable(source):
             return Preview(_answers(source), -np.inf, np.inf, changing=True)
         raise InputError(

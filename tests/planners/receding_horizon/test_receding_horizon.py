@@ -242,6 +242,52 @@ def test_carriers_of_unequal_limits_stop_on_their_tracks_behind_the_horizon():
         np.testing.assert_allclose(np.concatenate([pieces, rates]), 0.0, atol=1e-9)
 
 
+BETWEEN = 5e-3
+"""Fraction of the largest f so far: efforts are linear over 2.5 ms, in which f is not."""
+
+
+def missing_until_the_next_node(planner, command, trajectory, judge):
+    """Largest |W τ − f| of a command's first step by the other backend, both sides of jumps of the acceleration."""
+    end = min(command.t + planner.step, trajectory.duration)
+    inner = trajectory.breaks[(trajectory.breaks > command.t) & (trajectory.breaks < end)]
+    t = np.unique(np.concatenate([np.linspace(command.t, end, 60), inner - 1e-7, inner + 1e-7]))
+    motion = rp.CarrierMotion(*map(np.array, zip(*map(command.motion_at, t), strict=True)), check_rates=False)
+    reduced = judge.reduce(trajectory.sample_at(t), motion, check_track=False)
+    missing = (np.einsum("nij,nj->ni", reduced.W, command.efforts(t)) - reduced.f) / reduced.row_scale
+    return np.abs(missing).max(), np.abs(reduced.f / reduced.row_scale).max()
+
+
+def test_efforts_jump_where_the_acceleration_of_the_platform_jumps_between_two_nodes():
+    dynamics, judge = machine("3rrr")
+    corner = rp.trajectory.reference.corner(radius=0.025)
+    planner, largest = RecedingHorizon(dynamics, horizon=0.4), 0.0
+    for t in np.arange(0.0, corner.duration - 0.02, 0.02):
+        command = planner.update(t, corner)
+        missing, f = missing_until_the_next_node(planner, command, corner, judge)
+        largest = max(largest, f)
+        assert command.status is PlanningStatus.PLANNED
+        assert missing < BETWEEN * largest
+    assert largest > 10.0
+
+
+def test_what_limits_cut_off_between_two_nodes_is_said():
+    """Round the corner with 4 N·m: at the nodes they are enough, where the arc begins and ends they are not."""
+    dynamics, judge = machine("3rrr")
+    corner = rp.trajectory.reference.corner(radius=0.025)
+    planner, largest, cut = RecedingHorizon(dynamics, horizon=0.4, effort=4.0), 0.0, []
+    for t in np.arange(0.0, corner.duration - 0.02, 0.02):
+        command = planner.update(t, corner)
+        missing, f = missing_until_the_next_node(planner, command, corner, judge)
+        largest = max(largest, f)
+        if command.status is PlanningStatus.PLANNED:
+            assert missing < BETWEEN * largest
+        else:
+            cut.append(t)
+            assert "between the nodes" in command.reason
+            assert command.residual == pytest.approx(missing, rel=0.05)
+    assert all(t < broken < t + 0.02 + 1e-9 for t, broken in zip(cut, corner.breaks, strict=True))
+
+
 def test_limits_that_shrink_below_the_state_are_softened_and_said():
     planner = RecedingHorizon(machine()[0])
     for i in range(10):
