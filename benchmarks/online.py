@@ -149,9 +149,8 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
     for record in planned:
         ticks.update(record["ticks"])
     print(
-        f"{name}: {len(records)} paths, {hopeless} without a plan off line either; every tick planned on {whole}, limits "
-        f"kept on {kept}; {dict(ticks)}; carriers "
-        f"beyond limits by {max(record['outside'] for record in planned):.1e} of them; a tick {times[0]:.2f} ms p50, "
+        f"{name}: {len(records)} paths, {hopeless} without a plan off line either; every tick planned on {whole}, "
+        f"limits kept on {kept}; {dict(ticks)}; carriers beyond limits by {max(record['outside'] for record in planned):.1e} of them; a tick {times[0]:.2f} ms p50, "
         f"{times[1]:.2f} ms p99"
     )
     if ratios:
