@@ -150,8 +150,8 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
         ticks.update(record["ticks"])
     print(
         f"{name}: {len(records)} paths, {hopeless} without a plan off line either; every tick planned on {whole}, "
-        f"limits kept on {kept}; {dict(ticks)}; carriers beyond limits by {max(record['outside'] for record in planned):.1e} of them; a tick {times[0]:.2f} ms p50, "
-        f"{times[1]:.2f} ms p99"
+        f"limits kept on {kept}; {dict(ticks)}; carriers beyond limits by {max(r['outside'] for r in planned):.1e} of "
+        f"them; a tick {times[0]:.2f} ms p50, {times[1]:.2f} ms p99"
     )
     if ratios:
         print(f"peak over off line, {len(ratios)} paths: {np.median(ratios):.2f} median, {max(ratios):.2f} at worst")
