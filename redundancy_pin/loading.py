@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -256,6 +256,8 @@ def _of_mechanism(
         source=source_of(request.path),
         drive_independent=not (mechanism.drives_declared or data.get("actuated") or data.get("independent")),
         couplings=mechanism.couplings,
+        resisted={load.joint for load in mechanism.forces}
+        | {name for name, size in mechanism.armature.items() if size},
     )
 
 
@@ -410,6 +412,7 @@ def made(
     source: str = "",
     drive_independent: bool = False,
     couplings: Sequence[Coupling] = (),
+    resisted: Collection[str] = (),
 ) -> Robot:
     """Return the robot of a declaration and a model that was built already.
 
@@ -424,6 +427,7 @@ def made(
         source: of the robot, where a file says what it is; its numbers may be rounded.
         drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
         couplings: those of the model, beside those of the declaration.
+        resisted: joints with damping or armature.
     """
     chosen = dict(data)
     chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
@@ -447,13 +451,16 @@ def made(
     whole: Robot | None = None
     if loose or not data.get("independent"):
         provisional = replace(robot, platform=None, independent_joints=())
-        selection = selected(provisional, np.array(robot.q_reference), redundant=loose, rounded=bool(source))
+        selection = selected(
+            provisional, np.array(robot.q_reference), redundant=loose, rounded=bool(source), resisted=resisted
+        )
         kept = selection.robot
         robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
         if selection.fixed_spins:
             notes.append(
                 f"The spin of {', '.join(selection.fixed_spins)} about the line between two balls, which moves nothing "
-                "else, is held: the second ball is a universal joint."
+                "else, is held: one ball is a universal joint, the first where it has damping or armature; where both "
+                "have, this is an approximation."
             )
         if selection.left_out:
             # rows that are left say less of the side on which a weld closes: what follows starts on the right one

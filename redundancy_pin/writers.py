@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, positive
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, positive
 from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import require_writable, write_text
+from redundancy_pin.kinematics.closing import close, scattered
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, JointForces, Payload, Robot
 from redundancy_pin.robot.formats.mechanism import angles
@@ -38,6 +40,10 @@ _TRIALS = 5
 
 _STILL = 1e-12
 """Rounding of a row of a one-metre machine."""
+
+_AROUND, _ROUNDED = 0.1, 2e-5
+"""How far from the reference frames are looked at, rad, or in characteristic lengths; and how far they may part where a
+file is rounded, m or rad."""
 
 _NO_LIMIT, _FAR = 1e300, 1e10
 """rad or m: Pinocchio's joints without limits have those of doubles, 1.8e308; what stands for one where the other end
@@ -167,13 +173,16 @@ def _joint(model: pin.Model, data: pin.Data, index: int, armatures: Array) -> di
 
 
 def constraint_of(robot: Robot, closure: Closure) -> tuple[str, list[Array]]:
-    """Return MuJoCo's constraint for a closure, and the points of the frames (3,), m, it joins.
+    """Return MuJoCo's constraint for a closure, and the points of the frames (3,), m, it joins; no point without one.
 
-    Rows that no motion of the tree can violate (z of a planar mechanism) may be added: soft constraints stand them.
+    Rows that no motion can violate (z of a planar mechanism, those that were left out as redundant) may be added: soft
+    constraints stand them. The spin of a rod between two balls, which is held here and moves nothing, is free there.
 
     Raises:
         UnsupportedRobotError: no constraint of MuJoCo's has this mask.
     """
+    if closure.frame_a.endswith(UNIVERSAL):
+        return "connect", [np.zeros(3)] if "x" in closure.axes else []
     constrained = set(closure.axes) | _idle(robot, closure)
     rotations = [axis for axis in AXES[3:] if axis in constrained]
     if {"x", "y", "z"} <= constrained:
@@ -192,13 +201,18 @@ def constraint_of(robot: Robot, closure: Closure) -> tuple[str, list[Array]]:
 
 
 def _idle(robot: Robot, closure: Closure) -> set[str]:
-    """Return the axes along which the frames cannot part, whatever the joints do."""
+    """Return the axes along which the frames cannot part, whatever the joints do, or the loops let them do."""
     whole = ConstraintSystem(replace(robot, closures=(replace(closure, axes=AXES),), couplings=()))
     rng = np.random.default_rng(0)
     steps = rng.uniform(-1.0, 1.0, (_TRIALS, robot.model.nv))
     state = whole.evaluate(np.array([pin.integrate(robot.model, np.array(robot.q_reference), d) for d in steps]))
     moved = np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)
-    return {axis for axis, size in zip(AXES, moved, strict=True) if size < _STILL}
+    system, q = ConstraintSystem(robot), np.array(robot.q_reference)
+    reached = [close(system, each) for each in scattered(system, q, _TRIALS, _AROUND, rng)]
+    closed = np.array([q, *(each for each, gap in reached if gap < CLOSURE_TOLERANCE)])
+    apart = np.abs(whole.evaluate(closed).phi).max(axis=0)
+    still = (moved < _STILL) | ((apart < _ROUNDED) & (len(closed) > 1))
+    return {axis for axis, idle in zip(AXES, still, strict=True) if idle}
 
 
 def _require_inertia(robot: Robot) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from mjcf_models import GEARED, SPATIAL, write
+from mjcf_models import GEARED, RSSR, SPATIAL, write
 from zoo import home_of, robot_of
 
 import redundancy_pin as rp
@@ -104,13 +104,27 @@ def test_what_is_written_as_mjcf_is_read_as_the_same_robot(tmp_path: Path) -> No
         pytest.approx((*each.polynomial, *(0.0,) * (5 - len(each.polynomial)))[: len(each.polynomial)])
         for each in robot.couplings
     ]
+    assert_same_forces(robot, again)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [SPATIAL, SPATIAL.replace(' armature="0.02" damping="0.3"', ""), RSSR],
+    ids=["held at the first ball", "held at the second", "of the tree"],
+)
+def test_held_spins_and_rows_that_were_left_out_are_written(text: str, tmp_path: Path) -> None:
+    """MuJoCo has no universal joint, which holds the spin of a rod here, but a spin moves nothing."""
+    robot = rp.load_robot(write(tmp_path, text))
+    again = rp.load_robot(robot.to_mjcf(tmp_path / "again.xml"), keyframe="reference")
+    assert [each.axes for each in again.closures] == [each.axes for each in robot.closures]
+    assert_same_forces(robot, again)
+
+
+def assert_same_forces(robot: rp.Robot, again: rp.Robot) -> None:
     x = home_of(robot)[None]
     motion = rp.PlatformMotion([0.0], x, np.ones_like(x), -np.ones_like(x))
     ours, theirs = (rp.RneaDynamics(each).reduce(motion) for each in (robot, again))
     np.testing.assert_allclose(theirs.f, ours.f, rtol=1e-9, atol=1e-9)
-    spatial = rp.load_robot(write(tmp_path, SPATIAL))  # with a ball, and a universal joint that MuJoCo has not
-    with pytest.raises(UnsupportedRobotError, match="no constraint of MuJoCo"):
-        spatial.to_mjcf(tmp_path / "spatial.xml")
 
 
 def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:

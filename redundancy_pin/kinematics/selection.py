@@ -8,7 +8,7 @@ Grübler's count (Bricard's six hinges) has rows that are redundant there and st
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -43,6 +43,10 @@ other: it would make a reference next to a singularity of type I."""
 _SHORT = 1e-3
 """Of the longest column: shorter ones count as this long there. What spins a rod between two balls is 2e-5 and less
 where the file is rounded."""
+
+
+UNIVERSAL = "::universal"
+"""How names of frames end between which a row holds the spin of a rod."""
 
 
 class Selection(NamedTuple):
@@ -81,7 +85,7 @@ class _Rod(NamedTuple):
     far: Array
 
 
-def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool) -> Selection:
+def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted: Collection[str] = ()) -> Selection:
     """Choose closure rows and independent joints near a configuration.
 
     Args:
@@ -89,6 +93,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool) -> Selec
         q: (nq,) a configuration from which the loops can be closed.
         redundant: let rows be redundant and leave them out; else they stay, and the loader refuses them by name.
         rounded: the robot's numbers are those of a file of another program, which may have rounded them.
+        resisted: balls with damping or armature: of two on a rod its spin is held there, where it is held by these too.
 
     Raises:
         DeclarationError: the loops do not close; rows that depend on the others at the reference only; or a joint of
@@ -102,7 +107,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool) -> Selec
     independent, loose = _independent(robot, q)
     fixed_spins = tuple(name for name in loose if redundant and _spins(robot, name, q) is not None)
     for name in fixed_spins:
-        robot = _with_spin_fixed(robot, name, q)
+        robot = _with_spin_fixed(robot, name, q, at_first=name in resisted)
     if fixed_spins:
         independent, loose = _independent(robot, q)
     if loose:
@@ -139,8 +144,8 @@ def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
     return rod if is_ball else None
 
 
-def _with_spin_fixed(robot: Robot, joint: str, q: Array) -> Robot:
-    """Return the robot with one row more: a universal joint in place of the second of two balls on a rod."""
+def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> Robot:
+    """Return the robot with one row more: a universal joint in place of the first or second of two balls on a rod."""
     rod = _spins(robot, joint, q)
     if rod is None:
         return robot
@@ -150,18 +155,18 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array) -> Robot:
     z = (rod.far - rod.near) / np.linalg.norm(rod.far - rod.near)
     x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)
-    place = pin.SE3(np.column_stack([x, np.cross(z, x), z]), rod.far)
-    ball = None if rod.closure is None else robot.closures[rod.closure]
-    ends = (joint, str(model.names[rod.ends[1]])) if ball is None else (ball.frame_a, ball.frame_b)
-    names = f"{ends[0]}::universal", f"{ends[1]}::universal"
-    for name, carrier in zip(names, rod.ends, strict=True):
+    place = pin.SE3(np.column_stack([x, np.cross(z, x), z]), rod.near if at_first else rod.far)
+    index = model.getJointId(joint)
+    ends = (int(model.parents[index]), int(index)) if at_first else rod.ends
+    names = f"{joint}:a{UNIVERSAL}", f"{joint}:b{UNIVERSAL}"
+    for name, carrier in zip(names, ends, strict=True):
         model.addFrame(pin.Frame(name, carrier, data.oMi[carrier].inverse() * place, pin.FrameType.BODY))
-    if ball is None:
-        closures = (*robot.closures, Closure(f"spin of {joint}", *names, ("rz",)))
-    else:
-        universal = replace(ball, frame_a=names[0], frame_b=names[1], axes=(*AXES[:3], "rz"))
-        closures = tuple(universal if each is ball else each for each in robot.closures)
-    return replace(robot, model=model, closures=closures)
+    spin = Closure(f"spin of {joint}", names[0], names[1], ("rz",))
+    if at_first or rod.closure is None:
+        return replace(robot, model=model, closures=(*robot.closures, spin))
+    closures = list(robot.closures)
+    closures[rod.closure] = replace(spin, name=closures[rod.closure].name, axes=(*AXES[:3], "rz"))
+    return replace(robot, model=model, closures=tuple(closures))
 
 
 def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot, tuple[str, ...], float]:
