@@ -245,7 +245,8 @@ def _independent(robot: Robot, q: Array) -> tuple[tuple[str, ...], tuple[str, ..
 
     Behind them those of several freedoms that are left free in part.
 
-    Of joints with several freedoms none can be independent, so they are made dependent first, then passive joints.
+    Of joints with several freedoms none can be independent, so they are made dependent first, then joints that follow
+    others by couplings, then passive ones.
     """
     model, system = robot.model, ConstraintSystem(robot)
     columns = system.pose_columns.tolist()
@@ -256,8 +257,10 @@ def _independent(robot: Robot, q: Array) -> tuple[tuple[str, ...], tuple[str, ..
         owner.update({joint.idx_v + i: (str(model.names[index]), int(joint.nv)) for i in range(joint.nv)})
     wide = [i for i, column in enumerate(columns) if owner[column][1] > 1]
     driven = [i for i, column in enumerate(columns) if owner[column][0] in robot.actuated]
-    passive = [i for i in range(len(columns)) if i not in (*wide, *driven)]
-    dependent = _dependent(rows, [wide, passive, driven])
+    follow = {coupling.joint for coupling in robot.couplings}
+    following = [i for i, column in enumerate(columns) if owner[column][0] in follow and i not in (*wide, *driven)]
+    passive = [i for i in range(len(columns)) if i not in (*wide, *driven, *following)]
+    dependent = _dependent(rows, [wide, following, passive, driven])
     free = [i for i in range(len(columns)) if i not in dependent]
     loose = tuple(sorted({owner[columns[i]][0] for i in free if i in wide}))
     names = {owner[columns[i]][0] for i in free}
