@@ -341,7 +341,7 @@ def test_thousands_of_turns_of_several_motors_are_refused(five_bar: rp.Robot, tu
         rp.forward_kinematics(five_bar, home + 2.0 * np.pi * turns)
 
 
-@pytest.mark.parametrize("far", [1e15, -1e300])
+@pytest.mark.parametrize("far", [1e15, -1e90])
 def test_angles_of_so_many_digits_that_none_is_left_for_the_turn_are_refused(five_bar: rp.Robot, far: float) -> None:
     with pytest.raises(InputError, match="where in a turn"):
         rp.forward_kinematics(five_bar, [0.0, far])
