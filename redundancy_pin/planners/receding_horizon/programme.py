@@ -31,9 +31,6 @@ ITERATIONS = 60
 INFINITE = 1e30
 """What the solver takes for no bound."""
 
-NO_BOUND = 100.0
-"""In place of both infinite bounds of a row, of size one else: the solver's tolerance is relative to the largest."""
-
 FORCE_KEPT = 0.98
 """Share of the limit of the carriers' forces that the nodes use: between them they are a little larger."""
 
@@ -317,9 +314,9 @@ class Programme:
         stopping = np.isfinite(fastest) & np.isfinite(limits.acceleration)  # else at once, or on a track without end
         after = np.divide(fastest, 2.0 * limits.acceleration, out=np.zeros_like(fastest), where=stopping)
         stop = np.stack([one[0], after * ud / us], axis=-1)
-        low, high, speed = bounded(low / us), bounded(high / us), bounded(speed / ud)
+        low, high, speed = low / us, high / us, speed / ud
         if not problem.free:
-            speed[0] = NO_BOUND  # that of the first half step is given
+            speed[0] = np.inf  # that of the first half step is given
         lowest, highest = np.minimum(low[:-1], low[1:]), np.maximum(high[:-1], high[1:])
         # control points of s as a cubic spline, of which it is a mean everywhere; and of ṡ
         place = [one[1:-1], (h[1:] - h[:-1]) * (ud / us / 3.0), h[1:] * h[:-1] * (-ua / us / 6.0)]
@@ -337,7 +334,7 @@ class Programme:
             "stop_back": (stop * [1.0, -1.0], low[-1], high[-1]),
         }
         if "jerk" in self.within.blocks:
-            most = bounded(limits.jerk * h / ua)
+            most = limits.jerk * h / ua
             rows["jerk"] = (np.stack([-one[1:], one[1:]], axis=-1), -most, most)
         if "force" in self.within.blocks:
             size = np.where(np.isfinite(limits.carrier_force), limits.carrier_force, 1.0)
@@ -345,9 +342,9 @@ class Programme:
             wide = np.moveaxis(lin.force_slopes * np.stack(units)[:, None], 0, 2) / size[:, None]
             counting = lin.known[:, None] & np.isfinite(limits.carrier_force)
             closer = CLOSER * (lin.nodes - lin.nodes[0])[:, None] / (lin.nodes[-1] - lin.nodes[0])
-            most, base = np.where(counting, FORCE_KEPT - closer, NO_BOUND), base * counting
-            rows["force"] = (wide * counting[:, :, None], -most - base, most - base)
-        return rows
+            most, base = np.where(counting, FORCE_KEPT - closer, np.inf), base * counting
+            rows["force"] = (wide, -most - base, most - base)
+        return {name: without_bounds(*row) for name, row in rows.items()}
 
 
 def units_of(limits: ResolvedLimits) -> tuple[Array, Array, Array]:
@@ -360,6 +357,11 @@ def units_of(limits: ResolvedLimits) -> tuple[Array, Array, Array]:
     )
 
 
-def bounded(bound: Array) -> Array:
-    """Return bounds of a row that the solver takes, infinite ones too."""
-    return np.clip(bound, -NO_BOUND, NO_BOUND)
+def without_bounds(row: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
+    """Return rows of zeros, which hold nothing, in place of those with two infinite bounds, which the solver refuses.
+
+    Large numbers as bounds would not do: the solver's tolerance is relative to the largest.
+    """
+    nothing = np.isinf(low) & np.isinf(high)
+    row = np.where(nothing[..., None], 0.0, row)
+    return row, np.where(nothing, -1.0, np.maximum(low, -INFINITE)), np.where(nothing, 1.0, np.minimum(high, INFINITE))

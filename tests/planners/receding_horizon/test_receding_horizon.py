@@ -106,6 +106,18 @@ def test_efforts_are_continuous_through_the_singular_instant_and_those_of_the_ot
         np.testing.assert_allclose(run.plan.efforts_at(t, dynamics), tau, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("track", [(0.1496, 0.1504), (-0.1504, -0.1496), (0.1496, np.inf), (-np.inf, -0.1496)])
+def test_a_track_far_from_zero_is_kept(track):
+    # the ends of a narrow one are some 370 half widths from zero, which is no reason to take them for no limits
+    low, high = track
+    planner = RecedingHorizon(machine()[0], track=track)
+    start = np.full(2, np.sign(low) * 0.15)
+    command = planner.update(0.0, rp.trajectory.reference.circle(speed=0.05), start, np.zeros(2))
+    assert command.status is PlanningStatus.PLANNED
+    s = np.array([command.motion_at(t)[0] for t in np.linspace(0.0, 0.5, 201)])
+    assert low - 1e-8 <= s.min() < s.max() <= high + 1e-8
+
+
 def test_the_peak_is_that_of_efforts_of_either_sign(monkeypatch):
     planner, solutions = RecedingHorizon(machine()[0]), []
     programme = planner.programme(False)
