@@ -203,7 +203,9 @@ def _shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.group(invoke_without_command=True)
-@click.option("--problem", "problem_path", metavar="YAML", help="Problem file; docs/problem.yaml explains its keys.")
+@click.option(
+    "--problem", "problem_path", metavar="YAML", help="PlanProblem file; docs/problem.yaml explains its keys."
+)
 @options.trust_option
 @_output_options
 @click.pass_context
@@ -317,7 +319,7 @@ def _from_flags(planner: str, given: Mapping[str, Any]) -> int:
     baseline = replace(robot, settings={**robot.settings, **settings}) if settings else None
     parameters = plan_problem.parameters_of(given)
 
-    def read() -> plan_problem.Problem:
+    def read() -> plan_problem.PlanProblem:
         followed, backend, step = motion.follow("A plan"), given["backend"], given.get("step")
         return plan_problem.problem(planner, robot, backend, followed, parameters, baseline=baseline, step=step)
 
@@ -326,7 +328,11 @@ def _from_flags(planner: str, given: Mapping[str, Any]) -> int:
 
 
 def _run(
-    read: Callable[[], plan_problem.Problem], out: str | None, plot: str | None, as_json: bool, inputs: Iterable[str]
+    read: Callable[[], plan_problem.PlanProblem],
+    out: str | None,
+    plot: str | None,
+    as_json: bool,
+    inputs: Iterable[str],
 ) -> int:
     """Read, plan, write, print; return the exit code."""
     # before the work: minutes of optimisation are not lost to a misspelt folder

@@ -293,7 +293,7 @@ STEP = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class PlanProblem:
     """Everything a planner needs; ``parameters`` are its keyword arguments."""
 
     planner: str
@@ -317,7 +317,7 @@ def problem(
     *,
     baseline: options.RobotOptions | None = None,
     step: float | None = None,
-) -> Problem:
+) -> PlanProblem:
     """Put a problem together from what flags or a file say, its parameters as written.
 
     The ``baseline`` is the robot of whose efforts a plan aims at a fraction; ``step`` is the length of the steps of a
@@ -342,7 +342,7 @@ def problem(
     if baseline is not None:
         with _about(_BASELINE):
             values["baseline"] = make(baseline.load())
-    return Problem(planner, make(robot.load()), motion, values)
+    return PlanProblem(planner, make(robot.load()), motion, values)
 
 
 _ROBOT_KEYS = ("robot", "set", "mode", "gravity")
@@ -353,7 +353,7 @@ WORDING = KEYS.knowing({name: name for names in PARAMETERS.values() for name in 
 """How a problem file writes what the package has names for."""
 
 
-def read_problem(path: str | Path, *, trust: bool = False) -> Problem:
+def read_problem(path: str | Path, *, trust: bool = False) -> PlanProblem:
     """Read a problem file.
 
     Robots and motions given by path are looked for from the folder of the file. ``trust``, as for ``load_robot``, is
@@ -391,7 +391,7 @@ def _about(group: str) -> Iterator[None]:
         raise type(error)(error.message, remedy=error.remedy, **{**error.details, _GROUP: f"{group}{inner}"}) from error
 
 
-def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> Problem:
+def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> PlanProblem:
     options.require_known(data, _KEYS, f"the problem {place.name}")
     for key in ("planner", "robot"):
         if key not in data:

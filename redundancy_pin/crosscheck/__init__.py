@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from redundancy_pin.arrays import require_few
-from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
+from redundancy_pin.crosscheck.cases import Masses, RandomCase, batches, random_case
 from redundancy_pin.crosscheck.checks import (
     CheckRow,
     CrossCheckReport,
@@ -112,7 +112,7 @@ def _checked(name: str, index: int, samples: int, seed: int, vary: bool, massles
     return [row for row in rows if row.samples] + missing
 
 
-def _deviations(case: Case) -> Iterator[Deviation]:
+def _deviations(case: RandomCase) -> Iterator[Deviation]:
     backends: dict[str, Dynamics] = {"rnea": RneaDynamics(case.robot)}
     if case.robot.closed_form is not None:
         backends["virtual work"] = VirtualWork(case.robot)
@@ -125,6 +125,6 @@ def _deviations(case: Case) -> Iterator[Deviation]:
             yield from check_derivatives(case, dynamics.along(case.motion(case.t)), label)
 
 
-def _massless_deviations(case: Case) -> Iterator[Deviation]:
+def _massless_deviations(case: RandomCase) -> Iterator[Deviation]:
     yield from check_leg_momentum(case, RneaDynamics(case.robot), "rnea")
     yield from check_leg_momentum(case, VirtualWork(case.robot), "virtual work")

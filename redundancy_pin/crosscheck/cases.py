@@ -65,7 +65,7 @@ class Wave:
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class RandomCase:
     """A robot with random parameters and mode, in random motion of platform and carriers.
 
     Attributes:
@@ -111,7 +111,7 @@ def random_case(
     carriers: bool | None = None,
     masses: Masses = Masses.SOME,
     trust: bool = False,
-) -> Case:
+) -> RandomCase:
     """Return one case of so many states; cases of different ``index`` are independent draws.
 
     A robot that may ``vary`` gets random arguments, gravity and working mode. ``carriers`` forces its argument of that
@@ -178,7 +178,7 @@ def _elsewhere(robot: Robot, rng: np.random.Generator) -> Robot:
     return replace(robot, q_reference=read_only(around.q[rng.choice(choice)])) if len(choice) else robot
 
 
-def _plainly_regular(case: Case) -> bool:
+def _plainly_regular(case: RandomCase) -> bool:
     """Return whether a motion can be followed from the reference without a second look."""
     follower = tracker(case.robot)
     here = follower.home
@@ -190,7 +190,7 @@ def _plainly_regular(case: Case) -> bool:
     return True
 
 
-def _random_motion(robot: Robot, samples: int, rng: np.random.Generator, amplitude: float) -> Case:
+def _random_motion(robot: Robot, samples: int, rng: np.random.Generator, amplitude: float) -> RandomCase:
     system = constraint_system(robot)
     home = coordinates(robot, system.evaluate(np.array(robot.q_reference)[None]))[0]
     is_pose = home.ndim == 2
@@ -211,7 +211,7 @@ def _random_motion(robot: Robot, samples: int, rng: np.random.Generator, amplitu
     middle = np.array([0.5 * (limit.upper + limit.lower) for limit in robot.carrier_limits])
     waves = rng.dirichlet(np.ones(_HARMONICS))[:, None] * half * rng.uniform(0.3, 0.95, robot.k)
     tracks = Wave(middle, waves, rng.uniform(0.0, 2.0 * np.pi, waves.shape), rng.uniform(1.0, 8.0, _HARMONICS))
-    return Case(robot, np.sort(rng.uniform(0.0, 6.0, samples)), path, tracks)
+    return RandomCase(robot, np.sort(rng.uniform(0.0, 6.0, samples)), path, tracks)
 
 
 def _pose_motion(t: Array, value: Array, rate: Array, acceleration: Array) -> PlatformMotion:

@@ -11,7 +11,7 @@ from rich.table import Table
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
-from redundancy_pin.crosscheck.cases import Case
+from redundancy_pin.crosscheck.cases import RandomCase
 from redundancy_pin.crosscheck.closed_forward import ClosedForward, confined_to_planes
 from redundancy_pin.crosscheck.load_power import load_efforts, load_energy, load_power
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
@@ -34,7 +34,7 @@ PARITY = 1e-10
 AWAY_FROM_TYPE_ONE = 0.05
 
 
-def check_parity(case: Case) -> Iterator[Deviation]:
+def check_parity(case: RandomCase) -> Iterator[Deviation]:
     """Compare f, W, carrier forces, their derivatives, base wrench and energy of both backends on random states."""
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     rnea = RneaDynamics(case.robot).along(motion)
@@ -58,7 +58,7 @@ def check_parity(case: Case) -> Iterator[Deviation]:
         yield f"parity: derivatives of {'carrier ' if block == 'force' else ''}{block}", relative(a, b), PARITY
 
 
-def check_parity_on_singularities(case: Case) -> Iterator[Deviation]:
+def check_parity_on_singularities(case: RandomCase) -> Iterator[Deviation]:
     """Compare f on poses where W has lost rank, found by root finding along lines between the states of the case."""
     poses = _singular_poses(case)[: len(case.t)]
     if len(poses) == 0:
@@ -82,7 +82,7 @@ def check_parity_on_singularities(case: Case) -> Iterator[Deviation]:
             yield "parity: carrier force at type II poses", force, PARITY
 
 
-def _singular_poses(case: Case, wanted: int = 8) -> Array:
+def _singular_poses(case: RandomCase, wanted: int = 8) -> Array:
     """Return type II poses (P, n) on chords between states, from the closed form's determinant."""
     manual: Dynamics = VirtualWork(case.robot)
     rng = np.random.default_rng(len(case.t))
@@ -134,7 +134,7 @@ DERIVATIVES = 1e-7
 """Central differences of a quadratic are exact but for rounding: 1e-16 over the step of 1e-3, and cancellation."""
 
 
-def check_power(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
+def check_power(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
     """Power of all actuators equals the rate of the energy: ẋᵀ f + ṡᵀ F = dE/dt (ẋᵀ f = q̇ₐᵀ τ)."""
     step = _ENERGY_STEP if near_rank_loss(constraint_system(case.robot)) > _TINY_MARGIN else _LONG_STEP
     t = _apart(case.t, max(step, _STEP))
@@ -158,7 +158,7 @@ def check_power(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviatio
     yield f"power balance ({label})", deviation[keep], POWER
 
 
-def check_leg_momentum(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
+def check_leg_momentum(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
     """Massless 2-RPR: f = Σ nᵢ Ḣᵢ / dᵢ, Hᵢ the angular momentum of carrier i about Aᵢ (Parsa 2014, eq. 2.17).
 
     The momentum comes from the carrier's position alone, differenced: r = L u + σ s n, H = m (r × ṙ).
@@ -194,7 +194,7 @@ def check_leg_momentum(case: Case, dynamics: Dynamics, label: str) -> Iterator[D
     yield f"angular momentum of each leg ({label})", relative(reduced.f[keep], expected[keep]), 100 * MOMENTUM
 
 
-def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
+def check_round_trip(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
     """Efforts from inverse dynamics, given to Pinocchio's constrained forward dynamics, return the accelerations.
 
     Its solver knows points in space and in machines that are plane; for other closures ``ClosedForward`` stands in.
@@ -226,7 +226,7 @@ def round_trip_needs(robot: Robot) -> str:
     return "fewer motors than freedoms of the platform" if weak else ""
 
 
-def check_derivatives(case: Case, along: DynamicsAlongMotion, label: str) -> Iterator[Deviation]:
+def check_derivatives(case: RandomCase, along: DynamicsAlongMotion, label: str) -> Iterator[Deviation]:
     """Derivatives of f and carrier force by s, ṡ, s̈ against central differences (exact for a quadratic)."""
     carriers = case.carriers(case.t)
     exact = along.carrier_derivatives(carriers)
@@ -262,7 +262,7 @@ def _apart(t: Array, step: float = _STEP) -> Array:
     return np.asarray(slots * spacing)
 
 
-def _away(case: Case, t: Array) -> BoolArray:
+def _away(case: RandomCase, t: Array) -> BoolArray:
     return _regular(RneaDynamics(case.robot).along(case.motion(t)).tree.serial_margin_bound)
 
 

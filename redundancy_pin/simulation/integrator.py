@@ -80,7 +80,7 @@ _AT_REST, _AT = 1e-10, 1e-8
 
 
 @dataclass(frozen=True)
-class Stretch:
+class SmoothInterval:
     """A time, s, over which the efforts are smooth.
 
     ``reads``: whether a digital controller reads the state at its start; ``acting``: number of the reading whose answer
@@ -93,13 +93,13 @@ class Stretch:
     acting: int | None = None
 
 
-def stretches(start: float, end: float, breaks: Array, sampling: Sampling | None) -> list[Stretch]:
+def stretches(start: float, end: float, breaks: Array, sampling: Sampling | None) -> list[SmoothInterval]:
     """Return the stretches from a start to an end, s, with ``breaks`` between them.
 
     The reading at the start is taken before, and none is taken at the end.
     """
     if sampling is None:
-        return [Stretch(left, right) for left, right in pairwise([start, *breaks.tolist(), end])]
+        return [SmoothInterval(left, right) for left, right in pairwise([start, *breaks.tolist(), end])]
     same = SAME * sampling.period
     count = max(1, int(np.ceil((end - start) / sampling.period - SAME)))
     reads = start + sampling.period * np.arange(count)
@@ -112,12 +112,12 @@ def stretches(start: float, end: float, breaks: Array, sampling: Sampling | None
     for left, right, read, act in zip(edges[:-1].tolist(), edges[1:].tolist(), due, acted, strict=True):
         new = bool(read > taken)
         taken += new
-        result.append(Stretch(left, right, new, max(min(int(act), taken) - 1, 0)))
+        result.append(SmoothInterval(left, right, new, max(min(int(act), taken) - 1, 0)))
     return result
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class InitialValueProblem:
     """What is integrated, and how.
 
     Attributes:
@@ -179,7 +179,7 @@ class Progress:
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class SimulatedSample:
     """A closed state y (nq + nv,) at time t, s, and the command that is held there (None: the controller's answer)."""
 
     t: float
@@ -189,23 +189,23 @@ class Sample:
 
 
 @dataclass(eq=False)
-class Record:
+class SimulationRecord:
     """Samples and events in order of time, as they come in."""
 
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[SimulatedSample] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
 
 def integrate(
-    problem: Problem, y: Array, values: Array, first: Command, sheet: Sheet | None
-) -> tuple[Record, Progress]:
+    problem: InitialValueProblem, y: Array, values: Array, first: Command, sheet: Sheet | None
+) -> tuple[SimulationRecord, Progress]:
     """Integrate from a closed state y at the first time of the grid, where a controller gave its first command.
 
     Raises:
         InputError: the controller returns something else than finite efforts.
     """
     began, machine, grid = time.perf_counter(), problem.machine, problem.grid
-    record, commands, hold = Record(), [first], None
+    record, commands, hold = SimulationRecord(), [first], None
     progress = Progress(float(grid[0]), y, values, sheet)
     parts = stretches(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling)
     kernel = machine.kernel if problem.method in EXPLICIT else None
@@ -265,7 +265,7 @@ class OrdinarySteps:
         parts: its stretches.
     """
 
-    def __init__(self, kernel: ForwardKernel, problem: Problem, parts: list[Stretch]) -> None:
+    def __init__(self, kernel: ForwardKernel, problem: InitialValueProblem, parts: list[SmoothInterval]) -> None:
         machine, grid, sampling = problem.machine, problem.grid, problem.sampling
         self._problem, self._sampled = problem, sampling is not None
         amplifiers = machine.amplifiers
@@ -303,7 +303,9 @@ class OrdinarySteps:
     def _loads(self, t: float, q: Array, v: Array) -> tuple[Array, tuple[Array, Array, Array] | None]:
         return self._problem.machine.forces_at(t, q, v, self._hold)
 
-    def take(self, progress: Progress, stretch: Stretch, hold: Command | None, record: Record) -> Progress:
+    def take(
+        self, progress: Progress, stretch: SmoothInterval, hold: Command | None, record: SimulationRecord
+    ) -> Progress:
         """Take the ordinary steps ahead, to the end of the stretch, or where nothing is held to the end of all."""
         problem, grid = self._problem, self._problem.grid
         self._hold = hold
@@ -324,7 +326,7 @@ class OrdinarySteps:
             look = self._code.advance(at, end, min(_PORTION, problem.max_steps - at.steps))
         taken = slice(len(record.samples), at.sample)
         states = zip(grid[taken].tolist(), self._code.recorded[taken].copy(), strict=True)
-        record.samples.extend([Sample(t, y, hold, None) for t, y in states])
+        record.samples.extend([SimulatedSample(t, y, hold, None) for t, y in states])
         counted = {name: getattr(at, name) for name in _COUNTED}
         next_step = at.next_step if at.next_step > 0.0 else None
         if at.steps > progress.steps:
@@ -339,11 +341,11 @@ _PORTION = 1000
 
 
 def _integrate_stretch(
-    problem: Problem,
+    problem: InitialValueProblem,
     progress: Progress,
-    stretch: Stretch,
+    stretch: SmoothInterval,
     hold: Command | None,
-    record: Record,
+    record: SimulationRecord,
     ordinary: OrdinarySteps | None,
 ) -> Progress:
     """Integrate over one stretch, and add its samples and events to the record."""
@@ -376,7 +378,12 @@ def _integrate_stretch(
 
 
 def _step(
-    problem: Problem, progress: Progress, solver: OdeSolver, rate: _Rate, hold: Command | None, record: Record
+    problem: InitialValueProblem,
+    progress: Progress,
+    solver: OdeSolver,
+    rate: _Rate,
+    hold: Command | None,
+    record: SimulationRecord,
 ) -> Progress:
     machine = problem.machine
     if progress.steps >= problem.max_steps:
@@ -457,7 +464,7 @@ class RetryStep(Exception):  # noqa: N818 - it tells the integration to go back,
         self.length, self.sheet, self.reason = length, sheet, reason
 
 
-def _require_no_rank_loss(problem: Problem, earlier: Progress, step: Step) -> None:
+def _require_no_rank_loss(problem: InitialValueProblem, earlier: Progress, step: Step) -> None:
     """Raise RetryStep where the closures lose rank in a step, with the sheet that leads across if it is near enough."""
     machine, functions, length = problem.machine, problem.functions, step.end - step.start
     q, v = np.split(earlier.y, [machine.robot.model.nq])
@@ -507,7 +514,7 @@ def _require_answers(rate: _Rate) -> None:
         raise rate.failure
 
 
-def _why(problem: Problem, earlier: Progress, hold: Command | None) -> str:
+def _why(problem: InitialValueProblem, earlier: Progress, hold: Command | None) -> str:
     """Return what makes a motion blow up, as far as it shows."""
     machine, functions = problem.machine, problem.functions
     inertia = machine.least_inertia(earlier.t, earlier.y)
@@ -535,7 +542,12 @@ def _joint_of(machine: Machine, i: int) -> str:
 
 
 def _record(
-    problem: Problem, step: Step, end: float, hold: Command | None, record: Record, sheet: Sheet | None
+    problem: InitialValueProblem,
+    step: Step,
+    end: float,
+    hold: Command | None,
+    record: SimulationRecord,
+    sheet: Sheet | None,
 ) -> None:
     """Record the grid times before ``end``; what happens at the end of a stretch belongs to the next."""
     grid, same = problem.grid, SAME * float(problem.grid[1] - problem.grid[0])
@@ -543,5 +555,5 @@ def _record(
         record.samples.append(_sample(problem.machine, t, step(t), hold, sheet))
 
 
-def _sample(machine: Machine, t: float, y: Array, hold: Command | None, sheet: Sheet | None) -> Sample:
-    return Sample(t, machine.project(t, y, sheet)[0], hold, sheet)
+def _sample(machine: Machine, t: float, y: Array, hold: Command | None, sheet: Sheet | None) -> SimulatedSample:
+    return SimulatedSample(t, machine.project(t, y, sheet)[0], hold, sheet)

@@ -34,7 +34,7 @@ from redundancy_pin.simulation.controllers.base import (
     load_limits,
 )
 from redundancy_pin.simulation.events import EventFunctions
-from redundancy_pin.simulation.integrator import INTEGRATORS, Problem, Progress, Record, integrate
+from redundancy_pin.simulation.integrator import INTEGRATORS, InitialValueProblem, Progress, SimulationRecord, integrate
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import Simulation, SimulationStatus, Statistics
 from redundancy_pin.simulation.state import State
@@ -160,7 +160,7 @@ def simulate(
     if sheet is None:
         machine.dynamics.adapt(first.q)
     machine.solve(first, command, sheet)
-    problem = Problem(machine, functions, integrator, settings, int(max_steps), grid, breaks, sampling)
+    problem = InitialValueProblem(machine, functions, integrator, settings, int(max_steps), grid, breaks, sampling)
     record, progress = integrate(problem, y, values, command, sheet)
     parameters = {
         "drive": drive.planner if isinstance(drive, Plan) else controller.class_name(),
@@ -282,7 +282,7 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float) -> Sheet | Non
     return sheet if isinstance(sheet, Sheet) else None
 
 
-def _simulation(machine: Machine, record: Record, end: Progress, parameters: dict[str, object]) -> Simulation:
+def _simulation(machine: Machine, record: SimulationRecord, end: Progress, parameters: dict[str, object]) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
     robot, model, samples = machine.robot, machine.robot.model, record.samples
     status = end.status or SimulationStatus.COMPLETED

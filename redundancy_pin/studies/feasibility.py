@@ -48,6 +48,7 @@ __all__ = [
     "MapProblem",
     "Preset",
     "Verdict",
+    "VerdictChange",
     "compute",
     "feasibility_map",
     "parse_axis",
@@ -64,7 +65,7 @@ MOST_CELLS, MOST_REFINE = 1_000_000, 30
 
 
 @dataclass(frozen=True)
-class Crossing:
+class VerdictChange:
     """Two neighbouring cells of one line of a map between which the verdict changes.
 
     ``line`` is the value of the other parameter, common to both; ``low`` and ``high`` are values of this one.
@@ -74,6 +75,9 @@ class Crossing:
     low: float
     high: float
     possible: Literal["low", "high"]
+
+
+Crossing = VerdictChange  # its name in version 0.1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,13 +116,13 @@ class FeasibilityMap:
         cells = sorted(self.of(planner), key=lambda cell: self.place(cell)[::-1])
         return {line: list(group) for line, group in groupby(cells, key=lambda cell: self.place(cell)[1])}
 
-    def border(self, planner: str) -> tuple[Crossing, ...]:
+    def border(self, planner: str) -> tuple[VerdictChange, ...]:
         """Return where, along the axis of the border, a planner can do one cell and not the next.
 
         Cells of which nothing is known have no border: between one that is possible and one that failed there is none.
         """
         return tuple(
-            Crossing(line, self.place(low)[0], self.place(high)[0], "low" if low.possible else "high")
+            VerdictChange(line, self.place(low)[0], self.place(high)[0], "low" if low.possible else "high")
             for line, cells in self.lines(planner).items()
             for low, high in pairwise(cells)
             if {low.possible, high.possible} == {True, False}

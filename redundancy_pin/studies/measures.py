@@ -34,7 +34,7 @@ _SAME_INSTANT = 1e-9
 
 
 @dataclass(frozen=True)
-class SingularInstant:
+class PassedSingularity:
     """A singularity that a motion passes.
 
     Attributes:
@@ -75,7 +75,7 @@ class MotionRun:
     motion: PlatformMotion
     reduced: Mapping[str, ReducedDynamics]
     solved: Mapping[str, Distribution]
-    instants: tuple[SingularInstant, ...]
+    instants: tuple[PassedSingularity, ...]
     parity: Mapping[str, float]
 
     @property
@@ -214,9 +214,9 @@ def _parity(reduced: Sequence[ReducedDynamics], solved: Sequence[Distribution]) 
     return {name: relative_difference(*pair) for name, pair in pairs.items()}
 
 
-def _instant(crossing: Crossing, motion: PlatformMotion, solved: Distribution) -> SingularInstant:
+def _instant(crossing: Crossing, motion: PlatformMotion, solved: Distribution) -> PassedSingularity:
     sample = int(np.argmin(np.abs(motion.t - crossing.t)))
-    return SingularInstant(
+    return PassedSingularity(
         t=float(motion.t[sample]),
         x=tuple(float(value) for value in np.atleast_1d(motion.x[sample])),
         kind=crossing.kind.label,

@@ -58,7 +58,7 @@ _SCALED = (
 
 
 @dataclass(frozen=True)
-class Interval:
+class Estimate:
     """An estimate with its 95 % interval of confidence."""
 
     value: float
@@ -85,10 +85,10 @@ class CellStatistics:
     scenario: str
     drive: str
     draws: int
-    success: Interval
-    largest: Interval
+    success: Estimate
+    largest: Estimate
     worst: float
-    rms: Interval
+    rms: Estimate
     effort: float
     carrier_force: float
     statuses: dict[str, int]
@@ -200,28 +200,28 @@ def cell_statistics(trials: Sequence[Trial]) -> CellStatistics:
     )
 
 
-def wilson(successes: int, count: int) -> Interval:
+def wilson(successes: int, count: int) -> Estimate:
     """Return a rate with Wilson's interval (Wilson 1927)."""
     from scipy.stats import binomtest  # takes 0.3 s to load: not for every command
 
     interval = binomtest(successes, count).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(successes / count, float(interval.low), float(interval.high))
+    return Estimate(successes / count, float(interval.low), float(interval.high))
 
 
-def mean_interval(values: Array) -> Interval:
+def mean_interval(values: Array) -> Estimate:
     """Return a mean with the percentile interval of the bootstrap; without an interval for fewer than two values."""
     from scipy.stats import bootstrap  # as above
 
     if len(values) < 2:
-        return Interval(float(values[0]) if len(values) else math.nan)
+        return Estimate(float(values[0]) if len(values) else math.nan)
     mean = float(values.mean())
     if np.ptp(values) == 0.0:  # the bootstrap warns
-        return Interval(mean, mean, mean)
+        return Estimate(mean, mean, mean)
     random, kind = np.random.default_rng(0), "percentile"
     interval = bootstrap(
         (values,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method=kind, random_state=random
     ).confidence_interval
-    return Interval(mean, float(interval.low), float(interval.high))
+    return Estimate(mean, float(interval.low), float(interval.high))
 
 
 # ------------------------------------------------------------------------------------------------------------- tables

@@ -100,7 +100,7 @@ def vary(case: Case, parameter: str, value: Any) -> Case:
 
 
 @dataclass(frozen=True)
-class Grid:
+class ParameterGrid:
     """Values of unstated parameters, by parameter; all combinations of them."""
 
     values: Mapping[str, Sequence[Any]]
@@ -136,13 +136,13 @@ def _quantity(name: str, values: Sequence[float]) -> str:
     return (", ".join(f"{1e3 * value if unit == 'ms' else value:g}" for value in values) + f" {unit}").rstrip()
 
 
-def grid(name: str, extent: Extent) -> Grid:
+def grid(name: str, extent: Extent) -> ParameterGrid:
     """Return a grid of the data file; only the ends of its values unless whole grids are run."""
     values = {
         parameter: list(extent.modes) if entry == "all" else entry if extent.whole_grids else [entry[0], entry[-1]]
         for parameter, entry in thesis()["grids"][name].items()
     }
-    return Grid(values)
+    return ParameterGrid(values)
 
 
 # --- verdicts ------------------------------------------------------------------------------------------------------
@@ -222,7 +222,7 @@ def _verdict(reproduced: bool, reason: str, as_run: bool) -> Record:
     return {"verdict": "reproduced" if reproduced else "differs", "reason": reason, "as_run": as_run}
 
 
-def _varied(case: Case, grids: Sequence[Grid], reading: Measure, plans: Plans) -> list[tuple[Numbers, str]]:
+def _varied(case: Case, grids: Sequence[ParameterGrid], reading: Measure, plans: Plans) -> list[tuple[Numbers, str]]:
     """Return what a measure reads off every variation that has a plan, with what the variation changes."""
     outcomes = [(plans.outcome(varied), label) for entry in grids for varied, label in entry.cases(case)]
     return [(reading(outcome), label) for outcome, label in outcomes if isinstance(outcome, Plan)]
@@ -284,7 +284,7 @@ def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
     ]
 
 
-def _ranges(case: Case, over: Grid, plans: Plans) -> list[Record]:
+def _ranges(case: Case, over: ParameterGrid, plans: Plans) -> list[Record]:
     differences = "dt" in over.values and case.planner == "switch_off"
     own = case.with_options(scheme=DIFFERENCES) if differences else case
     variations = [variation for variation, _ in over.cases(own)]

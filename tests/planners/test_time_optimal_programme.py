@@ -14,7 +14,7 @@ import zoo
 
 import redundancy_pin as rp
 import redundancy_pin.planners.time_optimal.planner as planner
-from redundancy_pin.planners.time_optimal.problem import Problem
+from redundancy_pin.planners.time_optimal.problem import TimeOptimalProblem
 from redundancy_pin.planners.time_optimal.transcription import REGULARISATION, transcribe
 from redundancy_pin.planners.whole_trajectory.problem import Grid, with_middles
 from redundancy_pin.planners.whole_trajectory.transcription import RESERVE
@@ -36,7 +36,7 @@ class _EnoughError(Exception):
 @dataclass(frozen=True)
 class Case:
     path: Path
-    problem: Problem
+    problem: TimeOptimalProblem
     other: rp.RneaDynamics
     limits: dict
     options: dict

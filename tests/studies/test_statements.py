@@ -17,7 +17,7 @@ from redundancy_pin.studies.cases import BY_NAME, CORNERS, CROSSINGS, FULL
 from redundancy_pin.studies.measures import measure
 from redundancy_pin.studies.statements import (
     ROUNDING,
-    Grid,
+    ParameterGrid,
     compare_motions,
     excess,
     given_by,
@@ -85,7 +85,7 @@ GRIDS = [
 def test_only_what_is_named_changes(
     values: dict[str, list[object]], case: Case, allowed: Collection[str], count: int
 ) -> None:
-    variations = Grid(values).cases(case)
+    variations = ParameterGrid(values).cases(case)
     assert len(variations) == count
     for variation, label in variations:
         assert label
@@ -96,13 +96,13 @@ def test_only_what_is_named_changes(
 
 def test_ramp_lengths_are_fractions_of_speed_times_duration() -> None:
     """v T is 0.5 m/s · 0.2 s on the circle and 0.2 m/s · 0.4 s on the corner."""
-    half = Grid({"ramp_length": [0.5]})
+    half = ParameterGrid({"ramp_length": [0.5]})
     assert half.cases(CROSSINGS[0])[0][0].option("ramp_length") == pytest.approx(0.05)
     assert half.cases(CORNERS[0])[0][0].option("ramp_length") == pytest.approx(0.04)
 
 
 def test_backward_differences_go_with_the_step_of_a_crossing() -> None:
-    assert Grid({"dt": [1e-2]}).cases(CROSSINGS[0])[0][0].option("scheme") == "backward_differences"
+    assert ParameterGrid({"dt": [1e-2]}).cases(CROSSINGS[0])[0][0].option("scheme") == "backward_differences"
 
 
 def test_the_data_file_names_what_exists() -> None:

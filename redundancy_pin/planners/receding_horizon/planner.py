@@ -17,7 +17,7 @@ from redundancy_pin.planners.receding_horizon.ahead import FIRST, Ahead, Lineari
 from redundancy_pin.planners.receding_horizon.ahead import NEAR as NEAR_STEPS
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, PlanningStatus, Weights, extended
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview, Source
-from redundancy_pin.planners.receding_horizon.programme import BEYOND, Problem, Programme, Sizes, units_of
+from redundancy_pin.planners.receding_horizon.programme import BEYOND, Programme, TickProblem, TickScales, units_of
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 NEAR = 0.25
@@ -120,7 +120,7 @@ class RecedingHorizon:
         self._source: object = None
         self._ahead: Ahead
         self._last: Command | None = None
-        self._sizes: Sizes | None = None
+        self._sizes: TickScales | None = None
         self.largest = 0.0
 
     @property
@@ -271,17 +271,17 @@ class RecedingHorizon:
             at = extended(about.carriers, nodes)
         lin = Linearised.about(ahead, nodes, singular, at, until)
         if self._sizes is None:
-            self._sizes = Sizes.of(lin)
+            self._sizes = TickScales.of(lin)
         sizes = self._sizes
         if last is not None:  # of all rounds the same, or the second would be off to another plan
             share = min(max(last.peak / sizes.tau, SMALLEST), 1.0)
-            sizes = Sizes(share * sizes.tau, sizes.row)
+            sizes = TickScales(share * sizes.tau, sizes.row)
         jerk = None
         if last is not None:
             piece = max(int(np.searchsorted(last.carriers.edges, nodes[0])) - 1, 0)
             jerk = 6.0 * last.carriers.coefficients[-4, min(piece, len(last.carriers.edges) - 2)]
         proximal = PROXIMAL if about is not last else 0.0
-        problem = Problem(
+        problem = TickProblem(
             lin,
             self.resolved,
             self.weights,
@@ -296,7 +296,7 @@ class RecedingHorizon:
         )
         return self._command(problem, t, last, coming)
 
-    def _command(self, problem: Problem, t: float, last: Command | None, roots: Array) -> Command:
+    def _command(self, problem: TickProblem, t: float, last: Command | None, roots: Array) -> Command:
         """Return what to do from t, s, on; the last command where the programme has no solution.
 
         Raises:
@@ -362,7 +362,7 @@ class RecedingHorizon:
         return PiecewisePolynomial.taylor(np.append(nodes[:-1], nodes[-1] + after), *whole, jerk)
 
     def _efforts(
-        self, problem: Problem, plan: tuple[Array, ...], carriers: PiecewisePolynomial, tau: Array
+        self, problem: TickProblem, plan: tuple[Array, ...], carriers: PiecewisePolynomial, tau: Array
     ) -> tuple[PiecewisePolynomial, PiecewisePolynomial, float, float]:
         """Return efforts and carriers' forces as functions of time, the residual at the nodes, the largest effort."""
         ahead, lin, n = self._ahead, problem.lin, self.robot.n

@@ -43,24 +43,24 @@ BEYOND = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Sizes:
+class TickScales:
     """What unknowns and rows are divided by: ``tau``, N or N·m; ``row`` (n,), N or N·m."""
 
     tau: float
     row: Array
 
     @staticmethod
-    def of(lin: Linearised) -> Sizes:
+    def of(lin: Linearised) -> TickScales:
         """Return the sizes of W and f along the plan that they are linear about."""
         W, f = lin.W[lin.known] / lin.row_scale[:, None], lin.f[lin.known] / lin.row_scale
         largest = float(np.median(np.linalg.norm(W, ord=2, axis=(1, 2)))) if len(W) else 1.0
         # where the platform rests, what a carrier's acceleration of 1 m/s² asks for
         wanted = max(float(np.abs(f).max(initial=0.0)), 0.1 * float(np.abs(lin.slopes[2]).max(initial=0.0)), 1e-6)
-        return Sizes(wanted / largest, wanted * lin.row_scale)
+        return TickScales(wanted / largest, wanted * lin.row_scale)
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class TickProblem:
     """What a tick asks for.
 
     ``first``: s, ṡ and s̈ (k,) at the start, s̈ of which is ``free`` in a first plan; ``jerk`` (k,) there of the last
@@ -71,7 +71,7 @@ class Problem:
     lin: Linearised
     limits: ResolvedLimits
     weights: Weights
-    sizes: Sizes
+    sizes: TickScales
     first: tuple[Array, ...]
     free: bool
     jerk: Array | None
@@ -173,7 +173,7 @@ class Programme:
         self._cost = sparse.csc_matrix((np.zeros(len(down)), down[self._order], starts), shape=shape)
         self._solver: Any = None
 
-    def solve(self, problem: Problem) -> tuple[Array, bool]:
+    def solve(self, problem: TickProblem) -> tuple[Array, bool]:
         """Return the variables, and whether they are an optimum."""
         values = self._values(problem)
         for relative in RELATIVE:
@@ -202,7 +202,7 @@ class Programme:
         settings.preconditioner_iter = 0  # all is of size one
         return solver
 
-    def _values(self, problem: Problem) -> tuple[Any, ...]:
+    def _values(self, problem: TickProblem) -> tuple[Any, ...]:
         """Return P, q, A, b, G and bounds: ½ xᵀ P x + qᵀ x, A x = b, low ≤ G x ≤ high, lower ≤ x ≤ upper."""
         lin, limits, w, ut = problem.lin, problem.limits, problem.weights, problem.sizes.tau
         us, ud, ua = units = units_of(limits)
@@ -246,7 +246,7 @@ class Programme:
         least, most = self.within.fill(self._inequalities(problem, units, low, high, speed))
         return self._cost, q, self.equal.matrix, b, self.within.matrix, least, most, lower, upper
 
-    def _equations(self, problem: Problem, units: tuple[Array, ...]) -> dict[str, tuple[Array, Array]]:
+    def _equations(self, problem: TickProblem, units: tuple[Array, ...]) -> dict[str, tuple[Array, Array]]:
         lin, (us, ud, ua), ut, row = problem.lin, units, problem.sizes.tau, problem.sizes.row
         count, n = lin.f.shape
         h, k = np.diff(lin.nodes)[:, None], len(us)
@@ -302,7 +302,7 @@ class Programme:
         }
 
     def _inequalities(
-        self, problem: Problem, units: tuple[Array, ...], low: Array, high: Array, speed: Array
+        self, problem: TickProblem, units: tuple[Array, ...], low: Array, high: Array, speed: Array
     ) -> dict[str, tuple[Array, Array, Array]]:
         lin, limits, (us, ud, ua) = problem.lin, problem.limits, units
         count, m = len(lin.nodes), lin.W.shape[2]

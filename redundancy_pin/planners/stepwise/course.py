@@ -15,7 +15,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.base_wrench import BASE, point_of, weights_of
 from redundancy_pin.planners.carrier_return import CarrierState, no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, return_duration
-from redundancy_pin.planners.stepwise.optimiser import AccelerationBox, StepProblems, Stretch, optimise
+from redundancy_pin.planners.stepwise.optimiser import AccelerationBox, OptimisedSteps, StepProblems, optimise
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -27,7 +27,7 @@ Stop = Literal["after", "within"]
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
+class StepwiseSettings:
     """Checked options of ``plan_stepwise``; see there. Numbers and names a plan has among its parameters."""
 
     limits: ResolvedLimits
@@ -59,7 +59,7 @@ class Settings:
         )
 
 
-def checked_settings(robot: Robot, limits: Limits, **options: Any) -> Settings:
+def checked_settings(robot: Robot, limits: Limits, **options: Any) -> StepwiseSettings:
     """Return the settings of ``plan_stepwise`` after checking every one; ``options`` are the fields but ``limits``."""
     for name, allowed in (("active", get_args(Active)), ("stop", get_args(Stop)), ("anticipate", (True, False))):
         one_of(options[name], name, allowed)
@@ -87,7 +87,9 @@ def checked_settings(robot: Robot, limits: Limits, **options: Any) -> Settings:
         "brake_time": partial(positive, unit="s"),
         "least_margin": partial(positive, unit=""),
     }
-    return Settings(resolved, **{**options, **{name: check(options[name], name) for name, check in checks.items()}})
+    return StepwiseSettings(
+        resolved, **{**options, **{name: check(options[name], name) for name, check in checks.items()}}
+    )
 
 
 PHASES = ("parked", "optimise", "return", "brake")
@@ -113,7 +115,7 @@ class Course:
     sd: Array
     sdd: Array
     phase: IntArray
-    stretches: tuple[tuple[int, Stretch], ...]
+    stretches: tuple[tuple[int, OptimisedSteps], ...]
     returns: tuple[tuple[float, float], ...]
     parts: tuple[PiecewisePolynomial, ...]
     brake_from: int
@@ -122,7 +124,7 @@ class Course:
 
 def run_course(
     robot: Robot,
-    settings: Settings,
+    settings: StepwiseSettings,
     box: AccelerationBox,
     problems: StepProblems,
     active: BoolArray,
@@ -137,7 +139,7 @@ def run_course(
     s, sd, sdd = (np.zeros((len(t), robot.k)) for _ in range(3))
     s[0] = settings.start
     phase, brake_from = np.full(len(t), PARKED, dtype=np.intp), len(active)
-    stretches: list[tuple[int, Stretch]] = []
+    stretches: list[tuple[int, OptimisedSteps]] = []
     returns: list[tuple[float, float]] = []
     parts: list[PiecewisePolynomial] = []
     edges = (np.flatnonzero(np.diff(active)) + 1).tolist()
@@ -172,7 +174,7 @@ def run_course(
 _MOST_ADDED = 1_000_000  # steps after the motion
 
 
-def _return_duration(robot: Robot, settings: Settings, state: CarrierState, end: float) -> float:
+def _return_duration(robot: Robot, settings: StepwiseSettings, state: CarrierState, end: float) -> float:
     if settings.return_time != "shortest":
         return settings.return_time
     limited = replace(robot, carrier_limits=settings.limits.of_carriers)
@@ -194,7 +196,9 @@ _ON_TRACK = 1e-9
 """Excess over a track end, as a fraction of the track, that is rounding."""
 
 
-def brake(settings: Settings, box: AccelerationBox, course: Course, step: float, platform_rests: bool) -> Course:
+def brake(
+    settings: StepwiseSettings, box: AccelerationBox, course: Course, step: float, platform_rests: bool
+) -> Course:
     """Brake the carriers from ``course.brake_from`` until all are at rest, and return the whole course.
 
     Each is braked by a constant deceleration within ``brake_time``, sooner where its track is too short for that.
@@ -255,7 +259,7 @@ def braking_times(speed: Array, room: Array, deceleration: Array, wanted: float)
     return np.where(moving, np.maximum(np.minimum(wanted, by_track), size / deceleration), 0.0)
 
 
-def _stopping_times(settings: Settings, box: AccelerationBox, s: Array, sd: Array, left: float) -> Array:
+def _stopping_times(settings: StepwiseSettings, box: AccelerationBox, s: Array, sd: Array, left: float) -> Array:
     limits = box.limits
     room = [(b.upper - x) if v > 0.0 else (x - b.lower) for b, x, v in zip(limits, s, sd, strict=True)]
     deceleration = np.array([limit.acceleration for limit in limits])
@@ -264,7 +268,7 @@ def _stopping_times(settings: Settings, box: AccelerationBox, s: Array, sd: Arra
 
 
 def _require_time(
-    settings: Settings, box: AccelerationBox, course: Course, stopping: Array, left: float, platform_rests: bool
+    settings: StepwiseSettings, box: AccelerationBox, course: Course, stopping: Array, left: float, platform_rests: bool
 ) -> None:
     j = int(np.argmax(stopping))
     if stopping[j] == 0.0 or (settings.stop == "after" and platform_rests):

@@ -345,7 +345,7 @@ def step_problems(model: EffortModel, target: Array, at: IntArray) -> StepProble
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class OptimisedSteps:
     """Consecutive steps of the optimiser.
 
     ``s`` (P, k) positions at the end of each step, m; ``sd`` (P, k) speeds there, m/s; ``sdd`` (P, k) accelerations,
@@ -361,7 +361,9 @@ class Stretch:
     iterations: IntArray
 
 
-def optimise(problems: StepProblems, first: int, last: int, start: CarrierState, limits: AccelerationBox) -> Stretch:
+def optimise(
+    problems: StepProblems, first: int, last: int, start: CarrierState, limits: AccelerationBox
+) -> OptimisedSteps:
     """Solve steps first ... last − 1, each from where the one before it ended.
 
     ``start``: the carriers before the first step; their accelerations are the first guess.
@@ -401,4 +403,4 @@ def optimise(problems: StepProblems, first: int, last: int, start: CarrierState,
         results.append((s, sd, u, low, high))
         iterations.append(count)
     position, speed, acceleration, lower, upper = np.moveaxis(np.array(results).reshape(-1, 5, k), 1, 0).copy()
-    return Stretch(position, speed, acceleration, lower, upper, np.array(iterations, dtype=np.intp))
+    return OptimisedSteps(position, speed, acceleration, lower, upper, np.array(iterations, dtype=np.intp))

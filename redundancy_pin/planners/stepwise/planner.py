@@ -31,7 +31,7 @@ from redundancy_pin.planners.stepwise.course import (
     RETURN,
     Active,
     Course,
-    Settings,
+    StepwiseSettings,
     Stop,
     brake,
     checked_settings,
@@ -39,8 +39,8 @@ from redundancy_pin.planners.stepwise.course import (
 )
 from redundancy_pin.planners.stepwise.optimiser import (
     AccelerationBox,
+    OptimisedSteps,
     StepProblems,
-    Stretch,
     definiteness,
     optimality,
     step_problems,
@@ -229,7 +229,7 @@ def plan_stepwise(
 
 
 def _goals(
-    dynamics: Dynamics, along: DynamicsAlongMotion, settings: Settings, target: Array
+    dynamics: Dynamics, along: DynamicsAlongMotion, settings: StepwiseSettings, target: Array
 ) -> tuple[EffortModel, Array]:
     """Return the model of what is minimised and its target, (N, r) each: efforts and base wrench, by their weights."""
     weights = settings.objective
@@ -325,7 +325,7 @@ def _bounds_met(course: Course, limits: AccelerationBox) -> list[dict[str, objec
     return sorted(events, key=lambda event: (event["start"], event["carrier"]))
 
 
-def _which(stretch: Stretch, limits: AccelerationBox, j: int, side: str) -> dict[str, BoolArray]:
+def _which(stretch: OptimisedSteps, limits: AccelerationBox, j: int, side: str) -> dict[str, BoolArray]:
     """Return for each kind of bound the steps at which it would be the one that binds on a side."""
     limit, sign = limits.limits[j], 1.0 if side == "upper" else -1.0
     end = limit.upper if side == "upper" else limit.lower

@@ -134,7 +134,7 @@ def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Crossing(Frozen):
+class SwitchOffCourse(Frozen):
     """Carriers and efforts from the start of a ramp-down to the switch-on.
 
     ``window``: when the actuators are off; ``ramp``: the main efforts; ``parked_at_entry``
@@ -178,7 +178,7 @@ class Crossing(Frozen):
 
 def cross(
     dynamics: Dynamics, motion: ContinuousMotion, window: Interval, ramp_time: float, datum: Array, row_scale: Array
-) -> Crossing:
+) -> SwitchOffCourse:
     """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6)."""
     equation, parked, lost = crossing_equation(dynamics, motion, window, window.start - ramp_time, datum, row_scale)
     start = equation.model.interpolant.start
@@ -189,7 +189,7 @@ def cross(
         off = equation.solve(window.start, window.end, np.array(at_entry.s[0]), np.array(at_entry.sd[0]))
     except StepGivenUpError as stuck:
         raise _unbounded(equation, lost, stuck) from stuck
-    return Crossing(window, equation.effort, parked, PiecewisePolynomial.joined([down, off]), lost)
+    return SwitchOffCourse(window, equation.effort, parked, PiecewisePolynomial.joined([down, off]), lost)
 
 
 def crossing_equation(
@@ -257,7 +257,7 @@ def cross_stepwise(
     datum: Array,
     row_scale: Array,
     dt: float,
-) -> Crossing:
+) -> SwitchOffCourse:
     """Solve the carriers through one window, sample by sample; the window is widened or narrowed to the grid.
 
     The actuators are off from the first to the last sample inside the window.
@@ -277,7 +277,7 @@ def cross_stepwise(
     carriers = CarrierMotion(s[2:], sd[1:], np.diff(sd, axis=0) / dt)
     # s̈ of a sample is that of the step which ends there; the first sample only starts one
     position = PiecewisePolynomial.constant_acceleration(t, s[2:], carriers.sd, carriers.sdd)
-    return Crossing(snapped, equation.effort, parked, position.made_continuous(), lost, (read_only(t), carriers))
+    return SwitchOffCourse(snapped, equation.effort, parked, position.made_continuous(), lost, (read_only(t), carriers))
 
 
 def _position(

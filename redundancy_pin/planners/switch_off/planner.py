@@ -19,7 +19,7 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import Limits, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.switch_off.crossing import Crossing, cross, cross_stepwise
+from redundancy_pin.planners.switch_off.crossing import SwitchOffCourse, cross, cross_stepwise
 from redundancy_pin.singularities.roots import Interval
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -30,7 +30,7 @@ PHASES = ("parked", "ramp_down", "off", "return")
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
+class SwitchOffSettings:
     """Checked settings of the planner; see ``plan_switch_off``."""
 
     threshold: float
@@ -46,12 +46,12 @@ class Settings:
 class Leg:
     """A crossing and the return of the carriers after it."""
 
-    crossing: Crossing
+    crossing: SwitchOffCourse
     back: PiecewisePolynomial
 
 
 def assemble_plan(
-    dynamics: Dynamics, source: ContinuousMotion, legs: list[Leg], settings: Settings, actuation: Actuation
+    dynamics: Dynamics, source: ContinuousMotion, legs: list[Leg], settings: SwitchOffSettings, actuation: Actuation
 ) -> Plan:
     """Sample the crossings and returns, let the backend judge them, and report."""
     times = _grid(source, legs, settings)
@@ -91,7 +91,7 @@ def assemble_plan(
     return replace(plan, diagnostics={**plan.diagnostics, **_diagnostics(dynamics, plan, legs, actuation, settings)})
 
 
-def _position(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> PiecewisePolynomial:
+def _position(source: ContinuousMotion, legs: list[Leg], settings: SwitchOffSettings) -> PiecewisePolynomial:
     """Return the positions of the carriers: parked, through a window, back, and so on."""
     parts: list[PiecewisePolynomial] = []
     free = source.start
@@ -106,7 +106,7 @@ def _position(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> 
     return PiecewisePolynomial.joined(parts)
 
 
-def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Array:
+def _grid(source: ContinuousMotion, legs: list[Leg], settings: SwitchOffSettings) -> Array:
     """Return a uniform grid with events and peaks of the carriers' motion, and each jump twice."""
     steps = int(np.ceil((source.end - source.start) / settings.dt - 1e-9))
     uniform = np.append(source.start + settings.dt * np.arange(steps), source.end)
@@ -131,7 +131,7 @@ def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Arra
 
 
 def _diagnostics(
-    dynamics: Dynamics, plan: Plan, legs: list[Leg], actuation: Actuation, settings: Settings
+    dynamics: Dynamics, plan: Plan, legs: list[Leg], actuation: Actuation, settings: SwitchOffSettings
 ) -> dict[str, object]:
     efforts, positions = (
         {name: np.nanmax(np.abs(part[plan.phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
@@ -150,7 +150,7 @@ def _diagnostics(
 
 
 def _window(
-    dynamics: Dynamics, source: ContinuousMotion, leg: Leg, singular: list[float], settings: Settings
+    dynamics: Dynamics, source: ContinuousMotion, leg: Leg, singular: list[float], settings: SwitchOffSettings
 ) -> dict[str, object]:
     crossing = leg.crossing
     start, end = crossing.start, crossing.end
@@ -237,7 +237,7 @@ def plan_switch_off(
         )
     require_carriers(robot)
     one_of(scheme, "scheme", get_args(Scheme))
-    settings = Settings(
+    settings = SwitchOffSettings(
         threshold=positive(threshold, "threshold", ""),
         measure=measure,
         ramp_down=positive(ramp_down, "ramp_down", "s"),
@@ -267,7 +267,7 @@ def _leg(
     dynamics: Dynamics,
     source: ContinuousMotion,
     window: Interval,
-    settings: Settings,
+    settings: SwitchOffSettings,
     later: list[Interval],
     row_scale: Array,
 ) -> Leg | None:

@@ -19,7 +19,7 @@ from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import ALLOWED, MARKED, SMALL, PlanFunctions, actuator_rates, dense_check
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.time_optimal.problem import Problem, Sizes, read_model
+from redundancy_pin.planners.time_optimal.problem import PathScales, TimeOptimalProblem, read_model
 from redundancy_pin.planners.time_optimal.transcription import transcribe
 from redundancy_pin.planners.whole_trajectory.options import LIMITS, MOST_REFINEMENTS, End
 from redundancy_pin.planners.whole_trajectory.problem import (
@@ -253,7 +253,7 @@ class _Motion:
     tau: Array
 
     @staticmethod
-    def of(path: Path, problem: Problem, solution: Solution) -> _Motion:
+    def of(path: Path, problem: TimeOptimalProblem, solution: Solution) -> _Motion:
         u, values, grid = problem.sizes, solution.values, problem.grid
         t = np.concatenate([[0.0], np.cumsum(values["h"][:, 0] * u.h)])
         samples = CarrierMotion(*(values[name] * getattr(u, name) for name in ("s", "sd", "sdd")), check_rates=False)
@@ -299,7 +299,7 @@ def _require_closed(unit: ContinuousMotion) -> None:
 
 def _problem(
     dynamics: Dynamics, unit: ContinuousMotion, nodes: Grid, rates: Array, given: Mapping[str, Any]
-) -> Problem:
+) -> TimeOptimalProblem:
     """Read the coefficients, and choose sizes by the speed that the parked robot may take."""
     motion = unit.sample_at(nodes.t)
     along = dynamics.along(motion)
@@ -347,8 +347,8 @@ def _problem(
     finite = limits.effort[np.isfinite(limits.effort)]
     tau = float(finite.min()) if len(finite) else size / float(np.median(largest))
     row = max(size, tau * float(np.median(largest))) * parked.row_scale
-    sizes = Sizes(speed, acceleration, s, sd, sdd, tau, row, np.where(nodes.h > 0.0, h, 1.0), duration)
-    return Problem(grid=nodes, model=model, singular=singular, fastest=fastest, sizes=sizes, **given)
+    sizes = PathScales(speed, acceleration, s, sd, sdd, tau, row, np.where(nodes.h > 0.0, h, 1.0), duration)
+    return TimeOptimalProblem(grid=nodes, model=model, singular=singular, fastest=fastest, sizes=sizes, **given)
 
 
 def _at(first: Array, pd: ArrayLike, pdd: ArrayLike) -> Array:
@@ -357,7 +357,7 @@ def _at(first: Array, pd: ArrayLike, pdd: ArrayLike) -> Array:
     return np.asarray(np.einsum("nrq,nq->nr", first, np.broadcast_to(powers, (len(first), 4))))
 
 
-def _first_guess(problem: Problem) -> dict[str, Array]:
+def _first_guess(problem: TimeOptimalProblem) -> dict[str, Array]:
     """Return scaled variables of parked carriers and harmonic motion, of even speed in a lap."""
     u, grid, k = problem.sizes, problem.grid, problem.model.k
     place = (grid.t - grid.t[0]) / (grid.t[-1] - grid.t[0])
@@ -373,14 +373,14 @@ _MOVED = ("pd", "pdd", "s", "sd", "sdd", "tau")
 _SIZE = {"pd": "speed", "pdd": "acceleration"}
 
 
-def _physical(problem: Problem, solution: Solution) -> dict[str, Array]:
+def _physical(problem: TimeOptimalProblem, solution: Solution) -> dict[str, Array]:
     """Return the variables in units, and under "place" and "h" the nodes and the durations of the steps."""
     u = problem.sizes
     values = {name: solution.values[name] * getattr(u, _SIZE.get(name, name)) for name in _MOVED}
     return {**values, "place": problem.grid.t, "h": solution.values["h"] * u.h[:, None]}
 
 
-def _moved(values: dict[str, Array], problem: Problem) -> dict[str, Array]:
+def _moved(values: dict[str, Array], problem: TimeOptimalProblem) -> dict[str, Array]:
     """Return scaled variables on other nodes, from those in units on fewer."""
     u, new, old = problem.sizes, problem.grid.t, values["place"]
     at = np.minimum(np.searchsorted(old, new, side="left"), len(old) - 1)
@@ -397,7 +397,7 @@ def _moved(values: dict[str, Array], problem: Problem) -> dict[str, Array]:
     return {**scaled_ones, "h": np.diff(t, axis=0) / u.h[:, None]}
 
 
-def _solve(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution:
+def _solve(problem: TimeOptimalProblem, guess: dict[str, Array], seconds: float) -> Solution:
     """Solve with rows between the nodes where they are needed.
 
     Raises:
@@ -430,7 +430,7 @@ def _solve(problem: Problem, guess: dict[str, Array], seconds: float) -> Solutio
     return replace(solution, iterations=iterations, seconds=spent)
 
 
-def _leaves(problem: Problem, solution: Solution) -> BoolArray:
+def _leaves(problem: TimeOptimalProblem, solution: Solution) -> BoolArray:
     """Return (M − 1,) the steps inside which a carrier leaves its track or exceeds its speed."""
     u, values, limits = problem.sizes, solution.values, problem.limits
     leaves: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)

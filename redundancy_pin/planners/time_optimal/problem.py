@@ -31,7 +31,7 @@ _TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class Sizes:
+class PathScales:
     """What variables are divided by.
 
     ``speed``, ``acceleration``: along the path, m/s and m/s²; ``s``, ``sd``, ``sdd`` (k,) of the carriers, m, m/s,
@@ -51,7 +51,7 @@ class Sizes:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class TimeOptimalProblem:
     """The numbers of the programme; M nodes, n coordinates, m main actuators, k carriers.
 
     ``grid``: the nodes, at places on the path, m, in place of times; ``model``: coefficients there, with an axis for
@@ -69,7 +69,7 @@ class Problem:
     end: str
     datum: Array
     lap: bool
-    sizes: Sizes
+    sizes: PathScales
 
 
 def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:

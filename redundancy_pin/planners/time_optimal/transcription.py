@@ -8,7 +8,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.carrier_model import terms
-from redundancy_pin.planners.time_optimal.problem import POWERS, Problem
+from redundancy_pin.planners.time_optimal.problem import POWERS, TimeOptimalProblem
 from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.planners.whole_trajectory.transcription import NLP, RESERVE, product
 
@@ -19,13 +19,13 @@ LEAST_STEP = 1e-3
 """Of its first guess, that a step may last."""
 
 
-def transcribe(problem: Problem, between: BoolArray) -> NLP:
+def transcribe(problem: TimeOptimalProblem, between: BoolArray) -> NLP:
     """Return the programme; track and speed limits hold inside the steps ``between``, (M − 1,), as well."""
     return _Programme(problem, between).nlp
 
 
 class _Programme:
-    def __init__(self, problem: Problem, between: BoolArray) -> None:
+    def __init__(self, problem: TimeOptimalProblem, between: BoolArray) -> None:
         ca, u, limits = casadi(), problem.sizes, problem.limits
         self.nlp, self._problem = NLP(), problem
         nodes, k, m = len(problem.grid.t), problem.model.k, problem.model.W.shape[2]

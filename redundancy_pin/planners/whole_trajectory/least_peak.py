@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.planners.whole_trajectory.problem import Problem
+from redundancy_pin.planners.whole_trajectory.problem import WholeTrajectoryProblem
 from redundancy_pin.planners.whole_trajectory.splines import SPLINE, Efforts, EffortsAlong, Inequalities, Splines
 from redundancy_pin.planners.whole_trajectory.transcription import REGULARISATION
 
@@ -69,7 +69,7 @@ class LeastPeak:
     iterations: int
 
 
-def serves(problem: Problem) -> bool:
+def serves(problem: WholeTrajectoryProblem) -> bool:
     """Return whether a problem is one of these: nothing but the peak, efforts that f determines, no further limits."""
     settings, limits, (count, n, m) = problem.settings, problem.settings.limits, problem.model.W.shape
     return (
@@ -85,7 +85,7 @@ def serves(problem: Problem) -> bool:
 
 @np.errstate(all="ignore")  # what becomes infinite ends it
 def least_peak(
-    problem: Problem,
+    problem: WholeTrajectoryProblem,
     guess: Mapping[str, Array],
     between: BoolArray,
     go_on: Callable[[int, float], bool],
@@ -104,7 +104,7 @@ def least_peak(
 
 
 def _least_peak(
-    problem: Problem,
+    problem: WholeTrajectoryProblem,
     guess: Mapping[str, Array],
     between: BoolArray,
     go_on: Callable[[int, float], bool],

@@ -21,7 +21,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.robot_record import RobotRecord, robot_record
-from redundancy_pin.planners.whole_trajectory.problem import Problem, Task, read_coefficients
+from redundancy_pin.planners.whole_trajectory.problem import Task, WholeTrajectoryProblem, read_coefficients
 from redundancy_pin.planners.whole_trajectory.solver import LEAST_SECONDS, OUT_OF_TIME, Solution, solve, solve_nlp
 from redundancy_pin.planners.whole_trajectory.transcription import (
     KIND_OF,
@@ -54,7 +54,7 @@ class Outcome:
     if it was.
     """
 
-    problem: Problem
+    problem: WholeTrajectoryProblem
     solution: Solution
     fits: int = 0
 
@@ -107,7 +107,9 @@ def _is_same(one: Solution, other: Solution) -> bool:
 
 
 def multistart(
-    problem: Problem, warm: PiecewisePolynomial | None, solve_from: Callable[[dict[str, Array], float], Outcome]
+    problem: WholeTrajectoryProblem,
+    warm: PiecewisePolynomial | None,
+    solve_from: Callable[[dict[str, Array], float], Outcome],
 ) -> Multistart:
     """Solve from all first guesses, as far as the time bound of the settings allows.
 
@@ -126,7 +128,7 @@ def multistart(
     return Multistart(tuple(outcomes), solver.starts)
 
 
-def first_guess(problem: Problem, warm: PiecewisePolynomial | None, number: int) -> dict[str, Array]:
+def first_guess(problem: WholeTrajectoryProblem, warm: PiecewisePolynomial | None, number: int) -> dict[str, Array]:
     """Return scaled s, ṡ, s̈: a motion that is known, parked carriers, or random swings about the start."""
     grid, u, settings = problem.grid, problem.scales, problem.settings
     if warm is not None:
@@ -160,7 +162,7 @@ LEAST_STEP = 1.0 / 32.0
 """Smallest part of a step that is tried."""
 
 
-def fit_and_solve(task: Task, first: Problem, guess: dict[str, Array], seconds: float) -> Outcome:
+def fit_and_solve(task: Task, first: WholeTrajectoryProblem, guess: dict[str, Array], seconds: float) -> Outcome:
     """Fit and solve in turn; the outcome is an optimum only where the true f is balanced.
 
     ``task``: robot, motion and settings; ``first``: the problem as fitted around parked carriers: its scales are kept;
@@ -213,7 +215,7 @@ TOUCHED = 1e-4
 """Fraction of its range within which a limit counts as reached."""
 
 
-def relax(problem: Problem, robot: RobotRecord, guess: dict[str, Array], message: str) -> Solution:
+def relax(problem: WholeTrajectoryProblem, robot: RobotRecord, guess: dict[str, Array], message: str) -> Solution:
     """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
     First all limits may give way at once, then each of those that did, or that are touched, by itself.
@@ -263,7 +265,7 @@ def _slack(solution: Solution, kind: str) -> float:
     return float(solution.values[slack_name(kind)][0, 0])
 
 
-def _touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
+def _touched(problem: WholeTrajectoryProblem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
     if kind == "at_most":
         return bool(problem.settings.at_most)
@@ -275,7 +277,7 @@ def _touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str)
     return bool(((values >= high - near) | (values <= low + near)).any())
 
 
-def _nothing_helps(problem: Problem, elastic: Solution, message: str) -> InfeasiblePlanError:
+def _nothing_helps(problem: WholeTrajectoryProblem, elastic: Solution, message: str) -> InfeasiblePlanError:
     if elastic.message == OUT_OF_TIME:
         constraint = "seconds"
         text = "The time ran out before any plan was found, and before any limit was shown to be in the way."
@@ -289,7 +291,7 @@ def _nothing_helps(problem: Problem, elastic: Solution, message: str) -> Infeasi
     return InfeasiblePlanError(text, remedy=remedy, constraint=constraint, time=start, amount=amount)
 
 
-def _event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
+def _event(problem: WholeTrajectoryProblem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
     """Return what is exceeded most, where, and what would suffice."""
     fraction = _slack(elastic, kind)
     t = problem.grid.t
@@ -330,7 +332,7 @@ def _event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -
 
 
 def _quantity(
-    problem: Problem, robot: RobotRecord, elastic: Solution, kind: str
+    problem: WholeTrajectoryProblem, robot: RobotRecord, elastic: Solution, kind: str
 ) -> tuple[Array, Array, Array, tuple[str, ...]]:
     """Return the values of a limited quantity at the nodes, its bounds, and whose they are."""
     u = problem.scales

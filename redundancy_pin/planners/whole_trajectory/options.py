@@ -30,7 +30,7 @@ def casadi() -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Scales:
+class WholeTrajectoryScales:
     """Sizes that variables, equations and objectives are divided by.
 
     ``s``, ``sd``, ``sdd`` (k,) of the carriers' motion, m, m/s, m/s²; ``tau``: of the main efforts, N or N·m; ``row``
@@ -68,7 +68,7 @@ class Quantities(ABC):
     base_force: Any
     base_moment: Any
 
-    def __init__(self, h: Array, scales: Scales, tau_target: Array, actuated_rate: Array) -> None:
+    def __init__(self, h: Array, scales: WholeTrajectoryScales, tau_target: Array, actuated_rate: Array) -> None:
         self.scales, self.tau_target, self.actuated_rate = scales, casadi().DM(tau_target), casadi().DM(actuated_rate)
         self._h, self._steps = h, np.flatnonzero(h > 0.0)
 
@@ -111,7 +111,7 @@ class ObjectiveTerm:
     """
 
     formula: Callable[[Quantities], Any]
-    size: Callable[[Scales], float]
+    size: Callable[[WholeTrajectoryScales], float]
     flat: bool = False
     kinked: bool = False
     efforts: bool = True
@@ -209,7 +209,7 @@ class Solver:
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
+class WholeTrajectorySettings:
     """Checked options of ``plan_whole_trajectory``, see there: weights by name, one number a carrier or actuator."""
 
     objective: Mapping[str, float]
@@ -253,7 +253,7 @@ def checked_settings(
     end: End = "datum",
     datum: ArrayLike = 0.0,
     at_most: Mapping[str, float] | None = None,
-) -> Settings:
+) -> WholeTrajectorySettings:
     """Return the settings after checking every option."""
     require_carriers(robot)
     one_of(end, "end", get_args(End))
@@ -265,7 +265,7 @@ def checked_settings(
         )
     resolved = limits.resolved(robot)
     park = resolved.on_track(datum, "datum")
-    return Settings(
+    return WholeTrajectorySettings(
         objective=weights,
         lam=lam,
         baseline=objective.baseline,

@@ -31,8 +31,8 @@ from redundancy_pin.planners.whole_trajectory.multistart import (
 from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import (
     Grid,
-    Problem,
     Task,
+    WholeTrajectoryProblem,
     first_mesh,
     read_coefficients,
     steps_around,
@@ -234,7 +234,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     return replace(plan, diagnostics={**plan.diagnostics, **timing}), result.best
 
 
-def _look_between(task: Task, problem: Problem, solution: Solution) -> _Look:
+def _look_between(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> _Look:
     nodes, tau, limits = problem.grid, solution.tau(problem), task.settings.limits
     # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
     preferred = PiecewisePolynomial.linear(nodes.t, tau)
@@ -244,7 +244,7 @@ def _look_between(task: Task, problem: Problem, solution: Solution) -> _Look:
     return _Look(functions, *dense_check(task.dynamics, functions, robot, nodes.t, tau, floor, limits.effort, singular))
 
 
-def _read(task: Task, nodes: Grid, kinds: Sequence[bool]) -> tuple[Problem, bool, Sequence[bool]]:
+def _read(task: Task, nodes: Grid, kinds: Sequence[bool]) -> tuple[WholeTrajectoryProblem, bool, Sequence[bool]]:
     """Return the problem on a mesh, whether it holds around parked carriers only, and what to try on the next mesh.
 
     ``kinds``: whether to read f as that of carriers that turn, in the order to be tried.
@@ -262,7 +262,7 @@ def _read(task: Task, nodes: Grid, kinds: Sequence[bool]) -> tuple[Problem, bool
 
 
 def _solve(
-    task: Task, problem: Problem, fitted: bool, warm: PiecewisePolynomial | None, begun: Solution | None
+    task: Task, problem: WholeTrajectoryProblem, fitted: bool, warm: PiecewisePolynomial | None, begun: Solution | None
 ) -> Multistart:
     """Solve from all first guesses, the first of which is a motion that is known, or a draft."""
     if fitted:

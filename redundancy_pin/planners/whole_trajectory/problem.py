@@ -44,7 +44,7 @@ from redundancy_pin.planners.carrier_model import (
     target_effort,
     turning_model,
 )
-from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
+from redundancy_pin.planners.whole_trajectory.options import WholeTrajectoryScales, WholeTrajectorySettings
 from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
@@ -182,7 +182,7 @@ class Task:
 
     dynamics: Dynamics
     source: ContinuousMotion
-    settings: Settings
+    settings: WholeTrajectorySettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +201,7 @@ class SingularNode:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class WholeTrajectoryProblem:
     """The numbers of the programme; M nodes, n coordinates, m main actuators, k carriers.
 
     ``grid``: the nodes; ``model``: coefficients of W, f and the carrier forces at the nodes; fitted,
@@ -217,8 +217,8 @@ class Problem:
     singular: tuple[SingularNode, ...]
     actuated_rate: Array
     target: Array
-    settings: Settings
-    scales: Scales
+    settings: WholeTrajectorySettings
+    scales: WholeTrajectoryScales
     exact: ExactAlongMotion | None = None
     base: BaseWrench | None = None
 
@@ -245,7 +245,7 @@ class Problem:
 
 def read_coefficients(
     task: Task, grid: Grid, around: CarrierMotion | None = None, *, exact: bool = False, turning: bool = False
-) -> Problem:
+) -> WholeTrajectoryProblem:
     """Read the coefficients at all nodes off the backend.
 
     ``task``: robot, motion and settings; ``around``: where f has other terms, the motion at the nodes around
@@ -290,10 +290,14 @@ def read_coefficients(
         size = base.sizes(scales.sdd)
         scales = replace(scales, base=size, length=task.dynamics.robot.characteristic_length)
     symbols = along if exact and has_expressions(along) else None
-    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, scales, symbols, base)
+    return WholeTrajectoryProblem(
+        grid, model, singular, read_only(rate), read_only(target), settings, scales, symbols, base
+    )
 
 
-def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
+def _scales(
+    model: CarrierModel, settings: WholeTrajectorySettings, row_scale: Array, duration: float, rate: Array
+) -> WholeTrajectoryScales:
     """Return sizes from the limits, and from the parked robot where there are none."""
     (lower, upper), speed, acceleration = settings.limits.track.T, settings.limits.speed, settings.limits.acceleration
     s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
@@ -306,7 +310,7 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
     tau = size / float(np.median(largest))
     force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
     power = tau * (float(np.abs(rate).max()) or 1.0)
-    return Scales(
+    return WholeTrajectoryScales(
         s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration, np.ones(6), 1.0
     )
 

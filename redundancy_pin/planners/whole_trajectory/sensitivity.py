@@ -25,7 +25,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.whole_trajectory.multistart import Outcome
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, casadi
-from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNode, Task, times_beside
+from redundancy_pin.planners.whole_trajectory.problem import SingularNode, Task, WholeTrajectoryProblem, times_beside
 from redundancy_pin.planners.whole_trajectory.transcription import transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -103,7 +103,7 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequ
     return read_only(gradient)
 
 
-def _of_base(task: Task, problem: Problem, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
+def _of_base(task: Task, problem: WholeTrajectoryProblem, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
     """Return (N, 6, d) derivatives of the wrench on the base about the point, less the load at rest."""
     settings = problem.settings
     still, rest = np.zeros_like(motion.xd[:1]), np.zeros((1, len(settings.start)))
@@ -113,7 +113,9 @@ def _of_base(task: Task, problem: Problem, motion: PlatformMotion, by: Array, sl
     return np.concatenate([less[:, :3], moment], axis=1)
 
 
-def _turned(task: Task, problem: Problem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes) -> Array:
+def _turned(
+    task: Task, problem: WholeTrajectoryProblem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes
+) -> Array:
     """Return (n, d) the rate of δW τ − δf along the plan at a singular node."""
     h, t, i = problem.grid.h, float(problem.grid.t[node.index]), node.index
     before = i == len(h) or h[i] == 0.0
@@ -148,7 +150,7 @@ def _turned(task: Task, problem: Problem, node: SingularNode, plan: CarrierMotio
     return change
 
 
-def _lagrangian(outcome: Outcome, problem: Problem) -> float:
+def _lagrangian(outcome: Outcome, problem: WholeTrajectoryProblem) -> float:
     """Return the Lagrangian, with the multipliers of the optimum, of a problem with other numbers."""
     solution = outcome.solution
     nlp = transcribe(problem, **solution.rows)

@@ -18,7 +18,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.whole_trajectory.least_peak import KNOWN, UNKNOWN, least_peak, serves
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Progress, casadi
-from redundancy_pin.planners.whole_trajectory.problem import Problem, widened
+from redundancy_pin.planners.whole_trajectory.problem import WholeTrajectoryProblem, widened
 from redundancy_pin.planners.whole_trajectory.transcription import NLP, PEAK, RESERVE, scaled_bounds, transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -80,11 +80,11 @@ class Solution:
         """Whether the solver came near an optimum and no further: with steps refined it may."""
         return self.message == "Solved_To_Acceptable_Level"
 
-    def position(self, problem: Problem) -> PiecewisePolynomial:
+    def position(self, problem: WholeTrajectoryProblem) -> PiecewisePolynomial:
         """Return the carriers' positions, m, as a function of time: s̈ is linear in a step."""
         return problem.position(self.values)
 
-    def tau(self, problem: Problem) -> Array:
+    def tau(self, problem: WholeTrajectoryProblem) -> Array:
         """Return (M, m) the main efforts, N or N·m."""
         return self.values["tau"] * problem.scales.tau
 
@@ -279,7 +279,7 @@ class Strategies:
     last_steps: Options | None
 
 
-def strategies(problem: Problem) -> Strategies:
+def strategies(problem: WholeTrajectoryProblem) -> Strategies:
     """Return how the solver goes about a problem."""
     terms = [OBJECTIVES[name] for name in {**problem.settings.objective, **problem.settings.at_most}]
     kinked, flat = any(term.kinked for term in terms), any(term.flat for term in terms)
@@ -315,7 +315,7 @@ AROUND = 2
 """Steps on both sides of one that leaves a limit that get rows as well: the next solution would leave it there."""
 
 
-def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution | None:
+def draft(problem: WholeTrajectoryProblem, guess: dict[str, Array], seconds: float) -> Solution | None:
     """Solve with limits at the nodes alone: this shows whether nodes are dense enough, in half the time.
 
     ``guess``, ``seconds``: as for ``solve``, which goes on from there. None where that would save nothing.
@@ -335,7 +335,7 @@ def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
 
 
 def _least_peak(
-    problem: Problem,
+    problem: WholeTrajectoryProblem,
     guess: dict[str, Array],
     between: BoolArray,
     deadline: float,
@@ -369,7 +369,9 @@ def _least_peak(
     )
 
 
-def solve(problem: Problem, guess: dict[str, Array], seconds: float, begun: Solution | None = None) -> Solution:
+def solve(
+    problem: WholeTrajectoryProblem, guess: dict[str, Array], seconds: float, begun: Solution | None = None
+) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
     ``guess``: first guess, scaled blocks by name; ``seconds``: time bound, s; ``begun``: a draft from this guess.
@@ -393,7 +395,9 @@ def solve(problem: Problem, guess: dict[str, Array], seconds: float, begun: Solu
     return _with_totals(best, attempts)
 
 
-def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float, begun: Solution | None) -> Solution:
+def _with_needed_rows(
+    problem: WholeTrajectoryProblem, guess: dict[str, Array], deadline: float, begun: Solution | None
+) -> Solution:
     """Solve with rows only where they are needed; the outcome is feasible only where limits hold in between, too."""
     attempts = [] if begun is None else [begun]
 
@@ -455,7 +459,7 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
         start, option_sets = solution, (strategy.more_rows,)
 
 
-def _leaves_limits(problem: Problem, position: PiecewisePolynomial, by: float = 0.0) -> BoolArray:
+def _leaves_limits(problem: WholeTrajectoryProblem, position: PiecewisePolynomial, by: float = 0.0) -> BoolArray:
     """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve.
 
     ``by``: by how much more, as a fraction of their sizes.
@@ -471,7 +475,7 @@ def _leaves_limits(problem: Problem, position: PiecewisePolynomial, by: float = 
     return exceeded
 
 
-def exceeds_force(problem: Problem, solution: Solution) -> bool:
+def exceeds_force(problem: WholeTrajectoryProblem, solution: Solution) -> bool:
     """Return whether a carrier needs more force at a node than its limit."""
     carriers, (low, high) = problem.carriers(solution.values), scaled_bounds(problem)["force"]
     force = problem.carrier_force(carriers) / problem.scales.force

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.planners.carrier_model import CarrierModel
-from redundancy_pin.planners.whole_trajectory.problem import Problem
+from redundancy_pin.planners.whole_trajectory.problem import WholeTrajectoryProblem
 from redundancy_pin.planners.whole_trajectory.transcription import scaled_bounds
 
 SPLINE = 4
@@ -30,7 +30,7 @@ class Splines:
     y (M, k, 4) are scaled s, ṡ and s̈ and the jerk over the size of s̈ at the nodes: ``matrix`` x + ``constant``.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: WholeTrajectoryProblem) -> None:
         grid, u, settings, k = problem.grid, problem.scales, problem.settings, problem.model.k
         t, h, count = grid.t, grid.h, len(grid.t)
         # a jump is two nodes and so two knots, across which s and ṡ are continuous
@@ -181,7 +181,7 @@ class Efforts:
 class EffortsAlong:
     """τ and uᵀ f as functions of y."""
 
-    def __init__(self, problem: Problem, size: Array) -> None:
+    def __init__(self, problem: WholeTrajectoryProblem, size: Array) -> None:
         model, u = problem.model, problem.scales
         self.f, self.size = Loads(model), size
         inverse = np.zeros(model.W.swapaxes(1, 2).shape)
@@ -231,7 +231,7 @@ class Inequalities:
     ``squares`` makes of weights of the limits what they add to the band of a quadratic form.
     """
 
-    def __init__(self, problem: Problem, splines: Splines, between: BoolArray) -> None:
+    def __init__(self, problem: WholeTrajectoryProblem, splines: Splines, between: BoolArray) -> None:
         h, end, bounds = problem.grid.h, problem.settings.end, scaled_bounds(problem)
         u, (count, _, m), k = problem.scales, problem.model.W.shape, problem.model.k
         self.splines, self.efforts = splines, count * m

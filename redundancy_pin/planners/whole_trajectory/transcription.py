@@ -17,7 +17,7 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import ExactAlongMotion
 from redundancy_pin.planners.carrier_model import terms
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Quantities, casadi
-from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNode
+from redundancy_pin.planners.whole_trajectory.problem import SingularNode, WholeTrajectoryProblem
 
 RESERVE = 1e-9
 """Fraction of the limits kept in reserve for the rounding of the solver."""
@@ -108,7 +108,7 @@ class NLP:
         return np.concatenate([part.ravel(order="F") for part in filled])
 
 
-def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
+def scaled_bounds(problem: WholeTrajectoryProblem) -> dict[str, tuple[Array, Array]]:
     """Return lower and upper bounds of s, ṡ, s̈, τ and the carriers' force over their sizes, a little narrowed."""
     settings, u = problem.settings, problem.scales
     limits = settings.limits
@@ -138,7 +138,7 @@ class Transcription(Quantities):
     In an elastic programme each kind of limit has one fraction e ≥ 0 by which all of its bounds are let out.
     """
 
-    def __init__(self, problem: Problem, elastic: Sequence[str]) -> None:
+    def __init__(self, problem: WholeTrajectoryProblem, elastic: Sequence[str]) -> None:
         u = problem.scales
         super().__init__(problem.grid.h, u, problem.target, problem.actuated_rate)
         self.nlp = NLP()
@@ -360,7 +360,7 @@ class Transcription(Quantities):
 class Evaluation(Quantities):
     """The quantities as numbers, of scaled variables by name."""
 
-    def __init__(self, problem: Problem, values: dict[str, Array]) -> None:
+    def __init__(self, problem: WholeTrajectoryProblem, values: dict[str, Array]) -> None:
         super().__init__(problem.grid.h, problem.scales, problem.target, problem.actuated_rate)
         for name, value in values.items():
             if name in KIND_OF:
@@ -378,21 +378,24 @@ class Evaluation(Quantities):
         return casadi().mmax(casadi().fabs(values))
 
 
-def objective_values(problem: Problem, values: dict[str, Array]) -> dict[str, float]:
+def objective_values(problem: WholeTrajectoryProblem, values: dict[str, Array]) -> dict[str, float]:
     """Return each weighted or bounded objective at the nodes, in its unit, from scaled variables by name."""
     quantities = Evaluation(problem, values)
     named = {**problem.settings.objective, **problem.settings.at_most}
     return {name: float(OBJECTIVES[name].formula(quantities)) for name in named}
 
 
-def objective_sizes(problem: Problem) -> dict[str, float]:
+def objective_sizes(problem: WholeTrajectoryProblem) -> dict[str, float]:
     """Return the size that each weighted or bounded objective is divided by, in its unit."""
     named = {**problem.settings.objective, **problem.settings.at_most}
     return {name: float(OBJECTIVES[name].size(problem.scales)) for name in named}
 
 
 def transcribe(
-    problem: Problem, elastic: Sequence[str] = (), between: Sequence[BoolArray] | None = None, limit_force: bool = True
+    problem: WholeTrajectoryProblem,
+    elastic: Sequence[str] = (),
+    between: Sequence[BoolArray] | None = None,
+    limit_force: bool = True,
 ) -> NLP:
     """Return the programme of a problem.
 

@@ -24,10 +24,10 @@ from redundancy_pin.robot.formats.mechanism import (
     six_joints,
 )
 from redundancy_pin.robot.formats.mjcf_file import (
+    CompilerSettings,
     Defaults,
     Included,
     Part,
-    Settings,
     about,
     from_quaternion,
 )
@@ -159,10 +159,10 @@ class _Reader:
         defaults = self._defaults.of(self.files, element, inherited, section)
         return Part(self.files, element, self.settings, defaults)
 
-    def _settings(self) -> Settings:
+    def _settings(self) -> CompilerSettings:
         given: dict[str, str] = {}
         for section in self._sections("compiler"):
-            part = Part(self.files, section, Settings())
+            part = Part(self.files, section, CompilerSettings())
             part.require_known(_OF_COMPILER)
             given.update(section.attrib)
             for child in section:
@@ -175,7 +175,7 @@ class _Reader:
                 if section.get(key, harmless[0]).strip() not in harmless:
                     part.refuse(f"the compiler has {key}={shown(section.get(key))}, which is not covered")
         first = next(self._sections("compiler"), self.files.root)
-        merged = Part(self.files, first, Settings(), given)
+        merged = Part(self.files, first, CompilerSettings(), given)
         sequence = given.get("eulerseq", "xyz")
         if len(sequence) != 3 or not set(sequence.lower()) <= set("xyz"):
             merged.refuse(f"the compiler has eulerseq={shown(sequence)}", "Write three of xyz, or of XYZ.")
@@ -185,7 +185,7 @@ class _Reader:
         }
         if chosen["autolimits"] not in ("true", "false") or chosen["inertiafromgeom"] not in ("true", "false", "auto"):
             merged.refuse("the compiler has autolimits or inertiafromgeom of another value than true, false, auto")
-        return Settings(
+        return CompilerSettings(
             given.get("angle", "degree") != "radian",
             sequence,
             chosen["autolimits"] == "true",

@@ -117,7 +117,7 @@ class Included:
 
 
 @dataclass(frozen=True)
-class Settings:
+class CompilerSettings:
     """What ``compiler`` says of how numbers are meant."""
 
     degrees: bool = True
@@ -134,7 +134,7 @@ class Part:
 
     files: Included
     element: Element
-    settings: Settings
+    settings: CompilerSettings
     defaults: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -59,7 +59,7 @@ class Arrow:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class JointCourse:
     """What a joint of one freedom does over the frames."""
 
     name: str  # of the joint
@@ -85,7 +85,7 @@ class Scene:
     path_margin: Array  # (N,) margin along it
     size: float  # of the machine, m: parts that have no size of their own are drawn in proportion to it
     captions: tuple[str, ...]  # what the arrows' lengths stand for, a line each
-    readings: tuple[Reading, ...] = ()  # of all joints of one freedom
+    readings: tuple[JointCourse, ...] = ()  # of all joints of one freedom
 
     @property
     def duration(self) -> float:
@@ -159,7 +159,7 @@ def make_scene(
     )
 
 
-def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Reading, ...]:
+def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[JointCourse, ...]:
     readings = []
     for body in range(1, robot.model.njoints):
         name = str(robot.model.names[body])
@@ -171,7 +171,7 @@ def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Rea
         if turning:
             position = np.unwrap(position)
         unit = "rad" if turning else "m"
-        readings.append(Reading(name, body, ROLE_NAMES[role], unit, read_only(position), efforts.get(name)))
+        readings.append(JointCourse(name, body, ROLE_NAMES[role], unit, read_only(position), efforts.get(name)))
     return tuple(readings)
 
 

@@ -12,7 +12,7 @@ from scipy.interpolate import BPoly, PPoly, make_interp_spline
 import redundancy_pin as rp
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
-from redundancy_pin.planners.receding_horizon.programme import CLOSER, FORCE_KEPT, Problem, Programme, units_of
+from redundancy_pin.planners.receding_horizon.programme import CLOSER, FORCE_KEPT, Programme, TickProblem, units_of
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import circle_path
 
@@ -40,7 +40,7 @@ def other() -> rp.VirtualWork:
 
 
 @cache
-def ticks() -> dict[str, tuple[RecedingHorizon, Problem]]:
+def ticks() -> dict[str, tuple[RecedingHorizon, TickProblem]]:
     """The first tick, the second round of it, one on the way, and one that begins at a singular instant."""
     seen, solve = [], Programme.solve
     with pytest.MonkeyPatch.context() as patch:
@@ -60,7 +60,7 @@ def ticks() -> dict[str, tuple[RecedingHorizon, Problem]]:
 class Rows:
     """The numbers of a tick's programme, dense, and the blocks of its rows."""
 
-    def __init__(self, planner: RecedingHorizon, tick: Problem, elastic: bool = False) -> None:
+    def __init__(self, planner: RecedingHorizon, tick: TickProblem, elastic: bool = False) -> None:
         self.tick, self.lin, self.programme = tick, tick.lin, planner.programme(elastic)
         values = self.programme._values(tick)
         self.P, self.q, self.A, self.b, self.G, self.low, self.high, self.lower, self.upper = (

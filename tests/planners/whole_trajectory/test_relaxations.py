@@ -14,7 +14,7 @@ import redundancy_pin as rp
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory import multistart
 from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
-from redundancy_pin.planners.whole_trajectory.problem import Problem, Task, grid_of, read_coefficients
+from redundancy_pin.planners.whole_trajectory.problem import Task, WholeTrajectoryProblem, grid_of, read_coefficients
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
@@ -23,7 +23,7 @@ LIMITS = {"jerk": (900.0, 700.0), "speed": (2.0, 1.5), "acceleration": (9.0, 8.0
 
 
 @cache
-def problem(end: str = "datum") -> Problem:
+def problem(end: str = "datum") -> WholeTrajectoryProblem:
     dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
     source = continuous_motion(reference.circle(0.5, 0.2, 0.05))
     bounds = {"effort": 4.0, "energy": 9.0}
@@ -33,7 +33,7 @@ def problem(end: str = "datum") -> Problem:
     return read_coefficients(Task(dynamics, source, settings), grid_of(source, [], 0.1))
 
 
-def solution(of: Problem, fraction: float = 0.0, **changed: Any) -> Any:
+def solution(of: WholeTrajectoryProblem, fraction: float = 0.0, **changed: Any) -> Any:
     """Scaled values of zero, but for some at a node and carrier, given in units."""
     count, k, m = len(of.grid.t), of.model.k, of.model.W.shape[2]
     values = {name: np.zeros((count, m if name == "tau" else k)) for name in ("s", "sd", "sdd", "tau", "force")}
@@ -43,7 +43,7 @@ def solution(of: Problem, fraction: float = 0.0, **changed: Any) -> Any:
     return SimpleNamespace(values=values)
 
 
-def event(of: Problem, kind: str, fraction: float, **changed: Any) -> dict[str, Any]:
+def event(of: WholeTrajectoryProblem, kind: str, fraction: float, **changed: Any) -> dict[str, Any]:
     return multistart._event(of, robot_record(zoo.robot_of("2rpr")), solution(of, fraction, **changed), kind)
 
 
