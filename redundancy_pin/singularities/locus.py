@@ -3,7 +3,8 @@
 A grid of platform positions is solved on one branch. Type II curves run where the signed margin changes sign between
 neighbouring nodes, type I curves where reachable nodes meet unreachable ones (the working mode ends there). contourpy
 joins the grid edges over which this happens into curves; where on its edge the singularity lies is found exactly. Type
-II curves are then followed to their ends, from other points of the border too (``tracing``).
+II curves are then followed to their ends, from other points of the border too (``tracing``). Where a type I curve goes
+over from one leg to another it has a corner: there two singular values of K vanish, and Uᵀ K V of both is zero.
 
 Refinement. In the joint coordinates a singularity is a simple root even where the platform coordinates meet a square
 root (at the border of the workspace). The unknowns are all p joint displacements; the equations are the r closure rows,
@@ -30,7 +31,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.singularities.classify import SingularityKind, locked_matrix, margins_of, serial_matrix
-from redundancy_pin.singularities.tracing import MatrixOf, Tracer, singular_value
+from redundancy_pin.singularities.tracing import MatrixOf, Tracer, singular_block, singular_value
 from redundancy_pin.singularities.workspace import Slice, WorkspaceGrid, default_axes, slice_of, solve_grid
 
 RESOLUTION = 200
@@ -48,6 +49,12 @@ _BORDER_BISECTIONS = 5
 """They bring the leg within a thirtieth of a grid cell of the border; from there Newton converges."""
 
 _MODE_ROUNDING = 1e-9
+_OTHER_LEG = 0.5
+"""Cosine between the motions that K leaves free at two points of a type I curve, below which there is a corner."""
+
+_CORNER_AWAY = 5.0
+"""Cells that a corner may be away from the points beside it: inside an acute one there are no nodes."""
+
 _EDGE_ROUNDING = 1e-9
 """A root this far beyond the end of its edge (fraction of its length) is at the end."""
 
@@ -171,6 +178,8 @@ def singular_locus(
     parallel[grid.reachable], serial[grid.reachable] = margins.parallel, margins.serial
     border, cut, lone = _border(system, grid)
     inner, missing = _zero_margin(system, grid, parallel) if robot.n == robot.m else ((), np.zeros((0, robot.n)))
+    if len(place.free) == 2:
+        border = tuple(_with_corners(system, place, grid, curve) for curve in border)
     if robot.n == robot.m and len(place.free) == 2:
         inner = _followed(system, place, grid, inner, border)
         lone, missing = (_not_beside(part, inner, grid) for part in (lone, missing))
@@ -245,6 +254,45 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
     contour = np.repeat(np.arange(len(curves)), [len(curve) for curve in curves])
     cuts = np.isin(contour[missing], np.delete(contour, missing))
     return chains, int(cuts.sum()), grid.x[edges[missing[~cuts], 0]]
+
+
+def _with_corners(system: ConstraintSystem, place: Slice, grid: WorkspaceGrid, curve: LocusCurve) -> LocusCurve:
+    """Return a type I curve with the corners between its points where another leg is at its end from there on."""
+    free = np.linalg.svd(serial_matrix(system, system.evaluate(curve.q)))[2][:, -1]
+    cell = np.sqrt(sum((axis[1] - axis[0]) ** 2 for axis in grid.axes))
+    points, parts = curve.points, (curve.points, curve.q, curve.residual)
+    for k in np.flatnonzero(np.abs((free[1:] * free[:-1]).sum(axis=1)) < _OTHER_LEG)[::-1].tolist():
+        corner = _corner(system, place, curve.q[k : k + 1])
+        if corner is not None and np.linalg.norm(corner[0] - points[k : k + 2], axis=1).max() < _CORNER_AWAY * cell:
+            parts = tuple(np.insert(part, k + 1, value, axis=0) for part, value in zip(parts, corner, strict=True))
+    return LocusCurve(curve.kind, *(read_only(part) for part in parts))
+
+
+def _corner(system: ConstraintSystem, place: Slice, q: Array) -> tuple[Array, Array, Array] | None:
+    """Return x (1, n), q (1, nq) and the smallest singular value (1,) where two of K vanish, from a guess (1, nq)."""
+    robot, p = system.robot, system.pose_columns
+    fixed = [k for k in range(robot.n) if k not in place.free]
+    for _ in range(_ITERATIONS):
+        state = system.evaluate(q)
+        block, slopes = singular_block(system, serial_matrix, state, 2)
+        off = difference(robot, coordinates(robot, state), place.x[None])[:, fixed]
+        values = np.concatenate([state.phi[0], off[0], block[0]])
+        rows = np.concatenate([state.Jc[0][:, p], state.Jx[0][fixed][:, p], slopes[0]])
+        step = np.linalg.lstsq(rows, -values, rcond=1e-9)[0]
+        size = float(np.abs(step).max())
+        full = np.zeros((1, robot.model.nv))
+        full[:, p] = step * min(1.0, _LONGEST_NEWTON_STEP / max(size, _LONGEST_NEWTON_STEP))
+        q = integrate(robot.model, q, full)
+        if size < 1e-14:
+            break
+    state = system.evaluate(q)
+    left = np.linalg.svd(serial_matrix(system, state), compute_uv=False)[0]
+    x = coordinates(robot, state)
+    gap = max(
+        np.abs(state.phi).max(initial=0.0), np.abs(difference(robot, x, place.x[None])[:, fixed]).max(initial=0.0)
+    )
+    in_mode = (mode_indicator(robot, q) * np.array(robot.working_mode) > -_MODE_ROUNDING).all()
+    return (x, q, left[-1:]) if gap < CLOSURE_TOLERANCE and left[-2] < SINGULAR and in_mode else None
 
 
 def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], Array]:

@@ -41,8 +41,13 @@ _SAME = 1e-3
 """Ends of curves that are nearer are the same, rad."""
 
 
-def singular_value(system: ConstraintSystem, matrix: MatrixOf, state: ConstraintState) -> tuple[Array, Array]:
-    """Return the smallest singular value (E,) and its derivatives (E, p) by the joint displacements."""
+def singular_block(
+    system: ConstraintSystem, matrix: MatrixOf, state: ConstraintState, size: int
+) -> tuple[Array, Array]:
+    """Return Uᵀ M V (E, size²) of the smallest singular values and its derivatives (E, size², p) by displacements.
+
+    It is zero where so many singular values vanish; with U and V held its derivative is Uᵀ ∂M V.
+    """
     u, values, vt = np.linalg.svd(matrix(system, state), full_matrices=False)
     samples, columns, model = len(state.q), system.pose_columns, system.robot.model
     steps = _DIFFERENCE * np.eye(model.nv)[columns]
@@ -51,7 +56,15 @@ def singular_value(system: ConstraintSystem, matrix: MatrixOf, state: Constraint
     shifted = matrix(system, system.evaluate(moved))
     shifted = shifted.reshape(samples, 2, len(columns), *shifted.shape[1:])
     slope = (shifted[:, 0] - shifted[:, 1]) / (2.0 * _DIFFERENCE)
-    return values[:, -1], np.einsum("ni,ncij,nj->nc", u[:, :, -1], slope, vt[:, -1])
+    block = values[:, -size:, None] * np.eye(size)
+    slopes = np.einsum("nia,ncij,nbj->nabc", u[:, :, -size:], slope, vt[:, -size:])
+    return block.reshape(samples, size**2), slopes.reshape(samples, size**2, len(columns))
+
+
+def singular_value(system: ConstraintSystem, matrix: MatrixOf, state: ConstraintState) -> tuple[Array, Array]:
+    """Return the smallest singular value (E,) and its derivatives (E, p) by the joint displacements."""
+    block, slopes = singular_block(system, matrix, state, 1)
+    return block[:, 0], slopes[:, 0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -88,6 +88,17 @@ def test_two_rpr_is_singular_on_its_base_line() -> None:
     np.testing.assert_allclose(ends, [(low, 0.0), (0.0, 0.5), (0.5, high)], atol=1e-9)
 
 
+@pytest.mark.parametrize(("base", "proximal", "distal"), [(0.5, 0.5, 0.5), (0.37, 0.4, 0.55), (0.8, 0.45, 0.5)])
+def test_the_border_has_its_corners_where_both_legs_of_a_five_bar_are_stretched(base, proximal, distal) -> None:
+    """Two circles of radius r about hinges b apart meet at (b/2, ±√(r² − b²/4)), between the nodes of any grid."""
+    lengths = {"base_distance": base, "proximal_length": proximal, "distal_length": distal}
+    locus = singular_locus(zoo.robot_of("five_bar", **lengths), resolution=GRID)
+    points, _ = points_of(locus, SingularityKind.TYPE_I)
+    tip = [0.5 * base, np.sqrt((proximal + distal) ** 2 - 0.25 * base**2)]
+    assert np.linalg.norm(points - tip, axis=1).min() < EXACT
+    assert points[:, 1].max() < tip[1] + EXACT
+
+
 def test_curves_that_no_node_is_beside_are_found_from_the_border_to_its_other_end() -> None:
     """Of the five-bar with links of 0.5: the tip turns about elbows that coincide, until a leg is stretched."""
     robot = replace(zoo.robot_of("five_bar"), working_modes=None, working_mode=())  # branches told by continuity alone
