@@ -260,11 +260,11 @@ def _with_corners(system: ConstraintSystem, place: Slice, grid: WorkspaceGrid, c
     """Return a type I curve with the corners between its points where another leg is at its end from there on."""
     free = np.linalg.svd(serial_matrix(system, system.evaluate(curve.q)))[2][:, -1]
     cell = np.sqrt(sum((axis[1] - axis[0]) ** 2 for axis in grid.axes))
-    points, parts = curve.points, (curve.points, curve.q, curve.residual)
+    points, parts = curve.points, [curve.points, curve.q, curve.residual]
     for k in np.flatnonzero(np.abs((free[1:] * free[:-1]).sum(axis=1)) < _OTHER_LEG)[::-1].tolist():
         corner = _corner(system, place, curve.q[k : k + 1])
         if corner is not None and np.linalg.norm(corner[0] - points[k : k + 2], axis=1).max() < _CORNER_AWAY * cell:
-            parts = tuple(np.insert(part, k + 1, value, axis=0) for part, value in zip(parts, corner, strict=True))
+            parts = [np.insert(part, k + 1, value, axis=0) for part, value in zip(parts, corner, strict=True)]
     return LocusCurve(curve.kind, *(read_only(part) for part in parts))
 
 
