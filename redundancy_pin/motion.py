@@ -306,7 +306,7 @@ def _unit(factor: float, in_time: bool) -> str:
     return next((names[not in_time] for of, *names in _UNITS if abs(factor / of - 1.0) < 0.02), "")
 
 
-_COMPARED_AT = 30_000
+COMPARED_AT = 30_000
 """Instants at which integrals of longer motions are compared, at least."""
 
 
@@ -394,7 +394,7 @@ class _Rates:
         at = slice(-(self._steps + 1) % self._stride, None, self._stride)
         self._steps += len(t)
         self._kept.append(np.stack([np.concatenate([t[None, at], part[:, at]]) for part in series]))
-        while sum(part.shape[2] for part in self._kept) > 2 * _COMPARED_AT:
+        while sum(part.shape[2] for part in self._kept) > 2 * COMPARED_AT:
             self._kept = [np.concatenate(self._kept, axis=2)[:, :, 1::2].copy()]
             self._stride *= 2
 

@@ -214,7 +214,7 @@ def _on_cluster(
             threads, counted = _threads(client), time.monotonic()
         while waiting and len(running) < _AHEAD * threads:
             index = waiting.popleft()
-            future = client.submit(_remote, _version(), function, *arguments[index], pure=False)
+            future = client.submit(_remote, own_version(), function, *arguments[index], pure=False)
             running[future] = index
             finished.add(future)
         # not waited for: a cluster that loses its last worker finishes nothing, and says so above
@@ -263,15 +263,16 @@ def _threads(client: Any) -> int:
 
 
 def _remote(version: str, function: Callable[..., R], *given: Any) -> R:
-    if version != _version():
+    if version != own_version():
         raise RedundancyPinError(
-            f"A worker of the cluster has redundancy_pin {_version()}, the caller {version}.",
+            f"A worker of the cluster has redundancy_pin {own_version()}, the caller {version}.",
             remedy="Install the same version everywhere.",
         )
     with _ONE:
         return function(*given)
 
 
-def _version() -> str:
+def own_version() -> str:
+    """Return the version of this package."""
     # the package itself stands above this room, so it is not imported
     return str(sys.modules["redundancy_pin"].__version__)

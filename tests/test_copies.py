@@ -20,7 +20,7 @@ from redundancy_pin.crosscheck import run
 from redundancy_pin.dynamics.allocation import CarrierForces, allocate
 from redundancy_pin.dynamics.compiled import design_of
 from redundancy_pin.dynamics.contacts import closure_forces
-from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry
+from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
 from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.limits import Limits
@@ -83,15 +83,17 @@ def objects() -> dict[str, Any]:
         ),
         "trade-off": TradeOff(SINGULAR[0], "effort", "energy", ()),
         "symbolic": rp.symbolic(small),
-        "legs": manual._mechanism.legs(motion.x),
-        "two legs": rp.VirtualWork(small)._mechanism.legs(circle.sample(dt=0.1).x),
+        "legs": three_rrr.inverse_displacement(three_rrr.ThreeRrrGeometry.from_parameters(robot.parameters), motion.x),
+        "two legs": two_rpr.inverse_displacement(
+            two_rpr.TwoRprGeometry.from_parameters(small.parameters), circle.sample(dt=0.1).x
+        ),
         "reduced": reduced,
         "derivatives": along.carrier_derivatives(carriers),
         "one sample": dynamics.sample(motion.x[0], motion.xd[0], motion.xdd[0]),
         "efforts": efforts,
         "inverse dynamics": rp.inverse_dynamics(dynamics, motion, carriers),
         "reactions": rp.joint_reactions(along, efforts.tau, carriers),
-        "assemblies": forward_displacement(ThreeRrrGeometry(0.5, 0.1, 0.3, 0.3), [0.3, 2.0, -1.5]),
+        "assemblies": forward_displacement(three_rrr.ThreeRrrGeometry(0.5, 0.1, 0.3, 0.3), [0.3, 2.0, -1.5]),
         "allocation": allocate(
             *(np.eye(3), np.eye(3), three, np.zeros(3)),
             **{"effort_scale": three, "carrier_scale": three, "row_scale": three},

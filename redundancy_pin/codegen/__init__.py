@@ -73,7 +73,7 @@ def write_c(
     """
     robot = as_robot(robot)
     require_replaceable(folder)
-    name = _prefix(robot.name, prefix)
+    name = prefix_of(robot.name, prefix)
     if not robot.m:
         raise InputError(f"{robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
     if of_kind(robot.loads, Wrench):
@@ -92,7 +92,7 @@ def write_c(
     return GeneratedCode(Path(folder), name, (*written, MANIFEST), len(recorded))
 
 
-def _prefix(robot: str, given: str | None) -> str:
+def prefix_of(robot: str, given: str | None) -> str:
     if given is None:
         name = re.sub(r"[^A-Za-z0-9]+", "_", robot).strip("_").lower()[:_LONGEST_PREFIX].strip("_")
         # rp_ begins the names of what is generated; a digit begins no name

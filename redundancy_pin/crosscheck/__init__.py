@@ -73,7 +73,7 @@ def run(
     total, done = sum(size for _, _, size, *_ in work), 0
     rows: tuple[CheckRow, ...] = ()
     # in order, so that the report does not depend on which process was faster
-    for (_, _, size, *_), checked in zip(work, parallel(_checked, work, jobs, ordered=True), strict=True):
+    for (_, _, size, *_), checked in zip(work, parallel(checked_batch, work, jobs, ordered=True), strict=True):
         rows = merged((*rows, *checked))  # a million states are thousands of batches
         done += size
         if progress:
@@ -82,7 +82,7 @@ def run(
 
 
 def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[tuple[str, int, int, int, bool, bool]]:
-    """Return what ``_checked`` takes, for each case."""
+    """Return what ``checked_batch`` takes, for each case."""
     for position, name in enumerate(names):
         vary = name in shipped_robots(gallery=False)
         own = seed + 1000 * position
@@ -92,7 +92,9 @@ def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[tuple[st
             yield from ((name, index, size, seed + 7, vary, True) for index, size in enumerate(sizes))
 
 
-def _checked(name: str, index: int, samples: int, seed: int, vary: bool, massless: bool, trust: bool) -> list[CheckRow]:
+def checked_batch(
+    name: str, index: int, samples: int, seed: int, vary: bool, massless: bool, trust: bool
+) -> list[CheckRow]:
     """Draw a case and check it; ``massless`` is the 2-RPR of the thesis, whose only masses are the carriers."""
     masses, carriers = (Masses.ZERO_STAYS_ZERO, True) if massless else (Masses.ALL, None)
     case = random_case(name, samples, seed, index, vary=vary, carriers=carriers, masses=masses, trust=trust)

@@ -30,7 +30,7 @@ _HARMONICS = 3
 _SPREAD = 0.2
 """Relative spread of lengths and masses around their defaults: wide enough to unmask a parameter read wrongly, narrow
 enough that most draws still close."""
-_TRIES, _PLAIN_TRIES = 60, 55
+TRIES, _PLAIN_TRIES = 60, 55
 """Draws; of a robot that does not vary, those whose motion has to be far from singularities all along. That is judged
 in a hundredth of the time that a lift takes to be lost beside one."""
 
@@ -121,7 +121,7 @@ def random_case(
     with_carriers = True if carriers is None and index == 0 else carriers
     rng = np.random.default_rng([seed, index])
     failure: RedundancyPinError | None = None
-    for attempt in range(_TRIES):
+    for attempt in range(TRIES):
         try:
             robot = random_robot(source, rng, with_carriers, masses) if vary else _nominal(source, trust)
         except DeclarationError as error:
@@ -142,7 +142,7 @@ def random_case(
             continue
         return replace(case, left_out=attempt)
     raise UnreachablePoseError(
-        f"No random motion of {source} stays reachable after {_TRIES} draws; the last one failed with: {failure}",
+        f"No random motion of {source} stays reachable after {TRIES} draws; the last one failed with: {failure}",
         remedy="Check the robot's reference and its workspace.",
     )
 

@@ -118,8 +118,8 @@ _STENCIL = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _STEP = 5e-4
 """Sixth-order central differences: rounding is 1e-16 of the value over the step."""
 
-_ENERGY_OFFSETS = np.array([-6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6])
-_ENERGY_WEIGHTS = np.array([1, -9, -128, 1197, -5760, 0, 5760, -1197, 128, 9, -1]) / 7560.0
+ENERGY_OFFSETS = np.array([-6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6])
+ENERGY_WEIGHTS = np.array([1, -9, -128, 1197, -5760, 0, 5760, -1197, 128, 9, -1]) / 7560.0
 """Eighth-order differences: the sixth-order ones with steps h and 2 h, extrapolated so that h⁶ cancels. One random
 state in 1e5 changes so fast that the sixth-order ones leave 3e-8 at 0.5 ms, and 64 times less at every halving."""
 _ENERGY_STEP, _LONG_STEP, _TINY_MARGIN = 2e-4, 1e-3, 1e-5
@@ -142,19 +142,19 @@ def check_power(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[De
     along = dynamics.along(motion)
     reduced = along.reduce(carriers)
     power = (reduced.f * motion.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
-    spread = (t[:, None] + step * _ENERGY_OFFSETS).ravel()
+    spread = (t[:, None] + step * ENERGY_OFFSETS).ravel()
     wide, tracks = case.motion(spread), case.carriers(spread)
     if case.robot.loads:  # by their own definitions: the efforts that they ask for are judged
         bare = RneaDynamics(replace(case.robot, loads=()))
         states, around = bare.along(motion).tree_motion(carriers), bare.along(wide)
         q, v, _ = around.tree_motion(tracks)
-        power = power - load_power(case.robot, motion, *states[:2], q, _ENERGY_WEIGHTS / step)
+        power = power - load_power(case.robot, motion, *states[:2], q, ENERGY_WEIGHTS / step)
         energy = (around.energy(tracks) + load_energy(case.robot, q, v)).reshape(len(t), -1)
     else:
         energy = dynamics.along(wide).energy(tracks).reshape(len(t), -1)
     size = np.maximum(np.abs(reduced.f * motion.xd).sum(axis=1), np.abs(energy).max(axis=1))
     keep = _away(case, t)
-    deviation = np.abs(energy @ _ENERGY_WEIGHTS / step - power) / np.maximum(size, 1e-3)
+    deviation = np.abs(energy @ ENERGY_WEIGHTS / step - power) / np.maximum(size, 1e-3)
     yield f"power balance ({label})", deviation[keep], POWER
 
 

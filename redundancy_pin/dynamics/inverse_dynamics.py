@@ -219,7 +219,7 @@ def inverse_dynamics_in_blocks(
         yield _without(result, again, until)
         done += len(motion)
         turns = turns or turns_of(dynamics.robot, tree.q)
-        edge = _edge(tree)
+        edge = edge_of(tree)
         before = whole[edge:], None if moved is None else moved[edge:]
         if tree.reachable[edge]:
             dynamics = _starting_at(dynamics, tree.q[edge])
@@ -295,7 +295,7 @@ def _without(result: InverseDynamics, again: int, until: float) -> InverseDynami
     return replace(result, reduced=reduced, efforts=efforts, instants=instants)
 
 
-def _edge(tree: TreeMotion) -> int:
+def edge_of(tree: TreeMotion) -> int:
     """Return the sample of the last tenth that is farthest from losing the branch, or the last where none is closed."""
     first = len(tree.motion) - max(1, len(tree.motion) // 10)
     margin = np.where(tree.reachable, tree.serial_margin_bound, -1.0)[first:]

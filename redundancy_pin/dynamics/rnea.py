@@ -41,7 +41,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
 
-_SAMPLES_PER_BLOCK = 20_000
+SAMPLES_PER_BLOCK = 20_000
 """Samples beyond these go through RNEA in blocks, so that the memory they take does not grow."""
 
 _SAMPLES_PER_THREAD = 500
@@ -84,7 +84,7 @@ class RneaDynamics(Dynamics):
         self, robot: RobotLike, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None
     ) -> None:
         self._robot, self._progress = as_robot(robot), progress
-        self._threads = threads or os.cpu_count() or 1
+        self.threads = threads or os.cpu_count() or 1
         self._parked = frozen(np.zeros(self._robot.k))
 
     @property
@@ -97,11 +97,11 @@ class RneaDynamics(Dynamics):
         require_choice(unreachable)
         marked = unreachable == "mark"
         tree = lift(self._robot, motion, mark_unreachable=marked, progress=self._progress)
-        return RneaAlongMotion(tree, self._threads)
+        return RneaAlongMotion(tree, self.threads)
 
     def for_robot(self, robot: Robot) -> RneaDynamics:
         """Return this backend for a robot that differs in its loads."""
-        return RneaDynamics(robot, threads=self._threads, progress=self._progress)
+        return RneaDynamics(robot, threads=self.threads, progress=self._progress)
 
     def sample(
         self,
@@ -180,7 +180,7 @@ class RneaAlongMotion(Frozen):
 
     def __init__(self, tree: TreeMotion, threads: int = 1) -> None:
         self.tree = tree
-        self._threads = max(1, min(threads, len(tree.motion) // _SAMPLES_PER_THREAD))
+        self.threads = max(1, min(threads, len(tree.motion) // _SAMPLES_PER_THREAD))
         self._rows = frozen(row_scale(tree.robot))
         self._columns = frozen(column_scale(tree.robot))
 
@@ -198,10 +198,10 @@ class RneaAlongMotion(Frozen):
         """Return f, W and carrier forces; carriers parked at s = 0 when left out."""
         carriers = require_matching_carriers(self.robot, carriers, len(self.motion))
         f, force = np.empty(self.motion.xd.shape), np.empty(carriers.s.shape)
-        for part in blocks(len(f), _SAMPLES_PER_BLOCK):
+        for part in blocks(len(f), SAMPLES_PER_BLOCK):
             effort = self._effort(carriers, part)
             for i, gamma in enumerate(
-                self._gamma if len(f) <= _SAMPLES_PER_BLOCK else _by_samples(self.tree.gamma[part])
+                self._gamma if len(f) <= SAMPLES_PER_BLOCK else _by_samples(self.tree.gamma[part])
             ):
                 f[part, i] = np.einsum("vn,vn->n", gamma, effort)
             force[part] = effort[self.robot.carrier_velocity].T
@@ -235,7 +235,7 @@ class RneaAlongMotion(Frozen):
 
     def _effort(self, carriers: CarrierMotion, part: slice) -> Array:
         q, v, a = self._tree_motion(carriers, part)
-        effort, loads = _batched_rnea(self._pool, self._threads, q, v, a), tree_loads(self.robot)
+        effort, loads = _batched_rnea(self._pool, self.threads, q, v, a), tree_loads(self.robot)
         return effort if loads is None else effort + loads.efforts(self._state(q, v, a, part))
 
     def _state(self, q: Array, v: Array, a: Array, part: slice = slice(None)) -> TreeState:
@@ -281,7 +281,7 @@ class RneaAlongMotion(Frozen):
         still = np.zeros((6, samples))
         effort = _batched_rnea(
             self._floating_pool,
-            self._threads,
+            self.threads,
             np.asfortranarray(np.concatenate([root, q])),
             np.asfortranarray(np.concatenate([still, v])),
             np.asfortranarray(np.concatenate([still, a])),
@@ -325,7 +325,7 @@ class RneaAlongMotion(Frozen):
 
     @cached_property
     def _pool(self) -> pin.ModelPool:
-        return pin.ModelPool(self.robot.model, self._threads)
+        return pin.ModelPool(self.robot.model, self.threads)
 
     @cached_property
     def _floating_pool(self) -> pin.ModelPool:
@@ -336,7 +336,7 @@ class RneaAlongMotion(Frozen):
         model.gravity = self.robot.model.gravity
         # links fixed to the base stand on the ground: their weight is not the mechanism's
         model.inertias[base] = pin.Inertia.Zero()
-        return pin.ModelPool(model, self._threads)
+        return pin.ModelPool(model, self.threads)
 
 
 def _by_samples(gamma: Array) -> Array:

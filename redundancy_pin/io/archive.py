@@ -129,7 +129,7 @@ _METADATA = "metadata"
 MOST_ARRAYS = 10_000
 """Arrays in a file; a plan has some fifteen, and two for each interval in which its actuators are off."""
 
-_UNPACKED, _RATIO = 1 << 27, 20
+UNPACKED, _RATIO = 1 << 27, 20
 """Bytes that a file may have when it is unpacked: so many, and so many for each byte it has. Plans have 1.4 to 3."""
 
 _SURROGATES = 0xD800, 0xDFFF
@@ -342,7 +342,7 @@ def _require_sound(members: Sequence[zipfile.ZipInfo], size: int) -> None:
 
 
 def _most_unpacked(size: int) -> int:
-    return _UNPACKED + _RATIO * size
+    return UNPACKED + _RATIO * size
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:

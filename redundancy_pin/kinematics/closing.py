@@ -51,7 +51,7 @@ def closed_near(robot: Robot, q: Array) -> Array:
     for spread in (0.0, *np.linspace(0.2, 1.5, _RESTARTS)):
         if gap < CLOSURE_TOLERANCE:
             return closed
-        near, steps, size = _brought_near(system, q if spread == 0.0 else scattered(system, q, 1, spread, rng)[0])
+        near, steps, size = brought_near(system, q if spread == 0.0 else scattered(system, q, 1, spread, rng)[0])
         if size < _NEAR:
             closed, gap = close(system, near)
         left, best = left - steps, min(best, gap, size)
@@ -82,7 +82,7 @@ def scattered(system: ConstraintSystem, q: Array, count: int, spread: float, rng
     return integrate(robot.model, np.repeat(q[None], count, axis=0), steps)
 
 
-def _brought_near(system: ConstraintSystem, q: Array) -> tuple[Array, int, float]:
+def brought_near(system: ConstraintSystem, q: Array) -> tuple[Array, int, float]:
     """Return what Levenberg–Marquardt's method reaches from q (nq,), its number of steps, and what is left open, m."""
     model, columns, weight = system.robot.model, system.pose_columns, system.closure_scale
     scale = velocity_scale(system.robot)[columns]

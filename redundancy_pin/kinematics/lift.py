@@ -153,7 +153,7 @@ def lift(
     if len(motion) == 1 and (tree := _lift_one(robot, motion, start)) is not None:
         return tree
     # the guesses lie on the branch, so that all samples can be solved at once: no sample waits for the one before
-    guesses, first = _guesses(system, motion, mark_unreachable, start)
+    guesses, first = guesses_along(system, motion, mark_unreachable, start)
     solved = _solve(system, motion, guesses, progress)
     _solve_rank_losses(motion, solved, first if start is None else start, positions_only)
     if not mark_unreachable:
@@ -341,14 +341,14 @@ def _between_modes(robot: Robot, q: Array) -> bool:
     return bool((np.abs(mode_indicator(robot, q[None])) < _NO_SIDE).any())
 
 
-def _guesses(
+def guesses_along(
     system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None
 ) -> tuple[Array, Point | None]:
     """Return (N, nq) guesses along the branch, and the first sample's point where it is on it.
 
     They go from the first sample solved on the branch onward, and from there back.
     """
-    solved = _first_on_branch(system, motion, mark, start)
+    solved = first_on_branch(system, motion, mark, start)
     if solved is None:
         return np.repeat(system.robot.q_reference[None], len(motion), axis=0), None
     first, point = solved
@@ -365,7 +365,7 @@ def _guesses(
     return np.concatenate([before[:0:-1], guess]), None
 
 
-def _first_on_branch(
+def first_on_branch(
     system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None
 ) -> tuple[int, Point] | None:
     """Return the first sample that is solved on the branch, and its solution."""

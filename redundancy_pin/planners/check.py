@@ -126,7 +126,7 @@ def finish_plan(
     at_samples = (*limits.violated, *at_samples, *_jerk_broken(along, carriers, parameters))
     if reduced.out_of_range is not None and reduced.out_of_range.any():
         at_samples = (*at_samples, *ranges_left(robot, t, lift(robot, along.motion, mark_unreachable=True).q))
-    violated = _merged(at_samples, exceeded)
+    violated = merged_events(at_samples, exceeded)
     overall = PlanStatus.WITHIN_LIMITS if diagnostics.get("optimal", True) else PlanStatus.STOPPED_EARLY
     if check is not None:
         findings["dense_check"] = _summary(check, tau)
@@ -223,7 +223,7 @@ def _summary(check: DenseCheck, tau: Array) -> dict[str, object]:
     }
 
 
-def _merged(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...]) -> tuple[LimitEvent, ...]:
+def merged_events(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...]) -> tuple[LimitEvent, ...]:
     """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more.
 
     An effort that is exceeded has one event from first to last, whatever its sign.

@@ -139,7 +139,7 @@ def table_of_states(
     t, x, q, v, a, effort = parts
     names = (*machine.actuated, *machine.carriers)
     columns = np.concatenate([machine.actuated_velocity, machine.carrier_velocity])
-    coordinates, units, x = _coordinates(machine, x)
+    coordinates, units, x = joint_columns(machine, x)
     return PlanTable(
         t=read_only(t),
         joints=names,
@@ -200,7 +200,7 @@ def _position(robot: Robot, name: str, q: Array) -> Array:
     return np.unwrap(position) if continuous else position
 
 
-def _coordinates(robot: Robot, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], Array]:
+def joint_columns(robot: Robot, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], Array]:
     """Return names, units and values of the independent coordinates."""
     if robot.platform is None:
         units = tuple("rad" if is_revolute(robot, name) else "m" for name in robot.independent_joints)

@@ -148,7 +148,7 @@ def robot_of_tree(
 
 def built(tree: Tree, urdf: str, path: Path) -> pin.Model:
     """Return Pinocchio's model of a URDF, which is what the file says."""
-    with _complaints_of_urdfdom() as complaints:
+    with complaints_of_urdfdom() as complaints:
         try:
             model = pin.buildModelFromXML(urdf)
         except (ValueError, RuntimeError) as error:
@@ -168,7 +168,7 @@ def built(tree: Tree, urdf: str, path: Path) -> pin.Model:
 
 
 @contextmanager
-def _complaints_of_urdfdom() -> Iterator[list[str]]:
+def complaints_of_urdfdom() -> Iterator[list[str]]:
     """Give the list that urdfdom's complaints are put into; it writes them to the error stream and goes on.
 
     What others write there meanwhile reaches it afterwards.

@@ -124,7 +124,7 @@ class ForwardDynamics:
         """Smallest pivot of the mass matrix over the largest, in kg, at the last state."""
         self._fresh = False
         """Whether the independent velocities were chosen for the next configuration."""
-        self._set(self.choose_partition(np.array(robot.q_reference)))
+        self.use(self.choose_partition(np.array(robot.q_reference)))
 
     def choose_partition(self, q: Array) -> Partition:
         """Return the partition that suits a configuration (nq,).
@@ -141,10 +141,11 @@ class ForwardDynamics:
         Raises:
             SingularPoseError: the closures have lost rank there.
         """
-        self._set(self.choose_partition(q))
+        self.use(self.choose_partition(q))
         self._fresh = True
 
-    def _set(self, partition: Partition) -> None:
+    def use(self, partition: Partition) -> None:
+        """Take over a partition of the velocities."""
         self.partition = partition
         self._basis = np.zeros((self.robot.model.nv, len(partition.independent)), order="F")
         self._basis[partition.independent, np.arange(len(partition.independent))] = 1.0

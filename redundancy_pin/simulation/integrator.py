@@ -407,7 +407,7 @@ def _step(
     events, values, ratios = find_events(problem.functions, progress.values, step, rate.sheet)
     near = progress.near
     if rate.sheet is None and may_touch_zero(ratios, near):
-        _require_no_rank_loss(problem, earlier, step)
+        require_no_rank_loss(problem, earlier, step)
         near = 0.5 * float(ratios.min())  # a look ahead takes as long as some steps: the next one from nearer by
     stop = events[-1].t if events and events[-1].terminal else None
     rest = None if rate.sheet is None else _rest(problem.functions, step, rate.sheet)
@@ -464,7 +464,7 @@ class RetryStep(Exception):  # noqa: N818 - it tells the integration to go back,
         self.length, self.sheet, self.reason = length, sheet, reason
 
 
-def _require_no_rank_loss(problem: InitialValueProblem, earlier: Progress, step: Step) -> None:
+def require_no_rank_loss(problem: InitialValueProblem, earlier: Progress, step: Step) -> None:
     """Raise RetryStep where the closures lose rank in a step, with the sheet that leads across if it is near enough."""
     machine, functions, length = problem.machine, problem.functions, step.end - step.start
     q, v = np.split(earlier.y, [machine.robot.model.nq])

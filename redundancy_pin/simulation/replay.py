@@ -176,7 +176,7 @@ def replay(
         last=float(error[-1]),
         carrier_error=float(np.abs(run.s - [reference.carriers(t)[0] for t in run.t.tolist()]).max(initial=0.0)),
         carrier_lag=float(reference.carrier_lag.max(initial=0.0)),
-        off_track=_off_track(robot, run.s),
+        off_track=distance_off_track(robot, run.s),
         effort=float(np.nanmax(np.abs(run.tau))),
         carrier_force=float(np.nanmax(np.abs(run.carrier_force), initial=0.0)),
         gap=float(run.gap.max()),
@@ -244,6 +244,7 @@ class _SampleEfforts(Tracking):
         return both[: self.robot.m], both[self.robot.m :]
 
 
-def _off_track(robot: Robot, s: Array) -> float:
+def distance_off_track(robot: Robot, s: Array) -> float:
+    """Return how far, m, carriers (N, k) go beyond an end of their tracks at most."""
     lower, upper = np.array([(limits.lower, limits.upper) for limits in robot.carrier_limits]).reshape(-1, 2).T
     return float(np.maximum(s - upper, lower - s).max(initial=0.0))

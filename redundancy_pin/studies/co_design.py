@@ -144,7 +144,7 @@ def co_design(
         InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError: the machine to begin with cannot
             carry out a task.
     """
-    search = _Search(_tasks(tasks), design)
+    search = Search(_tasks(tasks), design)
     most = whole(iterations, "iterations", 1, 1000)
     here = search.machine(search.start)
     before, bundle = here.values, [here]
@@ -188,7 +188,7 @@ def co_design(
     )
 
 
-class _Search:
+class Search:
     """What the machines of a search have in common. ``rejected``: those that cannot carry out a task."""
 
     def __init__(self, tasks: Sequence[DesignTask], design: Mapping[str, tuple[float, float]]) -> None:
@@ -223,6 +223,7 @@ class _Search:
             return None
 
     def record(self, machine: _Machine) -> Mapping[str, float]:
+        """Return the cost and the parameters of a machine."""
         return MappingProxyType({"cost": machine.cost, **machine.parameters})
 
 
@@ -230,7 +231,7 @@ class _Search:
 class _Machine:
     """A machine at (d,) fractions ``u`` of the ranges, with the plan and the programme of each task."""
 
-    search: _Search
+    search: Search
     u: Array
     parameters: dict[str, float]
     tasks: tuple[Task, ...]

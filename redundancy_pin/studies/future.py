@@ -134,7 +134,7 @@ def run_future(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     timed = plans.prepare([(case, case.backends[0]) for case in cases.values()], extent.jobs, tell, beside=beside)
     tell("least time")
     calls = [(*key, case, plans.outcome(case)) for key, case in cases.items()]
-    return {"plans": [*parallel(_record, calls, extent.jobs, ordered=True), *timed]}
+    return {"plans": [*parallel(task_record, calls, extent.jobs, ordered=True), *timed]}
 
 
 def coarsened(case: Case, extent: Extent) -> Case:
@@ -146,10 +146,13 @@ def least_time(task: str, method: str, case: Case) -> Record:
     """Return the record of a plan of least time."""
     settings = {name: value for name, value in case.options if case.planner != "none"}
     dynamics = case.dynamics()
-    return _record(task, method, case, plan_time_optimal(dynamics, case.trajectory().path, effort=TORQUE, **settings))
+    return task_record(
+        task, method, case, plan_time_optimal(dynamics, case.trajectory().path, effort=TORQUE, **settings)
+    )
 
 
-def _record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePlanError) -> Record:
+def task_record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePlanError) -> Record:
+    """Return one row of the table: a method's plan of a task, or why there is none."""
     if isinstance(outcome, InfeasiblePlanError):
         return {"task": task, "way": method, "status": f"no plan: {outcome.message}"}
     dynamics, carriers = case.dynamics(), outcome.carriers

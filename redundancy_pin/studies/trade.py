@@ -149,10 +149,12 @@ def trade_off(
         if high == 0.0:  # y is least where there is nothing of x: the front is that point
             bounds, varied = [0.0], [ends[1]]
     made.prepare([(one, by) for one in varied], jobs, tell)
-    records = [_record(one, made.outcome(one, by), x, y, bound, by) for one, bound in zip(varied, bounds, strict=True)]
+    records = [
+        trade_record(one, made.outcome(one, by), x, y, bound, by) for one, bound in zip(varied, bounds, strict=True)
+    ]
     if all(record["reason"] is not None for record in records):
         made.plan(varied[-1], by)
-    return TradeOff(case, x, y, tuple(_judged(records)))
+    return TradeOff(case, x, y, tuple(judge_front(records)))
 
 
 def _shared(case: Case, x: str, share: float) -> Case:
@@ -178,7 +180,8 @@ def _value(plan: Plan, name: str) -> float:
     return value if abs(value) > _NOTHING * size else 0.0
 
 
-def _record(case: Case, outcome: Plan | InfeasiblePlanError, x: str, y: str, bound: float, backend: str) -> Record:
+def trade_record(case: Case, outcome: Plan | InfeasiblePlanError, x: str, y: str, bound: float, backend: str) -> Record:
+    """Return one point of a front: the plan within a bound of ``x``, or why there is none."""
     record: Record = {"bound": bound, "x": bound, "y": None, "reason": None, "dominated": False, "status": "no plan"}
     if isinstance(outcome, InfeasiblePlanError):
         return {**record, "reason": outcome.message}
@@ -201,7 +204,7 @@ def _record(case: Case, outcome: Plan | InfeasiblePlanError, x: str, y: str, bou
     }
 
 
-def _judged(records: list[Record]) -> list[Record]:
+def judge_front(records: list[Record]) -> list[Record]:
     """Return the records, with whether another is as good in x and y and better in one of them."""
     planned = [record for record in records if record["reason"] is None]
 

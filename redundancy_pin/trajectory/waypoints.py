@@ -257,7 +257,7 @@ class SplinePath(Frozen, SmoothPath):
         target = p - self._arc_at_edges[panel]
         u = low + (high - low) * target / (self._arc_at_edges[panel + 1] - self._arc_at_edges[panel])
         for _ in range(_MOST_STEPS):
-            miss = _arc_length(self._spline, start, u) - target
+            miss = arc_length_of(self._spline, start, u) - target
             if np.abs(miss).max(initial=0.0) <= _INVERSION_TOLERANCE * self.length:
                 break
             low, high = np.where(miss < 0.0, u, low), np.where(miss > 0.0, u, high)
@@ -275,7 +275,7 @@ def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
     return SplinePath(points, closed=closed)
 
 
-def _arc_length(spline: CubicSpline, lower: Array, upper: Array) -> Array:
+def arc_length_of(spline: CubicSpline, lower: Array, upper: Array) -> Array:
     """Return ∫ |r'(u)| du between lower and upper, any equal shapes, within one panel each."""
     half = 0.5 * (upper - lower)
     nodes = (lower + half)[..., None] + half[..., None] * _NODES
@@ -286,12 +286,12 @@ def _arc_length(spline: CubicSpline, lower: Array, upper: Array) -> Array:
 def _arc_length_table(spline: CubicSpline, knots: Array) -> tuple[Array, Array]:
     """Return panel edges in u and the arc length at each; a panel is halved until its length stands still."""
     start, end = knots[:-1], knots[1:]
-    lengths = _arc_length(spline, start, end)
+    lengths = arc_length_of(spline, start, end)
     total = lengths.sum()
     starts, pieces = [], []
     for _ in range(_MOST_HALVINGS):
         middle = 0.5 * (start + end)
-        first, second = _arc_length(spline, start, middle), _arc_length(spline, middle, end)
+        first, second = arc_length_of(spline, start, middle), arc_length_of(spline, middle, end)
         moving = np.abs(first + second - lengths) > _LENGTH_TOLERANCE * total
         starts += [start[~moving], middle[~moving]]
         pieces += [first[~moving], second[~moving]]

@@ -71,7 +71,7 @@ def test_progress_counts_every_state_of_every_batch():
 def test_a_million_states_leave_no_more_behind_than_ten(monkeypatch):
     """They come in 4000 batches; what is kept of them is one row a check."""
     kept, seen = [], []
-    monkeypatch.setattr(crosscheck, "_checked", lambda name, index, samples, *_: [
+    monkeypatch.setattr(crosscheck, "checked_batch", lambda name, index, samples, *_: [
         CheckRow(name, check, samples, 1e-12 * (index + 1), 1e-8, True) for check in ("power", "momentum")
     ])  # fmt: skip
     monkeypatch.setattr(crosscheck, "merged", lambda rows: kept.append(len(rows)) or merged(rows))
@@ -83,8 +83,8 @@ def test_a_million_states_leave_no_more_behind_than_ten(monkeypatch):
 
 def test_energy_differences_are_exact_for_polynomials_of_degree_eight():
     """Declared order: errors of the difference quotient start at the ninth derivative."""
-    x = physics._ENERGY_OFFSETS.astype(float)
-    slopes = [float(physics._ENERGY_WEIGHTS @ x**degree) for degree in range(11)]
+    x = physics.ENERGY_OFFSETS.astype(float)
+    slopes = [float(physics.ENERGY_WEIGHTS @ x**degree) for degree in range(11)]
     np.testing.assert_allclose(slopes[:9], [0, 1, *[0] * 7], atol=1e-11)  # rounding of 6⁸ = 1.7e6
     assert abs(slopes[9]) > 1.0
 
@@ -339,7 +339,7 @@ def test_a_robot_without_workspace_is_reported(monkeypatch):
         raise UnreachablePoseError("too far")
 
     monkeypatch.setattr(cases, "lift", never)
-    monkeypatch.setattr(cases, "_TRIES", 2)
+    monkeypatch.setattr(cases, "TRIES", 2)
     with pytest.raises(UnreachablePoseError, match="No random motion of 2rpr stays reachable after 2 draws"):
         crosscheck.run(["2rpr"], samples=5)
 

@@ -531,7 +531,7 @@ def test_names_from_a_file_cannot_leave_their_comments(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "prefix"), [("rp", "robot_rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new")])
 def test_prefixes(name: str, prefix: str) -> None:
-    assert codegen._prefix(name, None) == prefix
+    assert codegen.prefix_of(name, None) == prefix
 
 
 @pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "rp", "x" * 41, "a\n"])

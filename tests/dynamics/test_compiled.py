@@ -147,9 +147,9 @@ def test_machine_code_says_what_the_interpreter_says(monkeypatch: pytest.MonkeyP
         row = (motion.x[k], motion.xd[k], motion.xdd[k], carriers.s[k], carriers.sd[k], carriers.sdd[k])
         for got, want in zip(one.sample(*row), other.sample(*row), strict=True):
             assert_equal(got, want, "sample")
-    kernel: Any = other._kernel
-    followed, follow = [], kernel._follow
-    monkeypatch.setattr(kernel, "_follow", lambda *given: (followed.append(given), follow(*given))[1])
+    kernel: Any = other.kernel
+    followed, follow = [], kernel.follow
+    monkeypatch.setattr(kernel, "follow", lambda *given: (followed.append(given), follow(*given))[1])
     other.along(motion)
     assert len(followed) < 5  # to the first sample; others are found from the ones before
     # from far away, to a pose and to one that is out of reach: not whole turns round, nor given up at once
@@ -158,8 +158,8 @@ def test_machine_code_says_what_the_interpreter_says(monkeypatch: pytest.MonkeyP
         for _ in range(3):
             step = random.uniform(-3.0, 3.0, robot.model.nv)
             step[robot.carrier_velocity] = 0.0
-            mine, theirs = (pin.integrate(robot.model, one._loops.reference[0], step) for _ in range(2))
-            gaps = one._kernel.assemble(mine, x), other._kernel.assemble(theirs, x)
+            mine, theirs = (pin.integrate(robot.model, one.reference[0], step) for _ in range(2))
+            gaps = one.kernel.assemble(mine, x), other.kernel.assemble(theirs, x)
             np.testing.assert_allclose(*gaps, rtol=1e-6, atol=1e-12)
             np.testing.assert_allclose(mine, theirs, atol=1e-4)
 
@@ -207,7 +207,7 @@ def test_every_type_of_joint_is_pinocchios() -> None:
     chain = SymbolicChain(nothing)
     evaluate = casadi.Function(
         "all", [chain.q, chain.trig, chain.v, chain.a, chain.step],
-        [*chain.efforts, chain.energy, chain._rates[: model.nq], chain.moved],
+        [*chain.efforts, chain.energy, chain.rates[: model.nq], chain.moved],
     )  # fmt: skip
     data = model.createData()
     for _ in range(5):
@@ -402,8 +402,8 @@ def test_a_motion_in_parts_is_the_motion_in_one(monkeypatch: pytest.MonkeyPatch)
     t = np.linspace(0.0, 3.0, 5000)
     motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t)
     one, many = (CompiledDynamics(robot, threads=threads) for threads in (1, 4))
-    calls, call = [], many._kernel.call
-    monkeypatch.setattr(many._kernel, "call", lambda name, *given: (calls.append(name), call(name, *given))[1])
+    calls, call = [], many.kernel.call
+    monkeypatch.setattr(many.kernel, "call", lambda name, *given: (calls.append(name), call(name, *given))[1])
     assert_equal(many.reduce(motion, carriers).f, one.reduce(motion, carriers).f, "f")
     assert calls.count("rp_lift") == 4
 
@@ -525,7 +525,7 @@ def built(folder: Path) -> str:
     """Build the four-bar in a process of its own, and return the name of its library."""
     code = (
         "import redundancy_pin as rp; from redundancy_pin.dynamics.compiled import CompiledDynamics\n"
-        "c = CompiledDynamics(rp.load_robot('four_bar')); print(c.compiled and c._kernel.path.name)"
+        "c = CompiledDynamics(rp.load_robot('four_bar')); print(c.compiled and c.kernel.path.name)"
     )
     environment = {**os.environ, build.CACHE: str(folder)}
     return subprocess.run(

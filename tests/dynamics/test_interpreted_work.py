@@ -27,9 +27,9 @@ def rows(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]], int]:
     """Run something, and return how often rows are evaluated."""
 
     def count(action: Callable[[], Any]) -> int:
-        calls, original = [], Interpreter._rows
+        calls, original = [], Interpreter.rows_at
         with monkeypatch.context() as patch:
-            patch.setattr(Interpreter, "_rows", lambda self, q, x: calls.append(1) or original(self, q, x))
+            patch.setattr(Interpreter, "rows_at", lambda self, q, x: calls.append(1) or original(self, q, x))
             action()
         return len(calls)
 
@@ -51,7 +51,7 @@ ASSEMBLED = {"2rpr": 115, "3rrr": 171, "five_bar": 138, "four_bar": 172, "gough"
 
 def test_bad_guesses_are_closed_in_some_dozen_steps(shipped: Robot, rows: Callable[[Callable[[], Any]], int]) -> None:
     """By Levenberg and Marquardt's method, ten of them; what is said to be left is left."""
-    interpreter = rp.CompiledDynamics(shipped, interpret=True)._kernel
+    interpreter = rp.CompiledDynamics(shipped, interpret=True).kernel
     assert isinstance(interpreter, Interpreter)
     rng, home, system = np.random.default_rng(6), zoo.home_of(shipped), zoo.system_of(shipped)
 

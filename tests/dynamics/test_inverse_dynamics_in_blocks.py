@@ -53,7 +53,7 @@ def test_blocks_give_what_the_whole_gives(backend: type, size: int, monkeypatch:
     if size == 56:
         monkeypatch.setattr(
             importlib.import_module("redundancy_pin.dynamics.inverse_dynamics"),
-            "_edge",
+            "edge_of",
             lambda tree: len(tree.motion) - 5,
         )
     sampled = CIRCLE.sample(0.01)
@@ -222,7 +222,7 @@ def test_rates_are_compared_over_all_blocks(size: int) -> None:
 
 def test_long_motions_are_compared_at_some_of_their_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     sampled = CIRCLE.sample(0.005)
-    monkeypatch.setattr(motion, "_COMPARED_AT", 20)
+    monkeypatch.setattr(motion, "COMPARED_AT", 20)
     require_consistent(sampled)
     with pytest.raises(rp.errors.InputError) as caught:
         require_consistent(PlatformMotion(sampled.t, 1e3 * sampled.x, sampled.xd, sampled.xdd))

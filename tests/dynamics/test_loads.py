@@ -292,9 +292,9 @@ def test_backends_keep_their_settings_under_other_loads() -> None:
     robot, weight = machine("2rpr"), Payload("end_effector", 1.0)
     own = CompiledDynamics(robot, interpret=True, threads=3).with_external(weight)
     assert not own.compiled
-    assert own._threads == 3
+    assert own.threads == 3
     assert own.robot.loads[-1] is weight
-    assert RneaDynamics(robot, threads=3).with_external(weight)._threads == 3
+    assert RneaDynamics(robot, threads=3).with_external(weight).threads == 3
 
 
 def test_damping_of_balls_is_the_same_in_both_backends(tmp_path: Path) -> None:

@@ -320,7 +320,7 @@ def test_blocks_do_not_change_a_bit(size: int, monkeypatch: pytest.MonkeyPatch) 
     for length in (size, 10**9):
         for module in (lift_module, continuation_module, rnea_module):
             monkeypatch.setattr(module, "blocks", lambda samples, _=0, length=length: blocks(samples, length))
-        monkeypatch.setattr(rnea_module, "_SAMPLES_PER_BLOCK", length)
+        monkeypatch.setattr(rnea_module, "SAMPLES_PER_BLOCK", length)
         dynamics = RneaDynamics(robot, progress=lambda done, total: calls.append((done, total)))
         along = dynamics.along(motion)
         reduced = along.reduce()

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled import design
-from redundancy_pin.dynamics.compiled.closing import _TURN, _waypoints
+from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, waypoints
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.kinematics.assembly import project
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
@@ -107,11 +107,11 @@ def test_angles_have_their_cosines_and_sines_once(robot: rp.Robot) -> None:
 def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
     """By the least rotation, and along a straight line; coordinates go at once."""
     first, last = np.eye(4), np.eye(4)
-    turn, angle = np.array([1.0, 2.0, -2.0]) / 3.0, 3.5 * _TURN
+    turn, angle = np.array([1.0, 2.0, -2.0]) / 3.0, 3.5 * LARGEST_TURN
     first[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
     last[:3, :3] = Rotation.from_rotvec(angle * turn).as_matrix() @ first[:3, :3]
     first[:3, 3], last[:3, 3] = [1.0, 2.0, 3.0], [0.0, 4.0, 3.5]
-    way = np.array(_waypoints(first.ravel(), last.ravel(), True)).reshape(-1, 4, 4)
+    way = np.array(waypoints(first.ravel(), last.ravel(), True)).reshape(-1, 4, 4)
     assert len(way) == 4
     for share, pose in zip((0.25, 0.5, 0.75, 1.0), way, strict=True):
         expected = Rotation.from_rotvec(share * angle * turn).as_matrix() @ first[:3, :3]
@@ -121,8 +121,8 @@ def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
     np.testing.assert_array_equal(way[-1], last)
     beside = first.copy()
     beside[:3, 3] += 1.0
-    assert [pose.tolist() for pose in _waypoints(first.ravel(), beside.ravel(), True)] == [beside.ravel().tolist()]
-    assert _waypoints(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
+    assert [pose.tolist() for pose in waypoints(first.ravel(), beside.ravel(), True)] == [beside.ravel().tolist()]
+    assert waypoints(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
 
 
 @pytest.mark.parametrize("name", ["3rrr", "gough"])
@@ -147,7 +147,7 @@ def test_columns_of_masses_are_what_pinocchios_inertias_change_by(name: str) -> 
             change[i, j] = change[j, i] = 1.0
             changes[f"{joint}.inertia.{axis}{'xyz'[j]}"] = lambda d, c=change: (mass, centre, inertia + d * c)
     for parameter, changed in changes.items():
-        placements, inertias = design._by_tree(robot, parameter)
+        placements, inertias = design.by_tree(robot, parameter)
         assert not placements
         expected = (moments(*changed(h)) - moments(*changed(-h))) / (2.0 * h)
         np.testing.assert_allclose(inertias[joint], expected, atol=1e-8)

@@ -98,7 +98,7 @@ def test_arrays_come_back(array: Any, tmp_path: Path) -> None:
 def test_what_a_bomb_would_look_like_is_written_so_that_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(archive, "_UNPACKED", 1 << 16)
+    monkeypatch.setattr(archive, "UNPACKED", 1 << 16)
     path = tmp_path / "a.npz"
     write_archive(path, "numbers", 1, Numbers(np.zeros(1_000_000)))
     assert read(path)["a"].shape == (1_000_000,)

@@ -185,7 +185,7 @@ def test_samples_before_the_first_one_found_are_followed_back(monkeypatch: pytes
     motion = line([0.101, 0.2], [-0.099, -0.2], 21)
     expected = lift(robot, motion)
     monkeypatch.setattr(
-        state, "_first_on_branch", lambda *_: (20, Point(motion.x[20], expected.q[20], expected.gamma[20]))
+        state, "first_on_branch", lambda *_: (20, Point(motion.x[20], expected.q[20], expected.gamma[20]))
     )
     tree = lift(robot, motion, mark_unreachable=True)
     assert tree.reachable.all()
@@ -215,7 +215,7 @@ def test_a_jump_to_another_branch_is_refused_or_marked(monkeypatch: pytest.Monke
     other = np.array(load_robot("five_bar", working_mode=tuple(-sign for sign in shipped.working_mode)).q_reference)
     motion = along(zoo.home_of(shipped) + np.array([[0.0, 0.0], [0.0, -0.01], [0.0, -0.02]]))
     guesses = np.stack([np.array(shipped.q_reference), np.array(shipped.q_reference), other])
-    monkeypatch.setattr(state, "_guesses", lambda *_: (guesses, None))
+    monkeypatch.setattr(state, "guesses_along", lambda *_: (guesses, None))
     with pytest.raises(WorkingModeError, match="continuously from sample 1 to 2"):
         lift(robot, motion)
     np.testing.assert_array_equal(lift(robot, motion, mark_unreachable=True).reachable, [True, True, False])

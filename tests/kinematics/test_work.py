@@ -20,7 +20,7 @@ from folding import folding_four_bar
 import redundancy_pin as rp
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.kinematics.chain import ClosedChain, tracker
-from redundancy_pin.kinematics.closing import _brought_near, close
+from redundancy_pin.kinematics.closing import brought_near, close
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follow, initial_guess
 from redundancy_pin.kinematics.inverse_kinematics import multistart
@@ -137,7 +137,7 @@ def test_loops_are_closed_from_afar_in_few_steps(name: str) -> None:
     system, rng, steps = zoo.system_of(robot), np.random.default_rng(0), 0
     for _ in range(8):
         q = pin.integrate(robot.model, np.array(robot.q_reference), rng.uniform(-1.5, 1.5, robot.model.nv))
-        near, count, size = _brought_near(system, q)
+        near, count, size = brought_near(system, q)
         steps += count
         assert size < 1e-3
         assert system.misalignment(system.evaluate(near[None])).max() < 0.01

@@ -13,7 +13,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
-from redundancy_pin.planners.check import _merged
+from redundancy_pin.planners.check import merged_events
 from redundancy_pin.planners.limits import LimitEvent, motion_broken
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.samples_only import reconstruction_error
@@ -228,10 +228,10 @@ def test_an_effort_exceeded_with_either_sign_is_one_broken_limit() -> None:
     at_samples = LimitEvent("motor", "effort", 0.1, 0.2, 0.1, -6.0, -5.0, 1.0)
     between = LimitEvent("motor", "effort", 0.7, 0.8, 0.7, 7.0, 5.0, 2.0)
     another = replace(between, carrier="other motor")
-    assert _merged((at_samples,), (between, another)) == (between, another)
-    assert _merged((replace(at_samples, amount=3.0),), (between,)) == (replace(at_samples, amount=3.0),)
+    assert merged_events((at_samples,), (between, another)) == (between, another)
+    assert merged_events((replace(at_samples, amount=3.0),), (between,)) == (replace(at_samples, amount=3.0),)
     speeds = tuple(replace(event, quantity="speed") for event in (at_samples, between))
-    assert _merged(speeds[:1], speeds[1:]) == speeds
+    assert merged_events(speeds[:1], speeds[1:]) == speeds
 
 
 def test_a_shortest_return_on_its_limit_stays_there_where_a_file_has_samples_only() -> None:

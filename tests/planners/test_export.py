@@ -18,7 +18,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.export import _coordinates
+from redundancy_pin.planners.export import joint_columns
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.robot import Robot
 
@@ -236,7 +236,7 @@ def test_positions_of_a_pose_come_with_a_quaternion_that_does_not_flip() -> None
     turned = Rotation.from_rotvec(np.linspace(0.0, 3.0 * np.pi, 50)[:, None] * [0.0, 0.0, 1.0])
     x = np.tile(np.eye(4), (50, 1, 1))
     x[:, :3, :3], x[:, 0, 3] = turned.as_matrix(), np.arange(50.0)
-    names, units, values = _coordinates(rp.load_robot("gough"), x)
+    names, units, values = joint_columns(rp.load_robot("gough"), x)
     assert [name.removeprefix("platform.") for name in names] == ["x", "y", "z", "qx", "qy", "qz", "qw"]
     assert units == ("m", "m", "m", "1", "1", "1", "1")
     np.testing.assert_array_equal(values[:, :3], x[:, :3, 3])

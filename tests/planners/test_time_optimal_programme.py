@@ -254,7 +254,7 @@ def test_bounds_are_those_of_the_unknowns_and_the_cost_is_time(numbers):
 def test_the_first_guess_is_a_harmonic_motion_that_the_parked_machine_can_follow(name):
     of = case(name)
     problem, u, length = of.problem, of.problem.sizes, of.path.length
-    guess = planner._first_guess(problem)
+    guess = planner.first_guess(problem)
     t = np.append(0.0, np.cumsum(guess["h"][:, 0] * u.h))
     phase = np.pi * t / t[-1]
     place, rate = 0.5 * length * (1.0 - np.cos(phase)), 0.5 * length * np.pi / t[-1]
@@ -287,14 +287,14 @@ def test_values_are_moved_to_other_nodes_along_the_path():
     problem, grid, u = of.problem, of.problem.grid, of.problem.sizes
     point = Numbers(of).points[0]
     values = {**point, "place": grid.t}
-    again = planner._moved(values, problem)
+    again = planner.moved_guess(values, problem)
     for name in ("pd", "pdd", "s", "sd", "sdd", "tau"):
         unit = getattr(u, {"pd": "speed", "pdd": "acceleration"}.get(name, name))
         np.testing.assert_allclose(again[name] * unit, point[name], atol=1e-12)
     np.testing.assert_allclose(again["h"] * u.h[:, None], point["h"], atol=1e-12)
     finer = with_middles(grid, grid.h > 0.0)
     fine = replace(problem, grid=finer, sizes=replace(u, h=np.ones(len(finer.h))))
-    moved = planner._moved(values, fine)
+    moved = planner.moved_guess(values, fine)
     side = np.append(False, grid.h == 0.0).cumsum() * 1e-9  # numpy knows no two values at one place
     places = finer.t + np.append(False, finer.h == 0.0).cumsum() * 1e-9
     for name in ("pd", "s", "tau"):
@@ -319,7 +319,7 @@ def test_steps_inside_which_a_carrier_leaves_its_limits_are_found():
         moved = h[:, None] * sd[:-1] + h[:, None] ** 2 / 6 * (2 * sdd[:-1] + sdd[1:])
         s = rng.uniform(-0.1, 0.1) + np.vstack([np.zeros((1, 3)), np.cumsum(moved, axis=0)])
         values = {"s": s / u.s, "sd": sd / u.sd, "sdd": sdd / u.sdd, "h": (h / u.h)[:, None]}
-        leaves = planner._leaves(problem, SimpleNamespace(values=values))
+        leaves = planner.leaves_limits(problem, SimpleNamespace(values=values))
         part = np.linspace(0.0, 1.0, 201)[:, None, None] * h[:, None]
         jerk = np.diff(sdd, axis=0) / 0.1
         place = s[:-1] + part * sd[:-1] + part**2 / 2 * sdd[:-1] + part**3 / 6 * jerk
@@ -335,7 +335,7 @@ def test_steps_inside_which_a_carrier_leaves_its_limits_are_found():
 
 def test_a_lap_is_first_guessed_at_an_even_speed():
     problem = case("lap").problem
-    guess, u = planner._first_guess(problem), problem.sizes
+    guess, u = planner.first_guess(problem), problem.sizes
     assert not guess["pdd"].any()
     np.testing.assert_allclose(guess["pd"], 0.5)
     # half the size of speeds, and steps that last as long as they take at it
@@ -348,7 +348,7 @@ def test_finer_meshes_have_nodes_halfway_in_time_where_it_is_needed():
     law = PiecewisePolynomial.linear(np.unique(t), (0.1 * np.unique(t) ** 2)[:, None])
     places = 0.1 * t**2
     grid = Grid(places, np.array([2, 5]), np.arange(14) == 6)
-    finer = planner._finer(grid, SimpleNamespace(t=t, law=law), np.array([1.35]))
+    finer = planner.finer_nodes(grid, SimpleNamespace(t=t, law=law), np.array([1.35]))
     # the step from 1.3 to 1.4, two on both sides, and the last; that from 0 to 1 is as long as a twentieth of all
     new = np.setdiff1d(finer.t, places)
     middles = [0.5 * (a + b) for a, b in pairwise(t) if a in (1.1, 1.2, 1.3, 1.4, 1.5, 1.85)]
@@ -358,5 +358,5 @@ def test_finer_meshes_have_nodes_halfway_in_time_where_it_is_needed():
     np.testing.assert_allclose(smooth, np.sort([places[6], *new[:-1]]))
     # a law that stands still, or runs back, leaves a fiftieth of the step
     still = SimpleNamespace(t=t, law=lambda times: np.zeros((len(times), 1)))
-    stuck = np.setdiff1d(planner._finer(grid, still, np.array([1.35])).t, places)
+    stuck = np.setdiff1d(planner.finer_nodes(grid, still, np.array([1.35])).t, places)
     np.testing.assert_allclose(stuck[-1], places[-2] + 0.02 * (places[-1] - places[-2]))

@@ -109,9 +109,9 @@ ELBOW, CENTRE = '<origin xyz="${proximal_length} 0 0"', '<origin xyz="${start + 
 )  # fmt: skip
 def test_a_whole_file_against_differences(tmp_path: Path, numbers: tuple[str, ...], old: str, new: str) -> None:
     robot = load_robot(changed(tmp_path, old, new))
-    exact = design._by_duals(robot, numbers)
+    exact = design.by_duals(robot, numbers)
     for name in numbers:
-        for got, want in zip(exact[name], design._by_xacro(robot, name, False), strict=True):
+        for got, want in zip(exact[name], design.by_xacro(robot, name, False), strict=True):
             assert set(want) <= set(got)
             for key, column in got.items():
                 np.testing.assert_allclose(column, want.get(key, 0.0 * column), atol=1e-11, err_msg=f"{name} {key}")
@@ -120,7 +120,7 @@ def test_a_whole_file_against_differences(tmp_path: Path, numbers: tuple[str, ..
 def test_a_file_that_rounds_is_differenced(tmp_path: Path) -> None:
     robot = load_robot(changed(tmp_path, 'iyy="${mass * length**2 / 12}"', 'iyy="${round(mass * length**2 / 12, 15)}"'))
     with pytest.raises(ModelFileError, match="derivative of round"):
-        design._by_duals(robot, ("distal_mass",))
+        design.by_duals(robot, ("distal_mass",))
     got = design.design_of(robot, ["distal_mass"])
     want = design.design_of(load_robot("3rrr"), ["distal_mass"])
     for key, column in want.inertias.items():

@@ -22,7 +22,7 @@ from redundancy_pin import VirtualWork, load_robot
 from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
 from redundancy_pin.robot import build
 from redundancy_pin.robot.declaration import CLOSED_FORMS
-from redundancy_pin.robot.formats.urdf_mechanism import UNLIMITED, _limits
+from redundancy_pin.robot.formats.urdf_mechanism import UNLIMITED, range_of
 from redundancy_pin.robot.formats.urdf_tree import (
     DEEPEST_CHAIN,
     MOST_FREEDOMS,
@@ -489,7 +489,7 @@ def test_a_model_of_another_file_is_refused(change: Callable[[str], str], what: 
 
 
 def test_what_others_write_to_the_error_stream_gets_there(capfd: pytest.CaptureFixture[str]) -> None:
-    with build._complaints_of_urdfdom() as complaints:
+    with build.complaints_of_urdfdom() as complaints:
         sys.stderr.write("from another thread\n")
         sys.stderr.flush()
         pin.buildModelFromXML(once(ORIGIN, '<origin xyz="a b c"/>')(FIVE_BAR))
@@ -544,6 +544,6 @@ def test_angles_of_an_origin_are_about_the_fixed_axes() -> None:
 )
 def test_ranges_of_joints_are_those_of_the_file(kind: str, given: dict[str, float], expected: Any) -> None:
     joint = JointEntry("a", kind, "base", "link", np.eye(4), np.eye(3)[2], {**given, "effort": 3.0})
-    found = _limits(joint)
+    found = range_of(joint)
     assert found["effort"] == 3.0
     assert (found["lower"], found["upper"]) == (expected or (UNLIMITED["lower"], UNLIMITED["upper"]))

@@ -360,7 +360,7 @@ def test_poses_are_fed_back_in_machine_code(monkeypatch: pytest.MonkeyPatch) -> 
     here[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix() @ there[:, :3, :3]
     intervals = np.zeros((60, 6))
     for row, *poses in zip(intervals, here.copy(), there.copy(), strict=True):
-        kernel(robot)._library.rp_difference(*(ctypes.c_void_p(part.ctypes.data) for part in (*poses, row)))
+        kernel(robot).library.rp_difference(*(ctypes.c_void_p(part.ctypes.data) for part in (*poses, row)))
     np.testing.assert_allclose(intervals[:, 3:], vectors, atol=1e-12)
     np.testing.assert_allclose(intervals, difference(robot, here, there), atol=1e-12)
     still = closed_state(robot)

@@ -12,7 +12,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.controllers.base import Sampling
-from redundancy_pin.simulation.replay import AWAY, Replay, _off_track, replay, replay_table
+from redundancy_pin.simulation.replay import AWAY, Replay, distance_off_track, replay, replay_table
 from redundancy_pin.trajectory import reference
 
 SLOW = Sampling(4e-3, 4e-3)
@@ -89,7 +89,7 @@ def test_carriers_beyond_their_tracks_are_told():
     middle = np.array([0.5 * (limits.lower + limits.upper) for limits in robot.carrier_limits])
     half = np.array([0.5 * (limits.upper - limits.lower) for limits in robot.carrier_limits])
     s = np.array([middle, middle + half + [1e-3, -1e-3, 0.0], middle - half - [0.0, 2e-3, 1e-4]])
-    assert _off_track(robot, s) == pytest.approx(2e-3)
+    assert distance_off_track(robot, s) == pytest.approx(2e-3)
 
 
 def test_an_unknown_drive():

@@ -134,7 +134,7 @@ def test_errors_of_calls_and_of_the_cluster_reach_the_caller(
             list(parallel(small_maps.refuses, [(1,), (2,)]))
         assert list(parallel(small_maps.place, [(i,) for i in range(20)], ordered=True)) == list(range(20))
         with monkeypatch.context() as patched:
-            patched.setattr(workers, "_version", lambda: "0.0.0")
+            patched.setattr(workers, "own_version", lambda: "0.0.0")
             with pytest.raises(RedundancyPinError, match=r"the caller 0\.0\.0"):
                 list(parallel(small_maps.place, [(1,)]))
         monkeypatch.setattr(workers, "PATIENCE", 1.0)

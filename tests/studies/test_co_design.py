@@ -13,7 +13,7 @@ import redundancy_pin as rp
 import redundancy_pin.studies.co_design as studied
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.co_design import DesignTask, _Search, co_design
+from redundancy_pin.studies.co_design import DesignTask, Search, co_design
 from redundancy_pin.trajectory import reference
 
 LIGHT = {"acceleration": 20.0, "dt": 0.02}
@@ -63,7 +63,7 @@ def test_gradient_of_an_optimum(name: str, objective: str, closeness: dict[str, 
         task = turning(objective=objective, base_point=(0.9, -0.4, 0.0))
     robot = task.dynamics.robot
     values = {key: float(robot.parameters[key]) for key in closeness}
-    search = _Search((task,), {key: (0.5 * value, 2.0 * value) for key, value in values.items()})
+    search = Search((task,), {key: (0.5 * value, 2.0 * value) for key, value in values.items()})
     gradient = search.machine(search.start).gradients[0]
     for i, (key, close) in enumerate(closeness.items()):
         h = 1e-3 * values[key]
@@ -75,7 +75,7 @@ def test_gradient_of_the_least_energy() -> None:
     """The rates of the main actuators change with the machine too."""
     line = rp.trajectory.from_points([[0.15, 0.3], [0.2, -0.2]], speed=0.5, ramp_time=0.2)
     task = DesignTask(heavy().dynamics, line, {"acceleration": 20.0, "dt": 0.1, "objective": "energy"})
-    search = _Search((task,), {"base_distance": (0.3, 0.7)})
+    search = Search((task,), {"base_distance": (0.3, 0.7)})
     machines = (task.dynamics.robot.with_parameters(base_distance=0.5 + by) for by in (1e-4, -1e-4))
     up, down = (replanned(task, "energy", robot) for robot in machines)
     assert search.machine(search.start).gradients[0, 0] == pytest.approx((up - down) / 2e-4, rel=1e-4)
@@ -90,7 +90,7 @@ def test_gradient_where_the_singular_instant_moves(name: str) -> None:
     got, want = [], []
     for dt in steps:
         task = DesignTask(turning().dynamics, across, {"acceleration": 20.0, "speed": 5.0, "dt": dt})
-        search = _Search((task,), {name: (0.5, 1.5)})
+        search = Search((task,), {name: (0.5, 1.5)})
         got.append(search.machine(search.start).gradients[0, 0])
         machines = (task.dynamics.robot.with_parameters(**{name: 1.0 + by}) for by in (1e-3, -1e-3))  # type: ignore[arg-type]
         up, down = (replanned(task, "effort", robot) for robot in machines)
@@ -157,13 +157,13 @@ def test_a_search_stopped_by_machines_that_cannot_is_no_optimum(monkeypatch: pyt
             self.most = most
 
     for most, optimal in ((0.5001, False), (1.0, True)):
-        monkeypatch.setattr(studied, "_Search", lambda *_, most=most: Plane(most))
+        monkeypatch.setattr(studied, "Search", lambda *_, most=most: Plane(most))
         assert co_design([crossing()], {"carrier_mass": (0.9, 2.0)}).optimal is optimal
 
 
 def test_machines_that_cannot_are_passed_over() -> None:
     """The corner is out of reach of short proximal links."""
-    search = _Search((turning(),), {"proximal_length": (0.1, 1.0)})
+    search = Search((turning(),), {"proximal_length": (0.1, 1.0)})
     here = search.machine(search.start)
     assert search.machine_or_none(np.array([0.0]), here) is None
     assert search.rejected == 1

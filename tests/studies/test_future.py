@@ -24,7 +24,7 @@ REPLAYED = 1e-5
 def test_a_balanced_corner_keeps_its_momentum() -> None:
     case = replace(future.PLANNED[TASK, "least base wrench, free end"], dt=0.05)
     plan = case.plan()
-    record = future._record(TASK, "", case, plan)
+    record = future.task_record(TASK, "", case, plan)
     assert record["base_force"] < 1e-3
     assert record["added"] == 9.0
     robot = case.load_robot()
@@ -44,7 +44,7 @@ def test_carriers_elsewhere_are_planned_and_replayed_by_a_backend_that_knows_the
     cases = [case for (task, _), case in future.PLANNED.items() if task.startswith("2-RPR circle")]
     assert [case.backends for case in cases] == [("virtual-work", "rnea"), ("rnea",), ("rnea",)]
     case = replace(cases[1], dt=0.05)
-    record = future._record("", "", case, case.plan())
+    record = future.task_record("", "", case, case.plan())
     assert record["added"] == 2.0
     assert record["replay"] < 1e-8
 

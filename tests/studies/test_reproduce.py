@@ -26,7 +26,7 @@ from redundancy_pin.studies.reproduce import Reproduction, html
 from redundancy_pin.visualisation.figures import style
 from redundancy_pin.visualisation.figures.style import save
 
-DPI = style._SETTINGS["savefig.dpi"]
+DPI = style.SETTINGS["savefig.dpi"]
 ALONE = replace(FULL, chapters=(), jobs=1)
 reproduce = functools.partial(job.reproduce, extent=ALONE, samples=1)
 """The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
@@ -49,7 +49,7 @@ def _few_coarse_pictures() -> Iterator[None]:
             save(drawn, *paths)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setitem(style._SETTINGS, "savefig.dpi", 40)
+        patched.setitem(style.SETTINGS, "savefig.dpi", 40)
         patched.setattr(job, "save", some)
         yield
 
@@ -123,7 +123,7 @@ def test_the_same_run_gives_the_same_bytes(
     """Of one motion the files of its own; of all of them summary and report too, and by several processes."""
     if names == NAMES:  # other processes draw all pictures, and in all their pixels
         monkeypatch.setattr(job, "save", save)
-        monkeypatch.setitem(style._SETTINGS, "savefig.dpi", DPI)
+        monkeypatch.setitem(style.SETTINGS, "savefig.dpi", DPI)
         done = reproduce(tmp_path / "first", [motion(name) for name in names])
     again = reproduce(tmp_path / "again", [motion(name) for name in names], extent=replace(ALONE, jobs=len(names)))
     same = [path for path in done.folder.iterdir() if names == NAMES or path.name.startswith(names[0])]

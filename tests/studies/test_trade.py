@@ -44,7 +44,7 @@ def test_what_a_point_costs_beside() -> None:
     """Force on the base: that of all momenta's rates, by differences of positions of the centre of mass."""
     case = replace(CASE.with_options(objective="effort"), dt=2e-3)
     plan = case.plan()
-    record = trade._record(case, plan, "time", "effort", 1.0, "virtual-work")
+    record = trade.trade_record(case, plan, "time", "effort", 1.0, "virtual-work")
     import pinocchio as pin
 
     from redundancy_pin import lift
@@ -95,7 +95,7 @@ def test_a_front_begins_where_there_is_something() -> None:
 
 def test_beaten_points_are_marked() -> None:
     rows = [{"x": 1.0, "y": 5.0}, {"x": 2.0, "y": 6.0}, {"x": 3.0, "y": 4.0}]
-    judged = trade._judged([{"reason": None, **row} for row in rows])
+    judged = trade.judge_front([{"reason": None, **row} for row in rows])
     assert [row["dominated"] for row in judged] == [False, True, False]
 
 

@@ -82,8 +82,8 @@ def test_arc_length_is_met_as_closely_whatever_the_size(size):
 def test_arc_length_is_inverted_in_a_few_newton_steps(monkeypatch):
     """Bisection alone would take about fifty."""
     path = through_points(FLOWER)
-    steps, arc_length = [], waypoints._arc_length
-    monkeypatch.setattr(waypoints, "_arc_length", lambda *given: steps.append(1) or arc_length(*given))
+    steps, arc_length = [], waypoints.arc_length_of
+    monkeypatch.setattr(waypoints, "arc_length_of", lambda *given: steps.append(1) or arc_length(*given))
     path.evaluate(np.linspace(0.0, path.length, 500))
     assert 1 < len(steps) <= 6
 

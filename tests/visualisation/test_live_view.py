@@ -81,7 +81,7 @@ def test_waiting_ends_when_the_view_is_closed() -> None:
 
 
 def test_no_port_is_an_error_with_a_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_view, "_HERE", "203.0.113.1")  # an address for documentation: of no machine
+    monkeypatch.setattr(live_view, "HERE", "203.0.113.1")  # an address for documentation: of no machine
     with pytest.raises(RedundancyPinError, match="No port of") as raised:
         live_view.serve_page("page")
     assert "--html" in raised.value.remedy

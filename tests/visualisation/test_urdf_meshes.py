@@ -287,7 +287,7 @@ def test_a_robot_that_a_file_names_is_drawn_with_its_own_meshes_only(
 def test_meshes_of_strangers_are_small_and_name_no_files(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(solids, "_LARGEST_MESH", 1000)
+    monkeypatch.setattr(solids, "LARGEST_MESH", 1000)
     wedge().export(tmp_path / "wedge.stl")
     (tmp_path / name).write_bytes((tmp_path / "wedge.stl").read_bytes() + bytes(1000 if name == "large.stl" else 0))
     made = robot_with(tmp_path, [visual(f'<mesh filename="{file}"/>') for file in (name, "wedge.stl")])

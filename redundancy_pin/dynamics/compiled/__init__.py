@@ -63,20 +63,20 @@ class CompiledDynamics(Dynamics):
 
     def __init__(self, robot: RobotLike, *, threads: int | None = None, interpret: bool = False) -> None:
         self._robot = as_robot(robot)
-        self._threads = threads or os.cpu_count() or 1
+        self.threads = threads or os.cpu_count() or 1
         self._interpret = interpret
         self._local = threading.local()
         self._kernels: dict[str, Library | Interpreter] = {}
-        self._kernel = self._kernel_of(self._robot)
+        self.kernel = self._kernel_of(self._robot)
 
     @property
     def compiled(self) -> bool:
         """Whether this runs machine code."""
-        return isinstance(self._kernel, Library)
+        return isinstance(self.kernel, Library)
 
     def __reduce__(self) -> tuple[Callable[..., CompiledDynamics], tuple[Any, ...]]:
         """Build it again, from the cache, where it is copied or sent to."""
-        return _again, (self._robot, self._threads, self._interpret)
+        return _again, (self._robot, self.threads, self._interpret)
 
     def __repr__(self) -> str:
         """Return the robot, and whether it is compiled."""
@@ -109,8 +109,8 @@ class CompiledDynamics(Dynamics):
         What is compiled once serves all values of wrenches and all reference configurations in a working mode.
         """
         other = object.__new__(CompiledDynamics)
-        other._threads, other._interpret, other._kernels = self._threads, self._interpret, self._kernels
-        other._robot, other._local, other._kernel = robot, threading.local(), self._kernel_of(robot)
+        other.threads, other._interpret, other._kernels = self.threads, self._interpret, self._kernels
+        other._robot, other._local, other.kernel = robot, threading.local(), self._kernel_of(robot)
         return other
 
     def _kernel_of(self, robot: Robot) -> Library | Interpreter:
@@ -174,7 +174,7 @@ class CompiledDynamics(Dynamics):
 
     @cached_property
     def _loops(self) -> Loops:
-        return Loops(self._robot, self._kernel, self._threads)
+        return Loops(self._robot, self.kernel, self.threads)
 
     @cached_property
     def scales(self) -> tuple[Array, Array]:
@@ -208,7 +208,7 @@ class _OneSample:
         self._state = np.append(np.array(robot.q_reference), 0.0)
         self._parked = np.zeros(k)
         self._cuts, self._shape = (n * m, n * m + n, n * m + n + k), (n, m)
-        self._evaluate = dynamics._kernel.sampler(self._state, self._given, self._result)
+        self._evaluate = dynamics.kernel.sampler(self._state, self._given, self._result)
 
     def __call__(self, values: tuple[ArrayLike, ...], t: float) -> Sample:
         try:
@@ -383,9 +383,9 @@ class CompiledAlongMotion(Frozen):
         outputs = [np.empty((samples, width)) for width in widths]
 
         def part(of: slice) -> None:
-            self._dynamics._kernel.map(name, of.stop - of.start, [a[of] for a in inputs], [a[of] for a in outputs])
+            self._dynamics.kernel.map(name, of.stop - of.start, [a[of] for a in inputs], [a[of] for a in outputs])
 
-        each(part, parts_of(samples, self._dynamics._threads))
+        each(part, parts_of(samples, self._dynamics.threads))
         if not lifted.reachable.all():
             for output in outputs:
                 output[~lifted.reachable] = np.nan

@@ -228,15 +228,15 @@ class Library:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._library = loaded(path)
+        self.library = loaded(path)
         for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project"):
-            getattr(self._library, name)  # AttributeError where the file is another one
-        self._library.rp_assemble.restype = ctypes.c_double
+            getattr(self.library, name)  # AttributeError where the file is another one
+        self.library.rp_assemble.restype = ctypes.c_double
         self.alignments, turning = (
-            ctypes.c_int.in_dll(self._library, name).value for name in ("rp_alignments", "rp_turnings")
+            ctypes.c_int.in_dll(self.library, name).value for name in ("rp_alignments", "rp_turnings")
         )
         self.trigs = 2 * turning
-        self._turning = list((ctypes.c_int * turning).in_dll(self._library, "rp_turning"))
+        self._turning = list((ctypes.c_int * turning).in_dll(self.library, "rp_turning"))
 
     def trig_at(self, q: Array) -> Array:
         """Return (N, T) the cosines and sines at configurations (N, nq) that the functions take."""
@@ -245,27 +245,27 @@ class Library:
 
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the driver with arrays and integers."""
-        return int(getattr(self._library, name)(*(_as_c(value) for value in arguments)))
+        return int(getattr(self.library, name)(*(_as_c(value) for value in arguments)))
 
     def assemble(self, q: Array, x: Array) -> float:
         """Bring q (nq), in place, to where it misses x least; return what is left."""
-        return float(self._library.rp_assemble(_as_c(q), _as_c(x)))
+        return float(self.library.rp_assemble(_as_c(q), _as_c(x)))
 
     def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate a generated function for many samples, the first axis of all arrays; outputs are written to."""
-        pointer = ctypes.cast(getattr(self._library, name), ctypes.c_void_p)
+        pointer = ctypes.cast(getattr(self.library, name), ctypes.c_void_p)
         packed = [_pointers(arrays) for arrays in (inputs, outputs)]
         sizes = [
             (ctypes.c_long * max(len(arrays), 1))(*(array[0].size if array.strides[0] else 0 for array in arrays))
             for arrays in (inputs, outputs)
         ]
-        self._library.rp_map(
+        self.library.rp_map(
             pointer, ctypes.c_long(samples), len(inputs), packed[0], sizes[0], len(outputs), packed[1], sizes[1]
         )
 
     def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
         """Return a function that evaluates one sample from and into fixed arrays: addresses are looked up once."""
-        function = self._library.rp_sample
+        function = self.library.rp_sample
         arguments = tuple(_as_c(array) for array in (state, given, result))
 
         def sample(_alive: tuple[Array, ...] = (state, given, result)) -> int:

@@ -34,7 +34,7 @@ _STARTS = 60
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
 
-_TURN = 0.5
+LARGEST_TURN = 0.5
 """Longest turn, rad, of a pose at a time on the way from the reference: half a turn away the direction is lost."""
 
 
@@ -179,7 +179,7 @@ def _start(loops: Loops, motion: PlatformMotion, sample: int, mark: bool, thorou
     reference, home = loops.reference
     x = np.ascontiguousarray(motion.x[sample].reshape(-1))
     q, here = reference.copy(), home
-    for target in _waypoints(home, x, motion.is_pose):
+    for target in waypoints(home, x, motion.is_pose):
         status = kernel.call("rp_follow", q, here, target)
         here = target
         if status == _LOST:
@@ -194,14 +194,14 @@ def _start(loops: Loops, motion: PlatformMotion, sample: int, mark: bool, thorou
     raise _no_start(loops, motion, sample, gap)
 
 
-def _waypoints(home: Array, x: Array, is_pose: bool) -> list[Array]:
+def waypoints(home: Array, x: Array, is_pose: bool) -> list[Array]:
     """Return coordinates on the way from one pose to another, the last one last; a pose turns a little at a time."""
     if not is_pose:
         return [x]
     first, last = home.reshape(4, 4), x.reshape(4, 4)
     rotations = Rotation.from_matrix(np.stack([first[:3, :3], last[:3, :3]]))
     angle = (rotations[1] * rotations[0].inv()).magnitude()
-    shares = np.linspace(0.0, 1.0, int(np.ceil(angle / _TURN)) + 1)[1:] if angle > 0.0 else np.ones(1)
+    shares = np.linspace(0.0, 1.0, int(np.ceil(angle / LARGEST_TURN)) + 1)[1:] if angle > 0.0 else np.ones(1)
     poses = np.repeat(np.eye(4)[None], len(shares), axis=0)
     poses[:, :3, :3] = Slerp([0.0, 1.0], rotations)(shares).as_matrix()
     poses[:, :3, 3] = first[:3, 3] + shares[:, None] * (last[:3, 3] - first[:3, 3])

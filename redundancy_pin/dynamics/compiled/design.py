@@ -98,11 +98,11 @@ def _design(robot: Robot, names: tuple[str, ...], trust: bool) -> Design:
     for name in of_file:
         _require_number(robot, name)
     try:
-        exact = _by_duals(robot, of_file)
+        exact = by_duals(robot, of_file)
     except (RedundancyPinError, ValueError, LookupError):  # the file does more with its numbers than has derivatives
         exact = {}
     columns = [
-        exact[name] if name in exact else _by_xacro(robot, name, trust) if name in of_file else _by_tree(robot, name)
+        exact[name] if name in exact else by_xacro(robot, name, trust) if name in of_file else by_tree(robot, name)
         for name in names
     ]
     own = _numbers(robot)
@@ -151,7 +151,8 @@ def _moments(body: pin.Inertia) -> Array:
 _OF_FRAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def _by_tree(robot: Robot, name: str) -> _Column:
+def by_tree(robot: Robot, name: str) -> _Column:
+    """Return the derivatives of placements and inertias by one number of the tree itself."""
     numbers = _numbers(robot)
     owner, what, axis = _split(name)
     if what == "origin" and owner in numbers.placements and axis in _OF_FRAMES:
@@ -213,7 +214,7 @@ def _require_number(robot: Robot, name: str) -> None:
         )
 
 
-def _by_duals(robot: Robot, names: tuple[str, ...]) -> dict[str, _Column]:
+def by_duals(robot: Robot, names: tuple[str, ...]) -> dict[str, _Column]:
     """Return exact derivatives by numbers of the xacro file, which is expanded once, with dual numbers.
 
     Raises:
@@ -354,7 +355,7 @@ def _end(joint: ElementTree.Element, role: str) -> str:
     return "" if end is None else str(end.get("link"))
 
 
-def _by_xacro(robot: Robot, name: str, trust: bool) -> _Column:
+def by_xacro(robot: Robot, name: str, trust: bool) -> _Column:
     """Return differences, for files that do more with their numbers than has derivatives."""
     value = float(robot.parameters[name])
     # at zero to one side: a negative mass or length would be refused

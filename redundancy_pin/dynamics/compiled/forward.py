@@ -129,9 +129,9 @@ class CompiledForward:
 
     def __init__(self, path: Path, robot: Robot) -> None:
         self.robot = robot
-        self._library = loaded(path)
-        self._accelerations, self._projected = self._library.rp_accelerations, self._library.rp_projected
-        self._dynamics, self._advance = self._library.rp_dynamics, self._library.rp_advance
+        self.library = loaded(path)
+        self._accelerations, self._projected = self.library.rp_accelerations, self.library.rp_projected
+        self._dynamics, self._advance = self.library.rp_dynamics, self.library.rp_advance
         model = robot.model
         self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
         self._rows = self._p - robot.n
@@ -244,7 +244,7 @@ class CompiledReader:
         self._state, self._out = np.zeros(forward._nq + forward._nv), np.full(self._ends[-1], np.nan)
         v = ctypes.c_void_p(self._state.ctypes.data + 8 * self._nq)
         self._given = _address(self._state), v, ctypes.c_double(RANK_TOLERANCE), _address(self._out)
-        self._read = forward._library.rp_reading
+        self._read = forward.library.rp_reading
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return nothing: the memory stays where it is."""

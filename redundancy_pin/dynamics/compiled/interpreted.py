@@ -68,7 +68,8 @@ class Interpreter:
         trig: Array = self.trig_at(q[None])[0]
         return trig
 
-    def _rows(self, q: Array, x: Array) -> tuple[Array, Array, Array]:
+    def rows_at(self, q: Array, x: Array) -> tuple[Array, Array, Array]:
+        """Return residual, Jacobian and misalignments of the loops at one configuration."""
         residual, matrix, alignment = self._value("rp_rows", q, self._trig(q), x)
         size = len(residual)
         return residual[:, 0], matrix.reshape(size, size).T, alignment[:, 0]
@@ -81,7 +82,7 @@ class Interpreter:
     def _newton(self, q: Array, x: Array, left: Array | None) -> _Pose | None:
         last = _LONGEST / _CONTRACTION
         for _ in range(_ITERATIONS):
-            residual, matrix, alignment = self._rows(q, x)
+            residual, matrix, alignment = self.rows_at(q, x)
             if left is not None:
                 residual[self._r :] -= left
             sign = float(np.linalg.slogdet(matrix)[0])
@@ -97,8 +98,9 @@ class Interpreter:
             q, last = self._moved(q, step), size
         return None
 
-    def _follow(self, pose: _Pose, x: Array) -> _Pose | None:
-        residual, done, share, sign = self._rows(pose.q, x)[0][self._r :], 0.0, 1.0, pose.sign
+    def follow(self, pose: _Pose, x: Array) -> _Pose | None:
+        """Bring a closed configuration to a platform pose in steps of Newton's method; None where that fails."""
+        residual, done, share, sign = self.rows_at(pose.q, x)[0][self._r :], 0.0, 1.0, pose.sign
         while done < 1.0:
             ahead = 1.0 - done - share if done + share < 1.0 else 0.0
             reached = self._newton(pose.q, x, ahead * residual if ahead > 0.0 else None)
@@ -113,7 +115,7 @@ class Interpreter:
 
     def _follow_to(self, q: Array, home: Array, x: Array) -> int:
         start = self._newton(q, home, None)
-        pose = None if start is None else self._follow(start, x)
+        pose = None if start is None else self.follow(start, x)
         if pose is None:
             return _LOST
         q[:] = pose.q
@@ -164,7 +166,7 @@ class Interpreter:
                 guess = self._moved(last.q, (dt * (v[k - 1] + 0.5 * dt * a[k - 1]))[self._columns])
                 pose = self._newton(guess, x[k], None)
                 pose = pose if pose is not None and pose.sign == last.sign else None
-            pose = pose or self._follow(last, x[k])
+            pose = pose or self.follow(last, x[k])
             status[k] = _LOST
             if pose is not None:
                 q[k], trig[k], gap[k] = pose.q, self._trig(pose.q), pose.gap
@@ -178,14 +180,14 @@ class Interpreter:
 
     def assemble(self, q: Array, x: Array) -> float:
         """Bring q (nq), in place, to where it misses x least; return what is left."""
-        residual, matrix, _ = self._rows(q, x)
+        residual, matrix, _ = self.rows_at(q, x)
         damping, size = 1e-3, float(residual @ residual)
         for _ in range(200):
             normal = matrix.T @ matrix + damping * np.eye(len(residual))
             step = np.asarray(np.linalg.solve(normal, matrix.T @ residual), dtype=np.float64)
             longest = float(np.abs(step).max(initial=0.0))
             trial = self._moved(q, step / max(longest, 1.0))
-            new_residual, new_matrix, _ = self._rows(trial, x)
+            new_residual, new_matrix, _ = self.rows_at(trial, x)
             new_size = float(new_residual @ new_residual)
             if new_size < size:
                 stalled = new_size > 0.999999 * size and longest < 1e-6
@@ -197,7 +199,7 @@ class Interpreter:
                 damping *= 8.0
                 if damping > 1e8:
                     break
-        residual, _, alignment = self._rows(q, x)
+        residual, _, alignment = self.rows_at(q, x)
         turned = np.arccos(np.clip(alignment, -1.0, 1.0))[alignment <= 0.0]
         return float(max(np.abs(residual).max(initial=0.0), turned.max(initial=0.0)))
 

@@ -255,7 +255,7 @@ class SymbolicChain:
         return casadi().vertcat(*(joint.rate for joint in self._joints))
 
     @cached_property
-    def _rates(self) -> SX:
+    def rates(self) -> SX:
         """Rates of q and trig, linear in v."""
         ca, q_rate = casadi(), self.configuration_rate
         rates = [q_rate]
@@ -266,12 +266,12 @@ class SymbolicChain:
     def rate_of(self, expression: SX) -> SX:
         """Return the rate of an expression in q and trig (and v, held), ∂/∂q · E v."""
         ca = casadi()
-        return ca.jtimes(expression, ca.vertcat(self.q, self.trig), self._rates)
+        return ca.jtimes(expression, ca.vertcat(self.q, self.trig), self.rates)
 
     def by_tangent(self, expression: SX) -> SX:
         """Return the derivative (rows, nv) of an expression in q and trig by a tangent step of the tree."""
         ca = casadi()
-        return ca.jacobian(expression, ca.vertcat(self.q, self.trig)) @ ca.jacobian(self._rates, self.v)
+        return ca.jacobian(expression, ca.vertcat(self.q, self.trig)) @ ca.jacobian(self.rates, self.v)
 
     @cached_property
     def closure_rows(self) -> SX:

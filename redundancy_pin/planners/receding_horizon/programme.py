@@ -175,7 +175,7 @@ class Programme:
 
     def solve(self, problem: TickProblem) -> tuple[Array, bool]:
         """Return the variables, and whether they are an optimum."""
-        values = self._values(problem)
+        values = self.numbers_of(problem)
         for relative in RELATIVE:
             if self._solver is None:
                 self._solver = self._new_solver(relative)
@@ -202,7 +202,7 @@ class Programme:
         settings.preconditioner_iter = 0  # all is of size one
         return solver
 
-    def _values(self, problem: TickProblem) -> tuple[Any, ...]:
+    def numbers_of(self, problem: TickProblem) -> tuple[Any, ...]:
         """Return P, q, A, b, G and bounds: ½ xᵀ P x + qᵀ x, A x = b, low ≤ G x ≤ high, lower ≤ x ≤ upper."""
         lin, limits, w, ut = problem.lin, problem.limits, problem.weights, problem.sizes.tau
         us, ud, ua = units = units_of(limits)

@@ -96,7 +96,7 @@ def run_online(
     position = PiecewisePolynomial.joined(pieces)
     carriers = position.made_continuous()
     nodes = np.unique(np.concatenate([np.arange(source.start, source.end, SAMPLES), times]))
-    decided = _through(planner, source, carriers, commands)
+    decided = pieces_of(planner, source, carriers, commands)
     for part, _ in decided:  # of what is narrower than a sample the continuous motion is judged
         short = part.end - part.start < SAMPLES
         nodes = nodes[~((nodes > part.start) & (nodes < part.end) & short)]
@@ -133,7 +133,7 @@ def run_online(
     return OnLineRun(plan, tuple(commands))
 
 
-def _through(
+def pieces_of(
     planner: RecedingHorizon, source: ContinuousMotion, carriers: PiecewisePolynomial, commands: list[Command]
 ) -> list[tuple[PiecewisePolynomial, float]]:
     """Return the efforts where W⁻¹ f magnifies what is left of f, and the force missing there, N.

@@ -134,7 +134,7 @@ def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class SwitchOffCourse(Frozen):
+class SwitchOffCourse:
     """Carriers and efforts from the start of a ramp-down to the switch-on.
 
     ``window``: when the actuators are off; ``ramp``: the main efforts; ``parked_at_entry``

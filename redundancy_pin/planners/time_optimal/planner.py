@@ -173,7 +173,7 @@ def plan_time_optimal(
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
         problem = _problem(dynamics, unit, nodes, rates, given)
-        solution = _solve(problem, _first_guess(problem) if guess is None else _moved(guess, problem), bound)
+        solution = _solve(problem, first_guess(problem) if guess is None else moved_guess(guess, problem), bound)
         motion = _Motion.of(path, problem, solution)
         report(f"{motion.t[-1]:.6g} s")
         functions = PlanFunctions(
@@ -192,7 +192,7 @@ def plan_time_optimal(
         if (ratios[-1] <= ALLOWED and not broken) or len(ratios) > often or not solution.optimal:
             break
         guess = _physical(problem, solution)
-        nodes = _finer(nodes, motion, np.concatenate([exceeding, times[fastest > MARKED]]))
+        nodes = finer_nodes(nodes, motion, np.concatenate([exceeding, times[fastest > MARKED]]))
     prescribed = motion.tau.copy()
     if robot.m <= robot.n:
         prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
@@ -266,7 +266,7 @@ class _Motion:
         return _Motion(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
 
 
-def _finer(grid: Grid, motion: _Motion, exceeding: Array) -> Grid:
+def finer_nodes(grid: Grid, motion: _Motion, exceeding: Array) -> Grid:
     """Return a grid with a node halfway in time in each step around the times that exceed, s, and in long ones.
 
     But in the long ones the jerk is continuous there: the efforts are seen, and no more is free.
@@ -357,7 +357,7 @@ def _at(first: Array, pd: ArrayLike, pdd: ArrayLike) -> Array:
     return np.asarray(np.einsum("nrq,nq->nr", first, np.broadcast_to(powers, (len(first), 4))))
 
 
-def _first_guess(problem: TimeOptimalProblem) -> dict[str, Array]:
+def first_guess(problem: TimeOptimalProblem) -> dict[str, Array]:
     """Return scaled variables of parked carriers and harmonic motion, of even speed in a lap."""
     u, grid, k = problem.sizes, problem.grid, problem.model.k
     place = (grid.t - grid.t[0]) / (grid.t[-1] - grid.t[0])
@@ -380,7 +380,7 @@ def _physical(problem: TimeOptimalProblem, solution: Solution) -> dict[str, Arra
     return {**values, "place": problem.grid.t, "h": solution.values["h"] * u.h[:, None]}
 
 
-def _moved(values: dict[str, Array], problem: TimeOptimalProblem) -> dict[str, Array]:
+def moved_guess(values: dict[str, Array], problem: TimeOptimalProblem) -> dict[str, Array]:
     """Return scaled variables on other nodes, from those in units on fewer."""
     u, new, old = problem.sizes, problem.grid.t, values["place"]
     at = np.minimum(np.searchsorted(old, new, side="left"), len(old) - 1)
@@ -413,7 +413,7 @@ def _solve(problem: TimeOptimalProblem, guess: dict[str, Array], seconds: float)
             iterations, spent = iterations + solution.iterations, spent + solution.seconds
             if solution.optimal or time.perf_counter() > deadline:
                 break
-        leaves = _leaves(problem, solution) & ~between
+        leaves = leaves_limits(problem, solution) & ~between
         if not solution.feasible or not leaves.any():
             break
         between, guess = between | widened(leaves, BESIDE), solution.values
@@ -430,7 +430,7 @@ def _solve(problem: TimeOptimalProblem, guess: dict[str, Array], seconds: float)
     return replace(solution, iterations=iterations, seconds=spent)
 
 
-def _leaves(problem: TimeOptimalProblem, solution: Solution) -> BoolArray:
+def leaves_limits(problem: TimeOptimalProblem, solution: Solution) -> BoolArray:
     """Return (M − 1,) the steps inside which a carrier leaves its track or exceeds its speed."""
     u, values, limits = problem.sizes, solution.values, problem.limits
     leaves: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)

@@ -126,7 +126,7 @@ def _least_peak(
     nu = np.zeros(len(at.e))
     for iteration in range(MOST):
         cost = p + 0.5 * float((gentle[:, None] * y[..., 2] ** 2).sum())
-        system = _System(efforts, limits, gentle, at, y, limits(x, p, at.tau) - w, w, z, nu)
+        system = NewtonSystem(efforts, limits, gentle, at, y, limits(x, p, at.tau) - w, w, z, nu)
         mu, centre = float(w @ z) / len(w), max(NEAR * p / len(w), CENTRE)
         if system.error <= EXACT and np.abs(w * z - centre).max() <= 0.5 * centre:
             values = {"s": y[..., 0], "sd": y[..., 1], "sdd": y[..., 2], "tau": at.tau}
@@ -153,7 +153,7 @@ _Step = tuple[Array, Array, Array]
 """(dx, dp, dν), and the steps of w and z."""
 
 
-class _System:
+class NewtonSystem:
     """Newton's equations at a point: residuals, the factors, and steps from them. ``left`` is g − w."""
 
     def __init__(
@@ -222,7 +222,7 @@ class _System:
         self.solved = dpbtrs(self.factors, self.rows.T, lower=1)[0]
         self.small = np.linalg.inv(corner - self.rows @ self.solved)
 
-    def _rough(self, right: Array) -> Array:
+    def rough(self, right: Array) -> Array:
         """Return (dx, dp, dν) from the factors."""
         first = dpbtrs(self.factors, right[: self.n], lower=1)[0]
         rest = self.small @ (right[self.n :] - self.rows @ first)
@@ -242,7 +242,7 @@ class _System:
         missing = right - self._product(solution)
         tried: list[tuple[Array, Array]] = []
         while len(tried) < REFINEMENTS and np.abs(missing).max() > REFINED * np.abs(right).max():
-            direction = self._rough(missing)
+            direction = self.rough(missing)
             product = self._product(direction)
             for other, image in tried:
                 along = product @ image
@@ -283,7 +283,7 @@ class _System:
         return self._changes(self._refined(chosen[0], self._right(products)), products)
 
     def _towards(self, products: Array) -> _Step:
-        return self._changes(self._rough(self._right(products)), products)
+        return self._changes(self.rough(self._right(products)), products)
 
     def _right(self, products: Array) -> Array:
         """Return the right side of Newton's equations for changes of the products w z."""

@@ -36,7 +36,7 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, car
 _SWINGS = 3
 """Sines of a random first guess."""
 
-_REACH = 0.4
+REACH = 0.4
 """Largest excursion of a random first guess as a fraction of half the track."""
 
 SAME_COST = 1e-5
@@ -140,7 +140,7 @@ def first_guess(problem: WholeTrajectoryProblem, warm: PiecewisePolynomial | Non
     duration = float(grid.t[-1] - grid.t[0])
     frequency = np.pi * np.arange(1, _SWINGS + 1) / duration
     phase = frequency * (grid.t[:, None] - grid.t[0])
-    size = rng.uniform(-_REACH, _REACH, (_SWINGS, problem.model.k)) / _SWINGS
+    size = rng.uniform(-REACH, REACH, (_SWINGS, problem.model.k)) / _SWINGS
     sd = (frequency * np.cos(phase)) @ size * u.s / u.sd
     sdd = -(frequency**2 * np.sin(phase)) @ size * u.s / u.sdd
     return {"s": s + np.sin(phase) @ size, "sd": np.clip(sd, -0.9, 0.9), "sdd": np.clip(sdd, -0.9, 0.9)}
@@ -233,12 +233,12 @@ def relax(problem: WholeTrajectoryProblem, robot: RobotRecord, guess: dict[str, 
     deadline = time.perf_counter() + settings.seconds
     elastic = solve_nlp(transcribe(problem, KINDS), guess, settings.seconds, progress=settings.progress)
     if not elastic.feasible:
-        raise _nothing_helps(problem, elastic, message)
+        raise nothing_helps(problem, elastic, message)
     exceeded = [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
     if not exceeded:
         return elastic
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
-    touched = [kind for kind in KINDS if kind not in exceeded and _touched(problem, robot, elastic, kind)]
+    touched = [kind for kind in KINDS if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
     candidates = [*exceeded, *touched]
     alone = {}
     for kind in candidates if len(candidates) > 1 else []:
@@ -250,7 +250,7 @@ def relax(problem: WholeTrajectoryProblem, robot: RobotRecord, guess: dict[str, 
             alone[kind] = solution
     relaxed = alone or dict.fromkeys(exceeded, elastic)
     order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
-    events = [_event(problem, robot, relaxed[kind], kind) for kind in order]
+    events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
     raise InfeasiblePlanError(
         f"No motion of the carriers keeps every limit. What would suffice: {text}.",
@@ -265,7 +265,7 @@ def _slack(solution: Solution, kind: str) -> float:
     return float(solution.values[slack_name(kind)][0, 0])
 
 
-def _touched(problem: WholeTrajectoryProblem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
+def is_touched(problem: WholeTrajectoryProblem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
     if kind == "at_most":
         return bool(problem.settings.at_most)
@@ -277,7 +277,8 @@ def _touched(problem: WholeTrajectoryProblem, robot: RobotRecord, elastic: Solut
     return bool(((values >= high - near) | (values <= low + near)).any())
 
 
-def _nothing_helps(problem: WholeTrajectoryProblem, elastic: Solution, message: str) -> InfeasiblePlanError:
+def nothing_helps(problem: WholeTrajectoryProblem, elastic: Solution, message: str) -> InfeasiblePlanError:
+    """Return the error of a problem that wider limits do not make feasible."""
     if elastic.message == OUT_OF_TIME:
         constraint = "seconds"
         text = "The time ran out before any plan was found, and before any limit was shown to be in the way."
@@ -291,7 +292,9 @@ def _nothing_helps(problem: WholeTrajectoryProblem, elastic: Solution, message: 
     return InfeasiblePlanError(text, remedy=remedy, constraint=constraint, time=start, amount=amount)
 
 
-def _event(problem: WholeTrajectoryProblem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
+def elastic_event(
+    problem: WholeTrajectoryProblem, robot: RobotRecord, elastic: Solution, kind: str
+) -> dict[str, object]:
     """Return what is exceeded most, where, and what would suffice."""
     fraction = _slack(elastic, kind)
     t = problem.grid.t

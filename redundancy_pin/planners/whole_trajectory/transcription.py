@@ -240,7 +240,7 @@ class Transcription(Quantities):
     @cached_property
     def _exact(self) -> tuple[Any, Any]:
         """Right sides f (M, n) and carrier forces (M, k) at the nodes, as the backend's expressions have them."""
-        return _loads(self._problem.exact, self.s, self.sd, self.sdd)
+        return loads_of(self._problem.exact, self.s, self.sd, self.sdd)
 
     def _singular_instants(self) -> None:
         """Require uᵀ Ẇ τ = uᵀ ḟ, see ``coefficients``; uᵀ f = 0 follows from W τ = f at the node."""
@@ -281,8 +281,8 @@ class Transcription(Quantities):
                 raise ValueError("A singular node has no expressions.")
             here, beside, weights = node.exact
             one = [part[row, :] for part in motion]
-            around = _loads(beside, *(ca.repmat(part, len(weights), 1) for part in one))[0]
-            loads.append((_loads(here, *one)[0] @ lost, ca.mtimes(ca.DM(weights).T, around) @ lost))
+            around = loads_of(beside, *(ca.repmat(part, len(weights), 1) for part in one))[0]
+            loads.append((loads_of(here, *one)[0] @ lost, ca.mtimes(ca.DM(weights).T, around) @ lost))
         return loads
 
     def motion(self) -> None:
@@ -425,7 +425,7 @@ def slack_name(kind: str) -> str:
     return f"slack_{kind}"
 
 
-def _loads(along: ExactAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
+def loads_of(along: ExactAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
     """Return f (N, n) and carrier forces (N, k) as expressions of the carriers' motion, (N, k) each."""
     if along is None:
         raise ValueError("The problem has no expressions.")

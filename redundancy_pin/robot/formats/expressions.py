@@ -174,7 +174,7 @@ class _Evaluation:
                     if isinstance(element, _CONTAINERS):
                         _require(size + len(element), LARGEST, "elements")
                         waiting.append(element)
-            _require(size, LARGEST, "elements")
+                _require(size, LARGEST, "elements")  # of each part, or thousands of long ones were walked through
             self._budget.spend(size // 2)
         return value
 

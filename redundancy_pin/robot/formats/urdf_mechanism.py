@@ -82,7 +82,7 @@ def tree_mechanism(
             made = _row(joint, axes)
         else:
             kind = "revolute" if kind == "continuous" else kind
-            made = [replace(joint, kind=kind, limits=_limits(joint), mimic=None)]
+            made = [replace(joint, kind=kind, limits=range_of(joint), mimic=None)]
             if kind in ("revolute", "prismatic"):
                 single.add(joint.name)
         added(made)
@@ -116,7 +116,7 @@ def _row(joint: JointEntry, axes: tuple[str, ...]) -> list[JointEntry]:
     return made
 
 
-def _limits(joint: JointEntry) -> Mapping[str, float]:
+def range_of(joint: JointEntry) -> Mapping[str, float]:
     """Return the limits of a joint; none of position where the file gives 0 and 0, or none at all."""
     given = {**UNLIMITED, **{key: value for key, value in joint.limits.items() if key in ("effort", "velocity")}}
     lower, upper = (joint.limits.get(key, 0.0) for key in ("lower", "upper"))

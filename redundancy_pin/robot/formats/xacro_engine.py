@@ -41,7 +41,7 @@ from redundancy_pin.robot.formats.xml_files import parsed_text, read_model
 _SUPPORTED = "2.1."
 """Versions whose insides this module knows."""
 
-_INSIDES = {
+INSIDES = {
     "safe_eval": ("expr", "globals", "locals"),
     "eval_text": ("text", "symbols"),
     "parse": ("inp", "filename"),
@@ -87,7 +87,7 @@ def expand(path: Path, given: Mapping[str, str], *, trust: bool) -> tuple[str, d
     """
     resolved = dict(given)  # xacro adds the arguments that were left out, their defaults evaluated
     with _LOCK:
-        engine = None if trust else _engine()
+        engine = None if trust else engine_for_models()
         try:
             document = _expanded_by_xacro(path, resolved) if engine is None else engine.expanded(path, resolved)
             text = _text_of(document, path.parent)
@@ -166,7 +166,7 @@ class _Engine:
     """A copy of xacro whose expressions are data."""
 
     def __init__(self) -> None:
-        self._xacro = _copy_of_xacro()
+        self.xacro = copy_of_xacro()
         self._budget = Budget()
         self._files = 0
         self._depth = 0
@@ -180,13 +180,13 @@ class _Engine:
         self._budget = Budget()
         self._files, self._depth, self.failure = 0, 0, None
         self._folders = own_folders(path)
-        document = self._xacro.process_file(str(path.resolve()), mappings=resolved)
+        document = self.xacro.process_file(str(path.resolve()), mappings=resolved)
         self.failure = None  # xacro goes on after some failures
-        return _settled(self._xacro, document)
+        return _settled(self.xacro, document)
 
     def _replace(self) -> None:
         """Put what is ours in the place of what evaluates, reads files, or looks at the machine."""
-        module, arguments = self._xacro, self._xacro.substitution_args
+        module, arguments = self.xacro, self.xacro.substitution_args
         self._eval_text, self._handle_macro_call = module.eval_text, module.handle_macro_call
         self._eval_all, self._replace_node = module.eval_all, module.replace_node
         self._eval_extension, self._parse_macro_arg = module.eval_extension, module.parse_macro_arg
@@ -218,7 +218,7 @@ class _Engine:
 
     def _symbols(self) -> dict[str, Any]:
         """Return the names that xacro offers to expressions."""
-        module = self._xacro
+        module = self.xacro
 
         def functions(**given: Callable[..., object]) -> dict[str, object]:
             return {name: Function(name, call) for name, call in given.items()}
@@ -245,7 +245,7 @@ class _Engine:
         }
 
     def _evaluate(self, expression: str, names: Mapping[str, Any], local: object = None) -> Any:
-        module = self._xacro
+        module = self.xacro
         try:
             return evaluate(expression, names, self._budget, (Namespace, module.YamlDictWrapper, module.NameSpace))
         except Exception as error:
@@ -268,12 +268,12 @@ class _Engine:
             cause = cause.exc  # xacro's errors carry others
         if isinstance(cause, RecursionError):
             cause = ExpressionError("it is nested too deeply")
-        stack = self._xacro.filestack or [""]
+        stack = self.xacro.filestack or [""]
         self.failure = (expression, stack[-1] or "", cause if isinstance(cause, ExpressionError) else error)
 
     def _evaluate_substitution(self, text: str, context: Mapping[str, Any]) -> str:
         """Evaluate ``$(eval ...)``: the arguments by name, and what the substitutions are as functions."""
-        convert_value = self._xacro.substitution_args.convert_value
+        convert_value = self.xacro.substitution_args.convert_value
 
         def convert(value: str, kind: str) -> Any:
             return duals.read(value) if duals.is_written(value) else convert_value(value, kind)
@@ -305,7 +305,7 @@ class _Engine:
 
     def _parse(self, source: Any, filename: str | None = None) -> Any:
         """Parse text, or a file that is included."""
-        module = self._xacro
+        module = self.xacro
         if source is not None:
             parsed_text(source, "what xacro made")
             return minidom.parseString(source)
@@ -330,7 +330,7 @@ class _Engine:
 
     def _load_yaml(self, filename: str) -> Any:
         """Read YAML, with xacro's units, whose numbers may be expressions."""
-        module = self._xacro
+        module = self.xacro
         path = Path(module.abs_filename_spec(str(filename)))
         self._require_own(path)
         names = self._symbols()
@@ -358,7 +358,7 @@ class _Engine:
         """Refuse a file from elsewhere: what it holds could end up in a plan that is passed on."""
         if not is_within(path, self._folders):
             raise ModelFileError(
-                f"{self._xacro.filestack[0]} reads {path}, which is neither in its folder or package nor in one that "
+                f"{self.xacro.filestack[0]} reads {path}, which is neither in its folder or package nor in one that "
                 "$(find) gives.",
                 remedy="Put the file there, or load the robot with trust=True (--trust) if you trust who wrote it.",
                 path=str(path),
@@ -395,11 +395,12 @@ class _Engine:
 
 
 @functools.lru_cache(maxsize=1)
-def _engine() -> _Engine:
+def engine_for_models() -> _Engine:
+    """Return the engine that evaluates models as data; one for all of them."""
     return _Engine()
 
 
-def _copy_of_xacro() -> Any:
+def copy_of_xacro() -> Any:
     """Load xacro once more, under a name of our own.
 
     Raises:
@@ -421,7 +422,7 @@ def _copy_of_xacro() -> Any:
     sys.modules[_NAME] = module
     spec.loader.exec_module(module)
     module.__dict__["substitution_args"] = importlib.import_module(f"{_NAME}.substitution_args")
-    for name, parameters in _INSIDES.items():
+    for name, parameters in INSIDES.items():
         function: Any = module
         for part in name.split("."):
             function = getattr(function, part, None)

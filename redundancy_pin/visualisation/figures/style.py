@@ -64,7 +64,7 @@ _FORMATS = ("png", "svg", "pdf")
 
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
 _TITLE_LETTERS = 12.0  # letters of a title on an inch
-_SETTINGS: dict[str, Any] = {
+SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
     "axes.labelsize": 9.0,
@@ -107,7 +107,7 @@ def _styled() -> Iterator[None]:
     """Apply the common style, whatever the user's own defaults are."""
     import matplotlib.style
 
-    with matplotlib.style.context(["default", _SETTINGS]):
+    with matplotlib.style.context(["default", SETTINGS]):
         yield
 
 
@@ -139,7 +139,7 @@ def laid_out(drawn: Figure) -> Iterator[None]:
         engine, dpi = drawn.get_layout_engine(), drawn.dpi
         try:
             if engine is not None:
-                drawn.dpi = _SETTINGS["savefig.dpi"]
+                drawn.dpi = SETTINGS["savefig.dpi"]
                 engine.execute(drawn)
             drawn.dpi = dpi
             drawn.set_layout_engine(None)

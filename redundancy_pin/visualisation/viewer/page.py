@@ -31,7 +31,7 @@ from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLO
 from redundancy_pin.visualisation.viewer.solids import MESH_OPACITY, ROLE_COLORS, ROLE_NAMES
 
 PORT = 7000  # where the page is if the port is free; else the system chooses one
-_HERE = "127.0.0.1"
+HERE = "127.0.0.1"
 _LOG = logging.getLogger(__name__)
 
 
@@ -233,16 +233,16 @@ def serve_page(text: str) -> LiveView:
             _LOG.debug(format, *args)
 
     try:
-        server = _Server((_HERE, PORT), Handler)
+        server = _Server((HERE, PORT), Handler)
     except OSError:  # taken, by another view as a rule
         try:
-            server = _Server((_HERE, 0), Handler)
+            server = _Server((HERE, 0), Handler)
         except OSError as error:
-            message = f"No port of {_HERE} can be opened for the view: {error}."
+            message = f"No port of {HERE} can be opened for the view: {error}."
             raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from error
     thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
     thread.start()
-    return LiveView(f"http://{_HERE}:{server.server_address[1]}/", server, thread)
+    return LiveView(f"http://{HERE}:{server.server_address[1]}/", server, thread)
 
 
 class _Server(ThreadingHTTPServer):

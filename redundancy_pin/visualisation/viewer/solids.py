@@ -51,7 +51,7 @@ ROLE_NAMES: Mapping[Role, str] = {
 
 MESH_OPACITY = 0.5  # of meshes: joints, closures and carriers are inside them
 _ARC_STEP = 0.05  # of the points along an arc, rad
-_LARGEST_MESH = 50 << 20  # bytes, of an untrusted robot
+LARGEST_MESH = 50 << 20  # bytes, of an untrusted robot
 _CLOSED_FORMATS = (".stl", ".obj", ".dae", ".ply")  # others, such as glTF, name further files for their vertices
 _WARNED = 3  # of the meshes that cannot be read, how many the warning names
 _SCHEMES = ("package://", "model://")
@@ -219,8 +219,8 @@ def _resolve(mesh: ElementTree.Element, robot: Robot, loader: Any) -> str:
     if robot.own_meshes_only:
         if not is_within(file, own_folders(Path(robot.urdf_folder) / "urdf")):
             return f"{filename} is outside the folder of its robot, which a file names (pass source= if you trust it)"
-        if file.suffix.lower() not in _CLOSED_FORMATS or file.stat().st_size > _LARGEST_MESH:
-            return f"{filename} is larger than {_LARGEST_MESH >> 20} MB, or none of {', '.join(_CLOSED_FORMATS)}"
+        if file.suffix.lower() not in _CLOSED_FORMATS or file.stat().st_size > LARGEST_MESH:
+            return f"{filename} is larger than {LARGEST_MESH >> 20} MB, or none of {', '.join(_CLOSED_FORMATS)}"
     try:
         scale = np.array([float(part) for part in mesh.get("scale", "1 1 1").split()])
         loader.load(str(file), scale)

@@ -62,7 +62,7 @@ class Rows:
 
     def __init__(self, planner: RecedingHorizon, tick: TickProblem, elastic: bool = False) -> None:
         self.tick, self.lin, self.programme = tick, tick.lin, planner.programme(elastic)
-        values = self.programme._values(tick)
+        values = self.programme.numbers_of(tick)
         self.P, self.q, self.A, self.b, self.G, self.low, self.high, self.lower, self.upper = (
             np.array(part.todense() if hasattr(part, "todense") else part) for part in values
         )

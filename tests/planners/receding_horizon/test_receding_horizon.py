@@ -20,7 +20,7 @@ from redundancy_pin.planners.receding_horizon import (
     run_online,
 )
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from
-from redundancy_pin.planners.receding_horizon.run import _through
+from redundancy_pin.planners.receding_horizon.run import pieces_of
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -140,7 +140,7 @@ def test_where_w_is_next_to_singular_only_the_lost_direction_is_not_balanced():
     efforts = PiecewisePolynomial.linear(ends, np.array([[1.0, 2.0, 3.0], [2.0, 1.0, 0.0]]))
     command = SimpleNamespace(t=0.0, efforts=efforts, singular=np.array([crossing.t]))
     carriers = PiecewisePolynomial.linear(ends, np.zeros((2, 3)))
-    ((part, _),) = _through(SimpleNamespace(dynamics=dynamics, robot=robot), source, carriers, [command])
+    ((part, _),) = pieces_of(SimpleNamespace(dynamics=dynamics, robot=robot), source, carriers, [command])
     reduced = rp.VirtualWork(robot).reduce(source.sample_at(part.edges))
     W, f = reduced.W / reduced.row_scale[:, None], reduced.f / reduced.row_scale
     left = np.einsum("nij,ni->nj", np.linalg.svd(W)[0], np.einsum("nij,nj->ni", W, part(part.edges)) - f)

@@ -248,12 +248,12 @@ def systems():
     problem = problem_of(dynamics, reference.corner(0.025), limits=Limits(speed=0.02))
     with pytest.MonkeyPatch.context() as patch:
 
-        class Noted(method._System):
+        class Noted(method.NewtonSystem):
             def __init__(self, *given):
                 super().__init__(*given)
                 seen.append((self, given))
 
-        patch.setattr(method, "_System", Noted)
+        patch.setattr(method, "NewtonSystem", Noted)
         between = problem.grid.h > 0.0
         found = least_peak(problem, {}, between, lambda iteration, cost: True)
     assert found is not None
@@ -275,7 +275,7 @@ def test_a_step_solves_the_equations_linearised(systems):
             beside = splines.course(x + part * solution[:n])
             at, peak = efforts(beside), p + part * solution[n]
             g = limits(x + part * solution[:n], peak, at.tau)
-            ends.append(method._System(efforts, limits, gentle, at, beside, g - w, w, z + part * dz, nu))
+            ends.append(method.NewtonSystem(efforts, limits, gentle, at, beside, g - w, w, z + part * dz, nu))
         by_step = (ends[0].left - ends[1].left) / (2.0 * h)
         np.testing.assert_allclose(by_step - dw, -left, atol=1e-6 * np.abs(dw).max())
         by_step = (ends[0].dual - ends[1].dual) / (2.0 * h)
@@ -306,8 +306,8 @@ def test_few_iterations_and_refinements_are_enough(systems, monkeypatch):
     """What predictor, correctors and factors are for: an optimum without them is the same, and takes longer."""
     problem, found, _ = systems
     rounds = []
-    rough = method._System._rough
-    monkeypatch.setattr(method._System, "_rough", lambda self, right: rounds.append(self) or rough(self, right))
+    rough = method.NewtonSystem.rough
+    monkeypatch.setattr(method.NewtonSystem, "rough", lambda self, right: rounds.append(self) or rough(self, right))
     least_peak(problem, {}, problem.grid.h > 0.0, lambda iteration, cost: True)
     # 12 iterations of a predictor, a corrector, up to two more and a refinement, 42 in all; one more by rounding
     assert found.iterations <= 13

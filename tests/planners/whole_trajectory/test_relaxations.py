@@ -44,7 +44,7 @@ def solution(of: WholeTrajectoryProblem, fraction: float = 0.0, **changed: Any) 
 
 
 def event(of: WholeTrajectoryProblem, kind: str, fraction: float, **changed: Any) -> dict[str, Any]:
-    return multistart._event(of, robot_record(zoo.robot_of("2rpr")), solution(of, fraction, **changed), kind)
+    return multistart.elastic_event(of, robot_record(zoo.robot_of("2rpr")), solution(of, fraction, **changed), kind)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_limits_that_are_touched(kind: str, changed: dict[str, tuple[int, int, f
     of = problem()
     if kind == "jerk":
         changed = {"sdd": (4, 1, 699.0 * of.grid.h[4])}
-    assert multistart._touched(of, robot_record(zoo.robot_of("2rpr")), solution(of, **changed), kind) is touched
+    assert multistart.is_touched(of, robot_record(zoo.robot_of("2rpr")), solution(of, **changed), kind) is touched
 
 
 def test_guesses_after_the_first_swing_about_the_start() -> None:
@@ -134,8 +134,8 @@ def test_guesses_after_the_first_swing_about_the_start() -> None:
     t = of.grid.t
     s, sd, sdd = (guess[name] * getattr(u, name) for name in ("s", "sd", "sdd"))
     np.testing.assert_allclose(s[[0, -1]], np.zeros((2, 2)), atol=1e-12)
-    assert np.abs(guess["s"]).max() <= multistart._REACH
-    assert np.abs(guess["s"]).max() > 0.1 * multistart._REACH
+    assert np.abs(guess["s"]).max() <= multistart.REACH
+    assert np.abs(guess["s"]).max() > 0.1 * multistart.REACH
     # sums of sines of half a turn and its multiples: fitted, and differentiated
     waves = np.sin(np.pi * np.arange(1, 4) * ((t - t[0]) / (t[-1] - t[0]))[:, None])
     size, left, *_ = np.linalg.lstsq(waves, s, rcond=None)
@@ -156,7 +156,7 @@ BLAMED = [
 @pytest.mark.parametrize(("message", "constraint", "says"), BLAMED)
 def test_where_nothing_helps_the_time_or_the_balance_is_to_blame(message: str, constraint: str, says: str) -> None:
     elastic = SimpleNamespace(message=message, violation=0.25)
-    error = multistart._nothing_helps(problem(), elastic, "Infeasible_Problem_Detected")
+    error = multistart.nothing_helps(problem(), elastic, "Infeasible_Problem_Detected")
     assert error.details["constraint"] == constraint
     assert says in str(error)
     assert error.details["amount"] == 0.25

@@ -73,7 +73,7 @@ def plan_of(robot, name, objective, **settings):
 )
 def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name, objective, monkeypatch):
     monkeypatch.setattr(planner, "fit_and_solve", never)
-    monkeypatch.setattr(transcription, "_loads", never)
+    monkeypatch.setattr(transcription, "loads_of", never)
     plan = plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.05, refinements=0)
     require_balanced(robot, plan)
     assert plan.diagnostics["fits"] == []

@@ -22,6 +22,7 @@ from redundancy_pin.simulation.controllers import (
     computed_torque,
 )
 from redundancy_pin.simulation.controllers.base import Sampling
+from redundancy_pin.simulation.controllers.computed_torque import ReducedModel
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
 BEFORE = 0.5
@@ -128,11 +129,11 @@ def test_it_gives_up_where_nothing_has_an_effect_and_says_so(monkeypatch):
     control = ComputedTorque(motion)
     t = 0.519
     q, v, _ = motion.tree(t)
-    evaluated = control._model.at(q, v)
+    evaluated = ReducedModel(motion.robot).at(q, v)
     mass, W = evaluated.mass.copy(), evaluated.W.copy()
     mass[1, 2:] = mass[2:, 1] = 0.0
     W[1] = 0.0
-    monkeypatch.setattr(control._model, "at", lambda q, v: replace(evaluated, mass=mass, W=W))
+    monkeypatch.setattr(ReducedModel, "at", lambda self, q, v: replace(evaluated, mass=mass, W=W))
     command = control.command(t, tree_state(motion.robot, q, v, t=t))
     needed = mass[1, :2] @ motion.at(t).xdd + evaluated.bias[1]
     assert command.allocation.status is AllocationStatus.UNBALANCED
@@ -207,10 +208,10 @@ def test_where_it_gives_up_it_keeps_its_limits(monkeypatch):
     control = ComputedTorque(motion, effort_limit=0.01, carrier_force_limit=0.02)
     q, v, _ = motion.tree(0.3)
 
-    def type_I(q, v):
+    def type_I(self, q, v):
         raise SingularPoseError("type I")
 
-    monkeypatch.setattr(control._model, "at", type_I)
+    monkeypatch.setattr(ReducedModel, "at", type_I)
     command = control.command(0.3, tree_state(motion.robot, q, v, t=0.3))
     assert command.allocation.status is AllocationStatus.UNBALANCED
     assert np.abs(command.tau).max() == 0.01
