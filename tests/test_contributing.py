@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import redundancy_pin
+from redundancy_pin._moved import MOVED
 
 PACKAGE = Path(redundancy_pin.__file__).parent
 PAGE = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -62,3 +63,30 @@ def _private(path: Path) -> Iterator[str]:
         else:
             continue
         yield from (name for name in names if re.match(r"_[a-zA-Z]", name) and name not in FOREIGN)
+
+
+def test_tests_of_a_room_enter_the_others_by_modules_that_rooms_import_or_documents_name() -> None:
+    documents = "".join(path.read_text(encoding="utf-8") for path in (TESTS.parent / "docs").rglob("*.md")) + PAGE
+    entered = set(re.findall(r"redundancy_pin(?:\.\w+)+", documents)) | {
+        f"redundancy_pin.{path.replace('/', '.')}" for path in re.findall(r"`(\w+/[\w/]+)\.py`", PAGE)
+    }
+    entered |= {f"redundancy_pin.{module}" for module in MOVED.values()}  # documented by version 0.1.0
+    for path in PACKAGE.rglob("*.py"):
+        own = path.relative_to(PACKAGE).parts[0]
+        entered |= {module for module in _imported(path) if module.split(".")[1] != own}
+    inner = {
+        f"{path.relative_to(TESTS)}: {module}"
+        for folder in TESTS.iterdir()
+        if (PACKAGE / folder.name).is_dir()
+        for path in folder.rglob("*.py")
+        for module in _imported(path) - entered
+        if module.count(".") > 1 and module.split(".")[1] != folder.name
+    }
+    assert inner == set()
+
+
+def _imported(path: Path) -> set[str]:
+    """Return the modules of the package, below its top, that names are imported from."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    modules = (node.module or "" for node in nodes if isinstance(node, ast.ImportFrom))
+    return {module for module in modules if module.startswith("redundancy_pin.")}

@@ -21,6 +21,7 @@ from redundancy_pin.crosscheck.checks import (
     merged,
     round_trip_needs,
 )
+from redundancy_pin.crosscheck.load_power import load_efforts
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
@@ -31,7 +32,7 @@ from redundancy_pin.workers import parallel, require_jobs
 
 MOST_STATES = 100_000_000  # of each robot: weeks
 
-__all__ = ["CheckRow", "CrossCheckReport", "run"]
+__all__ = ["CheckRow", "CrossCheckReport", "load_efforts", "run"]
 
 Progress = Callable[[int, int], None]
 """Called with the states done and the states in all."""

@@ -13,8 +13,7 @@ from command_line import call, refused
 from redundancy_pin.cli.map import problem_of
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.studies import feasibility
-from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, MapProblem, feasibility_map
-from redundancy_pin.studies.verdicts import Cell, Verdict
+from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Cell, MapProblem, Verdict, feasibility_map
 
 pytest.importorskip("matplotlib")
 

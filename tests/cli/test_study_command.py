@@ -14,8 +14,7 @@ import pytest
 from command_line import call, refused
 
 from redundancy_pin.studies import robustness as study
-from redundancy_pin.studies.robustness import robustness_study
-from redundancy_pin.studies.trial import SCENARIOS, Scenario, Trial
+from redundancy_pin.studies.robustness import SCENARIOS, Scenario, Trial, robustness_study
 
 SHORT = Scenario(SCENARIOS[0].case, 2.48, 2.53)
 """s; the singular pose at 2.508 s, and little else."""
@@ -193,7 +192,7 @@ import sys, time
 from redundancy_pin.cli import main
 from redundancy_pin.studies import robustness as study
 from redundancy_pin.studies.robustness import robustness_study
-from redundancy_pin.studies.trial import SCENARIOS, Scenario, Trial
+from redundancy_pin.studies.robustness import SCENARIOS, Scenario, Trial
 
 def quick(scenario, drive, bounds, seed, number):
     if number == 1:

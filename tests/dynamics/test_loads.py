@@ -25,7 +25,7 @@ from redundancy_pin import (
     Wrench,
 )
 from redundancy_pin.arrays import Array, frozen
-from redundancy_pin.crosscheck.load_power import load_efforts
+from redundancy_pin.crosscheck import load_efforts
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError, UnsupportedRobotError

@@ -18,7 +18,7 @@ from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobot
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import Coupling, Robot
-from redundancy_pin.simulation.derivatives import inverse_derivatives
+from redundancy_pin.simulation import inverse_derivatives
 from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 

@@ -275,10 +275,10 @@ def test_arguments(tmp_path):
 
 
 def test_pictures_of_plain_shapes(tmp_path):
-    from redundancy_pin.visualisation.viewer.solids import shapes_of_urdf
+    from redundancy_pin.visualisation.viewer.scene import make_scene
 
     robot = rp.load_robot(write(tmp_path, FOUR_BAR))
-    solids = shapes_of_urdf(robot)
+    solids = make_scene(robot, np.zeros(1), np.array(robot.q_reference)[None], np.ones(1)).solids
     cylinders = [solid for solid in solids if solid.shape == "cylinder"]
     assert {str(robot.model.names[solid.body]) for solid in cylinders} == {"crank", "elbow", "rocker"}
     (first,) = (solid for solid in cylinders if robot.model.names[solid.body] == "crank")

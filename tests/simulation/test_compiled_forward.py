@@ -20,7 +20,7 @@ from spatial_chains import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
+from redundancy_pin.dynamics.compiled import CompiledForward, forward_of
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.planners.reference import MotionReference

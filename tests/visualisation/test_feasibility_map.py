@@ -13,15 +13,16 @@ from redundancy_pin.studies.feasibility import (
     STEPWISE,
     WHOLE,
     Axis,
+    Cell,
     FeasibilityMap,
     MapProblem,
+    Verdict,
     axis_label,
     draw,
     spaced,
     tiles,
     write_map,
 )
-from redundancy_pin.studies.verdicts import Cell, Verdict
 from redundancy_pin.visualisation.figures.feasibility_map import Tile, border_of, plot_feasibility
 
 pytest.importorskip("matplotlib")
