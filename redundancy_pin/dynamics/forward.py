@@ -13,6 +13,11 @@ from typing import NamedTuple, Protocol
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
 
+LEAST_INERTIA = 1e-8
+"""Inertia that a free motion must have when all before it yield, as a share of the largest, for the model not to count
+as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps
+shrink to nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
+
 
 class Polynomials(Protocol):
     """A function from time that is a polynomial on each of P pieces; see ``trajectory``'s ``PiecewisePolynomial``."""

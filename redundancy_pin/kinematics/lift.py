@@ -53,7 +53,7 @@ _FAR_STARTS = 5
 """Samples of a motion that no Newton from the reference closes anywhere at which multistart is tried before it is
 given up."""
 
-_SAME_CONFIGURATION = 1e-6
+SAME_CONFIGURATION = 1e-6
 """Two closed configurations of one pose nearer than this (rad, m) are the same one, computed twice."""
 
 _ALMOST_CLOSED = 1e-6
@@ -395,7 +395,7 @@ def _branch_breaks(motion: PlatformMotion, solved: _Lifted, good: BoolArray) -> 
     def reached_again(k: int) -> bool:
         again = follow(system, x[k : k + 2], q[k], solved.gamma[k])
         apart = configuration_difference(system.robot.model, again.q[-1:], q[k + 1 : k + 2])
-        return bool(again.valid.all()) and float(np.abs(apart).max()) <= _SAME_CONFIGURATION
+        return bool(again.valid.all()) and float(np.abs(apart).max()) <= SAME_CONFIGURATION
 
     # a step between sparse samples may be long without being a break: go there again in small steps
     return np.array([k + 1 for k in suspects.tolist() if not reached_again(k)], dtype=np.intp)

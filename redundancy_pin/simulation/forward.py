@@ -25,6 +25,7 @@ import numpy as np
 from scipy.linalg import blas, eigh, lapack
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, IntArray
+from redundancy_pin.dynamics.forward import LEAST_INERTIA
 from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -77,11 +78,6 @@ def choose(
     order = pose_columns[order - 1]
     return Partition(order[:rows], np.concatenate([order[rows:], free]), prescribed)
 
-
-LEAST_INERTIA = 1e-8
-"""Inertia that a free motion must have when all before it yield, as a share of the largest, for the model not to count
-as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps
-shrink to nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
 
 _POOR_CHOICE = 1e-2
 """Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen anew."""

@@ -25,12 +25,11 @@ from scipy.integrate import DOP853, RK45, OdeSolver, Radau
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.dynamics.forward import Advance, ForwardKernel, Integration, Rules
+from redundancy_pin.dynamics.forward import LEAST_INERTIA, Advance, ForwardKernel, Integration, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.simulation.controllers.base import Command, Sampling, is_same
 from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
-from redundancy_pin.simulation.forward import LEAST_INERTIA
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.state import PROJECTION_TOLERANCE

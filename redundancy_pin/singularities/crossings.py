@@ -18,7 +18,7 @@ from redundancy_pin.kinematics.assembly import assemble, configuration_differenc
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import Point, continuous
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows, row_scale
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.lift import SAME_CONFIGURATION, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.named import require_matching
@@ -28,9 +28,6 @@ from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedT
 
 _FEWEST_STEPS = 400
 """Steps in time at least, however short the path."""
-
-_SAME_CONFIGURATION = 1e-6
-"""Configurations nearer than this (rad, m) are the same one, computed twice."""
 
 _STRAY = 0.5
 """Change of q (rad, m) over one step of the path that is no motion of the branch: a step is a hundredth of the robot's
@@ -106,7 +103,7 @@ class FollowedPath:
         _require_closed(times, solution.gap)
         miss = np.abs(configuration_difference(model, guess, solution.q)).max(axis=1)
         # near a type I singularity q goes with a square root: within half of the span is on the branch, not beyond
-        lost = np.flatnonzero(miss > np.maximum(np.abs(span).max(axis=1), _SAME_CONFIGURATION))
+        lost = np.flatnonzero(miss > np.maximum(np.abs(span).max(axis=1), SAME_CONFIGURATION))
         if len(lost):
             t = float(times[lost[0]])
             raise WorkingModeError(
@@ -230,9 +227,9 @@ def _require_no_jump(path: FollowedPath, suspects: BoolArray) -> None:
                 left, q_left, span = middle, solution.q[best], parts[best][1]
             else:
                 right, q_right, span = middle, solution.q[best], parts[best][0]
-            if span < max(_KINK * first, _SAME_CONFIGURATION):
+            if span < max(_KINK * first, SAME_CONFIGURATION):
                 break
-        if span > max(_KINK * first, _SAME_CONFIGURATION):
+        if span > max(_KINK * first, SAME_CONFIGURATION):
             raise WorkingModeError(
                 f"The configuration jumps at t = {left:.9g} s (by {span:.3g} rad or m): the path runs through a type I "
                 "singularity, behind which the working mode is another branch.",

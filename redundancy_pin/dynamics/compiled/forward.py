@@ -20,6 +20,7 @@ from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_par
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.forward import (
+    LEAST_INERTIA,
     Accelerations,
     Advance,
     Equations,
@@ -259,10 +260,6 @@ class CompiledReader:
         return Reading(
             out[:a].reshape(self._x), out[a:b], out[b:c].reshape(mass), out[c:d], out[d:e].reshape(W), bool(regular)
         )
-
-
-LEAST_INERTIA = 1e-8
-"""As in ``simulation.forward``, where the reason is; what lies below is left to it."""
 
 
 class CompiledIntegration:
