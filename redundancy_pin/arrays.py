@@ -141,8 +141,9 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     bad = ~(np.abs(array) <= LARGEST)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
+        what = f"beyond {LARGEST:g}" if np.isfinite(array[bad]).all() else "not finite"
         raise InputError(
-            f"{name} has {int(bad.sum())} value(s) that are not finite, the first at index {where}: {array[where]}.",
+            f"{name} has {int(bad.sum())} value(s) that are {what}, the first at index {where}: {array[where]}.",
             remedy="Remove or repair those samples.",
             name=name,
             index=where,
