@@ -279,7 +279,7 @@ def test_pictures_of_plain_shapes(tmp_path):
 
     robot = rp.load_robot(write(tmp_path, FOUR_BAR))
     solids = make_scene(robot, np.zeros(1), np.array(robot.q_reference)[None], np.ones(1)).solids
-    cylinders = [solid for solid in solids if solid.shape == "cylinder"]
+    cylinders = [solid for solid in solids if solid.shape == "cylinder" and solid.role == "link"]
     assert {str(robot.model.names[solid.body]) for solid in cylinders} == {"crank", "elbow", "rocker"}
     (first,) = (solid for solid in cylinders if robot.model.names[solid.body] == "crank")
     np.testing.assert_allclose(first.placement[:3, 3], [0.1, 0.0, 0.0], atol=1e-12)
