@@ -31,7 +31,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.singularities.classify import SingularityKind, locked_matrix, margins_of, serial_matrix
-from redundancy_pin.singularities.tracing import MatrixOf, Tracer, singular_block, singular_value
+from redundancy_pin.singularities.tracing import MODE_ROUNDING, MatrixOf, Tracer, singular_value
 from redundancy_pin.singularities.workspace import Slice, WorkspaceGrid, default_axes, slice_of, solve_grid
 
 RESOLUTION = 200
@@ -48,7 +48,6 @@ _LONGEST_NEWTON_STEP = 0.3
 _BORDER_BISECTIONS = 5
 """They bring the leg within a thirtieth of a grid cell of the border; from there Newton converges."""
 
-_MODE_ROUNDING = 1e-9
 _OTHER_LEG = 0.5
 """Cosine between the motions that K leaves free at two points of a type I curve, below which there is a corner."""
 
@@ -179,9 +178,11 @@ def singular_locus(
     border, cut, lone = _border(system, grid)
     inner, missing = _zero_margin(system, grid, parallel) if robot.n == robot.m else ((), np.zeros((0, robot.n)))
     if len(place.free) == 2:
-        border = tuple(_with_corners(system, place, grid, curve) for curve in border)
+        ends = np.array([(axis[0], axis[-1]) for axis in grid.axes])
+        tracer = Tracer(system, place, ends, max(float(axis[1] - axis[0]) for axis in grid.axes))
+        border = tuple(_with_corners(system, tracer, grid, curve) for curve in border)
     if robot.n == robot.m and len(place.free) == 2:
-        inner = _followed(system, place, grid, inner, border)
+        inner = _followed(system, tracer, inner, border)
         lone, missing = (_not_beside(part, inner, grid) for part in (lone, missing))
     return SingularLocus(
         robot=robot,
@@ -256,43 +257,23 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
     return chains, int(cuts.sum()), grid.x[edges[missing[~cuts], 0]]
 
 
-def _with_corners(system: ConstraintSystem, place: Slice, grid: WorkspaceGrid, curve: LocusCurve) -> LocusCurve:
+def _with_corners(system: ConstraintSystem, tracer: Tracer, grid: WorkspaceGrid, curve: LocusCurve) -> LocusCurve:
     """Return a type I curve with the corners between its points where another leg is at its end from there on."""
     free = np.linalg.svd(serial_matrix(system, system.evaluate(curve.q)))[2][:, -1]
     cell = np.sqrt(sum((axis[1] - axis[0]) ** 2 for axis in grid.axes))
     points, parts = curve.points, [curve.points, curve.q, curve.residual]
     for k in np.flatnonzero(np.abs((free[1:] * free[:-1]).sum(axis=1)) < _OTHER_LEG)[::-1].tolist():
-        corner = _corner(system, place, curve.q[k : k + 1])
-        if corner is not None and np.linalg.norm(corner[0] - points[k : k + 2], axis=1).max() < _CORNER_AWAY * cell:
+        q = tracer.corner(curve.q[k : k + 1])
+        q = tracer.corner(curve.q[k + 1 : k + 2]) if q is None else q
+        if q is None:
+            continue
+        state = system.evaluate(q)
+        left = np.linalg.svd(serial_matrix(system, state), compute_uv=False)[:, -1]
+        corner = coordinates(system.robot, state), q, left
+        exact = np.abs(state.phi).max(initial=0.0) < CLOSURE_TOLERANCE and left[0] < SINGULAR
+        if exact and np.linalg.norm(corner[0] - points[k : k + 2], axis=1).max() < _CORNER_AWAY * cell:
             parts = [np.insert(part, k + 1, value, axis=0) for part, value in zip(parts, corner, strict=True)]
     return LocusCurve(curve.kind, *(read_only(part) for part in parts))
-
-
-def _corner(system: ConstraintSystem, place: Slice, q: Array) -> tuple[Array, Array, Array] | None:
-    """Return x (1, n), q (1, nq) and the smallest singular value (1,) where two of K vanish, from a guess (1, nq)."""
-    robot, p = system.robot, system.pose_columns
-    fixed = [k for k in range(robot.n) if k not in place.free]
-    for _ in range(_ITERATIONS):
-        state = system.evaluate(q)
-        block, slopes = singular_block(system, serial_matrix, state, 2)
-        off = difference(robot, coordinates(robot, state), place.x[None])[:, fixed]
-        values = np.concatenate([state.phi[0], off[0], block[0]])
-        rows = np.concatenate([state.Jc[0][:, p], state.Jx[0][fixed][:, p], slopes[0]])
-        step = np.linalg.lstsq(rows, -values, rcond=1e-9)[0]
-        size = float(np.abs(step).max())
-        full = np.zeros((1, robot.model.nv))
-        full[:, p] = step * min(1.0, _LONGEST_NEWTON_STEP / max(size, _LONGEST_NEWTON_STEP))
-        q = integrate(robot.model, q, full)
-        if size < 1e-14:
-            break
-    state = system.evaluate(q)
-    left = np.linalg.svd(serial_matrix(system, state), compute_uv=False)[0]
-    x = coordinates(robot, state)
-    gap = max(
-        np.abs(state.phi).max(initial=0.0), np.abs(difference(robot, x, place.x[None])[:, fixed]).max(initial=0.0)
-    )
-    in_mode = (mode_indicator(robot, q) * np.array(robot.working_mode) > -_MODE_ROUNDING).all()
-    return (x, q, left[-1:]) if gap < CLOSURE_TOLERANCE and left[-2] < SINGULAR and in_mode else None
 
 
 def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], Array]:
@@ -313,17 +294,11 @@ def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -
 
 
 def _followed(
-    system: ConstraintSystem,
-    place: Slice,
-    grid: WorkspaceGrid,
-    inner: tuple[LocusCurve, ...],
-    border: tuple[LocusCurve, ...],
+    system: ConstraintSystem, tracer: Tracer, inner: tuple[LocusCurve, ...], border: tuple[LocusCurve, ...]
 ) -> tuple[LocusCurve, ...]:
     """Return the type II curves to their ends, also those that begin on the border between nodes."""
-    bounds = np.array([(axis[0], axis[-1]) for axis in grid.axes])
-    cell = max(float(axis[1] - axis[0]) for axis in grid.axes)
     curves = []
-    for q in Tracer(system, place, bounds, cell).joined([each.q for each in inner], [each.q for each in border]):
+    for q in tracer.joined([each.q for each in inner], [each.q for each in border]):
         state = system.evaluate(q)
         sigma = np.linalg.svd(locked_matrix(system, state), compute_uv=False)[:, -1]
         serial = np.linalg.svd(serial_matrix(system, state), compute_uv=False)[:, -1]
@@ -410,8 +385,7 @@ def _refined(
     off = np.abs(np.where(fixed, away, 0.0)).max(axis=1)
     gap = np.maximum(np.abs(state.phi).max(axis=1, initial=0.0), off)
     on_edge = (fraction > -_EDGE_ROUNDING) & (fraction < 1.0 + _EDGE_ROUNDING)
-    # a hair beyond the border of the working mode is rounding, more is another branch
-    in_mode = (mode_indicator(robot, q) * np.array(robot.working_mode) > -_MODE_ROUNDING).all(axis=1)
+    in_mode = (mode_indicator(robot, q) * np.array(robot.working_mode) > -MODE_ROUNDING).all(axis=1)
     return _Refined(x, q, sigma, (gap < CLOSURE_TOLERANCE) & (sigma < SINGULAR) & on_edge & in_mode)
 
 

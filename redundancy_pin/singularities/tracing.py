@@ -34,6 +34,9 @@ _TURN = 0.95
 _ALIGNED = 0.8
 """The same, of chords between points of a grid's edges with tangents there."""
 
+MODE_ROUNDING = 1e-9
+"""A hair beyond the border of the working mode is rounding, more is another branch."""
+
 _MOST_STEPS = 20_000
 _ITERATIONS = 12
 _SOLVED = 1e-10
@@ -98,6 +101,17 @@ class Tracer:
             if (np.abs(self._apart(end, known)).max(axis=1) > _SAME).all():
                 curves.append(self._extended(end, pool, curves))
         return [curve for curve in curves if len(curve) > 1]
+
+    def corner(self, q: Array) -> Array | None:
+        """Return the point (1, nq) where a type I curve goes over from one leg to another, from a guess (1, nq).
+
+        Two singular values of K vanish there. None where there is no such point, or in another working mode.
+        """
+        corner = self._newton(q, None, (serial_matrix, 2))
+        if corner is None:
+            return None
+        side = mode_indicator(self.system.robot, corner) * np.array(self.system.robot.working_mode)
+        return corner if (side > -MODE_ROUNDING).all() else None
 
     def _smooth(self, part: Array) -> list[Array]:
         """Return the runs of points whose chords are along the curve: beside another one a grid may change over."""
@@ -221,20 +235,23 @@ class Tracer:
         apart: Array = np.where(turning, np.remainder(step + np.pi, 2.0 * np.pi) - np.pi, step) * self._scale
         return apart
 
-    def _equations(self, q: Array, *matrices: MatrixOf) -> tuple[Array, Array]:
-        """Return closures, held coordinates and smallest singular values (N, r) at q (N, nq), and derivatives."""
+    def _equations(self, q: Array, *singular: tuple[MatrixOf, int]) -> tuple[Array, Array]:
+        """Return closures, held coordinates and smallest singular values (N, r) at q (N, nq), and derivatives.
+
+        ``singular``: matrices, and how many singular values of each are to vanish.
+        """
         state, place, columns = self.system.evaluate(q), self.place, self.system.pose_columns
         fixed = [k for k in range(self.system.robot.n) if k not in place.free]
         target = np.broadcast_to(place.x, (len(q), len(place.x)))
         off = difference(self.system.robot, coordinates(self.system.robot, state), target)[:, fixed]
-        singular = [singular_value(self.system, matrix, state) for matrix in matrices]
-        values = [state.phi, off, *(value[:, None] for value, _ in singular)]
-        rows = [state.Jc[:, :, columns], state.Jx[:, fixed][:, :, columns], *(slope[:, None] for _, slope in singular)]
+        vanishing = [singular_block(self.system, matrix, state, size) for matrix, size in singular]
+        values = [state.phi, off, *(block for block, _ in vanishing)]
+        rows = [state.Jc[:, :, columns], state.Jx[:, fixed][:, :, columns], *(slopes for _, slopes in vanishing)]
         return np.concatenate(values, axis=1), np.concatenate(rows, axis=1) / self._scale
 
     def _tangents(self, q: Array) -> Array:
         """Return (N, p) unit tangents, of any sign."""
-        tangents: Array = np.linalg.svd(self._equations(q, locked_matrix)[1])[2][:, -1]
+        tangents: Array = np.linalg.svd(self._equations(q, (locked_matrix, 1))[1])[2][:, -1]
         return tangents
 
     def _speed(self, q: Array, tangent: Array) -> float:
@@ -244,10 +261,11 @@ class Tracer:
 
     def _solved(self, q: Array, tangent: Array | None) -> Array | None:
         """Return the point of the curve at a right angle to its tangent; without one, its end in the working mode."""
+        return self._newton(q, tangent, (locked_matrix, 1), *([(serial_matrix, 1)] if tangent is None else []))
+
+    def _newton(self, q: Array, tangent: Array | None, *singular: tuple[MatrixOf, int]) -> Array | None:
         for _ in range(_ITERATIONS):
-            values, rows = (
-                part[0] for part in self._equations(q, locked_matrix, *([serial_matrix] if tangent is None else []))
-            )
+            values, rows = (part[0] for part in self._equations(q, *singular))
             if tangent is not None:
                 values, rows = np.append(values, 0.0), np.concatenate([rows, tangent[None]])
             step = np.linalg.lstsq(rows, -values, rcond=1e-12)[0]

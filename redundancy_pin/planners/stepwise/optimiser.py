@@ -225,12 +225,15 @@ def _within_by_least_squares(
     """Return the same minimum where DAQP calls a box infeasible, as it does of Hessians of condition 1e12."""
     from scipy.optimize import lsq_linear
 
-    if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
+    try:
+        root = np.linalg.cholesky(hessian).T
+    except np.linalg.LinAlgError:
+        root = np.full_like(hessian, np.nan)
+    if not (np.isfinite(root).all() and np.isfinite(gradient).all()):
         raise RedundancyPinError(
             f"The quadratic programme of one step was not solved (DAQP: {flag}).",
             remedy="Check the efforts along the motion: they must not be NaN.",
         )
-    root = np.linalg.cholesky(hessian).T
     low, high = np.array(lower), np.array(upper)
     apart = low < high  # lsq_linear takes no bounds that are equal
     u = low.copy()
