@@ -5,7 +5,7 @@ efforts and an exact initial state; nothing controls it. What it computes has to
 singular poses as well (docs/engines.md). Needs the extra ``engines``.
 """
 
-from engines.drive import Drive, drive_of_motion, drive_of_plan
+from engines.drive import Drive, commanded, drive_of_motion, drive_of_plan
 from engines.exudyn import run_exudyn
 from engines.mujoco import run_mujoco
 from engines.own import run_own
@@ -20,6 +20,7 @@ __all__ = [
     "EngineRun",
     "RunStatus",
     "Task",
+    "commanded",
     "deviation",
     "drive_of_motion",
     "drive_of_plan",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 from engines.drive import Drive, drive_of_motion, drive_of_plan
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import load_robot
+from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Line, PoseTrajectory, RestToRest, Trajectory, reference
@@ -31,7 +33,8 @@ class Case:
         robot: name of a shipped robot.
         trajectory: from the robot to the motion of its platform.
         arguments: arguments of ``load_robot``.
-        planner: settings of ``plan_whole_trajectory``.
+        planner: settings of ``plan_whole_trajectory``, or of ``RecedingHorizon``.
+        on_line: whether it is planned on line, a tick after the other, by compiled dynamics.
         crossings: number of type II singularities on the way.
         mujoco: whether MuJoCo takes the robot.
     """
@@ -43,6 +46,7 @@ class Case:
     planner: Mapping[str, Any] = field(default_factory=dict)
     crossings: int = 0
     mujoco: bool = True
+    on_line: bool = False
 
 
 def prepare(case: Case, backend: Callable[[Robot], Dynamics]) -> Drive:
@@ -53,13 +57,16 @@ def prepare(case: Case, backend: Callable[[Robot], Dynamics]) -> Drive:
         backend: makes a dynamics backend of a robot.
 
     Raises:
-        RedundancyPinError: casadi, which the planner needs, is not installed.
+        RedundancyPinError: casadi or PIQP, which the planner needs, is not installed.
     """
     robot = load_robot(case.robot, **case.arguments)
     dynamics, motion = backend(robot), case.trajectory(robot)
     if robot.k == 0:
         return drive_of_motion(dynamics, motion)
-    plan = plan_whole_trajectory(dynamics, motion, **case.planner)
+    if case.on_line:
+        plan = run_online(RecedingHorizon(CompiledDynamics(robot), **case.planner), motion).plan
+    else:
+        plan = plan_whole_trajectory(dynamics, motion, **case.planner)
     return drive_of_plan(dynamics, plan, motion)
 
 
@@ -120,6 +127,16 @@ FLAT = Case(
 )
 """Gravity along the lost direction, up."""
 
+SHORT_ON_LINE = replace(SHORT, name="2-RPR short line, planned on line", on_line=True)
+
+MOVING_TURN = Case(
+    "3-RRR turn while moving",
+    "3rrr",
+    lambda _: straight((1.0, 0.4, 0.0), (0.8, 0.6, -1.0), 1.5),
+    planner={"end": "rest"},
+    crossings=1,
+)
+
 CASES = (
     SHORT,
     Case("2-RPR line", "2rpr", lambda _: reference.line(0.4, ramp_time=0.5), WITH_MASS, crossings=1),
@@ -136,18 +153,22 @@ CASES = (
     Case("3-RRR corner, r = 13 mm", "3rrr", lambda _: reference.corner(0.013)),
     Case("3-RRR square", "3rrr", lambda _: reference.square()),
     Case("3-RRR turn on the spot", "3rrr", lambda _: straight((0.866, 0.5, 0.0), (0.866, 0.5, -1.2), 1.5), crossings=1),
-    Case(
-        "3-RRR turn while moving",
-        "3rrr",
-        lambda _: straight((1.0, 0.4, 0.0), (0.8, 0.6, -1.0), 1.5),
-        planner={"end": "rest"},
-        crossings=1,
-    ),
+    MOVING_TURN,
     Case("five-bar line", "five_bar", lambda _: straight((0.1, 0.6), (0.35, 0.3), 1.0), crossings=1),
     Case("four-bar half turn", "four_bar", lambda _: straight((1.0,), (4.0,), 1.0)),
     Case("Gough, move and tilt", "gough", _tilted),
     YAW,
     FLAT,
+    SHORT_ON_LINE,
+    Case(
+        "2-RPR circle at 0.5 m/s, planned on line",
+        "2rpr",
+        lambda _: reference.circle(speed=0.5),
+        WITH_MASS,
+        crossings=2,
+        on_line=True,
+    ),
+    replace(MOVING_TURN, name="3-RRR turn while moving, planned on line", planner={}, on_line=True),
 )
 """Everything ``make engines`` runs."""
 

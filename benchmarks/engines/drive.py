@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from engines.task import Task
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import Array, Side, checked
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.functions import DEGREE, PlanFunctions
+from redundancy_pin.planners.functions import DEGREE, PlanFunctions, apart
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.reference import MotionReference, plan_reference, reference_of
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_series, chebyshev_times
@@ -60,6 +61,25 @@ def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | 
     reference = plan_reference(plan, robot=dynamics.robot, motion=trajectory)
     functions = plan.functions_of_time if trajectory is None else plan.functions_along(trajectory)
     return _drive(reference, functions, reference.edges[1:-1], plan)
+
+
+def commanded(task: Task, commands: Sequence[Command]) -> Task:
+    """Return a task with the efforts that were commanded on line, those of every tick until the next one.
+
+    They are as they are: linear over 2.5 ms, and W τ = f up to what the next tick corrects.
+    """
+    ends = [*(command.t for command in commands[1:]), task.end]
+    pieces = [
+        [part.between(command.t, end) for part in (command.efforts, command.forces)]
+        for command, end in zip(commands, ends, strict=True)
+    ]
+    efforts, forces = map(PiecewisePolynomial.joined, zip(*pieces, strict=True))
+
+    def both(t: Array, side: Side = "right") -> Array:
+        return np.hstack([efforts(t, side), forces(t, side)])
+
+    edges = apart(np.concatenate([efforts.edges, forces.edges]))
+    return Task(task.robot, task.start, task.end, task.q, task.v, both, edges[1:-1])
 
 
 def drive_of_motion(

@@ -11,23 +11,32 @@ from engine_oracles import Timed, integrated, random_state, random_tree
 from engines import (
     RunStatus,
     Task,
+    commanded,
     deviation,
     drive_of_motion,
+    drive_of_plan,
     missing,
     open_loop_growth,
     run_exudyn,
     run_mujoco,
 )
-from engines.cases import SHORT, prepare
+from engines.cases import MOVING_TURN, SHORT, prepare
 from engines.links import link_tree
 from spatial_chains import CHAINS, chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError
+from redundancy_pin.planners.receding_horizon import run_online
 from redundancy_pin.writers import constraint_of, mjcf
 
 MOTION_TOLERANCE = 1e-5
 """m and rad: what the comparison with outside engines asks for, without control over the whole motion."""
+
+BALANCE_TOLERANCE = 1e-6
+"""Of the largest f: what a plan may leave of it next to a singular instant, where efforts are linear in time."""
+
+COMMANDS_TOLERANCE = 1e-4
+"""m and rad. Commands are linear over 2.5 ms, and those of a tick do not know what the next one corrects: 8e-6 here."""
 
 EXUDYN = pytest.param(run_exudyn, id="exudyn")
 MUJOCO = pytest.param(run_mujoco, id="mujoco")
@@ -71,6 +80,41 @@ def test_a_plan_through_a_type_ii_pose_makes_the_planned_motion(engine, short):
     assert len(off.t) == run.steps + 1
     assert (np.diff(run.t) > 0.0).all()
     assert run.x[-1] == pytest.approx((0.2, -0.1), abs=MOTION_TOLERANCE)
+
+
+@pytest.fixture(scope="module", params=[SHORT, MOVING_TURN], ids=["2rpr", "3rrr"])
+def on_line(request):
+    """A run planned with compiled dynamics, its robot, its motion and its drive."""
+    case = request.param
+    robot, motion = rp.load_robot(case.robot, **case.arguments), case.trajectory(None)
+    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot)), motion)
+    assert run.counts["planned"] == len(run.commands)
+    assert len(run.plan.diagnostics["singular_instants"]) == case.crossings
+    return run, robot, motion, drive_of_plan(rp.RneaDynamics(robot), run.plan, motion)
+
+
+@pytest.mark.parametrize("backend", [rp.VirtualWork, rp.RneaDynamics], ids=["virtual work", "rnea"])
+def test_efforts_planned_on_line_balance_by_either_of_the_other_backends(backend, on_line):
+    run, robot, motion, _ = on_line
+    times = np.sort(np.random.default_rng(5).uniform(0.0, motion.duration, 300))
+    for t, tau in ((run.plan.t, run.plan.tau), (times, run.plan.efforts_at(times, rp.CompiledDynamics(robot)))):
+        reduced = backend(robot).reduce(motion.sample_at(t), run.plan.carriers_at(t))
+        missing = np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f
+        assert np.abs(missing).max() < BALANCE_TOLERANCE * np.abs(reduced.f).max()
+
+
+def test_a_plan_made_on_line_makes_the_planned_motion_through_a_type_ii_pose(engine, on_line):
+    *_, drive = on_line
+    replayed = engine(drive.task, step=2e-3)
+    assert replayed.status == RunStatus.COMPLETED
+    assert deviation(drive, replayed).largest < MOTION_TOLERANCE
+
+
+def test_so_do_its_commands_with_efforts_that_are_linear_over_milliseconds(engine, on_line):
+    run, *_, drive = on_line
+    replayed = engine(commanded(drive.task, run.commands), step=2e-3)
+    assert replayed.status == RunStatus.COMPLETED
+    assert deviation(drive, replayed).largest < COMMANDS_TOLERANCE
 
 
 @pytest.mark.parametrize("which", range(4), ids=["slide_1", "slide_2", "carrier_1", "carrier_2"])
