@@ -13,6 +13,7 @@ from redundancy_pin.crosscheck.checks import (
     Deviation,
     check_derivatives,
     check_leg_momentum,
+    check_motion,
     check_parity,
     check_parity_on_singularities,
     check_power,
@@ -121,6 +122,7 @@ def _deviations(case: RandomCase) -> Iterator[Deviation]:
         backends["virtual work"] = VirtualWork(case.robot)
         yield from check_parity(case)
         yield from check_parity_on_singularities(case)
+    yield from check_motion(case)
     for label, dynamics in backends.items():
         yield from check_power(case, dynamics, label)
         yield from check_round_trip(case, dynamics, label)

@@ -46,21 +46,30 @@ class ClosedForward:
     def __init__(self, robot: Robot) -> None:
         self._robot, self._model, self._data = robot, robot.model, robot.model.createData()
 
-    def __call__(self, q: Array, v: Array, force: Array) -> Array:
-        """Return the accelerations (nv,) at q (nq,), v (nv,) under generalised forces (nv,)."""
+    def __call__(self, q: Array, v: Array, force: Array) -> tuple[Array, float]:
+        """Return the accelerations (nv,) at q (nq,), v (nv,) under generalised forces (nv,), and their rounding.
+
+        The latter is |A⁻¹| (|δA| |x| + |δb|), the largest of the accelerations, for one unit in the last place of each
+        term. Entries of J are differences of lever arms, of the size of the largest one: a row of nothing but short
+        ones has a λ so large that λ times this, and no solver, decides what the accelerations are.
+        """
         model, data = self._model, self._data
         upper = pin.crba(model, data, q)
         mass = np.triu(upper) + np.triu(upper, 1).T
         J, bias = self.rows(q, v)
+        bent = pin.nonLinearEffects(model, data, q, v)
         # unit rows, so that neither short levers nor gears look like a loss of rank
-        size = np.linalg.norm(J, axis=1)
-        J, bias = J / size[:, None], bias / size
-        heavy = np.abs(mass).max()
-        matrix = np.block([[mass / heavy, -J.T], [J, np.zeros((len(J), len(J)))]])
-        rest = np.concatenate([(force - pin.nonLinearEffects(model, data, q, v)) / heavy, -bias])
-        solution: Array = np.linalg.solve(matrix, rest)
-        solution += np.linalg.solve(matrix, rest - matrix @ solution)
-        return solution[: model.nv]
+        heavy, size = np.abs(mass).max(), np.linalg.norm(J, axis=1)
+        J, bias, levers = J / size[:, None], bias / size, np.abs(J).max(initial=0.0) * (J != 0.0) / size[:, None]
+        none = np.zeros((len(J), len(J)))
+        matrix, rest = np.block([[mass / heavy, -J.T], [J, none]]), np.concatenate([(force - bent) / heavy, -bias])
+        inverse = np.linalg.inv(matrix)
+        solution: Array = inverse @ rest
+        solution += inverse @ (rest - matrix @ solution)
+        terms = np.block([[np.abs(mass) / heavy, levers.T], [levers, none]]) @ np.abs(solution)
+        terms += np.concatenate([(np.abs(force) + np.abs(bent)) / heavy, np.abs(bias)])
+        rounding = np.finfo(float).eps * (np.abs(inverse) @ terms)[: model.nv]
+        return solution[: model.nv], float(rounding.max())
 
     def rows(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return J (r, nv) and J̇ v (r,) of closures and couplings."""
@@ -79,6 +88,29 @@ class ClosedForward:
                 bend = -float(powers.deriv(2)(q[other.idx_q])) * v[other.idx_v] ** 2
             rows.append((row, bend))
         return np.array([row for row, _ in rows]), np.array([bias for _, bias in rows])
+
+    def missed(self, q: Array, v: Array, a: Array, xd: Array, xdd: Array) -> float:
+        """Return by how much v and a miss the closures, ẋ and ẍ (n,), as a part of the terms of each row."""
+        J, bias = self.rows(q, v)
+        independent, independent_bias = self._independent(q, v)
+        J, bias = np.concatenate([J, independent]), np.concatenate([bias, independent_bias])
+        still = np.zeros(len(J) - len(xd))
+        xd, xdd = np.concatenate([still, xd]), np.concatenate([still, xdd])
+        rates, accelerations = np.abs(J) @ np.abs(v), np.abs(J) @ np.abs(a) + np.abs(bias)
+        parts = (J @ v - xd) / np.maximum(rates, 1e-3), (J @ a + bias - xdd) / np.maximum(accelerations, 1e-3)
+        return float(np.abs(parts).max(initial=0.0))
+
+    def _independent(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return J (n, nv) and J̇ v (n,) of the independent velocities; to be called after ``rows``."""
+        model, platform = self._model, self._robot.platform
+        if platform is None:
+            joints = (model.joints[model.getJointId(name)] for name in self._robot.independent_joints)
+            return np.eye(model.nv)[[each.idx_v for each in joints]], np.zeros(self._robot.n)
+        frame = model.getFrameId(platform.frame, pin.FrameType.BODY)
+        rows = [AXES.index(axis) for axis in platform.axes]
+        J = pin.getFrameJacobian(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
+        bias = pin.getFrameClassicalAcceleration(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
+        return J[rows], bias.vector[rows]
 
     def _closure(self, closure: Closure) -> list[tuple[Array, float]]:
         model, data, world = self._model, self._data, pin.LOCAL_WORLD_ALIGNED

@@ -59,5 +59,5 @@ def test_validation_knows_friction_and_springs(tmp_path):
     path = write(tmp_path, text)
     report = json.loads(call("validate", "--robot", path, "--samples", "100", "--json").stdout)
     rows = report["rows"]
-    assert {row["check"] for row in rows} == {"power balance (rnea)", "inverse -> forward (rnea)"}
+    assert {"power balance (rnea)", "inverse -> forward (rnea)"} <= {row["check"] for row in rows}
     assert all(row["passed"] and row["samples"] > 50 for row in rows)
