@@ -524,8 +524,9 @@ class _Reader:
                 part.refuse(f"{part} drives {shown(name)}, which is no joint", did_you_mean(name, self.names).strip())
             if len(made) != 1 or kinds.get(name) == "ball":
                 part.refuse(f"{part} drives {name!r}, a joint of several freedoms", _NO_JOINT)
-            efforts[name] = efforts.get(name, np.zeros(2)) + forces_of(part)
-            if part.tag in ("position", "velocity", "intvelocity"):
+            effort, servo = forces_of(part)
+            efforts[name] = efforts.get(name, np.zeros(2)) + effort
+            if servo:
                 feedback.append(name)
         bounds = {**self.forces.ranges, **efforts}
         for name in self.forces.ranges.keys() & efforts.keys():

@@ -95,20 +95,43 @@ class Forces:
         return notes
 
 
-def forces_of(part: Part) -> Array:
-    """Return the least and largest effort (2,) of an actuator on its joint, N or N·m; infinite if not bounded."""
+_SERVOS = ("position", "velocity", "intvelocity")
+_LAWS = {
+    "dyntype": ("none", "integrator", "filter", "filterexact"),
+    "gaintype": ("fixed", "affine"),
+    "biastype": ("none", "affine"),
+}
+"""What the force of an actuator may follow from; muscles, motors with a circuit of their own and plugins are others."""
+
+
+def forces_of(part: Part) -> tuple[Array, bool]:
+    """Return the least and largest effort (2,) of an actuator on its joint, N or N·m; and whether it is a servo.
+
+    The effort is infinite if not bounded. Servos have a law of position or speed, which leaves their controls without
+    units of force. Other forces are gain · input + bias; the input is the control, or an activation that follows it: of
+    a filter within its range too, of an integrator anywhere, but where the activation itself has a range.
+    """
     gear, ends = float(part.numbers("gear", 1, 6, default="1")[0]), np.array([-math.inf, math.inf])
     if not gear:
         part.refuse(f"{part} has a gear of zero")
-    is_motor = part.tag == "motor" or (
-        part.tag == "general"
-        and part.text("gaintype", "fixed") == "fixed"
-        and part.text("biastype", "none") == "none"
-        and part.text("dyntype", "none") == "none"
-    )
-    if is_motor and part.limited("ctrllimited", "ctrlrange"):
-        gain = 1.0 if part.tag == "motor" else float(part.numbers("gainprm", 1, 10, default="1")[0])
-        ends = gain * part.numbers("ctrlrange", 2)
+    gain, bias, dynamics, servo = 1.0, 0.0, "none", part.tag in _SERVOS
+    if part.tag == "general":
+        remedy = "Make it a motor, position or velocity."
+        for key, known in _LAWS.items():
+            if (law := part.text(key, known[0])) not in known:
+                part.refuse(f"{part} has {key}={shown(law)}, which is not covered", remedy)
+        dynamics = part.text("dyntype", "none")
+        factors, terms = part.numbers("gainprm", 1, 10, default="1"), part.numbers("biasprm", 1, 10, default="0")
+        factors = factors[: 1 if part.text("gaintype", "fixed") == "fixed" else 3]
+        terms = terms[: 0 if part.text("biastype", "none") == "none" else 3]
+        servo = bool(factors[1:].any() or terms[1:].any())
+        gain, bias = float(factors[0]), float(terms[:1].sum())
+    if not servo:
+        if dynamics != "integrator" and part.limited("ctrllimited", "ctrlrange"):
+            ends = part.numbers("ctrlrange", 2)
+        if dynamics != "none" and part.limited("actlimited", "actrange"):
+            ends = ends.clip(*part.numbers("actrange", 2))
+        ends = (gain * ends if gain else np.zeros(2)) + bias
     if part.limited("forcelimited", "forcerange"):
         ends = ends.clip(*part.numbers("forcerange", 2))
-    return np.sort(gear * ends)
+    return np.sort(gear * ends), servo
