@@ -282,3 +282,58 @@ def test_springdamper_takes_the_place_of_both(law, flags, tmp_path):
     assert load.damping == (0.0 if replaced or "damper" in flags else 3.0)
     noted = f"{NOT_IN_FORCE} springdamper of j." in mechanism.notes
     assert noted == (replaced and _spring_and_damper(text, 0.9, 1.0)[0] != 0.0)
+
+
+def _general(law):
+    return _model('<option timestep="0.01"/>').replace('<motor joint="k" />', f'<general joint="k" {law}/>')
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        'gear="2" gainprm="3" ctrlrange="-1 2"',
+        'gear="2" gainprm="3" gaintype="affine" biasprm="0.5" biastype="affine" ctrlrange="-1 2"',
+        'gainprm="-3" biasprm="0.5 -7 -8" ctrlrange="-1 2"',  # biastype none: no bias
+        'gainprm="3 5 6" ctrlrange="-1 2"',  # gaintype fixed: one gain
+        'gear="2" gainprm="3" dyntype="filter" dynprm="0.01" ctrlrange="-1 2"',
+        'gainprm="3" dyntype="filterexact" dynprm="0.01" ctrlrange="-1 2" actrange="-0.5 4" forcerange="-9 4"',
+        'gainprm="3" dyntype="integrator" ctrlrange="-99 99" actrange="-0.2 0.3"',
+        'gainprm="0" biasprm="2" biastype="affine"',
+    ],
+)
+def test_limits_of_general_actuators_are_what_mujoco_reaches(law, tmp_path):
+    """At the end of forty time constants of the activation, without a law of position or speed."""
+    engine = mujoco.MjModel.from_xml_string(_general(law))
+    reached = []
+    for control in (-9.0, 9.0):
+        data = mujoco.MjData(engine)
+        data.ctrl[:] = control
+        for _ in range(40):
+            mujoco.mj_step(engine, data)
+        mujoco.mj_forward(engine, data)
+        reached.append(data.qfrc_actuator[1])
+    robot = rp.load_robot(write(tmp_path, _general(law)))
+    np.testing.assert_allclose(robot.effort_limits[:, robot.actuated.index("k")], sorted(reached), rtol=1e-12)
+    assert not any(note.startswith("Servos") for note in robot.notes)
+
+
+@pytest.mark.parametrize(
+    ("law", "servo"),
+    [
+        ('gainprm="90" biasprm="0 -90 -9" biastype="affine" ctrlrange="-1 1"', True),
+        ('gainprm="9 0 -1" gaintype="affine" ctrlrange="-1 1"', True),
+        ('gainprm="9" dyntype="integrator" ctrlrange="-1 1"', False),
+        ('gainprm="9" ctrlrange="-1 1" ctrllimited="false"', False),
+    ],
+)
+def test_general_actuators_whose_controls_bound_no_force(law, servo, tmp_path):
+    """Servos are named; an activation without range is bounded by no control."""
+    robot = rp.load_robot(write(tmp_path, _general(law)))
+    assert np.isinf(robot.effort_limits[:, robot.actuated.index("k")]).all()
+    assert any(note.startswith("Servos count") and note.endswith(" k.") for note in robot.notes) is servo
+
+
+@pytest.mark.parametrize("law", ['dyntype="muscle"', 'gaintype="muscle"', 'biastype="muscle"', 'dyntype="user"'])
+def test_general_muscles_are_refused(law, tmp_path):
+    with pytest.raises(ModelFileError, match="which is not covered"):
+        rp.load_robot(write(tmp_path, _general(law)))
