@@ -1,15 +1,21 @@
 """On-line planning on random paths: ticks by status, limits, peak against the least one known off line, time of a tick.
 
-``python benchmarks/online.py [machine] [paths] [off line] [file]``; machines: 2rpr, five_bar, 3rrr. Paths are random
-and numbered; of those that the file has already nothing is computed. Off line is ``plan_whole_trajectory``, objective
-"peak", from the same start and free at the end, for the first paths and for those that are not planned at every tick.
-Times are those of the processor, by ``time.thread_time``.
+``python benchmarks/online.py [machine] [paths] [off line] [file]``; machines: 2rpr, thesis (the 2-RPR whose carriers
+alone have masses), five_bar, 3rrr. Paths are random and numbered; of those that the file has already nothing is
+computed. Off line is ``plan_whole_trajectory``, objective "peak", from the same start and free at the end, for the
+first paths and for those that are not planned at every tick. Times are those of the processor, by ``time.thread_time``.
+
+    python benchmarks/online.py compare [machine] [paths]   off line, switched off and on line, on the same paths
+    python benchmarks/online.py preview [paths]             which preview the 2-RPR needs, by masses and acceleration
+
+print tables of docs/online.md.
 """
 
 import json
 import sys
 import time
 from collections import Counter
+from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +26,12 @@ from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.waypoints import through_points
 
-MASSES = {"2rpr": {"end_effector_mass": 0.5, "cylinder_mass": 0.3}}
+MACHINES = {
+    "2rpr": ("2rpr", {"end_effector_mass": 0.5, "cylinder_mass": 0.3}),
+    "thesis": ("2rpr", {}),
+    "five_bar": ("five_bar", {}),
+    "3rrr": ("3rrr", {}),
+}
 
 REACH = {"five_bar": (0.35, 0.45), "3rrr": (0.1, 0.1, 1.2)}
 """Half the box around home in which points are drawn, m and rad."""
@@ -30,8 +41,23 @@ CALM = 20.0
 which no machine follows."""
 
 
-def machine(name):
-    return rp.CompiledDynamics(rp.load_robot(name, **MASSES.get(name, {})))
+OFF_LINE = {"end": "free", "start": 0.0, "dt": 0.02, "refinements": 1, "seconds": 20}
+"""From the start that it has on line, and free where that is free."""
+
+THRESHOLDS = 4.0, 7.0, 10.0
+"""Condition numbers from which the switch-off has its actuators off, those of the thesis; the least peak counts."""
+
+HORIZONS = 0.2, 0.3, 0.4, 0.5, 0.7
+HEAVIER = 0.5, 1.0, 2.0
+"""Masses over those of the 2-RPR above; carriers keep theirs."""
+
+ACCELERATIONS = 5.0, 10.0, 20.0
+"""Limits of its carriers, m/s²; 10 is its own."""
+
+
+def machine(name, heavier=1.0):
+    model, masses = MACHINES[name]
+    return rp.CompiledDynamics(rp.load_robot(model, **{key: heavier * mass for key, mass in masses.items()}))
 
 
 def over_and_over(number):
@@ -47,7 +73,7 @@ def over_and_over(number):
 
 def random_paths(name, dynamics):
     """Give paths through type II poses, without end."""
-    if name == "2rpr":
+    if MACHINES[name][0] == "2rpr":
         yield from map(over_and_over, range(10**6))
     home, rng = dynamics.reference[1], np.random.default_rng(4)
     reach = np.array(REACH[name])
@@ -65,12 +91,10 @@ def random_paths(name, dynamics):
                 yield trajectory
 
 
-def off_line(dynamics, trajectory):
+def off_line(dynamics, trajectory, **limits):
     """Return the least peak known, None where nothing keeps the limits."""
     try:
-        plan = rp.plan_whole_trajectory(
-            dynamics, trajectory, objective="peak", end="free", start=0.0, dt=0.02, refinements=1, seconds=20
-        )
+        plan = rp.plan_whole_trajectory(dynamics, trajectory, objective="peak", **OFF_LINE, **limits)
     except InfeasiblePlanError:
         return None
     return float(plan.peak_effort.max())
@@ -124,6 +148,94 @@ def outside(plan, robot):
     return float(worst)
 
 
+def on_line(dynamics, trajectory, **settings):
+    return run_online(RecedingHorizon(dynamics, **settings), trajectory).plan
+
+
+def switched_off(dynamics, trajectory):
+    """Return the plan of the thesis's chapter 3 that has the least peak; one within limits where there is any."""
+    plans, error = [], None
+    for threshold in THRESHOLDS:
+        try:
+            plans.append(rp.plan_switch_off(dynamics, trajectory, threshold=threshold, return_time="shortest"))
+        except InfeasiblePlanError as this:
+            error = this
+    if not plans:
+        raise error
+    return min(plans, key=lambda plan: (plan.status.value != "within_limits", plan.peak_effort.max()))
+
+
+METHODS = {
+    "off line, least peak": lambda *given: rp.plan_whole_trajectory(*given, objective="peak", **OFF_LINE),
+    "off line, least effort": lambda *given: rp.plan_whole_trajectory(*given, objective="effort", **OFF_LINE),
+    "switch-off": switched_off,
+    "on line, peak": lambda *given: on_line(*given, objective="peak"),
+    "on line, effort": lambda *given: on_line(*given, objective="effort"),
+}
+
+
+def plans_of(dynamics, trajectory):
+    """Return the plan of each method, or why there is none, and its time, s."""
+    plans = {}
+    for method, plan in METHODS.items():
+        began = time.thread_time()
+        try:
+            made = plan(dynamics, trajectory)
+        except InfeasiblePlanError as error:
+            made = "none" + f" ({error.constraint})".replace("_", " ") * hasattr(error, "constraint")
+        plans[method] = made, time.thread_time() - began
+    return plans
+
+
+def effort_cost(plan):
+    """Return ∫ τᵀ τ dt, N² s or N² m² s."""
+    return float(np.trapezoid((plan.tau**2).sum(axis=1), plan.t))
+
+
+def compare(name="2rpr", count=12):
+    """Print the table of one machine."""
+    dynamics, paths = machine(name), [*islice(random_paths(name, machine(name)), int(count))]
+    plans = [plans_of(dynamics, path) for path in paths]
+    best = [plan["off line, least peak"][0] for plan in plans]
+    for method in METHODS:
+        made = [
+            (one[method][0], first)
+            for one, first in zip(plans, best, strict=True)
+            if isinstance(one[method][0], rp.Plan)
+        ]
+        statuses = Counter(plan.status.value.replace("_", " ") for plan, _ in made)
+        why = Counter(one[method][0] for one in plans if isinstance(one[method][0], str))
+        told = ", ".join(f"{number} {text}" for text, number in (*statuses.most_common(), *why.most_common()))
+        peaks = [plan.peak_effort.max() for plan, _ in made]
+        over = [plan.peak_effort.max() / first.peak_effort.max() for plan, first in made if isinstance(first, rp.Plan)]
+        costs = [effort_cost(plan) for plan, _ in made]
+        seconds = [one[method][1] / path.duration for one, path in zip(plans, paths, strict=True)]
+        figures = [f"{np.median(part):.3g}" if part else "–" for part in (peaks, over, costs, seconds)]
+        print(f"| {name} | {method} | {told} | {' | '.join(figures)} |", flush=True)
+
+
+def preview(count=8):
+    """Print which preview is enough, a row for masses and a limit of the carriers' acceleration."""
+    for heavier, most in product(HEAVIER, ACCELERATIONS):
+        dynamics, cells = machine("2rpr", heavier), []
+        paths = [*islice(random_paths("2rpr", dynamics), int(count))]
+        best = [off_line(dynamics, path, acceleration=most) for path in paths]
+        for horizon in HORIZONS:
+            planned, ticks, whole, over = 0, 0, 0, []
+            for path, least in zip(paths, best, strict=True):
+                try:
+                    run = run_online(RecedingHorizon(dynamics, horizon=horizon, acceleration=most), path)
+                except InfeasiblePlanError:
+                    continue
+                planned, ticks = planned + run.counts["planned"], ticks + len(run.commands)
+                whole += run.counts["planned"] == len(run.commands)
+                if least:
+                    over.append(run.plan.peak_effort.max() / least)
+            cells.append(f"{whole}, {100 * planned / ticks:.1f} %, {np.median(over) if over else np.nan:.2f}")
+        known = sum(least is not None for least in best)
+        print(f"| {heavier:g} | {most:g} | {known} of {len(paths)} | {' | '.join(cells)} |", flush=True)
+
+
 def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
     """Go on where a file ends: ``least`` of the paths are planned off line too."""
     file = Path(file)
@@ -158,4 +270,8 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    commands = {"compare": compare, "preview": preview}
+    if sys.argv[1:2] and sys.argv[1] in commands:
+        commands[sys.argv[1]](*sys.argv[2:])
+    else:
+        main(*sys.argv[1:])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +18,13 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.planners.plan import Plan, load_robot_of
+from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.curves import curves_of_run
+from redundancy_pin.visualisation.viewer.ahead import ahead_of
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import configurations, make_scene
 
@@ -36,6 +40,7 @@ def show(
     carriers: CarrierMotion | None = None,
     *,
     robot: Robot | None = None,
+    commands: Sequence[Command] = (),
     forces: bool = True,
     force_scale: float = 1.0,
     height: int = 480,
@@ -53,13 +58,15 @@ def show(
             swing there and back.
         carriers: of a robot; parked at zero when left out.
         robot: of a plan or a simulation, if its files have moved or it is already at hand.
+        commands: of an on-line planner, one a tick, that have led to the plan or were made in the simulation: the path
+            that was known is dots ahead of the platform, and the planned carriers and efforts are ribbons beside it.
         forces: whether arrows are shown at first.
         force_scale: factor on their length.
         height: of the picture in a notebook, pixels.
 
     Raises:
-        InputError: no plan, simulation, robot or name; a motion or carriers together with a plan or a simulation; or a
-            motion that is not sampled or not the robot's.
+        InputError: no plan, simulation, robot or name; a motion or carriers together with a plan or a simulation; a
+            motion that is not sampled or not the robot's; or commands of another time.
         RedundancyPinError: what ``load_robot``, ``load_robot_of`` and ``lift`` raise.
     """
     if isinstance(subject, (Plan, Simulation)) and (motion is not None or carriers is not None):
@@ -95,6 +102,8 @@ def show(
             remedy="Pass show(plan), or show(robot, motion, carriers).",
         )
     scene = make_scene(shown, t, q, margin, tau, force, title=title, force_scale=force_scale)
+    if commands:
+        scene = replace(scene, ahead=ahead_of(shown, t, q, commands))
     return View(scene, forces=forces, height=height)
 
 

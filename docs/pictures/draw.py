@@ -17,6 +17,9 @@ from PIL import Image
 
 import redundancy_pin as rp
 from redundancy_pin.io.files import replacing_file
+from redundancy_pin.planners.receding_horizon import run_online
+from redundancy_pin.trajectory.waypoints import through_points
+from redundancy_pin.visualisation.figures.comparisons import plot_side_by_side
 from redundancy_pin.visualisation.figures.paths import draw_frame, draw_path, label_plane
 from redundancy_pin.visualisation.figures.style import figure
 from redundancy_pin.visualisation.viewer.scene import Scene
@@ -147,6 +150,24 @@ def delta_crossing() -> Figure:
         return drawn
 
 
+def on_line() -> Figure:
+    """The 2-RPR of the thesis over its singular line three times: planned at once, switched off, and on the way."""
+    angle, radius = np.radians([100, 30, -40, -110, -180, -250, -320, -400]), [15, 18, 12, 17, 10, 16, 19, 13]
+    ellipse = np.stack([0.7 * np.cos(angle), np.sin(angle)], axis=1)
+    path = through_points([0.25, 0.0] + 0.01 * np.array(radius)[:, None] * ellipse)
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.SpeedProfile(path.length, 0.5, 0.3))
+    dynamics = rp.CompiledDynamics(rp.load_robot("2rpr"))
+    plans = {
+        "off line, least peak": rp.plan_whole_trajectory(
+            dynamics, motion, objective="peak", end="free", start=0.0, dt=0.01
+        ),
+        "switched off near the line": rp.plan_switch_off(dynamics, motion, threshold=4.0, return_time="shortest"),
+        "on line, half a second ahead": run_online(rp.RecedingHorizon(dynamics), motion).plan,
+    }
+    instants = plans["off line, least peak"].diagnostics["singular_instants"]
+    return plot_side_by_side("The 2-RPR over its singular line", plans, "N", instants=instants)
+
+
 def draw_machine(
     axes: Any, robot: rp.Robot, configurations: list[Any], view: tuple[float, float], zoom: float = 0.95
 ) -> None:
@@ -206,6 +227,7 @@ def main() -> None:
         ("corner_carriers.svg", rp.plot.carriers(plan)),
         ("gallery.svg", gallery()),
         ("delta_crossing.svg", delta_crossing()),
+        ("on_line.svg", on_line()),
         *([("cassie_leg.svg", cassie_leg())] if with_cassie else []),
     ):
         with replacing_file(FOLDER / name) as temporary:

@@ -15,6 +15,8 @@ from redundancy_pin.cli.plan_problem import flags_of, number, numbers, parameter
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
 from redundancy_pin.studies.case import BACKENDS, COMPILED
+from redundancy_pin.view import show
+from redundancy_pin.visualisation.viewer.page import require_html, require_meshcat
 
 
 @click.command()
@@ -25,6 +27,9 @@ from redundancy_pin.studies.case import BACKENDS, COMPILED
 @click.option("--tick", metavar="SECONDS", help="Between plans.  [default: a step]")
 @click.option("--start", default="0", show_default=True, metavar="S[,S...]", help="Where the carriers start, m.")
 @click.option("--out", metavar="NPZ", help="Where the plan goes that came of it; `load_plan` reads it.")
+@click.option(
+    "--html", metavar="HTML", help="Write one file that plays offline: the path known ahead, plans, the motion."
+)
 @options.json_option
 def online(
     robot: options.RobotOptions,
@@ -33,6 +38,7 @@ def online(
     tick: str | None,
     start: str,
     out: str | None,
+    html: str | None,
     as_json: bool,
     **given: Any,
 ) -> int:
@@ -54,20 +60,28 @@ def online(
     if out:
         output.require_suffix("--out", out, ".npz")
         require_writable(out)
+    if html:
+        require_meshcat()
+        require_html(html)
+        require_writable(html)
     flags = {**flags_of("online"), "tick": "--tick", "start": "--start"}
     with output.progress("online") as advance, in_words(OPTIONS.knowing(flags)):
-        advance(0, 2, "reading")
+        advance(0, 3, "reading")
         parameters = read_parameters("online", parameters_of(given))
         between, at = None if tick is None else number("--tick", tick), numbers("--start", start)
         followed = motion.follow("On-line planning")
         planner = RecedingHorizon(BACKENDS[backend](robot.load()), **parameters)
-        advance(1, 2, "ticks")
+        advance(1, 3, "ticks")
         run = run_online(planner, followed, tick=between, start=at)
+        advance(2, 3, "writing")
         if out:
             run.plan.save(out)
+        if html:
+            show(run.plan, robot=planner.robot, commands=run.commands).save(html)
     plan = run.plan
     seconds = 1e3 * np.percentile([command.seconds for command in run.commands], [50.0, 99.0])
-    facts = {**summary(plan), "ticks": run.counts, "milliseconds": {"p50": seconds[0], "p99": seconds[1]}, "out": out}
+    facts = {**summary(plan), "ticks": run.counts, "milliseconds": {"p50": seconds[0], "p99": seconds[1]}}
+    facts |= {"out": out, "html": html}
     output.report(as_json, facts, _table(facts, plan.robot.effort_units[0]))
     warn(plan)
     left = sum(count for status, count in run.counts.items() if status != "planned")
@@ -86,6 +100,6 @@ def _table(facts: Mapping[str, Any], unit: str) -> output.TextTable:
         ("singular instants [s]", output.row(diagnostics["singular_instants"]) or "none"),
         ("force missing there [N]", output.number(diagnostics["missing_force"])),
         (f"peak main effort [{unit}]", output.row(facts["peak_effort"])),
-        *((name, facts[key]) for name, key in (("plan written to", "out"),) if facts[key]),
+        *((name, facts[key]) for name, key in (("plan written to", "out"), ("page written to", "html")) if facts[key]),
     ]
     return output.TextTable(f"{facts['robot']}, on line, {facts['backend']}", (), rows)

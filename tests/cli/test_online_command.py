@@ -15,13 +15,17 @@ def test_a_motion_is_planned_tick_by_tick(tmp_path):
     out = tmp_path / "online.npz"
     points = tmp_path / "points.csv"
     points.write_text("t,x,y\n0,0.2,0.06\n0.3,0.23,0.0\n0.6,0.28,-0.05\n")
-    result = call("online", "--robot", "2rpr", *MASSES, "--trajectory", str(points), "--out", str(out), "--json")
+    page = tmp_path / "online.html"
+    files = ("--out", str(out), "--html", str(page), "--json")
+    result = call("online", "--robot", "2rpr", *MASSES, "--trajectory", str(points), *files)
     facts = json.loads(result.stdout)
     plan = rp.load_plan(out)
     assert result.exit_code in (0, 4), result.stderr
     assert facts["ticks"]["planned"] == sum(facts["ticks"].values()) == 30
     assert len(facts["diagnostics"]["singular_instants"]) == 1
     np.testing.assert_allclose(facts["peak_effort"], plan.peak_effort)
+    assert facts["html"] == str(page)
+    assert "path known ahead" in page.read_text(encoding="utf-8")
     assert 0.0 < facts["milliseconds"]["p50"] <= facts["milliseconds"]["p99"]
 
 
@@ -30,5 +34,6 @@ def test_mistakes_are_one_line():
     assert "no carriers" in refused("online", "--robot", "four_bar", "--trajectory", "circle")
     assert "objective is" in refused("online", "--robot", "2rpr", "--trajectory", "circle", "--objective", "beauty")
     mistaken = ("online", "--robot", "2rpr", *MASSES, "--trajectory", "circle")
+    assert "does not end in .html" in refused(*mistaken, "--html", "online.pdf")
     assert "--tick is -1 s" in refused(*mistaken, "--tick", "-1")
     assert "--start is [0.0, 0.0, 0.0]" in refused(*mistaken, "--start", "0,0,0")

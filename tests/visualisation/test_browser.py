@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
+from test_ahead import HORIZON, run_and_view
 
 import redundancy_pin as rp
 from redundancy_pin.view import show
@@ -305,6 +306,52 @@ def test_values_stand_by_joint_name_under_the_cursor_and_in_the_list(page: Any) 
     corner = page.execute_script(f"const e = {canvas}; return [e.right - 3, e.top + 3]")
     assert _under_the_cursor(page, *corner) == ""
     page.execute_script("cursor = null;")
+
+
+SEEN = """
+let seen = [];
+for (const part of viewer.scene_tree.find(["meshcat", "ahead"]).object.children) {
+  if (part.visible) { seen.push(Number(part.name)); }
+}
+return seen.sort((a, b) => a - b);
+"""
+"""Numbers of the places ahead that are shown."""
+
+DRAWN = """
+const canvas = byId("plan"), now = 44 + (canvas.clientWidth - 50) / 2.2, ratio = canvas.width / canvas.clientWidth;
+const [data] = [canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data];
+const columns = [];
+for (let x = 0; x < canvas.width; x++) {
+  let coloured = 0;
+  for (let y = 0; y < canvas.height; y++) {
+    const [red, green, blue] = data.slice(4 * (y * canvas.width + x), 4 * (y * canvas.width + x) + 3);
+    coloured += Math.max(red, green, blue) - Math.min(red, green, blue) > 40;
+  }
+  columns.push(coloured);
+}
+return [now * ratio, columns];
+"""
+"""Where now is in the picture of plans, and how many pixels of each of its columns have a colour."""
+
+
+def test_plans_made_on_line_are_shown_as_they_were_made(browser: Any, folder: Path) -> None:
+    _, view = run_and_view()
+    view.save(folder / "ahead.html")
+    _open(browser, folder / "ahead.html")
+    ahead = view.scene.ahead
+    for t in view.scene.t[[7, 19]].tolist():  # what is shown changes from frame to frame
+        _seek(browser, t + 1e-4)
+        browser.execute_script("tick();")
+        assert browser.execute_script(SEEN) == np.flatnonzero(ahead.in_sight(np.array([t]))[0]).tolist()
+        now, columns = browser.execute_script(DRAWN)
+        end = now + (len(columns) - 50.0) * HORIZON / (2.2 * HORIZON)  # whole horizons: nothing is known after it
+        assert min(columns[int(now) + 5 : int(end) - 60]) > 2  # two panels of ribbons
+        assert sum(columns[int(end) + 10 : -10]) == 0
+    shorter = browser.execute_script("return document.querySelector('canvas').clientHeight")
+    browser.execute_script("byId('ahead').click();")
+    assert browser.execute_script("return byId('plan').getClientRects().length") == 0
+    assert browser.execute_script("return document.querySelector('canvas').clientHeight") > shorter + 100
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
 def test_the_controls_of_meshcat_are_not_shown(page: Any) -> None:

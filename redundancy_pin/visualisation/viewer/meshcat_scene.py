@@ -23,6 +23,7 @@ from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, arc_points, 
 
 AROUND = 14  # corners of the round cross-section of an arrow
 PATH_RADIUS = 0.008  # of the traced path, in sizes of the machine
+BEAD_RADIUS = 0.02  # of what is known of it ahead, likewise
 
 # Angle of an arc up to its head: long enough to tell the sense of rotation, short enough to see where it starts
 _ARC = 1.5 * np.pi
@@ -52,6 +53,7 @@ def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None
         _add_arrow(viewer, scene, arrow, clips)
     viewer["forces"].set_property("visible", forces)
     _add_path(viewer, scene)
+    _add_ahead(viewer, scene, clips)
     viewer.set_animation(Animation(clips=clips), play=True, repetitions=_ENDLESS)
 
 
@@ -154,6 +156,22 @@ def _add_path(viewer: Any, scene: scenes.Scene) -> None:
         color = np.ones(vertices.shape) if name == "halo" else palette[scenes.margin_classes(scene.path_margin)][owner]
         shape = geometry.TriangularMeshGeometry(vertices, triangles, color=color)
         _add(viewer, f"path/{name}", shape, _on_top(vertexColors=True), np.eye(4), order=order)
+
+
+def _add_ahead(viewer: Any, scene: scenes.Scene, clips: dict[Any, Any]) -> None:
+    """Beads on the path, each shown from when it is known until the platform is there."""
+    from meshcat import geometry
+
+    if scene.ahead is None:
+        return
+    in_sight = scene.ahead.in_sight(scene.t)
+    for i, (place, shown) in enumerate(zip(scene.ahead.places, in_sight.T, strict=True)):
+        path = f"ahead/{i}"
+        shape, material = geometry.Sphere(BEAD_RADIUS * scene.size), _on_top(color=_code(scenes.AHEAD_COLOR))
+        _add(viewer, path, shape, material, mechanism.place(translation=place), order=_LAST)
+        viewer[path].set_property("visible", bool(shown[0]))
+        if shown.any() and not shown.all():
+            _animate(clips, viewer[path], scene.t, visible=shown)
 
 
 def _add(viewer: Any, path: str, shape: Any, material: Any, placement: Array, *, order: int = 0) -> None:

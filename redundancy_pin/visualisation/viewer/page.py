@@ -27,7 +27,14 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import OutputError, RedundancyPinError, optional
 from redundancy_pin.io.files import write_text
 from redundancy_pin.visualisation.viewer.meshcat_scene import arrow_path, send_scene, solid_path
-from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, Scene, margin_labels
+from redundancy_pin.visualisation.viewer.scene import (
+    AHEAD_COLOR,
+    EFFORT_COLORS,
+    MARGIN_COLORS,
+    JointCourse,
+    Scene,
+    margin_labels,
+)
 from redundancy_pin.visualisation.viewer.solids import MESH_OPACITY, ROLE_COLORS, ROLE_NAMES
 
 PORT = 7000  # where the page is if the port is free; else the system chooses one
@@ -122,6 +129,8 @@ def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
         "MESH_NODES": _script(meshes),
         "READINGS": _script(_readings(scene)),
         "HAS_READINGS": "" if any(reading.effort is not None for reading in scene.readings) else "hidden",
+        "AHEAD": _script(_ahead(scene)),
+        "HAS_AHEAD": "" if scene.ahead else "hidden",
         "MESH_OPACITY": json.dumps(MESH_OPACITY),
         "COMMANDS": json.dumps([base64.b64encode(command).decode("ascii") for command in commands]),
         "DURATION": json.dumps(scene.duration),
@@ -153,11 +162,37 @@ def _readings(scene: Scene) -> dict[str, Any]:
                 **{name: getattr(reading, name) for name in ("name", "kind", "unit")},
                 "position": _digits(reading.position),
                 "effort": None if reading.effort is None else _digits(reading.effort),
-                "effort_unit": "N" if reading.unit == "m" else "N·m",
+                "effort_unit": _effort_unit(reading),
             }
             for reading in scene.readings
         ],
         "parts": [[path, joint] for path, joint in parts if joint is not None],
+    }
+
+
+def _effort_unit(reading: JointCourse) -> str:
+    return "N" if reading.unit == "m" else "N·m"
+
+
+def _ahead(scene: Scene) -> dict[str, Any] | None:
+    """Return what an on-line planner knew and planned at its ticks, by panels of joints."""
+    ahead = scene.ahead
+    if ahead is None:
+        return None
+    panels = []
+    for kind, what, words in (("carrier", "position", "carriers"), ("actuated", "effort", "efforts")):
+        joints = [i for i, reading in enumerate(scene.readings) if reading.kind == ROLE_NAMES[kind]]  # type: ignore[index]
+        units = {_effort_unit(scene.readings[i]) if what == "effort" else scene.readings[i].unit for i in joints}
+        panels.append({"title": f"{words} [{', '.join(sorted(units))}]", "what": what, "joints": joints})
+    return {
+        **{name: _digits(getattr(ahead, name)) for name in ("t", "until", "singular")},
+        "times": [_digits(row) for row in ahead.times],
+        "planned": {
+            str(i): [_digits(row) for row in ahead.planned[reading.name]]
+            for i, reading in enumerate(scene.readings)
+            if reading.name in ahead.planned
+        },
+        "panels": panels,
     }
 
 
@@ -181,6 +216,8 @@ def _legend(scene: Scene) -> str:
         entries.append(("effort of main actuators", EFFORT_COLORS["main"]))
     if "carrier" in groups:
         entries.append(("effort of carriers", EFFORT_COLORS["carrier"]))
+    if scene.ahead:
+        entries.append(("path known ahead", AHEAD_COLOR))
     colored = "platform, path" if "platform" in present else "path"
     head = f"<div class='head'>margin to singularity ({colored})</div>"
     return _entries(entries) + head + _entries(list(zip(margin_labels(), MARGIN_COLORS, strict=True)))

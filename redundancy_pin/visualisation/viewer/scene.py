@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -24,6 +24,9 @@ from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.mechanism import joint_axis, solids_of
 from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, Role, Solid
 
+if TYPE_CHECKING:
+    from redundancy_pin.visualisation.viewer.ahead import Ahead
+
 Group = Literal["main", "carrier"]
 """Whose effort an arrow shows."""
 
@@ -34,6 +37,7 @@ MARGIN_EDGES = (NEAR_SINGULAR_MARGIN, 0.1, 0.2, 0.4)
 # Colour of each class of the margin, from singular to far
 MARGIN_COLORS = ("#B2182B", "#EF6C00", "#F6B600", "#5BAA3A", "#2166AC")
 UNKNOWN_COLOR = "#9E9E9E"  # where there is no margin
+AHEAD_COLOR = "#000000"  # of what an on-line planner knows of the path
 
 OBLIQUE = (0.8, -1.0, 0.6)  # from where machines that are not flat are seen
 
@@ -86,6 +90,7 @@ class Scene:
     size: float  # of the machine, m: parts that have no size of their own are drawn in proportion to it
     captions: tuple[str, ...]  # what the arrows' lengths stand for, a line each
     readings: tuple[JointCourse, ...] = ()  # of all joints of one freedom
+    ahead: Ahead | None = None  # what an on-line planner knew and planned
 
     @property
     def duration(self) -> float:
