@@ -142,7 +142,10 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
         from scipy.optimize import lsq_linear
 
         rest, box = goal - matrix[:, ~free] @ u[~free], (lower[free], upper[free])
-        fit = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fit = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
+        if not np.isfinite(fit.x).all():  # of columns that are the same but for rounding it may make 0/0
+            fit = lsq_linear(matrix[:, free], rest, box, method="trf", tol=_ROUNDING, max_iter=1000)
         u[free] = np.clip(fit.x, *box)
     return u
 

@@ -10,7 +10,7 @@ from prescribed import factors, reduced, times
 from scipy.linalg import null_space
 from scipy.optimize import LinearConstraint, minimize
 
-from redundancy_pin.dynamics.allocation import fit_into_bounds, least_residual, within_bounds
+from redundancy_pin.dynamics.allocation import fit_into_bounds, least_miss, least_residual, within_bounds
 from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus, distribute, torque_speed_bounds
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
@@ -99,6 +99,20 @@ def test_residual_of_infeasible_bounds_is_the_least_within_them():
     brute = np.linalg.norm(np.einsum("Nij,bj->Nbi", W, box) - f[:, None, :], axis=2).min(axis=1)
     assert (d.residual <= brute + 1e-9).all()
     assert d.residual == pytest.approx(brute, abs=2.0 * 0.01)  # ‖W‖ times the diagonal of half a grid cell
+
+
+def test_residual_where_bounded_least_squares_end_in_nan(monkeypatch):
+    """As scipy's BVLS did at one of 2001 samples of two arms with a bar, by 0/0."""
+    lsq_linear = scipy.optimize.lsq_linear
+
+    def failing(*args, method, **kwargs):
+        fit = lsq_linear(*args, method=method, **kwargs)
+        return fit if method != "bvls" else type(fit)(fit, x=fit.x * np.nan)
+
+    W, goal, box = np.array([[1.0, 2.0, 1.0, 2.0], [0.5, -1.0, 0.5, -1.0]]), np.array([30.0, 1.0]), np.ones(4)
+    expected = np.linalg.norm(W @ least_miss(W, goal, -box, box) - goal)
+    monkeypatch.setattr(scipy.optimize, "lsq_linear", failing)
+    assert np.linalg.norm(W @ least_miss(W, goal, -box, box) - goal) == pytest.approx(expected, rel=1e-9)
 
 
 def test_residual_of_infeasible_rows_is_the_way_to_them():
