@@ -24,7 +24,7 @@ import numpy as np
 from contourpy import contour_generator
 from numpy.typing import NDArray
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, frozen, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, frozen, read_only, require_type
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -135,7 +135,8 @@ class SingularLocus(Frozen):
         return read_only(np.concatenate([np.zeros(0), *(curve.residual for curve in self.curves)]))
 
     def of_kind(self, kind: SingularityKind) -> tuple[LocusCurve, ...]:
-        """Return the curves of one kind."""
+        """Return the curves of one kind; InputError where it is none."""
+        require_type(kind, SingularityKind, "A SingularityKind", "Pass SingularityKind.TYPE_I, say.")
         return tuple(curve for curve in self.curves if curve.kind == kind)
 
 
@@ -175,13 +176,15 @@ def singular_locus(
     parallel, serial = np.full(len(grid.x), np.nan), np.full(len(grid.x), np.nan)
     margins = margins_of(system, system.evaluate(grid.q[grid.reachable]))
     parallel[grid.reachable], serial[grid.reachable] = margins.parallel, margins.serial
-    border, cut, lone = _border(system, grid)
-    inner, missing = _zero_margin(system, grid, parallel) if robot.n == robot.m else ((), np.zeros((0, robot.n)))
+    tracer = None
     if len(place.free) == 2:
         ends = np.array([(axis[0], axis[-1]) for axis in grid.axes])
         tracer = Tracer(system, place, ends, max(float(axis[1] - axis[0]) for axis in grid.axes))
+    border, cut, lone = _border(system, grid, tracer)
+    inner, missing = _zero_margin(system, grid, parallel) if robot.n == robot.m else ((), np.zeros((0, robot.n)))
+    if tracer is not None:
         border = tuple(_with_corners(system, tracer, grid, curve) for curve in border)
-    if robot.n == robot.m and len(place.free) == 2:
+    if robot.n == robot.m and tracer is not None:
         inner = _followed(system, tracer, inner, border)
         lone, missing = (_not_beside(part, inner, grid) for part in (lone, missing))
     return SingularLocus(
@@ -238,11 +241,13 @@ def _pieces(values: NDArray[np.intp], keep: BoolArray) -> list[IntArray]:
     return [values[start:stop] for start, stop in zip(bounds[::2], bounds[1::2], strict=True)]
 
 
-def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusCurve, ...], int, Array]:
+def _border(
+    system: ConstraintSystem, grid: WorkspaceGrid, tracer: Tracer | None
+) -> tuple[tuple[LocusCurve, ...], int, Array]:
     """Return the type I curves, the border of the reachable nodes, and the edges without an exact one.
 
     These are the number of those where a curve is cut, and where those begin (E, n) that belong to none, as round a
-    single node that was not reached.
+    single node that was not reached. An edge that meets the border in a corner, where K lacks two, has that.
     """
     shaped = grid.reachable.reshape(grid.shape)
     curves = crossed_edges(shaped, np.ones_like(shaped))
@@ -251,6 +256,11 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
     start, end = grid.x[edges[:, 0]], grid.x[edges[:, 1]]
     near = _bisected(system, grid.q[edges[:, 0]], start, end)
     points = _refined(system, serial_matrix, near, start, end, _free_column(grid, edges))
+    for k in np.flatnonzero(~points.exact).tolist():
+        corner = _corner(system, tracer, near[k : k + 1])
+        if corner is not None and np.linalg.norm(corner[0] - start[k]) < _cell(grid):
+            for part, value in zip(points, (*corner, True), strict=True):
+                part[k : k + 1] = value
     chains, missing = _curves(system, SingularityKind.TYPE_I, points, curves)
     contour = np.repeat(np.arange(len(curves)), [len(curve) for curve in curves])
     cuts = np.isin(contour[missing], np.delete(contour, missing))
@@ -260,20 +270,28 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
 def _with_corners(system: ConstraintSystem, tracer: Tracer, grid: WorkspaceGrid, curve: LocusCurve) -> LocusCurve:
     """Return a type I curve with the corners between its points where another leg is at its end from there on."""
     free = np.linalg.svd(serial_matrix(system, system.evaluate(curve.q)))[2][:, -1]
-    cell = np.sqrt(sum((axis[1] - axis[0]) ** 2 for axis in grid.axes))
     points, parts = curve.points, [curve.points, curve.q, curve.residual]
     for k in np.flatnonzero(np.abs((free[1:] * free[:-1]).sum(axis=1)) < _OTHER_LEG)[::-1].tolist():
-        q = tracer.corner(curve.q[k : k + 1])
-        q = tracer.corner(curve.q[k + 1 : k + 2]) if q is None else q
-        if q is None:
-            continue
-        state = system.evaluate(q)
-        left = np.linalg.svd(serial_matrix(system, state), compute_uv=False)[:, -1]
-        corner = coordinates(system.robot, state), q, left
-        exact = np.abs(state.phi).max(initial=0.0) < CLOSURE_TOLERANCE and left[0] < SINGULAR
-        if exact and np.linalg.norm(corner[0] - points[k : k + 2], axis=1).max() < _CORNER_AWAY * cell:
+        corner = _corner(system, tracer, curve.q[k : k + 1]) or _corner(system, tracer, curve.q[k + 1 : k + 2])
+        if corner and np.linalg.norm(corner[0] - points[k : k + 2], axis=1).max() < _CORNER_AWAY * _cell(grid):
             parts = [np.insert(part, k + 1, value, axis=0) for part, value in zip(parts, corner, strict=True)]
     return LocusCurve(curve.kind, *(read_only(part) for part in parts))
+
+
+def _corner(system: ConstraintSystem, tracer: Tracer | None, q: Array) -> tuple[Array, Array, Array] | None:
+    """Return x (1, n), q (1, nq) and singular value (1,) left of the corner of type I curves near q (1, nq), if any."""
+    corner = None if tracer is None else tracer.corner(q)
+    if corner is None:
+        return None
+    state = system.evaluate(corner)
+    left = np.linalg.svd(serial_matrix(system, state), compute_uv=False)[:, -1]
+    exact = np.abs(state.phi).max(initial=0.0) < CLOSURE_TOLERANCE and left[0] < SINGULAR
+    return (coordinates(system.robot, state), corner, left) if exact else None
+
+
+def _cell(grid: WorkspaceGrid) -> float:
+    """Return the diagonal of a cell of the grid, m."""
+    return float(np.sqrt(sum((axis[1] - axis[0]) ** 2 for axis in grid.axes)))
 
 
 def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], Array]:
@@ -310,7 +328,7 @@ def _followed(
 
 def _not_beside(x: Array, curves: tuple[LocusCurve, ...], grid: WorkspaceGrid) -> Array:
     """Return those of the nodes (E, n) that are no cell away from a curve."""
-    cell = np.sqrt(sum((axis[1] - axis[0]) ** 2 for axis in grid.axes))
+    cell = _cell(grid)
     points = np.concatenate([np.full((1, x.shape[1]), np.inf), *(curve.points for curve in curves)])
     return x[[bool((np.linalg.norm(points - one, axis=1) > cell).all()) for one in x]]
 

@@ -42,6 +42,8 @@ _ITERATIONS = 12
 _SOLVED = 1e-10
 _SAME = 1e-3
 """Ends of curves that are nearer are the same, rad."""
+_BESIDE = 0.1
+"""Parts of a chord: what is nearer to it is on its curve, which bends by 18° at most between its ends."""
 
 
 def singular_block(
@@ -95,7 +97,9 @@ class Tracer:
         """
         pool, curves = [piece for part in parts for piece in self._smooth(part)], list[Array]()
         while pool:
-            curves.append(self._extended(pool.pop(0), pool, curves))
+            part = pool.pop(0)
+            if not self._lies_on(part, curves):  # beside another curve Newton's method may have gone over to it
+                curves.append(self._extended(part, pool, curves))
         for end in self._ends_on(borders):
             known = np.concatenate([self.place.q[None], *(each[[0, -1]] for each in curves)])[1:]
             if (np.abs(self._apart(end, known)).max(axis=1) > _SAME).all():
@@ -112,6 +116,18 @@ class Tracer:
             return None
         side = mode_indicator(self.system.robot, corner) * np.array(self.system.robot.working_mode)
         return corner if (side > -MODE_ROUNDING).all() else None
+
+    def _lies_on(self, part: Array, curves: Sequence[Array]) -> bool:
+        """Return whether all points of a part (P, nq) lie between neighbours of one of the curves."""
+        for curve in curves:
+            chord = self._apart(curve[:-1], curve[1:])
+            size = np.linalg.norm(chord, axis=1).clip(1e-30)
+            to = np.array([self._apart(curve[:-1], np.broadcast_to(q, curve[:-1].shape)) for q in part])  # (P, C, p)
+            share = (to * chord).sum(axis=2) / size**2
+            off = np.linalg.norm(to - share[:, :, None] * chord, axis=2)
+            if ((share > -_BESIDE) & (share < 1.0 + _BESIDE) & (off < _BESIDE * size)).any(axis=1).all():
+                return True
+        return False
 
     def _smooth(self, part: Array) -> list[Array]:
         """Return the runs of points whose chords are along the curve: beside another one a grid may change over."""

@@ -72,10 +72,27 @@ def test_every_point_is_a_singularity_of_its_kind(name: str, mode, orientation) 
 
 def test_a_border_that_is_cut_is_not_resolved() -> None:
     """A border is closed or ends on the rim of the grid; where it ends within, an edge has no exact point."""
-    locus = singular_locus(zoo.robot_of("five_bar", proximal_length=0.4, distal_length=0.4), resolution=13)
+    lengths = {"base_distance": 0.302, "proximal_length": 0.578, "distal_length": 0.667}  # holes of less than a cell
+    locus = singular_locus(zoo.robot_of("five_bar", **lengths), resolution=24)
     ends = np.concatenate([c.points[[0, -1]] for c in locus.of_kind(SingularityKind.TYPE_I)])
     assert np.linalg.norm(ends[::2] - ends[1::2], axis=1).max() > 0.1
     assert locus.unresolved > 0
+
+
+@pytest.mark.parametrize("resolution", [8, 10, 15, 25])
+def test_coarse_grids_have_all_curves_of_the_five_bar_once(resolution) -> None:
+    """The middle column of 15 and of 25 nodes meets the border in its corners; of 10 and 25 one curve came twice."""
+    locus = singular_locus(zoo.robot_of("five_bar"), resolution=resolution)
+    assert locus.unresolved == 0
+    (border,) = locus.of_kind(SingularityKind.TYPE_I)
+    np.testing.assert_array_equal(border.points[0], border.points[-1])
+    assert np.abs(border.points[:, 1]).max() == pytest.approx(np.sqrt(1.0 - 0.25**2), abs=EXACT)
+    outside = border.points[:, :1] < 0.25
+    radius = np.linalg.norm(border.points - np.where(outside, [[0.5, 0.0]], [[0.0, 0.0]]), axis=1)
+    np.testing.assert_allclose(radius, 1.0, atol=EXACT)  # one leg of 1 m is stretched
+    assert len(locus.of_kind(SingularityKind.TYPE_II)) == 3
+    with pytest.raises(InputError, match="SingularityKind"):
+        locus.of_kind("TYPE_I")
 
 
 def test_two_rpr_is_singular_on_its_base_line() -> None:
