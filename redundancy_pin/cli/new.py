@@ -51,7 +51,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     import pinocchio as pin
 
     from redundancy_pin.loading import load_robot, made
-    from redundancy_pin.robot.build import built
+    from redundancy_pin.robot.build import model_of
     from redundancy_pin.robot.formats.urdf_tree import read_tree
     from redundancy_pin.robot.urdf import render
 
@@ -65,7 +65,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
         raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
     urdf, _ = render(source, {}, trust=trust)
     tree = read_tree(urdf, source)
-    model = built(tree, urdf, source)
+    model = model_of(tree, urdf, source)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     pairs, how = _proposed_closures(tree, model)
     transmissions = _transmissions(urdf, tree)

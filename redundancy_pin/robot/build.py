@@ -48,8 +48,8 @@ def build(
     _require_closed_form(declaration, parameters)
     tree = read_tree(urdf, path.parent / declaration.urdf)
     model, couplings, start = built(tree, urdf, path.parent / declaration.urdf), tree.couplings, None
-    if declaration.joint_types:
-        kinds = declaration.joint_types
+    kinds = declaration.joint_types
+    if kinds or _turns_count(tree, (*couplings, *declaration.coupled)):
         mechanism = tree_mechanism(tree, path.parent.name, kinds=kinds, closures=(), actuated=(), shapes=urdf)
         model, couplings = mechanism.model(declaration.urdf), mechanism.couplings
         start = mechanism.configuration(model)
@@ -71,6 +71,20 @@ def build(
     )
     frictions, notes = _frictions(declaration, tree)
     return replace(robot.loaded(*frictions), notes=notes) if frictions or notes else robot
+
+
+def _turns_count(tree: Tree, couplings: Sequence[Coupling]) -> bool:
+    """Return whether continuous joints are coupled: Pinocchio has cosine and sine of them, which forget the turns."""
+    endless = {joint.name for joint in tree.joints if joint.kind == "continuous"}
+    return any({each.joint, each.of} & endless for each in couplings)
+
+
+def model_of(tree: Tree, urdf: str, path: Path) -> pin.Model:
+    """Return the model of a URDF by itself, as a declaration that replaces none of its joints has it."""
+    model = built(tree, urdf, path)
+    if not _turns_count(tree, tree.couplings):
+        return model
+    return tree_mechanism(tree, path.stem, kinds={}, closures=(), actuated=()).model(str(path))
 
 
 def _frictions(declaration: Declaration, tree: Tree) -> tuple[list[JointForces], tuple[str, ...]]:

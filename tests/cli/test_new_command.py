@@ -97,6 +97,34 @@ def test_a_pin_that_is_marked_on_one_link(tmp_path):
     assert "which are one point: end, mark" in printed
 
 
+@pytest.mark.parametrize("declared", [False, True])
+def test_continuous_joints_that_mimic_count_their_turns(tmp_path, declared):
+    """A dial that turns twice as fast as the crank, by the URDF's ``mimic`` or by the declaration's couplings."""
+    path, out = tmp_path / "slider.urdf", tmp_path / "robot.yaml"
+    mimic = "" if declared else '<mimic joint="crank" multiplier="2" offset="0.1"/>'
+    dial = '<link name="dial"/><joint name="dial" type="continuous"><parent link="base"/><child link="dial"/>'
+    dial = dial.replace('"dial"/><j', f'"dial">{MASS}</link><j') + f'<axis xyz="0 0 1"/>{mimic}</joint></robot>'
+    path.write_text(SLIDER.replace("</robot>", dial))
+    if declared:
+        out.write_text(
+            "urdf: slider.urdf\nclosures: [{frames: [end, slider], axes: [x, y]}]\nactuated: [crank]\n"
+            "couplings: [{joint: dial, of: crank, polynomial: [0.1, 2.0]}]\n"
+            "independent: {joints: [crank]}\nreference: {joints: {crank: 0.3}}\n"
+        )
+    else:
+        facts = json.loads(call("new", path, "--out", out, "--json").stdout)
+        assert [each["polynomial"] for each in facts["couplings"]] == [[0.1, 2.0]]
+    robot = rp.load_robot(out)
+    crank, dial = (list(robot.model.names).index(name) - 1 for name in ("crank", "dial"))
+    if declared:
+        turns = np.linspace(0.3, 7.0, 60)[:, None]  # the crank is short enough to go round
+        q = rp.forward_kinematics(robot, turns).q
+        np.testing.assert_allclose(q[:, crank], turns[:, 0], atol=1e-12)
+    else:
+        q = np.array(robot.q_reference)[None]
+    np.testing.assert_allclose(q[:, dial], 0.1 + 2.0 * q[:, crank], atol=1e-12)
+
+
 def test_what_only_rounding_keeps_from_spinning_freely_is_no_dependent_joint(tmp_path):
     """A rod on three hinges for a ball, its end 1e-6 m off the first one's axis, as exporters write it."""
     joints = [
