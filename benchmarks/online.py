@@ -51,7 +51,7 @@ HORIZONS = 0.2, 0.3, 0.4, 0.5, 0.7
 HEAVIER = 0.5, 1.0, 2.0
 """Masses over those of the 2-RPR above; carriers keep theirs."""
 
-ACCELERATIONS = 5.0, 10.0, 20.0
+ACCELERATIONS = 2.5, 5.0, 10.0, 20.0
 """Limits of its carriers, m/s²; 10 is its own."""
 
 
@@ -232,8 +232,9 @@ def preview(count=8):
                 if least:
                     over.append(run.plan.peak_effort.max() / least)
             cells.append(f"{whole}, {100 * planned / ticks:.1f} %, {np.median(over) if over else np.nan:.2f}")
-        known = sum(least is not None for least in best)
-        print(f"| {heavier:g} | {most:g} | {known} of {len(paths)} | {' | '.join(cells)} |", flush=True)
+        known = [least for least in best if least is not None]
+        off = f"{len(known)} of {len(paths)}, {np.median(known) if known else np.nan:.2f} N"
+        print(f"| {heavier:g} | {most:g} | {off} | {' | '.join(cells)} |", flush=True)
 
 
 def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):

@@ -55,7 +55,7 @@ JUMP = 1e-9
 
 @dataclass
 class Missed:
-    """What came of missed ticks.
+    """What came of ticks missed after plans within every limit.
 
     ``ticks``: their number; ``broken``: what was promised and not kept; ``missing``: by the ages of the plan, s, the
     largest force that was, over the largest f of parked carriers; ``lasts``: from when the plan was made until a
@@ -68,8 +68,9 @@ class Missed:
     lasts: list[float] = field(default_factory=list)
     again: list[bool] = field(default_factory=list)
 
-    def judge(self, command, made, trajectory, judge, size):
-        """Count a missed tick, the plan being made at a time, s, and the largest f being of some size."""
+    def judge(self, command, plan, trajectory, judge, size):
+        """Count a missed tick after a plan, the largest f being of some size."""
+        made = plan.t
         self.ticks += 1
         beyond = carriers_beyond(command, judge.robot)
         if beyond > LIMIT:
@@ -127,7 +128,7 @@ def miss_ticks(name, least, seed):
     for trajectory in islice(online.random_paths(name, dynamics), seed, None):
         parked = judge.reduce(trajectory.sample(0.005))
         size = float(np.abs(parked.f / parked.row_scale).max())
-        planner, last, made, left_out = RecedingHorizon(dynamics), None, 0.0, 0
+        planner, plan, last, left_out = RecedingHorizon(dynamics), None, None, 0
         for t in planner.step * np.arange(int(trajectory.duration / planner.step)):
             command = planner.skip(t) if left_out else planner.update(t, trajectory)
             before, after = (np.concatenate(one.motion_at(t)[:2]) for one in (last or command, command))
@@ -135,11 +136,12 @@ def miss_ticks(name, least, seed):
                 missed.broken.append(f"the carriers jump at {t:.6g} s")
             if left_out:
                 left_out -= 1
-                missed.judge(command, made, trajectory, judge, size)
+                if plan.status is PlanningStatus.PLANNED:  # an elastic plan promises nothing
+                    missed.judge(command, plan, trajectory, judge, size)
             else:
-                if last is not None and last.status is PlanningStatus.FALLBACK:
+                if last is not plan and plan.status is PlanningStatus.PLANNED:
                     missed.again.append(command.status is PlanningStatus.PLANNED)
-                made = t
+                plan = command
                 if rng.random() < MISSED:
                     left_out = int(rng.choice([1, 2, 3, 10, 40], p=[0.5, 0.2, 0.2, 0.08, 0.02]))
             last = command
