@@ -258,6 +258,12 @@ def test_what_the_specification_leaves_out_has_its_default(tmp_path: Path) -> No
     np.testing.assert_allclose(np.ravel(data.S), [0, 0.6, 0.8, 0, 0, 0], atol=1e-15)
 
 
+def test_moments_that_are_zero_but_for_rounding_are_those_of_a_point(tmp_path: Path) -> None:
+    """iCub's head, as exporters write it: principal moments of ∓2.4e-35."""
+    text = FIVE_BAR.replace('izz="0.02" ixy="0"', 'izz="0" ixy="2.4e-35"', 1).replace('iyy="0.02"', 'iyy="0"', 1)
+    assert np.abs(load_robot(write(tmp_path, text)).model.inertias[1].inertia).max() < 1e-30
+
+
 def test_names_may_be_of_any_language(tmp_path: Path) -> None:
     text = FIVE_BAR.replace('"a1"', '"関節 ü [1]"')
     guess = {"関節 ü [1]": 2.0, "b1": -1.0, "a2": 1.0, "b2": 1.0}

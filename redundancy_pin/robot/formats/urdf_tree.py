@@ -59,6 +59,9 @@ _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
 _TRIANGLE_TOLERANCE = 1e-6
 """A moment of inertia may exceed the sum of the other two by this fraction: files carry six digits."""
 
+_NO_MOMENT = 1e-12
+"""kg·m². Less is zero: exporters leave products of 1e-35 beside moments of nothing, as for iCub's head."""
+
 _ROUNDING = 1e-9
 """Relative difference of what two readers make of the same numbers."""
 
@@ -262,7 +265,7 @@ def _link(name: str, part: _Part) -> LinkEntry:
         mass.refuse(f"{part.owner} has a negative mass, {kilograms:g} kg")
     matrix = np.array([[inertia.number("i" + "".join(sorted(a + b))) for b in "xyz"] for a in "xyz"])
     moments = np.linalg.eigvalsh(matrix)
-    allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max())
+    allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max()) + _NO_MOMENT
     if moments[0] < -allowed or moments[2] > moments[0] + moments[1] + allowed:
         text = np.array2string(moments, precision=4)
         rule = "a negative one" if moments[0] < -allowed else "the largest exceeds the sum of the other two"
