@@ -259,8 +259,9 @@ def _border(
     for k in np.flatnonzero(~points.exact).tolist():
         corner = _corner(system, tracer, near[k : k + 1])
         if corner is not None and np.linalg.norm(corner[0] - start[k]) < _cell(grid):
-            for part, value in zip(points, (*corner, True), strict=True):
+            for part, value in zip(points, corner, strict=False):
                 part[k : k + 1] = value
+            points.exact[k] = True
     chains, missing = _curves(system, SingularityKind.TYPE_I, points, curves)
     contour = np.repeat(np.arange(len(curves)), [len(curve) for curve in curves])
     cuts = np.isin(contour[missing], np.delete(contour, missing))
@@ -284,7 +285,7 @@ def _corner(system: ConstraintSystem, tracer: Tracer | None, q: Array) -> tuple[
     if corner is None:
         return None
     state = system.evaluate(corner)
-    left = np.linalg.svd(serial_matrix(system, state), compute_uv=False)[:, -1]
+    left = np.asarray(np.linalg.svd(serial_matrix(system, state), compute_uv=False)[:, -1], dtype=np.float64)
     exact = np.abs(state.phi).max(initial=0.0) < CLOSURE_TOLERANCE and left[0] < SINGULAR
     return (coordinates(system.robot, state), corner, left) if exact else None
 
