@@ -216,10 +216,17 @@ def test_mistakes_are_named(change: dict, message: str, folder: Path, tmp_path: 
         rp.load_robot(path)
 
 
-def test_a_continuous_joint_is_not_coupled(tmp_path: Path) -> None:
-    urdf = urdf_of(JOINTS).replace('<joint name="rotor" type="revolute">', '<joint name="rotor" type="continuous">')
+def test_a_coupled_continuous_joint_counts_its_turns(folder: Path, tmp_path: Path) -> None:
+    """Of a URDF it is a revolute one; a model of Pinocchio stays as it is, which has cosine and sine."""
+    text = (folder / "robot.urdf").read_text()
+    urdf = text.replace('<joint name="rotor" type="revolute">', '<joint name="rotor" type="continuous">')
+    assert urdf != text
+    robot, plain = rp.load_robot(write_robot(tmp_path, urdf, DECLARATION)), rp.load_robot(folder / "robot.yaml")
+    np.testing.assert_allclose(robot.q_reference, plain.q_reference, atol=1e-12)
+    assert robot.couplings == plain.couplings
+    model = pin.buildModelFromXML(urdf)
     with pytest.raises(DeclarationError, match=r"'rotor' is continuous.*wide"):
-        rp.load_robot(write_robot(tmp_path, urdf, DECLARATION))
+        rp.Robot.from_model(model, actuated=["arm"], couplings=[("rotor", "lid", [0.5, GEAR])])
 
 
 def test_the_command_line_shows_and_proposes_them(folder: Path, tmp_path: Path) -> None:
