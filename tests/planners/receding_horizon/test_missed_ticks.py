@@ -158,6 +158,7 @@ def miss_ticks(name, least, seed):
 
 def test_plans_go_on_when_ticks_are_missed():
     missed = miss_ticks("2rpr", 100, 0)
+    sys.stdout.write(f"{missed}\n")  # pytest -s shows it
     assert not missed.broken
     assert len(missed.missing[AGES[0]]) > 30
     assert np.median(missed.missing[AGES[0]]) < USUAL
