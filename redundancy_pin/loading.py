@@ -29,7 +29,7 @@ from redundancy_pin.kinematics.coordinates import (
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, selected
-from redundancy_pin.robot import Coupling, Robot
+from redundancy_pin.robot import Closure, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
@@ -464,7 +464,8 @@ def made(
             )
         if selection.left_out:
             # rows that are left say less of the side on which a weld closes: what follows starts on the right one
-            whole, robot = provisional, replace(robot, q_reference=frozen(selection.q))
+            every = _with_redundant_rows(kept.closures, provisional.closures)
+            whole, robot = provisional, replace(robot, q_reference=frozen(selection.q), all_closures=every)
             rows, opened = ", ".join(selection.left_out), selection.opened
             rounded = (
                 f" to {opened:.1g} (m or rad) nearby, as the file's numbers are rounded"
@@ -496,3 +497,15 @@ def made(
                 angle=turned,
             )
     return replace(closed, notes=tuple(notes))
+
+
+def _with_redundant_rows(closures: tuple[Closure, ...], all_rows: tuple[Closure, ...]) -> tuple[Closure, ...]:
+    """Return closures with the axes that they have among all; empty where none is missing.
+
+    One between other frames than before, as where the spin of a rod is held, has all of its own.
+    """
+    given = {(each.name, each.frame_a, each.frame_b): each for each in all_rows}
+    whole = [given.get((each.name, each.frame_a, each.frame_b), each) for each in closures]
+    names = {each.name for each in closures}
+    whole += [each for each in all_rows if each.name not in names]
+    return tuple(whole) if whole != list(closures) else ()

@@ -21,7 +21,7 @@ from redundancy_pin.arrays import Array, Frozen, checked, each, positive, read_o
 from redundancy_pin.dynamics.distribution import EffortRows
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, closure_multipliers
 from redundancy_pin.errors import InputError, did_you_mean, shown
-from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
 from redundancy_pin.motion import CarrierMotion
 
 
@@ -128,6 +128,7 @@ def closure_forces(along: RneaAlongMotion, carriers: CarrierMotion | None = None
     efforts[:, robot.actuated_velocity, 1 + np.arange(robot.m)] = -1.0
     usable = tree.reachable
     efforts[~usable] = 0.0
-    forces, _, determined = closure_multipliers(robot, constraint_system(robot).evaluate(tree.q), efforts, usable)
+    whole = with_all_rows(robot)
+    forces, _, determined = closure_multipliers(robot, constraint_system(whole).evaluate(tree.q), efforts, usable)
     forces[~(usable & determined)] = np.nan
-    return ClosureForces(robot.constraint_names, read_only(forces[:, :, 0]), read_only(forces[:, :, 1:]))
+    return ClosureForces(whole.constraint_names, read_only(forces[:, :, 0]), read_only(forces[:, :, 1:]))

@@ -33,7 +33,7 @@ from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_load
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
 from redundancy_pin.kinematics.chain import tracker
-from redundancy_pin.kinematics.closure import ConstraintState, constraint_system
+from redundancy_pin.kinematics.closure import ConstraintState, constraint_system, with_all_rows
 from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point, near_rank_loss
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
@@ -364,7 +364,8 @@ class JointReactions(Frozen):
         closures: name of each closure row, ``"x of tip_2 = corner_2"``, then of each coupling, r of them.
         closure_force: (N, r) force (or moment) along each closure row: what frame a exerts on frame b, in the axes of
             frame a, N or N·m; of a coupling q = p(q_of) the effort that it exerts in its joint, −p' times that in the
-            other.
+            other. Redundant rows, which the loader leaves out, are among them: motion does not tell how they share a
+            load, and these are the forces of least norm, moments divided by the characteristic length.
         residual: (N,) largest generalised force left unbalanced by the given efforts, N or N·m. Rounding when the
             efforts produce the motion; large when they do not, and then the reactions mean nothing.
     """
@@ -398,13 +399,14 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     holes = np.isnan(effort).any(axis=-1, keepdims=True) if effort.ndim == 2 else np.zeros(1, dtype=bool)
     checked(np.where(holes, 0.0, effort), "tau", (len(along.motion), robot.m))
     usable = ~holes[:, 0] & tree.reachable
-    state = constraint_system(robot).evaluate(tree.q)
+    whole = with_all_rows(robot)
+    state = constraint_system(whole).evaluate(tree.q)
     rest = along.tree_effort(carriers).T.copy()
     rest[:, robot.actuated_velocity] -= effort
     rest[~usable] = 0.0
     stacked, left, determined = closure_multipliers(robot, state, rest[:, :, None], usable)
     multipliers = stacked[:, :, 0]
-    forces = _closure_wrenches(robot, state, multipliers)
+    forces = _closure_wrenches(whole, state, multipliers)
     loads, (q, v, a) = tree_loads(robot), along.tree_motion(carriers)
     for joint, load in ({} if loads is None else loads.bodies(along._state(q, v, a))).items():
         forces[joint] = forces.get(joint, 0.0) + load
@@ -415,7 +417,7 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     return JointReactions(
         joints=tuple(str(name) for name in robot.model.names)[1:],
         joint_wrench=read_only(wrench),
-        closures=robot.constraint_names,
+        closures=whole.constraint_names,
         closure_force=read_only(multipliers),
         residual=read_only(np.abs(left).max(axis=(1, 2), initial=0.0)),
     )
@@ -426,14 +428,21 @@ def closure_multipliers(
 ) -> tuple[Array, Array, BoolArray]:
     """Return (N, r, c) λ with J_cᵀ λ = efforts, (N, nv, c), what they leave, and (N,) where the closures determine λ.
 
-    Samples that are not ``usable`` (N,) have zeros.
+    The ``state`` has redundant rows too, if there are any: of least norm are then the forces, and moments divided by
+    the characteristic length. Samples that are not ``usable`` (N,) have zeros.
     """
-    system = constraint_system(robot)
+    system, rank = constraint_system(with_all_rows(robot)), len(constraint_system(robot).rows)
     columns = system.pose_columns
     transposed = np.where(usable[:, None, None], state.Jc[:, :, columns], 0.0).transpose(0, 2, 1)
-    multipliers = np.linalg.pinv(transposed) @ efforts[:, columns]
     scaled = transposed * (system.closure_scale / velocity_scale(robot)[columns, None])
-    determined = np.linalg.svd(scaled, compute_uv=False)[:, -1] > SINGULAR_MARGIN
+    if rank < len(system.rows):
+        left, values, right = np.linalg.svd(transposed * system.closure_scale, full_matrices=False)
+        inverse = np.where(values[:, :rank] > 0.0, 1.0 / np.maximum(values[:, :rank], 1e-300), 0.0)
+        right, left = right[:, :rank].transpose(0, 2, 1), left[:, :, :rank].transpose(0, 2, 1)
+        multipliers = system.closure_scale[:, None] * (right @ (inverse[:, :, None] * (left @ efforts[:, columns])))
+    else:
+        multipliers = np.linalg.pinv(transposed) @ efforts[:, columns]
+    determined = np.linalg.svd(scaled, compute_uv=False)[:, rank - 1] > SINGULAR_MARGIN
     return multipliers, efforts[:, columns] - transposed @ multipliers, determined
 
 

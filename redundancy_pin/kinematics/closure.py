@@ -32,7 +32,7 @@ joint Jacobian at one state from Pinocchio, ``ConstraintSystem`` at many from ``
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -44,6 +44,14 @@ from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.kinematics.coupling import CouplingRows
 from redundancy_pin.kinematics.tree import AFTER, NEXT, TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
+
+OPEN = 1e-4
+"""m, or rad: how far rows that were left out may be open. Files are rounded to 2e-5; on a branch that is none of the
+machine's they open by 1e-3 and more."""
+
+_FULL = 1e3
+"""Ratio of the smallest singular values of all rows and of those that count: at a loss of both they are alike, and the
+place of one of the latter alone is known to 1e-6 and better."""
 
 _ORIGIN = 3
 """Column of a frame's origin, behind its three axes."""
@@ -460,3 +468,32 @@ def _platform_rows(robot: Robot, at: dict[str, int]) -> list[Row]:
 def constraint_system(robot: Robot) -> ConstraintSystem:
     """Return the constraint system of a robot, built once: a single sample takes a third of its time again."""
     return ConstraintSystem(robot)
+
+
+@lru_cache(maxsize=32)
+def with_all_rows(robot: Robot) -> Robot:
+    """Return a robot with the closure rows that were left out because they depend on the others; itself without any."""
+    return replace(robot, closures=robot.all_closures, all_closures=()) if robot.all_closures else robot
+
+
+def left_open(robot: Robot, q: Array) -> Array:
+    """Return (N,) by how much rows that were left out are open at (N, nq), m or rad; zero for rounding of a file."""
+    if not robot.all_closures:
+        return np.zeros(len(q))
+    gap = np.abs(constraint_system(with_all_rows(robot)).evaluate(q).phi).max(axis=1, initial=0.0)
+    return np.where(gap > OPEN, gap, 0.0)
+
+
+def made_up(robot: Robot, q: Array) -> bool:
+    """Return whether rows that were left out make up for those that count, which lose rank at q (nq,).
+
+    Which rows say all changes along the motion of some mechanisms (Bennett's four hinges). The branch goes smoothly
+    through such a place, and it is no singularity.
+    """
+    if not robot.all_closures:
+        return False
+    rank, values = len(constraint_system(robot).rows), []
+    for system in (constraint_system(robot), constraint_system(with_all_rows(robot))):
+        rows = system.evaluate(q[None]).Jc[0][:, system.pose_columns] * system.closure_scale[:, None]
+        values.append(np.linalg.svd(rows, compute_uv=False)[rank - 1])
+    return bool(values[1] > _FULL * values[0])

@@ -21,7 +21,7 @@ from redundancy_pin.kinematics.assembly import (
     rates,
 )
 from redundancy_pin.kinematics.chain import tracker
-from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, left_open
 from redundancy_pin.kinematics.continuation import (
     NEAR_RANK_LOSS,
     Anchors,
@@ -156,6 +156,7 @@ def lift(
     guesses, first = guesses_along(system, motion, mark_unreachable, start)
     solved = _solve(system, motion, guesses, progress)
     _solve_rank_losses(motion, solved, first if start is None else start, positions_only)
+    solved.gap[:] = np.maximum(solved.gap, left_open(robot, solved.q))  # NaN, where it was not closed, stays
     if not mark_unreachable:
         _require_closed_and_regular(motion, solved, 0)
     good = solved.regular & _require_modes(motion, solved, start, mark=mark_unreachable)
@@ -181,7 +182,7 @@ def _lift_one(robot: Robot, motion: PlatformMotion, start: Point | None) -> Tree
     """Lift a motion of one sample where the way to it is plainly regular, as it mostly is."""
     follower = tracker(robot)
     reached = follower.towards(start or follower.home, motion.x[0])
-    if reached is None:
+    if reached is None or left_open(robot, reached.point.q[None])[0]:
         return None
     v, a = follower.rates(reached, motion.xd[0], motion.xdd[0])
     q, gamma = reached.point.q, reached.point.gamma

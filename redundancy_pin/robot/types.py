@@ -141,6 +141,8 @@ class Robot(Frozen):
         own_meshes_only: draw it only with meshes of its own folder or package: a file chose it, not its user.
         notes: what the loader chose for a model that does not say it, and what its file says that is not in force here.
         loads: forces it meets beside gravity and inertia; ``model`` has the payloads among them.
+        couplings: joints that follow others.
+        all_closures: ``closures`` with their redundant rows, which were left out; empty where none were.
     """
 
     name: str
@@ -167,6 +169,7 @@ class Robot(Frozen):
     notes: tuple[str, ...] = ()
     loads: tuple[Load, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    all_closures: tuple[Closure, ...] = ()
 
     @classmethod
     def from_model(

@@ -19,6 +19,7 @@ from scipy.optimize import brentq, minimize_scalar
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.closure import made_up
 from redundancy_pin.kinematics.coordinates import mode_indicator, velocity_scale
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.rank_loss import LOST, NEAR, Sheet, rank_ratio
@@ -200,8 +201,13 @@ class EventFunctions:
         """Kinds whose functions are determinants with the closure rows in them."""
         return (*(() if self._by_legs else ("type_I",)), *(("type_II",) if self._square else ()))
 
-    def rank_loss(self, t: float) -> list[Event]:
-        """Return the events at a rank loss of the closures."""
+    def rank_loss(self, t: float, y: Array) -> list[Event]:
+        """Return the events at a rank loss of the closure rows that count, for the state y (nq + nv) there.
+
+        There are none where rows that were left out make up for them.
+        """
+        if made_up(self._chain.robot, y[: self.nq]):
+            return []
         kinds = ("closure_rank", *self.determinants)
         return [self.event(self.kinds.index(kind), t) for kind in kinds]
 
@@ -337,7 +343,7 @@ def _with_rank_loss(
         for event in events
         if event.kind not in functions.determinants or all(abs(event.t - t) > _SAME for t in times)
     ]
-    return _until_terminal([*others, *(event for t in times for event in functions.rank_loss(t))])
+    return _until_terminal([*others, *(event for t in times for event in functions.rank_loss(t, step(t)))])
 
 
 def _until_terminal(events: list[Event]) -> list[Event]:

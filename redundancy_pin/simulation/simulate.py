@@ -14,7 +14,7 @@ from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
-from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import plan_reference
@@ -322,7 +322,7 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
         carrier_force=read_only(carrier_force),
         actuated_rate=frozen(v[:, robot.actuated_velocity]),
         closure_force=read_only(closure_force),
-        gap=frozen(np.abs(evaluated.phi).max(axis=1, initial=0.0)),
+        gap=frozen(np.abs(constraint_system(with_all_rows(robot)).evaluate(q).phi).max(axis=1, initial=0.0)),
         energy=read_only(energy),
         events=tuple(record.events),
         status=status,

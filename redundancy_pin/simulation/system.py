@@ -14,6 +14,7 @@ from redundancy_pin.arrays import Array, one_of
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
+from redundancy_pin.kinematics.closure import left_open
 from redundancy_pin.robot import Closure, Payload, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
@@ -172,9 +173,13 @@ class Machine:
         if self.kernel is not None and motion is None:
             projected = self.kernel.project(np.concatenate([state.q, state.v]), PROJECTION_TOLERANCE)
             if projected is not None:
-                return projected
+                y, before, left = projected
+                return y, before, max(left, self._left_open(y[: self.robot.model.nq]))
         q, v, before, left = self.manifold.project(state.q, state.v)
-        return np.concatenate([q, v]), before, left
+        return np.concatenate([q, v]), before, max(left, self._left_open(q))
+
+    def _left_open(self, q: Array) -> float:
+        return float(left_open(self.robot, q[None])[0]) if self.robot.all_closures else 0.0
 
     def least_inertia(self, t: float, y: Array) -> float:
         """Return the smallest pivot of the mass matrix over the largest, at the last state or, with code, at y."""

@@ -1,0 +1,134 @@
+"""Mechanisms that move against Grübler's count: closed in all rows, no false singularities, reactions of least norm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.crosscheck.closed_forward import ClosedForward
+from redundancy_pin.errors import UnreachablePoseError
+
+CLOSED = 1e-10
+"""m and rad, ten roundings of Newton's method."""
+
+ALPHA, BETA = np.deg2rad(60.0), np.deg2rad(100.0)
+RATIO = np.sin(0.5 * (BETA + ALPHA)) / np.sin(0.5 * (BETA - ALPHA))
+"""Bennett: tan(θ₁/2) tan(θ₂/2) of opposite equal links, a / sin α = b / sin β."""
+
+LENGTHS = [1.0, np.sin(BETA) / np.sin(ALPHA)]
+
+
+@pytest.fixture(scope="module")
+def bennett():
+    """Four hinges, three of the six rows of its weld redundant, which three changes along the motion."""
+    model, parent, place = pin.Model(), 0, pin.SE3.Identity()
+    for i, (length, twist) in enumerate(zip(2 * LENGTHS, 2 * [ALPHA, BETA], strict=True)):
+        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"hinge_{i + 1}")
+        body = pin.Inertia(1.0, np.array([0.5 * length, 0.0, 0.0]), np.diag([0.005, 0.05, 0.05]))
+        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+        place = pin.SE3(pin.utils.rotate("x", twist), np.array([length, 0.0, 0.0]))
+    weld = pin.FrameAnchorConstraintModel(model, 0, pin.SE3.Identity(), parent, place)
+    first, second = 0.7, 2.0 * np.arctan(RATIO / np.tan(0.35))
+    start = np.array([first, second, -first, -second])
+    return rp.Robot.from_model(model, closures=[weld], actuated=["hinge_1"], reference=start)
+
+
+def open_by(robot, q):
+    """The weld's error by Pinocchio's own logarithm."""
+    model, closure = robot.model, robot.all_closures[0]
+    data, worst = model.createData(), 0.0
+    for one in q:
+        pin.framesForwardKinematics(model, data, np.array(one))
+        ends = [data.oMf[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b)]
+        worst = max(worst, float(np.abs(pin.log6(ends[0].actInv(ends[1])).vector).max()))
+    return worst
+
+
+@pytest.fixture(scope="module")
+def turn(bennett):
+    """Most of a turn of the first hinge, past two places where the rows that count lose rank, and at one of them."""
+    path = rp.trajectory.from_points([[0.7], [np.pi + 0.01], [5.5]], [0.0, 0.5, 1.0])
+    return rp.RneaDynamics(bennett).along(path.sample(0.01))
+
+
+def test_all_rows_stay_closed_along_bennetts_law(bennett, turn):
+    assert sum(len(closure.axes) for closure in bennett.closures) == 3
+    assert [closure.axes for closure in bennett.all_closures] == [("x", "y", "z", "rx", "ry", "rz")]
+    q = turn.tree.q
+    assert open_by(bennett, q) < CLOSED
+    np.testing.assert_allclose(np.tan(0.5 * q[:, 0]) * np.tan(0.5 * q[:, 1]), RATIO, rtol=1e-9)
+
+
+def test_rows_that_others_make_up_for_are_no_singularities(bennett, turn):
+    margin = np.abs(turn.closure_margin())
+    assert margin.min() < 0.02 * margin.max()  # of the rows that count
+    assert rp.find_crossings(bennett, turn.motion) == ()
+    run = rp.simulate(bennett, duration=3.0, dt=0.05)
+    assert (run.status.value, run.events) == ("completed", ())
+    assert max(run.gap.max(), open_by(bennett, run.q)) < CLOSED
+    assert np.ptp(run.q[:, 0]) > 3.0
+    assert np.ptp(run.energy) < 1e-7
+
+
+def test_reactions_of_redundant_rows_are_of_least_norm(bennett, turn):
+    """λ of least norm by Pinocchio's frames, moments divided by the characteristic length."""
+    tau = rp.distribute(turn.reduce()).tau
+    reactions = rp.joint_reactions(turn, tau)
+    assert reactions.closures == tuple(f"{axis} of constraint_1" for axis in ("x", "y", "z", "rx", "ry", "rz"))
+    assert reactions.residual.max() < 1e-9
+    scale = np.repeat([1.0, bennett.characteristic_length], 3)
+    rows, (q, v, a) = ClosedForward(replace(bennett, closures=bennett.all_closures)), turn.tree_motion()
+    data = bennett.model.createData()
+    for k in range(0, len(tau), 10):
+        J, _ = rows.rows(q[:, k], v[:, k])
+        effort = pin.rnea(bennett.model, data, q[:, k], v[:, k], a[:, k]) - np.append(tau[k], np.zeros(3))
+        least = scale * (np.linalg.pinv((scale[:, None] * J).T, rcond=1e-9) @ effort)
+        np.testing.assert_allclose(reactions.closure_force[k], least, atol=1e-8)
+
+
+def test_a_closure_that_is_said_twice_shares_its_forces(bennett):
+    """All rows of the second are redundant."""
+    roles = {"actuated": ["hinge_1"], "reference": np.array(bennett.q_reference)}
+    first = pin.FrameAnchorConstraintModel(bennett.model, *_ends(bennett))
+    once, twice = (rp.Robot.from_model(bennett.model, closures=[first] * n, **roles) for n in (1, 2))
+    assert [len(each.axes) for each in twice.all_closures] == [6, 6]
+    motion = rp.PlatformMotion([0.0], [[1.0]], [[2.0]], [[3.0]])
+    forces = []
+    for robot in (once, twice):
+        along = rp.RneaDynamics(robot).along(motion)
+        forces.append(rp.joint_reactions(along, rp.distribute(along.reduce()).tau).closure_force[0])
+    np.testing.assert_allclose(forces[1], 0.5 * np.tile(forces[0], 2), atol=1e-9)
+
+
+def _ends(robot):
+    """Joints and placements of the weld's frames."""
+    frames = [robot.model.frames[robot.model.getFrameId(f"constraint_1_{end}")] for end in "ab"]
+    return (part for frame in frames for part in (frame.parentJoint, frame.placement))
+
+
+def test_rows_that_open_are_noticed():
+    """A row that is not redundant put among those that were left out: the angle at a pin of a four-bar."""
+    bar = rp.load_robot("four_bar")
+    model, (pin_joint,) = pin.Model(bar.model), bar.closures
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(bar.q_reference))
+    first, second = (model.getFrameId(name) for name in (pin_joint.frame_a, pin_joint.frame_b))
+    link = model.frames[second].parentJoint
+    place = data.oMi[link].actInv(pin.SE3(data.oMf[first].rotation, data.oMf[second].translation))
+    model.addFrame(pin.Frame("turned", link, 0, place, pin.FrameType.BODY))
+    pinned = replace(pin_joint, frame_b="turned")
+    bar = replace(bar, model=model, closures=(pinned,), all_closures=(replace(pinned, axes=("x", "y", "rz")),))
+    t, home = np.linspace(0.0, 1.0, 11)[:, None], bar.q_reference[0]
+    motion = rp.PlatformMotion(t[:, 0], home + t, np.ones_like(t), np.zeros_like(t))
+    assert rp.lift(bar, motion[:1]).reachable.all()
+    with pytest.raises(UnreachablePoseError, match=r"of sample 1 .*stay open by"):
+        rp.lift(bar, motion)
+    with pytest.raises(UnreachablePoseError, match="stay open by"):
+        rp.lift(bar, motion[-1:])
+    assert rp.lift(bar, motion, mark_unreachable=True).reachable.tolist() == [True] + 10 * [False]
+    run = rp.simulate(bar, duration=0.5)
+    assert run.status.value == "failed"
+    assert "the closures leave a gap" in run.reason
+    assert run.gap.max() > 1e-5
