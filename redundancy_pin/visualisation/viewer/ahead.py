@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 
@@ -55,20 +54,18 @@ def ahead_of(robot: Robot, t: Array, q: Array, commands: Sequence[Command]) -> A
         raise InputError(
             f"No command lies between {t[0]:.6g} and {t[-1]:.6g} s.", remedy="Pass the commands of this run."
         )
-    shown = list(islice(during, 0, None, -(-len(during) // MOST_TICKS)))
+    shown = during[:: -(-len(during) // MOST_TICKS)]
+    starts = np.array([command.t for command in shown])
     ends = np.array([min(command.known_until, command.carriers.end, t[-1]) for command in shown])
-    times = np.linspace([command.t for command in shown], np.maximum(ends, [command.t for command in shown]), POINTS).T
-    s = np.array([extended(command.carriers, own)[0] for command, own in zip(shown, times, strict=True)])
-    tau = np.array(
-        [
-            command.efforts(np.clip(own, command.efforts.start, command.efforts.end))
-            for command, own in zip(shown, times, strict=True)
-        ]
-    )
+    times = np.linspace(starts, np.maximum(ends, starts), POINTS).T
+    plans = list(zip(shown, times, strict=True))
+    s = np.array([extended(command.carriers, own)[0] for command, own in plans])
+    within = [np.clip(own, command.efforts.start, command.efforts.end) for command, own in plans]
+    tau = np.array([command.efforts(own) for command, own in zip(shown, within, strict=True)])
     roots = np.unique(np.concatenate([command.singular for command in during]).round(4))
     beads = np.unique(np.searchsorted(t, np.linspace(t[0], t[-1], MOST_BEADS)).clip(0, len(t) - 1))
     return Ahead(
-        t=times[:, 0] - t[0],
+        t=starts - t[0],
         until=ends - t[0],
         singular=roots[roots <= t[-1]] - t[0],
         times=times - t[0],

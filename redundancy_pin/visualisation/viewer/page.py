@@ -180,10 +180,13 @@ def _ahead(scene: Scene) -> dict[str, Any] | None:
     if ahead is None:
         return None
     panels = []
-    for kind, what, words in (("carrier", "position", "carriers"), ("actuated", "effort", "efforts")):
-        joints = [i for i, reading in enumerate(scene.readings) if reading.kind == ROLE_NAMES[kind]]  # type: ignore[index]
-        units = {_effort_unit(scene.readings[i]) if what == "effort" else scene.readings[i].unit for i in joints}
-        panels.append({"title": f"{words} [{', '.join(sorted(units))}]", "what": what, "joints": joints})
+    for kind, words, what, unit_of in (
+        (ROLE_NAMES["carrier"], "carriers", "position", lambda reading: reading.unit),
+        (ROLE_NAMES["actuated"], "efforts", "effort", _effort_unit),
+    ):
+        joints = [i for i, reading in enumerate(scene.readings) if reading.kind == kind]
+        units = sorted({unit_of(scene.readings[i]) for i in joints})
+        panels.append({"title": f"{words} [{', '.join(units)}]", "what": what, "joints": joints})
     return {
         **{name: _digits(getattr(ahead, name)) for name in ("t", "until", "singular")},
         "times": [_digits(row) for row in ahead.times],
