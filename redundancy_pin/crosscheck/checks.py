@@ -286,13 +286,14 @@ def _regular(margin: Array) -> BoolArray:
 def _efforts(robot: Robot, reduced: ReducedDynamics) -> tuple[IntArray, Array, BoolArray]:
     """Return driven velocities, their minimum-norm efforts where W has full row rank by a margin, and where it has.
 
-    With fewer motors than freedoms the independent joints are driven, whose efforts are f.
+    Where the motors cannot do it, as of a machine whose arms are not driven, the independent joints are, whose efforts
+    are f.
     """
-    if robot.m < robot.n and robot.platform is None:
+    singular = np.linalg.svd(reduced.W, compute_uv=False)
+    solvable: BoolArray = (robot.m >= robot.n) & (singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0])
+    if robot.platform is None and not solvable.any():
         joints = (robot.model.joints[robot.model.getJointId(name)] for name in robot.independent_joints)
         return np.array([each.idx_v for each in joints]), reduced.f, np.asarray(np.isfinite(reduced.f).all(axis=1))
-    singular = np.linalg.svd(reduced.W, compute_uv=False)
-    solvable: BoolArray = singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0]
     safe = np.where(solvable[:, None, None], reduced.W, np.eye(*reduced.W.shape[1:]))
     tau: Array = (np.linalg.pinv(safe) @ reduced.f[:, :, None])[:, :, 0]
     return robot.actuated_velocity, tau, solvable

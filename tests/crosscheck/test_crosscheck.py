@@ -204,6 +204,19 @@ def test_joints_that_do_not_move_with_the_platform_are_noticed(monkeypatch, robo
     assert worst() > 1.0
 
 
+def test_as_many_motors_as_freedoms_may_leave_one_undriven(tmp_path):
+    """Two motors on coupled hinges and a hinge that swings freely: the independent joints are driven to check it."""
+    body = '<body name="{0}"><joint name="{0}" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0.1"/></body>'
+    text = "<mujoco><worldbody>" + "".join(map(body.format, "abc")) + "</worldbody>"
+    text += '<equality><joint joint1="c" joint2="a" polycoef="0 2 0 0 0"/></equality>'
+    path = write(tmp_path, text + '<actuator><motor joint="a"/><motor joint="c"/></actuator></mujoco>')
+    robot = load_robot(path)
+    assert (robot.n, robot.m) == (2, 2)
+    report = crosscheck.run([str(path)], samples=8)
+    assert report.passed
+    assert {row.check: row.samples for row in report.rows}["inverse -> forward (rnea)"] == 8
+
+
 def test_what_could_not_be_checked_is_named_and_does_not_fail():
     robot = load_robot("gough")
     weak = replace(robot, actuated=robot.actuated[:5], actuated_velocity=robot.actuated_velocity[:5])
