@@ -169,6 +169,7 @@ CASES = (
         on_line=True,
     ),
     replace(MOVING_TURN, name="3-RRR turn while moving, planned on line", planner={}, on_line=True),
+    replace(YAW, name="Gough, through 90 degrees of yaw, planned on line", planner={}, on_line=True),
 )
 """Everything ``make engines`` runs."""
 
