@@ -39,7 +39,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import inverses
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system, with_all_rows
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
@@ -48,21 +48,33 @@ from redundancy_pin.spectrum import oriented, spectrum_of
 
 def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
     """Return (N, p, p) the matrix K in scaled units, D_r K D_v⁻¹; its last n rows are the platform's."""
-    return _scaled(system, state.K, row_scale(system.robot))
+    return _below_closures(system, state, state.K[:, len(system.rows) :], row_scale(system.robot))
 
 
 def locked_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
     """Return (N, r + m, p) the matrix T in scaled units, D_r T D_v⁻¹; its last m rows are the actuators'."""
     selection = system.selection[:, system.pose_columns]
-    closures = state.K[:, : len(system.rows)]
-    stacked = np.concatenate([closures, np.broadcast_to(selection, (len(closures), *selection.shape))], axis=1)
-    return _scaled(system, stacked, column_scale(system.robot))
+    return _below_closures(
+        system, state, np.broadcast_to(selection, (len(state.q), *selection.shape)), column_scale(system.robot)
+    )
 
 
-def _scaled(system: ConstraintSystem, stacked: Array, rows_below: Array) -> Array:
-    rows = np.concatenate([system.closure_scale, rows_below])
-    result: Array = stacked * (rows[:, None] / velocity_scale(system.robot)[system.pose_columns])
-    return result
+def _below_closures(system: ConstraintSystem, state: ConstraintState, rows: Array, scale: Array) -> Array:
+    """Return rows (N, b, p), scaled, below those of the closures.
+
+    Where redundant rows were left out these are an orthonormal basis of all rows times these, the one nearest to the
+    rows that count: which rows say all may change along the motion.
+    """
+    robot, r, speed = system.robot, len(system.rows), velocity_scale(system.robot)[system.pose_columns]
+    closures = state.K[:, :r] * (system.closure_scale[:, None] / speed)
+    if robot.all_closures:
+        whole = constraint_system(with_all_rows(robot))
+        every = whole.evaluate(state.q).Jc[:, :, system.pose_columns] * (whole.closure_scale[:, None] / speed)
+        _, values, right = np.linalg.svd(every, full_matrices=False)
+        u, _, vt = np.linalg.svd(closures @ right[:, :r].transpose(0, 2, 1) / values[:, None, :r])
+        closures = u @ vt @ (values[:, :r, None] * right[:, :r])
+    stacked: Array = np.concatenate([closures, rows * (scale[:, None] / speed)], axis=1)
+    return stacked
 
 
 def actuation_matrix(system: ConstraintSystem, serial: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, Frozen, frozen
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
-from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, made_up
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import Point, continuous
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows, row_scale
 from redundancy_pin.kinematics.lift import SAME_CONFIGURATION, lift
@@ -362,8 +362,7 @@ def find_crossings(
     type_i = zeros(lambda times: path.margins(times).serial, path.t, SERIAL_TOUCH)
     slack = _PROBE * float(np.diff(path.t).max())
     alone = [one for one in type_ii if not any(_overlap(one, other, slack) for other in type_i)]
-    lost = [zero for zero in type_i if not made_up(robot, path.configurations(np.array([zero.t]))[0])]
-    met = [_described(path, zero, SingularityKind.TYPE_I) for zero in lost]
+    met = [_described(path, zero, SingularityKind.TYPE_I) for zero in type_i]
     met += [_described(path, zero, SingularityKind.TYPE_II) for zero in alone]
     return tuple(sorted(met, key=lambda crossing: crossing.t))
 

@@ -9,6 +9,7 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.crosscheck.closed_forward import ClosedForward
 from redundancy_pin.errors import UnreachablePoseError
+from redundancy_pin.singularities.classify import SingularityKind
 
 CLOSED = 1e-10
 """m and rad, ten roundings of Newton's method."""
@@ -65,6 +66,9 @@ def test_rows_that_others_make_up_for_are_no_singularities(bennett, turn):
     margin = np.abs(turn.closure_margin())
     assert margin.min() < 0.02 * margin.max()  # of the rows that count
     assert rp.find_crossings(bennett, turn.motion) == ()
+    at = rp.classify(bennett, turn.tree.q)
+    assert set(at.kind) == {SingularityKind.REGULAR}
+    assert at.serial_margin.min() > 0.1 * at.serial_margin.max()
     run = rp.simulate(bennett, duration=3.0, dt=0.05)
     assert (run.status.value, run.events) == ("completed", ())
     assert max(run.gap.max(), open_by(bennett, run.q)) < CLOSED
