@@ -128,6 +128,20 @@ def test_the_imbalance_is_relative_to_the_largest_f(whole: Plan) -> None:
     assert result.imbalance == pytest.approx(np.linalg.norm(f, axis=1).max() / np.abs(f).max(), rel=1e-9)
 
 
+def test_the_imbalance_of_a_robot_that_needs_no_effort_is_in_newtons() -> None:
+    """At rest on a horizontal plane all of f is zero, and nothing to be relative to."""
+    dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
+    still = reference.circle().sample(dt=0.2, two_sided=False)
+    still = replace(still, x=0.0 * still.x + still.x[0], xd=0.0 * still.xd, xdd=0.0 * still.xdd)
+    plan = rp.plan_stepwise(dynamics, still)
+    reduced = dynamics.reduce(plan.motion, plan.carriers)
+    assert not reduced.f.any()
+    pushed = rp.check_plan(replace(plan, tau=plan.tau + 3.0), dynamics)
+    expected = np.linalg.norm(3.0 * reduced.W.sum(axis=2) / reduced.row_scale, axis=1)
+    assert pushed.imbalance == pytest.approx(expected.max(), rel=1e-9)
+    assert not pushed.passed
+
+
 def test_the_dynamics_of_another_robot_are_refused(whole: Plan) -> None:
     with pytest.raises(InputError, match="for another robot"):
         rp.check_plan(whole, rp.VirtualWork(rp.load_robot("3rrr", platform_mass=2.0)))

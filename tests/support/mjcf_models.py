@@ -54,7 +54,9 @@ SPATIAL = """<mujoco model="spatial">
       <body name="slider" pos="0.1 0.2 0.3" axisangle="1 1 0 30">
         <inertial pos="0.01 0.02 0.03" quat="0.9 0.1 0.2 0.3" mass="1.5" diaginertia="0.02 0.03 0.04"/>
         <joint name="slide" type="slide" stiffness="50" springref="0.3" axis="1 2 3" pos="0.1 0.2 0.3" ref="0.05"/>
-        <joint name="turn" axis="0 1 0" pos="0.05 0 0.02" ref="20" range="-90 90"/>
+        <frame pos="0.02 0.01 -0.03" euler="10 0 20">
+          <joint name="turn" axis="0 1 0" pos="0.05 0 0.02" ref="20" range="-90 90"/>
+        </frame>
         <geom type="box" size="0.1 0.05 0.02"/>
         <body name="rod" pos="0 0 0.2" zaxis="1 0 1">
           <joint name="ball" type="ball" pos="0 0.01 0" armature="0.02" damping="0.3"/>

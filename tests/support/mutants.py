@@ -108,7 +108,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "/",
     ): "the size of a tolerance: off by the square of a length of about a metre",
     (
-        "planners/receding_horizon/planner.py",
+        "planners/receding_horizon/programme.py",
         "np.where(np.isfinite(width), 0.5 * width, 1.0),",
         "0.5*",
     ): "the unit of an unknown, which the programme is solved in",
@@ -172,6 +172,16 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "result: BoolArray = (mode_indicator(robot, q) * wanted > 0.0).all(axis=1)",
         "*",
     ): "what is wanted are signs",
+    (
+        "kinematics/inverse_kinematics.py",
+        "away[:, turning] = (away[:, turning] + np.pi) % (2.0 * np.pi) - np.pi",
+        "+",
+    ): "a whole turn, which the remainder takes away",
+    (
+        "robot/formats/duals.py",
+        'negated = text.strip().startswith("-") != (math.copysign(1.0, value) < 0.0)',
+        "1.0",
+    ): "asks for a sign",
 }
 """Path, line and operators of changes that change no result, and why: they are not drawn."""
 

@@ -17,7 +17,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import Line, Trajectory, circle_path, corner_path, from_points, through_points
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.points import MOST_POINTS, read_points
-from redundancy_pin.trajectory.time_optimal import BLEND, fastest_law, least_duration
+from redundancy_pin.trajectory.time_optimal import BLEND, STEPS, fastest_law, least_duration
 from redundancy_pin.trajectory.timing import law_through_speeds
 
 POINTS = np.array([[0.0, 0.0], [0.2, 0.1], [0.3, 0.4], [0.1, 0.5], [0.0, 0.3]])
@@ -174,6 +174,22 @@ def test_the_fastest_law_keeps_limits_where_a_spline_turns_back_within_a_millime
     point, pd = path.evaluate(at.p), at.pd[:, None]
     assert np.linalg.norm(point.tangent * pd, axis=1).max() <= 2.0
     assert 4.0 < np.linalg.norm(point.tangent * at.pdd[:, None] + point.curvature * pd**2, axis=1).max() <= 5.0
+
+
+@pytest.mark.parametrize(
+    ("path", "most"),
+    [
+        (Line((0.0, 0.0), (1.0, 0.0)), 5),
+        (circle_path((0.0, 0.0), 0.5), 5),
+        (through_points([[-0.6, 0.4], [0.9, -0.35], [-0.55, 0.26], [0.1, -0.9]]), 40),
+    ],
+)
+def test_the_path_is_looked_at_closely_only_where_it_bends(path: Any, most: int, monkeypatch: Any) -> None:
+    """A line and a circle at the least number of places, a spline that turns back within a millimetre at more."""
+    looked, evaluate = [], type(path).evaluate
+    monkeypatch.setattr(type(path), "evaluate", lambda self, p, *a: looked.append(np.size(p)) or evaluate(self, p, *a))
+    least_duration(path, 1.0, 2.0)
+    assert sum(looked) <= most * (STEPS + 1) + 1
 
 
 def test_speeds_of_uniform_acceleration_give_just_that() -> None:
