@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin.kinematics.assembly import integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem, Row, RowSet
-from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot import AXES, Closure, Platform, Robot
 
 MASKS = tuple(mask for size in range(1, 7) for mask in itertools.combinations(AXES, size))
 PLACEMENT_A = pin.SE3(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), np.array([0.1, 0.3, -0.2]))
@@ -234,6 +234,18 @@ def test_platform_rows_are_the_frames_world_aligned_jacobian(shipped: Robot) -> 
     for i in range(len(q)):
         expected = pin.computeFrameJacobian(shipped.model, data, q[i], frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         np.testing.assert_allclose(jx[i], expected[rows], atol=1e-12)
+
+
+@pytest.mark.parametrize("axes", [("x", "y", "z", "rx", "ry"), ("x", "y", "z", "rz"), AXES])
+def test_platform_rows_do_not_depend_on_the_closures_beside_them(axes: tuple[str, ...]) -> None:
+    """Some rows of a hinge have the other sign; those of the platform are Pinocchio's, with it and without."""
+    pair = dataclasses.replace(two_free_bodies(axes), platform=Platform("a", AXES))
+    q, _ = zoo.random_tree(pair, 3, 2)
+    for system in (ConstraintSystem(pair), ConstraintSystem(dataclasses.replace(pair, closures=()))):
+        for each, jx in zip(q, system.evaluate(q).Jx, strict=True):
+            at = pair.model.createData(), each, pair.model.getFrameId("a")
+            expected = pin.computeFrameJacobian(pair.model, *at, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            np.testing.assert_allclose(jx, expected, atol=1e-12)
 
 
 def test_independent_joints_select_their_own_velocity() -> None:
