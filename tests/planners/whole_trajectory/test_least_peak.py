@@ -244,6 +244,35 @@ def test_progress_and_the_time_bound_end_it(monkeypatch):
     assert asked == [0, 1, 2]
 
 
+@pytest.mark.parametrize(
+    ("limits", "settings", "let_out"),
+    [
+        (Limits(track=[0.0, 0.3]), {"end": "datum"}, "lower s"),
+        (Limits(track=[-0.3, 0.0]), {"end": "datum"}, "upper s"),
+        (Limits(track=[-0.3, 0.3]), {"start": 0.3, "end": "rest"}, "upper s"),
+        (Limits(track=[-0.3, 0.3], speed=0.2), {"start_speed": 0.2, "end": "rest"}, "lower sd, upper sd"),
+        (Limits(track=[-0.3, 0.3], speed=0.2), {"start_speed": -0.1, "end": "rest"}, ""),
+    ],
+)
+def test_limits_on_which_carriers_start_or_end_are_let_out_a_little_and_no_others(limits, settings, let_out):
+    """The solver needs an interior there; all others are kept with something to spare for rounding."""
+    problem = problem_of(VirtualWork(zoo.robot_of("2rpr")), CIRCLE, limits=limits, **settings)
+    own, sizes = problem.settings.limits, problem.scales
+    for name, size, ends in (("s", sizes.s, own.track.T), ("sd", sizes.sd, (-own.speed, own.speed))):
+        width = ends[1] - ends[0]
+        bounds = (bound * size for bound in scaled_bounds(problem)[name])
+        for side, sign, end, bound in zip(("lower", "upper"), (-1.0, 1.0), ends, bounds, strict=True):
+            beyond = sign * (bound - end) / width
+            if not np.isfinite(width).all():
+                assert name == "sd"
+            elif f"{side} {name}" in let_out.split(", "):
+                assert (beyond > 1e-11).all()
+                assert (beyond < 1e-9).all()
+            else:
+                assert (beyond > -2e-9).all()
+                assert (beyond < -1e-11).all()
+
+
 @pytest.fixture(scope="module")
 def systems():
     """Newton's equations at each iteration: no singular instants, limits that bind between nodes."""
