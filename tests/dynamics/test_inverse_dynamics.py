@@ -119,6 +119,21 @@ def test_reachable_stretches_are_looked_at_one_by_one() -> None:
     assert result.status is EffortStatus.UNBOUNDED_EFFORT
 
 
+def test_backends_without_a_tree_mark_what_is_out_of_reach_too() -> None:
+    """3 m beside the machine; what can be reached has the efforts of the other backend."""
+    robot = zoo.robot_of("3rrr")
+    t, x = np.linspace(0.0, 1.0, 3), np.tile(zoo.home_of(robot), (3, 1))
+    x[2, 0] += 3.0
+    still = PlatformMotion(t, x, 0.0 * x, 0.0 * x, check_rates=False)
+    ours, theirs = (
+        rp.inverse_dynamics(backend(robot), still, unreachable="mark").efforts
+        for backend in (rp.VirtualWork, rp.RneaDynamics)
+    )
+    assert (ours.status == SampleStatus.UNREACHABLE).tolist() == [False, False, True]
+    np.testing.assert_array_equal(ours.status, theirs.status)
+    np.testing.assert_allclose(ours.tau, theirs.tau, atol=1e-9)
+
+
 # --- the command ---
 
 

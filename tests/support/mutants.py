@@ -182,6 +182,11 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         'negated = text.strip().startswith("-") != (math.copysign(1.0, value) < 0.0)',
         "1.0",
     ): "asks for a sign",
+    (
+        "kinematics/coordinates.py",
+        "delta[..., turns] = (delta[..., turns] + np.pi) % (2.0 * np.pi) - np.pi",
+        "+",
+    ): "a whole turn, which the remainder takes away",
 }
 """Path, line and operators of changes that change no result, and why: they are not drawn."""
 
