@@ -17,7 +17,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray, checked, f
 from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
-from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem, with_all_rows
 from redundancy_pin.kinematics.coordinates import (
     gravity_acts,
     in_working_mode,
@@ -28,7 +28,7 @@ from redundancy_pin.kinematics.coordinates import (
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank
-from redundancy_pin.kinematics.selection import STAYS_CLOSED, selected
+from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
 from redundancy_pin.robot import Closure, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
 from redundancy_pin.robot.changes import changed_urdf
@@ -160,7 +160,7 @@ def robot_with(
     with file.naming():
         declaration = parse(file.data, robot.parameters)
         urdf = changed_urdf(robot.urdf, masses, lengths)
-        new = build(declaration, path, urdf, robot.parameters, robot.gravity.tolist(), mode)
+        new = _built(declaration, path, urdf, robot.parameters, robot.gravity.tolist(), mode)
         new = replace(
             new,
             urdf_folder=robot.urdf_folder,
@@ -197,9 +197,18 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     urdf, parameters = render(source_file, request.arguments, trust=request.trust)
     require_conditions(data, parameters)
     declaration = parse(data, parameters)
-    robot = build(declaration, request.path, urdf, parameters, request.gravity, request.working_mode)
+    robot = _built(declaration, request.path, urdf, parameters, request.gravity, request.working_mode)
     robot = replace(robot, urdf_folder=str(source_file.resolve().parent))
     return _closed(robot, declaration, lambda: reference_coordinates(robot, declaration.coordinates(parameters)))
+
+
+def _built(declaration: Declaration, *arguments: Any) -> Robot:
+    """Return what ``build`` makes of a declaration, without redundant closure rows where it says that there are any."""
+    robot = build(declaration, *arguments)
+    if not declaration.redundant_rows:
+        return robot
+    robot, _, notes = _with_rows_that_count(robot, redundant=True, rounded=True)
+    return replace(robot, notes=(*robot.notes, *notes))
 
 
 def _load_model(request: _Request, data: Mapping[str, Any]) -> Robot:
@@ -300,6 +309,15 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
         or characteristic_length(robot.model, q, robot.carriers),
     )
     check_reference_rank(ConstraintSystem(robot))
+    if robot.all_closures:
+        system = ConstraintSystem(with_all_rows(robot))
+        turned = float(system.misalignment(system.evaluate(np.array(robot.q_reference)[None]))[0])
+        if turned > TURNED_OVER:
+            raise DeclarationError(
+                f"At the reference of {robot.name} a hinge or weld closes the wrong way round, by {turned:.3g} rad.",
+                remedy="Name a `reference.guess` nearer to the right one.",
+                angle=turned,
+            )
     return robot
 
 
@@ -377,6 +395,7 @@ def robot_from_model(
     working_modes: Any = None,
     working_mode: Sequence[int] | None = None,
     characteristic_length: float | None = None,
+    redundant_rows: bool = False,
     urdf: str = "",
     urdf_folder: str = "",
 ) -> Robot:
@@ -389,6 +408,7 @@ def robot_from_model(
         **declared(model, arguments, at),
         "working_modes": working_modes,
         "characteristic_length": characteristic_length,
+        "redundant_rows": redundant_rows,
         "reference": reference if isinstance(reference, Mapping) else {},
         "gravity": model.gravity.linear.tolist(),
     }
@@ -448,31 +468,9 @@ def made(
         guess[listed] = robot.q_reference[listed]
         robot = replace(robot, q_reference=frozen(guess))
     notes: list[str] = []
-    whole: Robot | None = None
+    loose = loose or declaration.redundant_rows
     if loose or not data.get("independent"):
-        provisional = replace(robot, platform=None, independent_joints=())
-        selection = selected(
-            provisional, np.array(robot.q_reference), redundant=loose, rounded=bool(source), resisted=resisted
-        )
-        kept = selection.robot
-        robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
-        if selection.fixed_spins:
-            notes.append(
-                f"The spin of {', '.join(selection.fixed_spins)} about the line between two balls, which moves nothing "
-                "else, is held: one ball is a universal joint, the first where it has damping or armature; where both "
-                "have, this is an approximation."
-            )
-        if selection.left_out:
-            # rows that are left say less of the side on which a weld closes: what follows starts on the right one
-            every = _with_redundant_rows(kept.closures, provisional.closures)
-            whole, robot = provisional, replace(robot, q_reference=frozen(selection.q), all_closures=every)
-            rows, opened = ", ".join(selection.left_out), selection.opened
-            rounded = (
-                f" to {opened:.1g} (m or rad) nearby, as the file's numbers are rounded"
-                if opened > STAYS_CLOSED
-                else ""
-            )
-            notes.append(f"Redundant closure rows left out, the loops stay closed in them{rounded}: {rows}.")
+        robot, selection, notes = _with_rows_that_count(robot, redundant=loose, rounded=bool(source), resisted=resisted)
         if not data.get("independent"):
             robot = replace(robot, independent_joints=selection.independent)
             notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
@@ -486,17 +484,36 @@ def made(
     given = declaration.reference
     prescribed = given.platform is not None or given.joints is not None
     target = (lambda: reference_coordinates(robot, declaration.coordinates({}))) if prescribed else None
-    closed = _closed(robot, declaration, target)
-    if whole is not None:
-        system = ConstraintSystem(replace(closed, closures=whole.closures, couplings=whole.couplings))
-        turned = float(system.misalignment(system.evaluate(np.array(closed.q_reference)[None]))[0])
-        if turned > TURNED_OVER:
-            raise DeclarationError(
-                f"At the reference of {closed.name} a hinge or weld closes the wrong way round, by {turned:.3g} rad.",
-                remedy="Name a `reference.guess` nearer to the right one.",
-                angle=turned,
-            )
-    return replace(closed, notes=tuple(notes))
+    return replace(_closed(robot, declaration, target), notes=tuple(notes))
+
+
+def _with_rows_that_count(
+    robot: Robot, *, redundant: bool, rounded: bool, resisted: Collection[str] = ()
+) -> tuple[Robot, Selection, list[str]]:
+    """Return a robot without its redundant closure rows, what else was chosen, and what is to be said of it."""
+    notes: list[str] = []
+    provisional = replace(robot, platform=None, independent_joints=())
+    selection = selected(
+        provisional, np.array(robot.q_reference), redundant=redundant, rounded=rounded, resisted=resisted
+    )
+    kept = selection.robot
+    robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
+    if selection.fixed_spins:
+        notes.append(
+            f"The spin of {', '.join(selection.fixed_spins)} about the line between two balls, which moves nothing "
+            "else, is held: one ball is a universal joint, the first where it has damping or armature; where both "
+            "have, this is an approximation."
+        )
+    if selection.left_out:
+        # rows that are left say less of the side on which a weld closes: what follows starts on the right one
+        every = _with_redundant_rows(kept.closures, provisional.closures)
+        robot = replace(robot, q_reference=frozen(selection.q), all_closures=every)
+        rows, opened = ", ".join(selection.left_out), selection.opened
+        nearby = (
+            f" to {opened:.1g} (m or rad) nearby, as the file's numbers are rounded" if opened > STAYS_CLOSED else ""
+        )
+        notes.append(f"Redundant closure rows left out, the loops stay closed in them{nearby}: {rows}.")
+    return robot, selection, notes
 
 
 def _with_redundant_rows(closures: tuple[Closure, ...], all_rows: tuple[Closure, ...]) -> tuple[Closure, ...]:

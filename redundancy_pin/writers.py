@@ -466,8 +466,11 @@ def _declaration(robot: Robot, urdf: str) -> str:
             positions[str(name)] = float(q[joint.idx_q] if joint.nq == 1 else np.arctan2(*q[joint.idx_q :][1::-1]))
     data: dict[str, Any] = {"name": robot.name, "urdf": urdf, "gravity": robot.gravity.tolist()}
     data["closures"] = [
-        {"name": each.name, "frames": [each.frame_a, each.frame_b], "axes": list(each.axes)} for each in robot.closures
+        {"name": each.name, "frames": [each.frame_a, each.frame_b], "axes": list(each.axes)}
+        for each in robot.all_closures or robot.closures
     ]
+    if robot.all_closures:
+        data["redundant_rows"] = True
     data["couplings"] = [
         {
             "name": each.name,

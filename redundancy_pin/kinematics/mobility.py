@@ -37,8 +37,8 @@ def check_mobility(system: ConstraintSystem) -> None:
         kind, only = "over", ""
         where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
         remedy = (
-            "Take the redundant axes out of the closures (a planar pin joint is [x, y]), or declare fewer independent "
-            "velocities."
+            "Take the redundant axes out of the closures (a planar pin joint is [x, y]), or, where the loops move all "
+            "the same, say `redundant_rows: true`; or declare fewer independent velocities."
         )
     else:
         kind, only, where = "under", "only ", _left_free(system)
@@ -85,7 +85,8 @@ def check_reference_rank(system: ConstraintSystem) -> None:
             f"Grübler's count gives {robot.name} {robot.n} freedoms, but its closure rows have rank {rank} of "
             f"{len(system.rows)} at the reference: {len(system.pose_columns) - rank} freedoms. Redundant: "
             f"{', '.join(redundant)}.",
-            remedy="Take the redundant axes out of the closures and add the ones that are missing.",
+            remedy="Take the redundant axes out of the closures and add the ones that are missing; or, where the loops "
+            "move all the same, say `redundant_rows: true`.",
             rank=rank,
         )
     projection = project(system, state)

@@ -267,6 +267,7 @@ class Declaration(Schema):
         {}, description=f"a mapping of joints of the URDF to {', '.join(KINDS)}"
     )
     closures: Annotated[tuple[ClosureEntry, ...], Field(description="a list of mappings")] = ()
+    redundant_rows: bool = Field(False, description="true or false")
     couplings: Annotated[tuple[CouplingEntry, ...], Field(description="a list of mappings")] = ()
     actuated: Names
     carriers: Annotated[tuple[CarrierEntry, ...], Field(description="a list of mappings")] = ()

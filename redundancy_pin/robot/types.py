@@ -202,7 +202,8 @@ class Robot(Frozen):
             name: what to call it; the model's own name when left out.
             couplings: joints that follow others, each a ``Coupling``, a mapping ``{"joint": ..., "of": ...,
                 "polynomial": [...]}``, or a tuple of the three.
-            **more: ``working_modes``, ``characteristic_length`` as in a ``robot.yaml``; ``working_mode``, ±1 a leg;
+            **more: ``working_modes``, ``characteristic_length``, ``redundant_rows`` as in a ``robot.yaml``, the latter
+                for closures of any kind; ``working_mode``, ±1 a leg;
                 ``urdf``, text of the URDF that its shapes are drawn from, and ``urdf_folder`` of its mesh files.
 
         Raises:

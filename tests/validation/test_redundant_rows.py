@@ -8,7 +8,7 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.crosscheck.closed_forward import ClosedForward
-from redundancy_pin.errors import UnreachablePoseError
+from redundancy_pin.errors import DeclarationError, UnreachablePoseError
 from redundancy_pin.singularities.classify import SingularityKind
 
 CLOSED = 1e-10
@@ -110,6 +110,27 @@ def _ends(robot):
     """Joints and placements of the weld's frames."""
     frames = [robot.model.frames[robot.model.getFrameId(f"constraint_1_{end}")] for end in "ab"]
     return (part for frame in frames for part in (frame.parentJoint, frame.placement))
+
+
+def test_a_declaration_says_that_rows_are_redundant(bennett, tmp_path):
+    """Else they are refused by name; written files say it."""
+    path = bennett.to_urdf(tmp_path / "bennett.urdf").with_suffix(".yaml")
+    again = rp.load_robot(path)
+    assert again.all_closures == bennett.all_closures
+    assert again.closures == bennett.closures
+    assert any("Redundant closure rows left out" in note for note in again.notes)
+    motion = rp.PlatformMotion([0.0], [[1.0]], [[2.0]], [[3.0]])
+    f = [rp.RneaDynamics(robot).reduce(motion).f for robot in (bennett, again)]
+    np.testing.assert_allclose(f[1], f[0], rtol=1e-9)
+    text = path.read_text()
+    assert "redundant_rows: true" in text
+    path.write_text(text.replace("redundant_rows: true", "redundant_rows: false"))
+    with pytest.raises(DeclarationError, match=r"over-constrained.*redundant: .*redundant_rows: true"):
+        rp.load_robot(path)
+    roles = {"actuated": ["hinge_1"], "independent": ["hinge_1"], "reference": np.array(bennett.q_reference)}
+    closures = [("constraint_1_a", "constraint_1_b", ["x", "y", "z", "rx", "ry", "rz"])]
+    free = rp.Robot.from_model(bennett.model, closures=closures, redundant_rows=True, **roles)
+    assert len(free.all_closures[0].axes) == 6
 
 
 def test_rows_that_open_are_noticed():
