@@ -57,6 +57,9 @@ BESIDE = 1e-8
 TINY = 1e-30
 """Complex step: derivatives without differences."""
 
+BEND = 1e-3
+"""Central differences of these, m and m/s, for second derivatives: exact but for carriers that turn."""
+
 KEPT = 3
 """Steps that are past and still kept, for the nodes around a singular instant that is past."""
 
@@ -99,6 +102,17 @@ class Coefficients:
         by_term = np.concatenate([by_term[:1].real, by_term.imag / TINY]).transpose(1, 2, 0, 3)
         all_of = by_term @ self.terms[places]  # (N, k, 4, n + k)
         return self.constant[places] + all_of[:, :, 0].sum(axis=1), all_of[:, :, 1:].transpose(2, 0, 3, 1)
+
+    def curvature(self, places: IntArray, s: Array, sd: Array, sdd: Array, along: Array) -> Array:
+        """Return second derivatives (N, k, 3, 3) of f along directions (N, n), by s, ṡ and s̈ of each carrier."""
+        count, n = self.terms.shape[2], along.shape[1]
+        by_term = (self.terms[places][..., :n] @ along[:, None, :, None])[..., 0]  # (N, k, T)
+        steps = BEND * np.stack([np.eye(3), -np.eye(3)])[:, None] + 1j * TINY * np.eye(3)[:, None]
+        at = np.stack([s, sd, sdd]) + steps[..., None, None]  # (2, 3 by steps i, 3 by steps of size h, 3, N, k)
+        s, sd, sdd = np.moveaxis(at, 3, 0)
+        slope = np.stack(terms(s, sd, sdd, count, np), axis=-1).imag / TINY
+        second: Array = ((slope[0] - slope[1]) * by_term).sum(axis=-1) / (2.0 * BEND)
+        return second.transpose(2, 3, 0, 1)
 
 
 _NAMES = tuple(field.name for field in fields(Coefficients))
@@ -272,6 +286,7 @@ class Linearised:
         W_rate: (q, m) uᵀ Ẇ.
         f_rate: (q,) uᵀ f̄′.
         slope_rates: four (q, k) of uᵀ ḟ, by δs, δṡ, δs̈ and s⃛.
+        curvature: (N, k, 3, 3) second derivatives of −yᵀ f by s, ṡ and s̈, with the multipliers y of W τ = f.
         row_scale: (n,) see ``ReducedDynamics``.
         until: s, after which nothing is known.
     """
@@ -289,12 +304,18 @@ class Linearised:
     W_rate: Array
     f_rate: Array
     slope_rates: tuple[Array, ...]
+    curvature: Array
     row_scale: Array
     until: float
 
     @staticmethod
-    def about(ahead: Ahead, nodes: Array, singular: IntArray, at: tuple[Array, ...], until: float) -> Linearised:
-        """Return it about a motion of the carriers, three (N, k); what is after ``until``, s, is not known."""
+    def about(
+        ahead: Ahead, nodes: Array, singular: IntArray, at: tuple[Array, ...], multipliers: Array, until: float
+    ) -> Linearised:
+        """Return it about a motion of the carriers, three (N, k), and multipliers (N, n) of W τ = f there.
+
+        What is after ``until``, s, is not known.
+        """
         q, count, times = len(singular), len(nodes), nodes
         if q:
             shift = np.repeat([-DIFFERENCE, DIFFERENCE], q)
@@ -318,8 +339,11 @@ class Linearised:
 
         by_s, by_sd, by_sdd = np.einsum("qn,dqnk->dqk", u, by_f[:, singular])
         own = np.arange(at[0].shape[1])
+        s, sd, sdd = at
+        curvature = coefficients.curvature(places[:count], s, sd, sdd, -multipliers)
         return Linearised(
             nodes, singular, (nodes <= until + SAME) & np.logical_and.accumulate(coefficients.known[places[:count]]),
             at, W[:count], f[:count], by_f[:, :count], value[:count, n:], by[:, :count, n + own, own], u, rate(W),
-            rate(f), (rate(by_f[0]), by_s + rate(by_f[1]), by_sd + rate(by_f[2]), by_sdd), ahead.row_scale, until,
+            rate(f), (rate(by_f[0]), by_s + rate(by_f[1]), by_sd + rate(by_f[2]), by_sdd), curvature,
+            ahead.row_scale, until,
         )  # fmt: skip

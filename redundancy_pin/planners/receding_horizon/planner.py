@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import BPoly, PPoly
 
 from redundancy_pin.arrays import Array, each, frozen, one_of, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics, require_dynamics
@@ -40,8 +42,11 @@ CUT_OFF = 1e-3
 
 MOST_ROUNDS = 5
 
-PROXIMAL = 3.0
-"""Weight of the squared change of s̈ from round to round: they would go to and fro between two plans of one cost."""
+LINEAR = 1e-2
+"""Fraction of f by which a plan may miss W τ = f at a node, f being linear in its programme: else it has one more."""
+
+ASIDE = 0.6
+"""Fraction of half the tracks out to which other motions to begin with go."""
 
 SHORTEST_STOP = 1e-6
 """s; a carrier that stops sooner stands."""
@@ -56,14 +61,28 @@ FIRST_ROUNDS = 3
 """Programmes of the first tick, each about the plan of the one before."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """A plan, and what the next one begins with.
+
+    ``nodes`` (N,) s; ``multipliers`` (N, n) of W τ = f there; ``left``: by which fraction of f that is missed at most.
+    """
+
+    command: Command
+    nodes: Array
+    multipliers: Array
+    left: float
+
+
 class RecedingHorizon:
     """Plans the carriers and the efforts again and again, over the path known for a short time ahead.
 
-    Each tick solves one convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, from a fifth of a second on 40,
-    fixed in time, with s̈ linear in between, W τ = f linear about the last plan, and the limits of the carriers between
-    the nodes too. W⁻¹ is not formed: type II singularities ahead become nodes with what makes τ finite and continuous
-    there (``ahead``). At the end of the horizon the carriers can still stop on their tracks, so there always is a
-    motion within their limits.
+    Each tick solves a convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, from a fifth of a second on 40,
+    fixed in time, with s̈ linear in between, W τ = f linear about the last plan, its curvature in the cost as far as
+    that is convex, and the limits of the carriers between the nodes too. Where that is too far off it solves another.
+    W⁻¹ is not formed: type II singularities ahead become nodes with what makes τ finite and continuous there
+    (``ahead``). At the end of the horizon the carriers can still stop on their tracks, so there always is a motion
+    within their limits.
 
     Args:
         dynamics: a backend; ``CompiledDynamics`` is the fastest by far.
@@ -119,7 +138,8 @@ class RecedingHorizon:
         self.limits = grouped("limits", limits, Limits, **flat)
         self._source: object = None
         self._ahead: Ahead
-        self._last: Command | None = None
+        self._last: _Round | None = None
+        self._guesses = 0
         self._sizes: TickScales | None = None
         self.largest = 0.0
 
@@ -178,19 +198,46 @@ class RecedingHorizon:
         )
         last, until = self._last, min(t + self.horizon, known.end)
         self._ahead.look(t, until)
-        command = self._plan(t, until, given, last, last)
-        for rounds in range(1, MOST_ROUNDS):
-            if rounds >= (FIRST_ROUNDS if last is None else 1) and not self._is_rough(t, command):
-                break
-            another = self._plan(t, until, given, last, command)
-            if another.status is not PlanningStatus.PLANNED:
-                break
-            command = another
+        plan = self._rounds(t, until, given, last)
+        if last is not None and plan.command.status is PlanningStatus.ELASTIC:
+            # it may be stuck where W τ = f is missed least nearby
+            another = self._rounds(t, until, given, self._guess(t, until, last))
+            if another.command.status is PlanningStatus.PLANNED:
+                plan = another
+        command = plan.command
         if command.status is PlanningStatus.PLANNED:
             command = self._checked_between(t, command)
-        self._last = command = replace(command, seconds=time.perf_counter() - began)
+        command = replace(command, seconds=time.perf_counter() - began)
+        self._last = replace(plan, command=command)
         self.largest = max(self.largest, float(np.abs(command.efforts(np.linspace(t, t + self.step, 5))).max()))
         return command
+
+    def _rounds(self, t: float, until: float, given: tuple[Array | None, ...], about: _Round | None) -> _Round:
+        """Return a plan after as many programmes as it takes, each linear about the plan of the one before."""
+        plan = self._plan(t, until, given, about)
+        for done in range(1, MOST_ROUNDS):
+            if done >= (FIRST_ROUNDS if about is None else 1) and self._is_settled(t, plan):
+                break
+            another = self._plan(t, until, given, plan)
+            worse = another.command.status is not PlanningStatus.PLANNED
+            if worse and plan.command.status is PlanningStatus.PLANNED:
+                break
+            plan = another
+        return plan
+
+    def _guess(self, t: float, until: float, last: _Round) -> _Round:
+        """Return a motion to begin with, each time another one: to rest nearby, in the middle, towards a corner."""
+        s, sd, sdd = last.command.motion_at(t)
+        track, bound = self.resolved.track, np.isfinite(self.resolved.track).all(axis=1)
+        middle, half = np.where(bound, track.mean(axis=1), s), np.where(bound, 0.5 * np.diff(track)[:, 0], 0.0)
+        nearby = s + 0.5 * sd * np.abs(sd) / self.resolved.acceleration
+        corners = [middle + ASIDE * half * np.array(side) for side in product((-1.0, 1.0), repeat=self.robot.k)]
+        targets = [nearby, middle, *corners]
+        target = targets[self._guesses % len(targets)]
+        self._guesses += 1
+        curve = BPoly.from_derivatives([t, until], [[s, sd, sdd], [target, 0.0 * s, 0.0 * s]])
+        carriers = PiecewisePolynomial(curve.x, PPoly.from_bernstein_basis(curve).c)
+        return replace(last, command=replace(last.command, carriers=carriers), multipliers=0.0 * last.multipliers)
 
     def _checked_between(self, t: float, command: Command) -> Command:
         """Return a command whose status and residual know of what the efforts' limits cut off up to the next node.
@@ -223,33 +270,32 @@ class RecedingHorizon:
         """
         if self._last is None:
             raise InputError("There is no plan to go on with.", remedy="Call update first.")
-        return replace(self._last, t=self._tick(t), status=PlanningStatus.FALLBACK, reason="the tick was missed")
+        return replace(
+            self._last.command, t=self._tick(t), status=PlanningStatus.FALLBACK, reason="the tick was missed"
+        )
 
     def _tick(self, t: float) -> float:
         """Return the time of a tick, s, after checking that it goes on from the last one."""
         t = float(each(t, "t", (1,), finite=True)[0])
-        if self._last is not None and t < self._last.t:
+        if self._last is not None and t < self._last.command.t:
             raise InputError(
-                f"The tick is at t = {t:.6g} s, after one at {self._last.t:.6g} s.", remedy="Go on in time."
+                f"The tick is at t = {t:.6g} s, after one at {self._last.command.t:.6g} s.", remedy="Go on in time."
             )
         return t
 
-    def _is_rough(self, t: float, command: Command) -> bool:
-        """Return whether a plan leaves force out next to a singular instant, which another round would put right."""
+    def _is_settled(self, t: float, plan: _Round) -> bool:
+        """Return whether another round would bring nothing."""
+        command = plan.command
+        if command.status is not PlanningStatus.PLANNED:
+            return command.status is not PlanningStatus.ELASTIC
         roots = command.singular
-        near = ((roots > t) & (roots < t + CONVERGED * self.step)).any()
+        near = bool(((roots > t) & (roots < t + CONVERGED * self.step)).any())
         exact = self._sizes is None or command.residual <= EXACT * float(self._sizes.row.max())
-        return bool(near) and command.status is PlanningStatus.PLANNED and not exact
+        return plan.left <= LINEAR and (exact or not near)
 
-    def _plan(
-        self,
-        t: float,
-        until: float,
-        given: tuple[Array | None, ...],
-        last: Command | None,
-        about: Command | None,
-    ) -> Command:
-        """Return a plan that goes on from the last one, with f linear about it or about that of the round before."""
+    def _plan(self, t: float, until: float, given: tuple[Array | None, ...], about: _Round | None) -> _Round:
+        """Return a plan that goes on from the last one, with f linear about that or that of the round before."""
+        last = self._last.command if self._last is not None else None
         step, k, ahead = self.step, self.robot.k, self._ahead
         coming = ahead.roots[ahead.roots > t - SAME]
         near = len(coming) and coming[0] <= t + NEAR * step and last is not None
@@ -265,11 +311,15 @@ class RecedingHorizon:
             pairs = zip(given, (own[0][0], own[1][0]), strict=True)
             s, sd = (planned if part is None or settled else part for part, planned in pairs)
             first = s, sd, own[2][0]
+        multipliers = np.zeros((len(nodes), self.robot.n))
         if about is None:
             at = tuple(np.tile(part, (len(nodes), 1)) for part in first)
         else:
-            at = extended(about.carriers, nodes)
-        lin = Linearised.about(ahead, nodes, singular, at, until)
+            at = extended(about.command.carriers, nodes)
+            places = np.searchsorted(about.nodes, nodes - SAME).clip(max=len(about.nodes) - 1)
+            same = np.abs(about.nodes[places] - nodes) <= SAME
+            multipliers[same] = about.multipliers[places[same]]
+        lin = Linearised.about(ahead, nodes, singular, at, multipliers, until)
         if self._sizes is None:
             self._sizes = TickScales.of(lin)
         sizes = self._sizes
@@ -280,7 +330,6 @@ class RecedingHorizon:
         if last is not None:
             piece = max(int(np.searchsorted(last.carriers.edges, nodes[0])) - 1, 0)
             jerk = 6.0 * last.carriers.coefficients[-4, min(piece, len(last.carriers.edges) - 2)]
-        proximal = PROXIMAL if about is not last else 0.0
         problem = TickProblem(
             lin,
             self.resolved,
@@ -289,35 +338,34 @@ class RecedingHorizon:
             first,
             last is None,
             jerk,
-            proximal,
             step,
             self.horizon,
             self.largest,
         )
         return self._command(problem, t, last, coming)
 
-    def _command(self, problem: TickProblem, t: float, last: Command | None, roots: Array) -> Command:
+    def _command(self, problem: TickProblem, t: float, last: Command | None, roots: Array) -> _Round:
         """Return what to do from t, s, on; the last command where the programme has no solution.
 
         Raises:
             InfeasiblePlanError: nor is there a last one.
         """
         lin, (s, sd, _) = problem.lin, problem.first
-        began, status, reason, solved = time.perf_counter(), PlanningStatus.PLANNED, "", False
-        if not self._is_beyond(s, sd):
-            x, solved = self.programme(False).solve(problem)
-        if not solved:
-            x, solved = self.programme(True).solve(problem)
+        began, status, reason = time.perf_counter(), PlanningStatus.PLANNED, ""
+        solution = None if self._is_beyond(s, sd) else self.programme(False).solve(problem)
+        if solution is None:
+            solution = self.programme(True).solve(problem)
             status, reason = PlanningStatus.ELASTIC, "no plan keeps every limit"
         seconds = time.perf_counter() - began
-        if not solved:
-            if last is None:
+        if solution is None:
+            if last is None or self._last is None:
                 raise InfeasiblePlanError(
                     f"No plan was found at t = {t:.6g} s.", remedy="Start elsewhere, or widen the limits.", time=t
                 )
             reason = "the solver found none"
-            return replace(last, t=t, status=PlanningStatus.FALLBACK, reason=reason, solver_seconds=seconds)
-        programme = self.programme(status is PlanningStatus.ELASTIC)
+            command = replace(last, t=t, status=PlanningStatus.FALLBACK, reason=reason, solver_seconds=seconds)
+            return replace(self._last, command=command, left=0.0)
+        (x, multipliers), programme = solution, self.programme(status is PlanningStatus.ELASTIC)
         a = x[programme.sdd] * units_of(self.resolved)[2]
         h = np.diff(lin.nodes)[:, None]
         # integrated once more: the solver's own are off by its tolerance
@@ -325,9 +373,11 @@ class RecedingHorizon:
         moved = np.cumsum(h * speeds[:-1] + h**2 / 6.0 * (2.0 * a[:-1] + a[1:]), axis=0)
         places = s + np.concatenate([0.0 * a[:1], moved])
         carriers = self._with_stop(lin.nodes, places, speeds, a)
-        efforts, forces, residual, peak = self._efforts(
-            problem, (places, speeds, a), carriers, x[programme.tau] * problem.sizes.tau
-        )
+        tau, counts = x[programme.tau] * problem.sizes.tau, problem.counts
+        efforts, forces, residual, peak = self._efforts(problem, carriers, tau)
+        f = self._ahead.known.values(self._ahead.at(lin.nodes[counts]), places[counts], speeds[counts], a[counts])
+        missed = np.einsum("nij,nj->ni", lin.W[counts], tau[counts]) - f[:, : self.robot.n]
+        left = float(np.abs(missed / problem.sizes.row).max(initial=0.0))
         if lin.nodes[0] > t + SAME and last is not None:  # to the singular instant by the last plan
             carriers, efforts = (
                 PiecewisePolynomial.joined([old.between(t, float(lin.nodes[0])), new])
@@ -338,9 +388,10 @@ class RecedingHorizon:
         if len(unknown) and lin.nodes[unknown[0]] <= lin.until + SAME:
             status = PlanningStatus.REFUSED
             reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go"
-        return Command(
+        command = Command(
             t, status, reason, carriers, efforts, forces, residual, peak, frozen(roots), known_until, 0.0, seconds
         )
+        return _Round(command, lin.nodes, multipliers, left)
 
     def _is_beyond(self, s: Array, sd: Array) -> bool:
         """Return whether a start is beyond the limits by more than rounding: then no plan keeps them."""
@@ -362,7 +413,7 @@ class RecedingHorizon:
         return PiecewisePolynomial.taylor(np.append(nodes[:-1], nodes[-1] + after), *whole, jerk)
 
     def _efforts(
-        self, problem: TickProblem, plan: tuple[Array, ...], carriers: PiecewisePolynomial, tau: Array
+        self, problem: TickProblem, carriers: PiecewisePolynomial, tau: Array
     ) -> tuple[PiecewisePolynomial, PiecewisePolynomial, float, float]:
         """Return efforts and carriers' forces as functions of time, the residual at the nodes, the largest effort."""
         ahead, lin, n = self._ahead, problem.lin, self.robot.n

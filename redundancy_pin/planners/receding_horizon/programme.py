@@ -64,8 +64,7 @@ class TickProblem:
     """What a tick asks for.
 
     ``first``: s, ṡ and s̈ (k,) at the start, s̈ of which is ``free`` in a first plan; ``jerk`` (k,) there of the last
-    plan; ``proximal``: weight of the change of s̈ from what ``lin`` is about; ``step``, ``horizon``: s; ``largest``:
-    |τ| so far, N or N·m.
+    plan; ``step``, ``horizon``: s; ``largest``: |τ| so far, N or N·m.
     """
 
     lin: Linearised
@@ -75,7 +74,6 @@ class TickProblem:
     first: tuple[Array, ...]
     free: bool
     jerk: Array | None
-    proximal: float
     step: float
     horizon: float
     largest: float
@@ -102,6 +100,11 @@ class Rows:
             columns = (np.stack([np.ravel(part) for part in np.broadcast_arrays(*columns)], axis=1),)
         self.blocks[name] = len(columns[0])
         self._columns.append(columns[0])
+
+    def rows(self, name: str) -> slice:
+        """Return where the rows of a block are."""
+        sizes, place = list(self.blocks.values()), list(self.blocks).index(name)
+        return slice(sum(sizes[:place]), sum(sizes[: place + 1]))
 
     def finish(self, sparse: Any, variables: int) -> None:
         """Order the entries by column, as solvers want them."""
@@ -165,7 +168,11 @@ class Programme:
             within.add("force", s, sd, sdd)
         for rows in (equal, within):
             rows.finish(sparse, self.variables)
-        pair, every = [sdd[first].ravel(), sdd[last].ravel()], np.arange(self.variables)
+        pair = [
+            np.concatenate([part.ravel() for part in side])
+            for side in ((sdd[first], s, s, sd), (sdd[last], sd, sdd, sdd))
+        ]
+        every = np.arange(self.variables)
         down, across = np.concatenate([every, *pair]), np.concatenate([every, *pair[::-1]])
         self._order = np.lexsort((down, across))
         starts = np.searchsorted(across[self._order], np.arange(self.variables + 1))
@@ -173,8 +180,8 @@ class Programme:
         self._cost = sparse.csc_matrix((np.zeros(len(down)), down[self._order], starts), shape=shape)
         self._solver: Any = None
 
-    def solve(self, problem: TickProblem) -> tuple[Array, bool]:
-        """Return the variables, and whether they are an optimum."""
+    def solve(self, problem: TickProblem) -> tuple[Array, Array] | None:
+        """Return the variables and the multipliers (N, n) of W τ = f, or None where no optimum is found."""
         values = self.numbers_of(problem)
         for relative in RELATIVE:
             if self._solver is None:
@@ -185,11 +192,11 @@ class Programme:
             solved = self._solver.solve() == self._piqp.PIQP_SOLVED
             info = self._solver.result.info
             near = info.primal_res < ENOUGH and max(info.dual_res, info.duality_gap_rel) < 100.0 * ENOUGH
-            x = np.array(self._solver.result.x)
+            x, y = np.array(self._solver.result.x), np.array(self._solver.result.y)
             if (solved or near) and np.isfinite(x).all():
-                return x, True
+                return x, y[self.equal.rows("dynamics")].reshape(problem.lin.f.shape) / problem.sizes.row
             self._solver = None
-        return x, False
+        return None
 
     def _new_solver(self, relative: float) -> Any:
         solver = self._piqp.SparseSolver()
@@ -230,8 +237,7 @@ class Programme:
         diagonal, q = np.full(self.variables, 1e-8), np.zeros(self.variables)
         diagonal[self.tau] = w.effort * share
         diagonal[self.s] += w.centre * share
-        diagonal[self.sdd] = (w.acceleration + problem.proximal) * share
-        q[self.sdd] = -problem.proximal * share * lin.at[2] / ua
+        diagonal[self.sdd] = w.acceleration * share
         diagonal[self.s[-1]] += 2.0 * w.end
         diagonal[self.sd[-1]] += 2.0 * w.end_speed
         diagonal[self.missing] = w.missing
@@ -240,7 +246,15 @@ class Programme:
         jerk = w.jerk * (problem.step / np.diff(lin.nodes))[:, None] * problem.step / problem.horizon * np.ones(len(us))
         diagonal[self.sdd[:-1]] += 2.0 * jerk
         diagonal[self.sdd[1:]] += 2.0 * jerk
-        beside = -2.0 * jerk.ravel()
+        # curvature of the constraints, as far as it is convex: without it the plans of two ticks may go to and fro
+        sizes = np.stack(units, axis=1)  # (k, 3)
+        size, axes = np.linalg.eigh(lin.curvature * sizes[:, :, None] * sizes[:, None])
+        bend = (axes * np.maximum(size, 0.0)[..., None, :]) @ axes.swapaxes(2, 3)
+        slope = (bend @ (np.stack(lin.at, axis=-1) / sizes)[..., None])[..., 0]
+        for i, place in enumerate((self.s, self.sd, self.sdd)):
+            diagonal[place] += bend[..., i, i]
+            q[place] -= slope[..., i]
+        beside = np.concatenate([-2.0 * jerk.ravel(), *(bend[..., i, j].ravel() for i, j in ((0, 1), (0, 2), (1, 2)))])
         self._cost.data[:] = np.concatenate([diagonal, beside, beside])[self._order]
         (b,) = self.equal.fill(self._equations(problem, units))
         least, most = self.within.fill(self._inequalities(problem, units, low, high, speed))

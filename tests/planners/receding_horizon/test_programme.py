@@ -8,10 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, PPoly, make_interp_spline
+from scipy.linalg import polar
 
 import redundancy_pin as rp
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
+from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised
+from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.programme import CLOSER, FORCE_KEPT, Programme, TickProblem, units_of
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import circle_path
@@ -51,7 +54,8 @@ def ticks() -> dict[str, tuple[RecedingHorizon, TickProblem]]:
         for t in (*np.arange(0.0, crossing - 0.01, 0.02), crossing - 0.003):
             planner.update(t, ACROSS)
     assert seen[0].free
-    assert seen[1].proximal > 0.0
+    assert not seen[0].lin.curvature.any()
+    assert seen[1].lin.curvature.any()
     assert seen[-1].lin.singular[0] == 0
     cases = {"first": seen[0], "second round": seen[1], "on the way": seen[6], "begins there": seen[-1]}
     return {name: (planner, problem) for name, problem in cases.items()}
@@ -279,11 +283,18 @@ def test_the_cost_is_the_weighted_mean_squares_of_the_page(rows):
     def mean(values):
         return np.trapezoid((values**2).sum(axis=1), lin.nodes) / duration
 
+    sizes = np.stack(rows.units, axis=-1)
+    curvature = lin.curvature * sizes[:, :, None] * sizes[:, None]
+    convex = 0.5 * (curvature + [[polar(part)[1] for part in node] for node in curvature])  # (H + |H|) / 2
+
+    def bent(motion):
+        change = (np.stack(motion, axis=-1) - np.stack(lin.at, axis=-1)) / sizes
+        return 0.5 * np.einsum("nki,nkij,nkj->", change, convex, change)
+
     for x, *motion, tau, peak in rows.plans:
         s, sd, sdd = (part / unit for part, unit in zip(motion, rows.units, strict=True))
         tau, peak = tau / tick.sizes.tau, peak / tick.sizes.tau
         jerk = np.diff(sdd, axis=0) * tick.step / steps  # over that which reaches the limit in a step
-        about = lin.at[2] / rows.units[2]
         expected = (
             w.effort * mean(tau)
             + w.peak * peak**2
@@ -292,9 +303,59 @@ def test_the_cost_is_the_weighted_mean_squares_of_the_page(rows):
             + w.centre * mean(s)
             + w.end * (s[-1] ** 2).sum()
             + w.end_speed * (sd[-1] ** 2).sum()
-            + tick.proximal * (mean(sdd - about) - mean(about))
+            + bent(motion)
+            - bent([0.0 * part for part in motion])
         )
         np.testing.assert_allclose(0.5 * x @ rows.P @ x + rows.q @ x, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_multipliers_are_what_more_of_f_would_cost(rows):
+    """And it is their curvature that the next round has in its cost."""
+    lin, programme, h = rows.lin, rows.programme, 1e-4
+    solution = programme.solve(rows.tick)
+    assert solution is not None
+    node = int(np.flatnonzero(rows.tick.counts)[-1])
+
+    def cost(more):
+        f = lin.f.copy()
+        f[node] += more * rows.tick.sizes.row * [0.6, 0.8]
+        tick = replace(rows.tick, lin=replace(lin, f=f))
+        x, _ = programme.solve(tick)
+        P, q, *_ = programme.numbers_of(tick)
+        dense = P.toarray()
+        return 0.5 * x @ dense @ x + q @ x
+
+    # L = cost + yᵀ (W τ − f): more of f costs −y
+    expected = -(solution[1][node] * rows.tick.sizes.row * [0.6, 0.8]).sum()
+    np.testing.assert_allclose((cost(h) - cost(-h)) / (2.0 * h), expected, rtol=1e-2, atol=1e-5)
+
+
+@pytest.mark.parametrize("arm", [0.0, 0.2], ids=["sliding", "turning"])
+def test_the_curvature_is_that_of_second_differences_by_the_other_backend(arm):
+    robot = rp.load_robot("2rpr", **ROBOT, arm_length=arm)
+    rng, nodes, backend = np.random.default_rng(3), np.array([0.1, 0.3, 0.5]), rp.RneaDynamics(robot)
+    ahead = Ahead(rp.CompiledDynamics(robot), Preview.of(ACROSS), 0.02)
+    at = tuple(size * rng.uniform(-1.0, 1.0, (3, robot.k)) for size in (0.1, 0.5, 5.0))
+    y = rng.uniform(-1.0, 1.0, (3, robot.n))
+    lin = Linearised.about(ahead, nodes, np.empty(0, dtype=int), at, y, 1.0)
+
+    def value(changes):
+        carriers = rp.CarrierMotion(*(a + c for a, c in zip(at, changes, strict=True)), check_rates=False)
+        return -(y * backend.reduce(ACROSS.sample_at(nodes), carriers, check_track=False).f).sum(axis=1)
+
+    h = 2e-3  # m, m/s, m/s²
+    assert np.abs(lin.curvature).max() > 0.1
+    for carrier in range(robot.k):
+        unit = h * np.eye(robot.k)[carrier]
+        for i in range(3):
+            for j in range(3):
+                ends = [
+                    a * b * value([(a * (i == own) + b * (j == own)) * unit for own in range(3)])
+                    for a in (1.0, -1.0)
+                    for b in (1.0, -1.0)
+                ]
+                second = sum(ends) / (4.0 * h**2)
+                np.testing.assert_allclose(lin.curvature[:, carrier, i, j], second, rtol=1e-4, atol=1e-5)
 
 
 def test_sizes_divide_unknowns_by_what_they_are_at_most(rows):
