@@ -117,6 +117,19 @@ def test_so_do_its_commands_with_efforts_that_are_linear_over_milliseconds(engin
     assert deviation(drive, replayed).largest < COMMANDS_TOLERANCE
 
 
+@pytest.mark.parametrize("tick", [0.005, 0.01, 0.02])
+def test_commands_are_the_plan_next_to_a_singular_instant_too(tick):
+    """A plan that begins within a quarter of a step of one, before or behind it, has its first piece from the last."""
+    robot, motion = rp.load_robot("3rrr"), MOVING_TURN.trajectory(None)
+    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot)), motion, tick=tick)
+    drive = drive_of_plan(rp.RneaDynamics(robot), run.plan, motion)
+    (root,) = run.plan.diagnostics["singular_instants"]
+    t = np.linspace(root - 0.02, root + 0.02, 400)
+    efforts = drive.task.efforts(t)
+    atol = 1e-2 * np.abs(efforts).max()  # linear over 2.5 ms where they turn; with another first piece 0.84 of it
+    np.testing.assert_allclose(commanded(drive.task, run.commands).efforts(t), efforts, atol=atol)
+
+
 @pytest.mark.parametrize("which", range(4), ids=["slide_1", "slide_2", "carrier_1", "carrier_2"])
 def test_an_effort_turned_round_misses_it(engine, short, which):
     def turned(t, side="right"):

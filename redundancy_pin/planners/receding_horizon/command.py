@@ -48,9 +48,9 @@ class Weights:
     memory: float = 0.9
     acceleration: float = 0.1
     jerk: float = 0.3
-    centre: float = 0.1
-    end: float = 0.1
-    end_speed: float = 0.1
+    centre: float = 1.0
+    end: float = 1.0
+    end_speed: float = 1.0
     missing: float = 1e4
 
     def __post_init__(self) -> None:

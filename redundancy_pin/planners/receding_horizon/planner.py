@@ -378,10 +378,11 @@ class RecedingHorizon:
         f = self._ahead.known.values(self._ahead.at(lin.nodes[counts]), places[counts], speeds[counts], a[counts])
         missed = np.einsum("nij,nj->ni", lin.W[counts], tau[counts]) - f[:, : self.robot.n]
         left = float(np.abs(missed / problem.sizes.row).max(initial=0.0))
-        if lin.nodes[0] > t + SAME and last is not None:  # to the singular instant by the last plan
-            carriers, efforts = (
-                PiecewisePolynomial.joined([old.between(t, float(lin.nodes[0])), new])
-                for old, new in ((last.carriers, carriers), (last.efforts, efforts))
+        if last is not None:  # to the singular instant, and away from one just before, by the last plan
+            parts = zip((last.carriers, last.efforts, last.forces), (carriers, efforts, forces), strict=True)
+            carriers, efforts, forces = (
+                new if new.start <= t + SAME else PiecewisePolynomial.joined([old.between(t, new.start), new])
+                for old, new in parts
             )
         unknown = np.flatnonzero(~lin.known)
         known_until = float(lin.nodes[max(unknown[0] - 1, 0)]) if len(unknown) else float(lin.nodes[-1])

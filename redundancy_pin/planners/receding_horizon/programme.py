@@ -218,12 +218,15 @@ class Programme:
         low, high = limits.track[:, 0] + closer * us, limits.track[:, 1] - closer * us
         speed, acceleration = limits.speed * (1.0 - closer), limits.acceleration * (1.0 - closer)
         if self.elastic:
-            # room for a start beyond a limit, and for going back with half the acceleration
+            # room for a start that leaves a limit, and for going back with half the acceleration; for no other
             after, most = (lin.nodes - lin.nodes[0])[:, None], np.minimum(limits.acceleration, 1e3)
-            turn = 1.5 * most * (lin.nodes[1] - lin.nodes[0])
-            high = np.maximum(high, s + (sd + turn) * after - 0.25 * most * after**2 + BEYOND)
-            low = np.minimum(low, s + (sd - turn) * after + 0.25 * most * after**2 - BEYOND)
-            speed = np.maximum(speed, np.abs(sd) + turn - 0.5 * most * after)
+            h = lin.nodes[1] - lin.nodes[0]
+            turn, moved = 1.5 * most * h, h * np.abs(sd) + h**2 / 6.0 * most + 0.5 * sd**2 / most
+            up = np.maximum(high, s + (sd + turn) * after - 0.25 * most * after**2 + BEYOND)
+            down = np.minimum(low, s + (sd - turn) * after + 0.25 * most * after**2 - BEYOND)
+            high, low = np.where(s + moved > high[0], up, high), np.where(s - moved < low[0], down, low)
+            over = np.maximum(speed, np.abs(sd) + turn - 0.5 * most * after)
+            speed = np.where(np.abs(sd) > limits.speed, over, speed)
         upper = np.full(self.variables, INFINITE)
         upper[self.sdd] = acceleration / ua
         if not problem.free:

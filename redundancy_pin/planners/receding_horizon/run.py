@@ -95,7 +95,9 @@ def run_online(
         pieces.append(commands[-1].carriers.between(t, until))
     position = PiecewisePolynomial.joined(pieces)
     carriers = position.made_continuous()
-    nodes = np.unique(np.concatenate([np.arange(source.start, source.end, SAMPLES), times]))
+    nodes = np.unique(
+        np.concatenate([np.arange(source.start, source.end, SAMPLES), times, source.breaks, source.knots])
+    )
     decided = pieces_of(planner, source, carriers, commands)
     for part, _ in decided:  # of what is narrower than a sample the continuous motion is judged
         short = part.end - part.start < SAMPLES

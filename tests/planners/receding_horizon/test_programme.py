@@ -358,6 +358,23 @@ def test_the_curvature_is_that_of_second_differences_by_the_other_backend(arm):
                 np.testing.assert_allclose(lin.curvature[:, carrier, i, j], second, rtol=1e-4, atol=1e-5)
 
 
+def test_a_start_that_can_stay_within_the_limits_has_no_room_beyond_them():
+    """It can where full braking, the given s̈ fading in the first step, ends on the track."""
+    planner, tick = ticks()["on the way"]
+    limits, h = tick.limits, tick.lin.nodes[1] - tick.lin.nodes[0]
+    speed, most = np.array([0.8, -1.0]), limits.acceleration
+    braking = PPoly(np.array([[-2.0 * most / h, 0.0 * most], [most, -most]]) * np.sign(speed), [0.0, h, 1.0])
+    moved = braking.antiderivative(2)(np.linspace(0.0, 0.3, 30001)) + speed * np.linspace(0.0, 0.3, 30001)[:, None]
+    farthest = np.sign(speed) * (moved * np.sign(speed)).max(axis=0)
+    ends = np.array([TRACK[0, 1], TRACK[1, 0]])
+    for short, room in ((1e-6, False), (-1e-6, True)):
+        first = ends - farthest - short * np.sign(speed), speed, most * np.sign(speed)
+        soft, hard = (Rows(planner, replace(tick, first=first), elastic=elastic) for elastic in (True, False))
+        more = [bound.max() for bound in np.abs((soft.high - hard.high, soft.low - hard.low))[:, soft.block("track")]]
+        assert (np.array(more) > 0.0).all() == room
+        np.testing.assert_array_equal(soft.high[soft.block("hull_speed")], hard.high[hard.block("hull_speed")])
+
+
 def test_sizes_divide_unknowns_by_what_they_are_at_most(rows):
     limits = rows.tick.limits
     half = 0.5 * np.diff(TRACK)[:, 0]
@@ -366,9 +383,9 @@ def test_sizes_divide_unknowns_by_what_they_are_at_most(rows):
 
 
 def test_an_elastic_programme_has_room_to_come_back_and_pays_for_what_is_missing():
-    """A carrier too fast to stay on its track comes back with half of its acceleration; no farther."""
+    """A carrier too fast to stay on its track comes back with half of its acceleration; no farther, and no other."""
     planner, tick = ticks()["on the way"]
-    start = np.array([0.1, -0.1]), np.array([1.0, -1.2]), np.array([9.0, -11.0])
+    start = np.array([0.125, -0.112]), np.array([1.0, -1.2]), np.array([9.0, -11.0])
     rows = Rows(planner, replace(tick, first=start), elastic=True)
     p, units, limits = rows.programme, rows.units, tick.limits
     t = tick.lin.nodes - tick.lin.nodes[0]
@@ -382,7 +399,7 @@ def test_an_elastic_programme_has_room_to_come_back_and_pays_for_what_is_missing
     x = np.zeros(p.variables)
     for place, unit, value in ((p.s, units[0], s), (p.sd, units[1], sd), (p.sdd, units[2], sdd)):
         x[place] = value / unit
-    for name, before in (("track", back - 2), ("hull_speed", back - 1)):
+    for name, before in (("track", back - 2), ("hull_speed", back - 2)):
         rooms = rows.room(name, [(x,)])[:, 0].reshape(2, -1, 2)
         for j in range(2):
             assert rooms[:, : before[j], j].min() >= -1e-9
@@ -392,7 +409,10 @@ def test_an_elastic_programme_has_room_to_come_back_and_pays_for_what_is_missing
     farthest = start[0] + np.sign(start[0]) * ((np.abs(start[1]) + turn) ** 2 / limits.acceleration + 2e-6)
     assert TRACK[0, 1] < high[:, 0].max() <= farthest[0]
     assert TRACK[1, 0] > low[:, 1].min() >= farthest[1]
-    np.testing.assert_allclose([high[-1], low[-1]], TRACK.T[::-1], rtol=0.01)
+    block = rows.block("stop")
+    np.testing.assert_allclose(
+        [rows.high[block] * units[0], rows.low[block] * units[0]], TRACK.T[::-1], rtol=2.0 * CLOSER
+    )
     block = rows.block("hull_speed")
     most = np.maximum(limits.speed, np.abs(start[1]) + turn)
     assert (rows.high[block].reshape(-1, 2)[1:] * units[1] <= most + 1e-12).all()
