@@ -34,7 +34,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
 from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import ConstraintState, constraint_system, with_all_rows
-from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point, near_rank_loss
+from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -136,9 +136,7 @@ class RneaDynamics(Dynamics):
         tree = lift(robot, motion, start=None if start is None else start.point)
         one = RneaAlongMotion(tree).reduce(carriers)
         margin = float(tree.serial_margin_bound[0])
-        known = margin > NEAR_RANK_LOSS or margin > near_rank_loss(constraint_system(robot))
-        side = tracker(robot, many=True).side(tree.q[0]) if known else 0.0
-        point = Point(motion.x[0], tree.q[0], tree.gamma[0], side)
+        point = Point(motion.x[0], tree.q[0], tree.gamma[0])
         return RneaSample(one.W[0], one.f[0], one.carrier_force[0], point, float(tree.gap[0]), margin)
 
     def _direct_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:

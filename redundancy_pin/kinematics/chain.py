@@ -5,8 +5,8 @@ Pinocchio's joint Jacobian and its rate are there already, an order of magnitude
 
 ``continuation`` and ``lift`` follow many poses at once, in numpy; for a single pose the calls cost a hundred times the
 arithmetic. ``Tracker`` does predictor, Newton and their checks in tens of microseconds, and takes only what is regular
-beyond doubt: Newton converges without a line search, the step is what Γ at both ends says, the sign of det K and the
-working mode stay, and no rank loss is near. Of everything else it returns None, and leaves it to ``lift``.
+beyond doubt: Newton converges without a line search, the step is what Γ at both ends says, the working mode stays, and
+no rank loss is near, nor could be within the step. Of everything else it returns None, and leaves it to ``lift``.
 """
 
 from __future__ import annotations
@@ -31,13 +31,22 @@ from redundancy_pin.kinematics.continuation import (
     Point,
     near_rank_loss,
 )
-from redundancy_pin.kinematics.coordinates import angle_columns, measured_axes, mode_indicators, pose_rows, row_scale
+from redundancy_pin.kinematics.coordinates import (
+    angle_columns,
+    measured_axes,
+    mode_indicators,
+    pose_rows,
+    row_scale,
+    velocity_scale,
+)
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.named import is_pose
 
 _MOST_ITERATIONS = 10
 _MOST_PIECES = 100
 """Longer ways are left to the batches of ``continuation``."""
+_NEARER = 1.0
+"""Margin in scaled units for each radian of a step above which no rank loss is within the step."""
 _REACHED, _ROUNDED = 1e-13, 1e-14
 """A Newton step (rad, m) or a residual (m, rad) this small is rounding."""
 
@@ -211,7 +220,7 @@ class Tracker:
         self._columns, self._closures, nv = chain.pose_columns, chain.rows, robot.model.nv
         self._flat = robot.model.nq == nv
         self._scale = projection_scale(chain.system).ravel()
-        self._unit = row_scale(robot)
+        self._unit, self._radians = row_scale(robot), velocity_scale(robot) / robot.characteristic_length
         self._longest = ANCHOR_SPACING * robot.characteristic_length
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
         self._is_pose, self._turns = is_pose(robot), angle_columns(robot)
@@ -222,12 +231,8 @@ class Tracker:
         reference = np.array(robot.q_reference)
         chain.place(reference)
         gamma = project(chain.system, chain.system.evaluate(reference[None])).gamma[0]
-        self.home = Point(chain.coordinates(reference), reference, gamma, self.side(reference))
+        self.home = Point(chain.coordinates(reference), reference, gamma)
         """The reference configuration; its Γ is NaN where that is singular."""
-
-    def side(self, q: Array) -> float:
-        """Return the sign of det K at a configuration (nq,)."""
-        return float(np.linalg.slogdet(self.chain.system.evaluate(q[None]).K[0])[0])
 
     def towards(self, start: Point, x: Array) -> Tracked | None:
         """Return the pose at x, (n,) or (4, 4), on the branch of a point, by steps along the straight line to it."""
@@ -278,8 +283,7 @@ class Tracker:
             step[columns] = change
             q = self._integrate(q, step)
             if size < _ROUNDED or longest < _REACHED or (size >= before and longest < SETTLED_STEP):
-                inverse, side = inverted()
-                return self._checked(here, Point(x, q, step, side), increment, placed, inverse, _largest(rest))
+                return self._checked(here, Point(x, q, step), increment, placed, inverted(), _largest(rest))
         return None
 
     def _checked(
@@ -291,13 +295,15 @@ class Tracker:
         gamma = np.zeros((self._model.nv, self.robot.n))
         gamma[self._columns] = inverse[:, self._closures :]
         predicted = (0.5 * (here.gamma + gamma)).dot(increment)
-        missed = (q - here.q if self._flat else pin.difference(self._model, here.q, q)) - predicted
+        moved = q - here.q if self._flat else pin.difference(self._model, here.q, q)
         allowed = CONTINUITY * _largest(predicted) + ROUNDING
         if (
             not gap < CLOSURE_TOLERANCE
             or not (size < 1.0 / NEAR_RANK_LOSS or size < 1.0 / near_rank_loss(self.chain.system))
-            or not _largest(missed) <= allowed
-            or new.side * here.side < 0.0
+            or not _largest(moved - predicted) <= allowed
+            # a rank loss within the step leaves a margin of about the way from it: what is on its other side is for
+            # ``continuation`` to tell
+            or not size * _NEARER * _largest(moved * self._radians) < 1.0
             or not self._in_mode(q, here.q)
             or not self._upright()
         ):
@@ -349,32 +355,25 @@ def _largest(values: Array) -> float:
     return max(map(abs, values.tolist()), default=0.0)
 
 
-Solver = Callable[[Array, Array], tuple[Array, Callable[[], tuple[Array, float]]] | None]
-"""From K and a residual to the step, and to K⁻¹ and the sign of det K for those who need them; None where K is
-singular."""
+Solver = Callable[[Array, Array], tuple[Array, Callable[[], Array]] | None]
+"""From K and a residual to the step, and to K⁻¹ for those who need it; None where K is singular."""
 
 
-def _by_numpy(K: Array, rest: Array) -> tuple[Array, Callable[[], tuple[Array, float]]] | None:
+def _by_numpy(K: Array, rest: Array) -> tuple[Array, Callable[[], Array]] | None:
     try:
         inverse = np.asarray(np.linalg.inv(K), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
-    return inverse.dot(rest), lambda: (inverse, float(np.linalg.slogdet(K)[0]))
+    return inverse.dot(rest), lambda: inverse
 
 
 def _by_lapack() -> Solver:
     """Return a solver that takes a quarter of the time, once scipy is imported."""
     from scipy.linalg import lapack
 
-    def solve(K: Array, rest: Array) -> tuple[Array, Callable[[], tuple[Array, float]]] | None:
+    def solve(K: Array, rest: Array) -> tuple[Array, Callable[[], Array]] | None:
         decomposed, pivots, step, failed = lapack.dgesv(K, rest)
-
-        def inverted() -> tuple[Array, float]:
-            # each row that the decomposition swaps turns the sign of the determinant over
-            turned = (pivots != np.arange(len(pivots))) ^ (decomposed.diagonal() < 0.0)
-            return lapack.dgetri(decomposed, pivots)[0], -1.0 if np.count_nonzero(turned) % 2 else 1.0
-
-        return None if failed else (step, inverted)
+        return None if failed else (step, lambda: lapack.dgetri(decomposed, pivots)[0])
 
     return solve
 

@@ -14,13 +14,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, blocks
-from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, integrate, project, rates
+from redundancy_pin.kinematics.assembly import (
+    Assembly,
+    assemble,
+    configuration_difference,
+    integrate,
+    inverses,
+    project,
+    rates,
+)
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved, row_scale
 from redundancy_pin.kinematics.inverse_kinematics import multistart
@@ -49,6 +56,9 @@ NEAR_RANK_LOSS = 3e-3
 _USUAL_PART = 0.1
 """Part of a robot's usual margin above which nothing is near a rank loss: short levers, gears and many joints make
 margins of 1e-3 and less everywhere (Cassie), where no rank is lost."""
+_NO_ENTRY = 1e-9
+"""Part of the largest entry of K, or of its inverse, below which an entry is zero by the structure of the robot."""
+
 _SOME, _AROUND = 8, 0.2
 """Configurations of a kind around the reference that say what is usual, and how far their joints are off, rad or m."""
 
@@ -66,16 +76,31 @@ _CARRIED = 1e-8
 by one."""
 
 
-class Point(NamedTuple):
-    """One solved pose: coordinates (n,) or a pose (4, 4), configuration (nq,), Γ (nv, n), and the sign of det K.
+_TOWARDS = 0.9
+"""Share of a loop's determinant that its slope at an end of a step must consume within the step, for the step to count
+as one through a rank loss. A determinant that is linear on both sides of its zero has one and more at both ends."""
 
-    The sign is zero where K is singular, or where it is not needed.
+_SLOPE_STEP = 1e-4
+"""Part of a step over which a determinant's slope is taken."""
+
+_CLEAR = 0.1
+"""Part of ``near_rank_loss`` that the margin of a node must have, so that another loop's rank loss beside it costs
+accelerations no more than their seventh digit."""
+
+_SHIFTS = np.linspace(-1.2, 1.2, 25)
+"""Places for a line's centre, in node spacings: its nodes keep away from every loop's rank loss as far as they can."""
+
+
+class Point(NamedTuple):
+    """One solved pose: coordinates (n,) or a pose (4, 4), configuration (nq,), Γ (nv, n), and signs of determinants.
+
+    The signs (B,) are those of each loop's part of det K, see ``loops``; zero where they are not known.
     """
 
     x: Array
     q: Array
     gamma: Array
-    side: float = 0.0
+    side: Array | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +147,10 @@ def follow(
     q = np.tile(start, (count, 1))
     gamma = np.zeros((count, system.robot.model.nv, system.robot.n))
     valid = np.zeros(count, dtype=bool)
-    side = np.zeros(count)
+    side = np.zeros((count, len(loops(system))))
     if slope is None:
         state = system.evaluate(start[None])
-        slope, side[0] = project(system, state).gamma[0], np.linalg.slogdet(state.K)[0][0]
+        slope, side[0] = project(system, state).gamma[0], determinants(system, state.K)[0][0]
     if np.isfinite(slope).all():  # a start at a type I singularity has no slope to follow
         gamma[0], valid[0] = slope, True
     last, batch, following = 0, _LARGEST_BATCH, 1
@@ -134,7 +159,7 @@ def follow(
     while following < count:
         stop = min(following + batch, count)
         here = Point(poses[last], q[last], gamma[last], side[last])
-        regular = here if here.side != 0.0 else regular
+        regular = here if np.all(here.side) else regular
         new = _advance(system, here, poses[following:stop], mode)
         if not new and stop - following > 1:
             batch = max(1, batch // 4)
@@ -144,7 +169,7 @@ def follow(
             if halved is None and mode is not None:
                 beyond = _advance(system, here, poses[following : following + 1], None)
                 # a path that starts at a rank loss starts between two modes
-                if beyond and (regular.side == 0.0 or crosses(system, regular, beyond[0])):
+                if beyond and (not np.all(regular.side) or crosses(system, regular, beyond[0])):
                     halved, mode = beyond[0], np.sign(mode_indicator(system.robot, beyond[0].q[None])[0])
             if halved is None:
                 halved = _advance_by_halving(system, here, poses[following], mode)
@@ -262,8 +287,9 @@ def _advance(
 ) -> list[Point]:
     """Solve a batch of poses from one solved pose; return those before the first that leaves the branch, or a mode.
 
-    ``mode`` (legs,) are signs to keep, None for any. Where the sign of det K changes, branches cross or a jump from one
-    to another beside it (two that all but touch) looks like it: ``crosses`` tells.
+    ``mode`` (legs,) are signs to keep, None for any. Where the sign of a loop's determinant changes, branches cross or
+    a jump from one to another beside it (two that all but touch) looks like it: ``crosses`` tells. Where it comes to
+    zero and keeps its sign, the branch has a kink, or turns sharply: shorter steps tell.
     """
     robot = system.robot
     step = difference(robot, targets, np.repeat(here.x[None], len(targets), axis=0)) @ here.gamma.T
@@ -271,15 +297,48 @@ def _advance(
     solution = assemble(system, guess, targets, max_iterations=10, shortest_step=_SHORTEST_STEP)
     q = np.concatenate([here.q[None], solution.q])
     gamma = np.concatenate([here.gamma[None], solution.gamma])
-    good = continuous(system, q, gamma, np.concatenate([here.x[None], targets]))
+    x = np.concatenate([here.x[None], targets])
+    increment = difference(robot, x[1:], x[:-1])
+    good = follows(configuration_difference(robot.model, q[:-1], q[1:]), gamma[:-1], gamma[1:], increment)
     good &= solution.regular
     if mode is not None:
         good &= (mode_indicator(robot, solution.q) * mode > 0.0).all(axis=1)
-    side = np.linalg.slogdet(solution.state.K)[0]
-    points = [here, *map(Point, targets, solution.q, solution.gamma, side.tolist())]
-    for k, (before, after) in enumerate(pairwise(points)) if guarded else ():
-        good[k] = good[k] and (before.side * after.side >= 0.0 or (good[:k].all() and crosses(system, before, after)))
+    side, log = determinants(system, solution.state.K)
+    points = [here, *map(Point, targets, solution.q, solution.gamma, side)]
+    if guarded:
+        changed = np.concatenate([side[:1] * here.side, side[1:] * side[:-1]]) < 0.0
+        good &= ~(_comes_to_zero(system, q, gamma, increment, log, good) & ~changed).any(axis=1)
+        for k in np.flatnonzero(changed.any(axis=1)):
+            good[k] = good[: k + 1].all() and crosses(system, points[k], points[k + 1])
     return points[1:] if good.all() else points[1 : int(np.argmin(good)) + 1]
+
+
+def _comes_to_zero(
+    system: ConstraintSystem, q: Array, gamma: Array, increment: Array, log: Array, steps: BoolArray
+) -> BoolArray:
+    """Return (N, B) which determinants come to zero within N steps, as far as their slopes at both ends tell.
+
+    q (N + 1, nq) and Γ (N + 1, nv, n) are those at the ends of the steps, ``increment`` (N, n) of the coordinates, and
+    ``log`` (N, B) the logarithms at the ends alone. Only ``steps`` (N,) are looked at, and of these only such along
+    which Γ changes.
+    """
+    result = np.zeros((len(increment), len(loops(system))), dtype=bool)
+    bent, straight = (
+        np.abs(np.einsum("nvi,ni->nv", part, increment)).max(axis=1, initial=0.0)
+        for part in (gamma[1:] - gamma[:-1], 0.5 * (gamma[1:] + gamma[:-1]))
+    )
+    k = np.flatnonzero(steps & (bent > _SAME_TANGENT * straight))
+    if not len(k):
+        return result
+    ahead, back = (_SLOPE_STEP * np.einsum("nvi,ni->nv", gamma[ends], increment[k]) for ends in (k, k + 1))
+    places = np.concatenate([q[k], q[k + 1], q[:1]])
+    beside = integrate(system.robot.model, places, np.concatenate([ahead, -back, np.zeros_like(ahead[:1])]))
+    _, inside = determinants(system, system.evaluate(beside).K)
+    at_ends = np.concatenate([inside[-1:], log])
+    with np.errstate(invalid="ignore"):  # zero, and zero beside it
+        lost = -np.expm1(inside[:-1] - np.concatenate([at_ends[k], at_ends[k + 1]]))
+    result[k] = (lost.reshape(2, len(k), -1) > _TOWARDS * _SLOPE_STEP).all(axis=0)
+    return result
 
 
 def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, mode: Array | None) -> Point | None:
@@ -332,6 +391,42 @@ def closed_around(system: ConstraintSystem) -> Assembly:
 
 
 @lru_cache(maxsize=64)
+def loops(system: ConstraintSystem) -> tuple[tuple[IntArray, IntArray], ...]:
+    """Return rows and columns of the B diagonal blocks to which K can be permuted, each that of a loop or a leg.
+
+    det K is the product of theirs but for a sign, and they lose rank each by itself: two that change sign in one step
+    leave that of det K. Columns j and k are of one block where K⁻¹ K, which is one, comes about by entries that lead
+    from j to k and back.
+    """
+    model, rng = system.robot.model, np.random.default_rng(0)
+    any_way = rng.normal(0.0, _AROUND, (2, model.nv))  # entries that are zero here, chains open, are so everywhere
+    start = np.repeat(np.array(system.robot.q_reference)[None], 2, axis=0)
+    rows = system.evaluate(integrate(model, start, any_way)).K
+    inverse = inverses(rows)
+    solves, has = (
+        (np.abs(part) > _NO_ENTRY * np.abs(part).max(axis=(1, 2), keepdims=True)).any(axis=0)
+        for part in (inverse, rows)
+    )
+    leads = solves.astype(np.float64) @ has > 0.0
+    together = (leads & leads.T) | np.eye(len(leads), dtype=bool)
+    blocks, size = [], len(system.pose_columns)
+    for k in range(size):
+        columns = np.flatnonzero(together[k])
+        if columns[0] == k:
+            blocks.append((np.flatnonzero((solves[columns] & has[:, columns].T).any(axis=0)), columns))
+    if any(len(own) != len(columns) for own, columns in blocks):
+        return ((np.arange(size), np.arange(size)),)
+    return tuple(blocks)
+
+
+def determinants(system: ConstraintSystem, K: Array) -> tuple[Array, Array]:
+    """Return signs and logarithms (N, B) of the determinants of each loop's block of K (N, r + n, p)."""
+    parts = [np.linalg.slogdet(K[:, own[:, None], columns]) for own, columns in loops(system)]
+    sign, log = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
+    return sign, log
+
+
+@lru_cache(maxsize=64)
 def near_rank_loss(system: ConstraintSystem) -> float:
     """Return the margin below which a pose counts as near a rank loss, ``NEAR_RANK_LOSS`` but for robots of small ones.
 
@@ -358,15 +453,17 @@ def through_rank_loss(
         x: (M, n) coordinates or (M, 4, 4) poses, within a node spacing of one another.
         xd: (M, n) their rates.
         xdd: (M, n) and rates of these.
-        along: (n,) direction of the line; when left out that from the point to the poses, or, where that goes along the
-            rank loss, one coordinate's.
+        along: (n,) direction of the line; when left out that from the point to the poses, or, where that goes along a
+            rank loss, one coordinate's, or that of all.
 
     Returns:
         None where the branch does not go on smoothly (a leg at full stretch: a fold).
     """
     robot, unit = system.robot, row_scale(system.robot)
     centre = x[len(x) // 2]
-    directions = (difference(robot, centre[None], here.x[None])[0], *np.eye(robot.n)) if along is None else (along,)
+    chord = difference(robot, centre[None], here.x[None])[0]
+    # away from the rank losses of several loops that do not move together lead only all coordinates at once
+    directions = (chord, *np.eye(robot.n), 1.0 / unit) if along is None else (along,)
     for direction in directions:
         size = float(np.linalg.norm(direction * unit))
         for spacing in _NODE_SPACINGS if size > 0.0 else ():
@@ -380,24 +477,28 @@ def through_rank_loss(
 def crosses(system: ConstraintSystem, before: Point, after: Point) -> bool:
     """Return whether a rank loss that the branch goes smoothly through lies between two neighbouring points of it.
 
-    det K changes its sign there, and so may the indicator of a working mode: the legs do not change over, the branch
-    leads from one mode to the other.
+    A loop's determinant changes its sign there, and so may the indicator of a working mode: the legs do not change
+    over, the branch leads from one mode to the other. Where several loops do so, the branch has to go smoothly through
+    the rank loss of each.
     """
     chord = difference(system.robot, after.x[None], before.x[None])
-    sign, log = np.linalg.slogdet(system.evaluate(np.stack([before.q, after.q])).K)
-    if not np.isfinite(log).any():
+    sign, log = determinants(system, system.evaluate(np.stack([before.q, after.q])).K)
+    largest = log.max(axis=0)
+    size = np.exp(log - np.where(np.isfinite(largest), largest, 0.0))
+    lost = np.flatnonzero((sign[0] * sign[1] <= 0.0) | (size.min(axis=0) <= ROUNDING))
+    if not len(lost) or not np.isfinite(largest[lost]).all():
         return False
-    size = np.exp(log - log.max())
-    if sign[0] * sign[1] > 0.0 and size.min() > ROUNDING:
-        return False
-    root = moved(system.robot, before.x[None], chord * (size[0] / size.sum()))
     still = np.zeros_like(chord)
-    beyond = through_rank_loss(system, before, root, still, still, chord[0])
-    if beyond is None:
-        return False
-    # all but linear on a branch that goes through zero; on one that keeps its side nothing vanishes there
-    there = np.linalg.slogdet(system.evaluate(beyond.q).K)[1][0]
-    return bool(there - log.max() < np.log(CONTINUITY))
+    for loop in lost:
+        root = moved(system.robot, before.x[None], chord * (size[0, loop] / size[:, loop].sum()))
+        beyond = through_rank_loss(system, before, root, still, still, chord[0])
+        if beyond is None:
+            return False
+        # all but linear on a branch that goes through zero; on one that keeps its side nothing vanishes there
+        there = determinants(system, system.evaluate(beyond.q).K)[1][0, loop]
+        if not there - largest[loop] < np.log(CONTINUITY):
+            return False
+    return True
 
 
 def _point_at_rank_loss(system: ConstraintSystem, here: Point, target: Array) -> Point | None:
@@ -441,11 +542,15 @@ def _line(system: ConstraintSystem, here: Point, centre: Array, step: Array, *, 
     span = configuration_difference(model, first.q[None], across.q)
     if not follows(span, first.gamma[None], across.gamma, whole[None], _SAME_TANGENT)[0]:
         return None
-    sign, log = np.linalg.slogdet(system.evaluate(np.stack([first.q, across.q[0]])).K)
-    if recentre and sign[0] * sign[1] < 0.0:
-        part = 1.0 / (1.0 + np.exp(min(log[1] - log[0], 100.0)))  # of det K, all but linear between the two
-        pose = moved(robot, x[:1], (part * whole)[None])[0]
-        return _line(system, first, pose, step, recentre=False)
+    sign, log = determinants(system, system.evaluate(np.stack([first.q, across.q[0]])).K)
+    lost = sign[0] * sign[1] < 0.0
+    if recentre and lost.any():
+        # of a determinant, all but linear between the two
+        root = _NODES[0] + (_NODES[-1] - _NODES[0]) / (1.0 + np.exp(np.minimum(log[1, lost] - log[0, lost], 100.0)))
+        shifts = np.append(root[np.abs(root) < _SHIFTS[-1]], _SHIFTS)
+        away = np.abs(_NODES[:, None] - (root - shifts[:, None])[:, None]).min(axis=(1, 2))
+        shift = shifts[int(away.argmax())]
+        return _line(system, first, moved(robot, centre[None], (shift * step)[None])[0], step, recentre=False)
     u = ((_NODES[1:-1] - _NODES[0]) / (_NODES[-1] - _NODES[0]))[:, None]
     between = _cubic(u, span, first.gamma @ whole, across.gamma[0] @ whole)
     inner = assemble(system, integrate(model, np.repeat(first.q[None], len(u), axis=0), between), x[1:-1])
@@ -473,7 +578,7 @@ def _interpolated(system: ConstraintSystem, line: _Line, x: Array, xd: Array, xd
         model, np.tile(line.q, (len(x), 1)), np.einsum("nvi,ni->nv", np.tile(line.gamma, (len(x), 1, 1)), aside)
     )
     nodes = assemble(system, start, places)
-    if not nodes.regular.all():
+    if not nodes.closed.all() or nodes.projection.margin.min() <= _CLEAR * near_rank_loss(system):
         return None
     v, a = rates(system, nodes.state, nodes.projection, np.repeat(xd, count, axis=0), np.repeat(xdd, count, axis=0))
 

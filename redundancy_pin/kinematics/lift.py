@@ -13,7 +13,6 @@ import numpy as np
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, blocks, read_only, runs
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import (
-    SINGULAR_MARGIN,
     Assembly,
     assemble,
     configuration_difference,
@@ -64,6 +63,9 @@ _NO_SIDE = 1e-6
 
 _EVEN = 0.5
 """Least part of its largest margin that a stretch keeps which is near a rank loss all along and goes through none."""
+
+_ROUNDED_SHARE = 1e-16 / 1e-5
+"""Rounding of a configuration, rad, over the share that it may take of Γ and of accelerations."""
 
 _STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
@@ -268,6 +270,26 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
                     carried[part] = True
                     break
             first = last
+    if not positions_only:
+        solved.margin[near & ~carried & _blurred(solved)] = 0.0
+
+
+def _blurred(solved: _Lifted) -> BoolArray:
+    """Return (N,) where Newton's rounding takes too much of Γ or of accelerations.
+
+    It makes Γ wrong by 1e-16 / margin², and accelerations by the square of the rates times 1e-16 / margin³. Towards a
+    stretched leg, or where the branch turns sharply, both are themselves that large; at a rank loss that the branch
+    goes through they are not.
+    """
+    unit, scale = row_scale(solved.system.robot), velocity_scale(solved.system.robot)
+    gamma = np.abs(solved.gamma * (scale[:, None] / unit)).max(axis=(1, 2), initial=0.0)
+    speed, a = (
+        np.abs(rate * scale).max(axis=1) / solved.system.robot.characteristic_length for rate in (solved.v, solved.a)
+    )
+    with np.errstate(invalid="ignore", over="ignore"):
+        rough = solved.margin**2 * np.maximum(gamma, 1.0) < _ROUNDED_SHARE
+        result: BoolArray = rough | (solved.margin**3 * np.maximum(a, speed**2) < _ROUNDED_SHARE * speed**2)
+    return result
 
 
 def _point_from(system: ConstraintSystem, motion: PlatformMotion, start: Point) -> Point:
@@ -493,7 +515,7 @@ def _require_closed_and_regular(motion: PlatformMotion, solved: Assembly | _Lift
         state, columns = system.evaluate(solved.q[i : i + 1]), system.pose_columns
         closures = state.Jc[0][:, columns] * system.closure_scale[:, None] / velocity_scale(system.robot)[columns]
         values = np.linalg.svd(closures, compute_uv=False)
-        if values[-1] < SINGULAR_MARGIN:
+        if values[-1] < near_rank_loss(system):
             raise SingularPoseError(
                 f"At sample {k} (t = {motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}) the closures lose "
                 "rank, and no branch leads smoothly through that pose: the joint velocities are undetermined.",

@@ -7,15 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flat_linkages import row_of_four_bars
+from change_point_oracle import change_point
+from flat_linkages import Loop, parallelogram, random_loop, row_of_four_bars, several_on_one_crank
 from folding import folding_four_bar, joint, rocker_angle, rocker_motion
 
+from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
-from redundancy_pin.errors import SingularPoseError, UnreachablePoseError
+from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.kinematics import lift as lifting
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point, crosses, near_rank_loss
+from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point, crosses, determinants, near_rank_loss
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
@@ -246,3 +249,107 @@ def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(be
     tree = lift(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
     for values, expected in ((tree.q, crank * turn), (tree.v, 2.0 * rate * turn), (tree.a, 3.0 * rate * turn)):
         np.testing.assert_allclose(values, expected, atol=1e-6)
+
+
+def random_crank(seed: int) -> tuple[list[Loop], float, np.ndarray]:
+    """Return one to three loops with flat poses up to 0.3 rad apart, the crank's angle at the reference, and angles."""
+    rng = np.random.default_rng(seed)
+    apart = 10.0 ** rng.uniform(-4.0, -0.5) if rng.random() < 0.9 else 0.0
+    loops = [random_loop(rng, float(apart * turn)) for turn in (0.0, *rng.uniform(-1.0, 1.0, seed % 3))]
+    start, count = float(rng.uniform(0.7, 2.4)), int(rng.choice([51, 401, 2001]))
+    first, last = start, start - float(rng.uniform(2.5, 5.0))
+    if rng.random() < 0.3:
+        first = float(rng.uniform(1e-3, 0.2))
+        last = -first
+    return loops, start, np.linspace(first, last, count)
+
+
+def require_closed_form(
+    loops: list[Loop], start: float, crank: np.ndarray, dynamics: type[RneaDynamics | CompiledDynamics] = RneaDynamics
+) -> bool:
+    """Judge configurations and efforts by each loop's branch; return whether the motion was taken."""
+    robot = several_on_one_crank(loops, start)
+    second, size = 0.7, (len(crank), 1)
+    rate = (crank[-1] - crank[0]) * 1.0
+    motion = PlatformMotion(
+        np.linspace(0.0, 1.0, len(crank)), crank[:, None], np.full(size, rate), np.full(size, second), check_rates=False
+    )
+    try:
+        reduced = dynamics(robot).along(motion).reduce()
+    except (SingularPoseError, WorkingModeError):
+        return False
+    effort = np.full(len(crank), second * (1.0 - len(loops)) / 3.0)  # each loop's inertia has the crank's in it
+    tree = lift(robot, motion) if dynamics is RneaDynamics else None
+    for i, (coupler, rocker, ground, towards, side) in enumerate(loops):
+        branch = change_point((1.0, coupler, rocker, ground), side)
+        inertia, slope = (np.array(part((crank - towards)[None])).ravel() for part in (branch.inertia, branch.slope))
+        effort += inertia * second + 0.5 * slope * rate**2
+        if tree is not None:
+            ends = np.array(branch.angles((crank - towards)[None])).T
+            turned = np.exp(1j * (tree.q[:, joint(robot, f"rocker_{i}")] - towards))
+            np.testing.assert_allclose(turned, ends[:, 0] + 1j * ends[:, 1], atol=NEAR_RANK_LOSS * 1e-6)
+    np.testing.assert_allclose(reduced.f[:, 0], effort, atol=SHARE * np.abs(effort).max())
+    return True
+
+
+SHARE = 1e-5
+"""Of the largest effort: what rounding may take next to a rank loss before a pose is refused."""
+
+
+def test_a_branch_with_a_kink_halfway_between_two_poses_is_not_taken_for_the_smooth_one() -> None:
+    """The trapezoidal rule does not tell them apart there, and no determinant changes its sign on it."""
+    loop = 0.5701468583888362, 1.0, 0.5701468583888362, 0.0, -1
+    crank = np.linspace(1.7852898927714493, -2.7920864903877467, 51)
+    assert require_closed_form([loop], float(crank[0]), crank)
+
+
+@pytest.mark.parametrize("seed", [109, 164])
+def test_two_loops_that_are_flat_within_one_step_stay_on_their_branches(seed: int) -> None:
+    """The sign of the determinant of all rows is the same behind both."""
+    assert require_closed_form(*random_crank(seed))
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-4, 5e-3])
+def test_a_loop_that_rests_at_or_beside_its_flat_pose_while_another_goes_through(beside: float) -> None:
+    robot, turning = parallelogram("second"), np.linspace(0.05, -0.05, 11)
+    x = np.stack([turning, np.full(11, beside)], axis=1)
+    t = np.linspace(0.0, 1.0, 11)
+    xd, xdd = np.tile([-0.1, 0.0], (11, 1)), np.tile([0.7, -0.3], (11, 1))
+    tree = lift(robot, PlatformMotion(t, x, xd, xdd, check_rates=False))
+    for name, column, sign in (("crank_1", 0, 1.0), ("coupler_1", 0, -1.0), ("second_1", 1, 1.0), ("beam", 1, -1.0)):
+        at = joint(robot, name)
+        np.testing.assert_allclose(tree.q[:, at], sign * x[:, column], atol=POSITION)
+        np.testing.assert_allclose(tree.v[:, at], sign * xd[:, column], atol=RATE)
+        np.testing.assert_allclose(tree.a[:, at], sign * xdd[:, column], atol=1e-5)
+
+
+def test_rates_that_are_rounding_beside_a_rank_loss_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no line of nodes is good enough, Newton's method closes all the same; its accelerations are off by 1."""
+    monkeypatch.setattr(lifting, "through_rank_loss", lambda *_: None)
+    robot, rate = row_of_four_bars(1), np.array([[-1.0], [-1.0]])
+    motion = PlatformMotion(np.array([0.0, 1.0]), np.array([[1.0], [1e-5]]), rate, 0.0 * rate, check_rates=False)
+    with pytest.raises(SingularPoseError, match=r"sample 1 \(t = 1 s, x = \[1e-05\]\) the closures lose rank"):
+        lift(robot, motion)
+    assert lift(robot, motion, positions_only=True).q[1, 1] == pytest.approx(-1e-5, abs=1e-10)
+
+
+def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:
+    system, rng = constraint_system(shipped), np.random.default_rng(4)
+    q = np.array(shipped.q_reference)[None] + rng.normal(0.0, 0.05, (5, shipped.model.nq))
+    K = system.evaluate(q).K
+    sizes = {"2rpr": 2, "3rrr": 3, "five_bar": 2, "four_bar": 2, "gough": 6}
+    sign, log = determinants(system, K)
+    assert log.shape == (5, sizes[shipped.name])
+    np.testing.assert_allclose(log.sum(axis=1), np.linalg.slogdet(K)[1], atol=1e-9)
+    assert (np.abs(sign) == 1.0).all()
+
+
+@pytest.mark.long
+def test_random_loops_on_one_crank_are_right_or_refused() -> None:
+    assert sum(require_closed_form(*random_crank(seed)) for seed in range(300)) >= 285
+
+
+@pytest.mark.long
+def test_machine_code_is_right_there_or_refuses() -> None:
+    """It carries nothing across a rank loss."""
+    assert sum(require_closed_form(*random_crank(seed), CompiledDynamics) for seed in range(200)) >= 20

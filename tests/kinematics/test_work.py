@@ -64,7 +64,7 @@ def at_most(found: list[int], expected: tuple[int, int]) -> None:
 
 
 DENSE = {"2rpr": (17, 3026), "3rrr": (29, 4310), "five_bar": (20, 4380), "four_bar": (22, 3565), "gough": (20, 3089)}
-SPARSE = {"2rpr": (15, 51), "3rrr": (21, 115), "five_bar": (15, 51), "four_bar": (15, 71), "gough": (15, 103)}
+SPARSE = {"2rpr": (15, 51), "3rrr": (22, 122), "five_bar": (15, 51), "four_bar": (15, 71), "gough": (15, 103)}
 GUESS = {"2rpr": 8.0e-5, "3rrr": 2.7e-4, "five_bar": 2.0e-4, "four_bar": 1.1e-4, "gough": 1.5e-5}
 """rad or m."""
 
@@ -92,14 +92,14 @@ def test_next_to_full_stretch_steps_get_shorter(counted: Callable[..., list[int]
     y = np.linspace(0.76, np.sqrt(1.0 - 0.25**2) - 1e-6, 50)
     x = np.stack([np.full(50, 0.25), y], axis=1)
     motion = rp.PlatformMotion(np.arange(50.0), x, np.zeros((50, 2)), np.zeros((50, 2)), check_rates=False)
-    at_most(counted(lambda: lift(robot, motion)), (645, 1052))
+    at_most(counted(lambda: lift(robot, motion)), (723, 1218))
 
 
 def test_a_rank_loss_is_crossed_on_a_line_of_nodes(counted: Callable[..., list[int]], tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
     angle = np.pi + np.linspace(-1.0, 1.0, 11)[:, None] + 0.033
     motion = rp.PlatformMotion(np.arange(11.0), angle, np.ones((11, 1)), np.zeros((11, 1)), check_rates=False)
-    at_most(counted(lambda: lift(robot, motion)), (137, 504))
+    at_most(counted(lambda: lift(robot, motion)), (146, 614))
 
 
 def test_searches_take_a_few_dozen_starts(counted: Callable[..., list[int]]) -> None:

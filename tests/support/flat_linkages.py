@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import functools
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from change_point_oracle import change_point, factor
 from written import write_robot
 
 from redundancy_pin import load_robot
@@ -165,3 +167,40 @@ def parallelogram(variant: str = "", incline: float | None = None) -> Robot:
     urdf = "\n".join([*parts, "</robot>"]).replace('"revolute"', f'"{joint}"')
     with tempfile.TemporaryDirectory() as folder:
         return load_robot(write_robot(Path(folder), urdf, declaration))
+
+
+Loop = tuple[float, float, float, float, int]
+"""Coupler, rocker and ground of a four-bar on a crank of 1 m, m; direction of its ground, rad; side of its branch."""
+
+
+def several_on_one_crank(loops: Sequence[Loop], angle: float) -> Robot:
+    """Return four-bars that share their crank, each flat where the crank is along its own ground; no gravity."""
+    parts = ['<robot name="loops"><link name="base"/>', _rod("c0", 1.0, 1.0), _hinge("crank", "base", "c0", 0.0)]
+    guess, closures = {"crank": angle}, []
+    for i, (coupler, rocker, ground, towards, side) in enumerate(loops):
+        ends = np.array(change_point((1.0, coupler, rocker, ground), side).angles(angle - towards)).ravel()
+        rocker_angle, coupler_angle = np.angle((ends[::2] + 1j * ends[1::2]) * np.exp(1j * towards)).tolist()
+        parts += [_rod(f"r{i}", rocker, rocker), _tip(f"r{i}", rocker), _rod(f"b{i}", coupler, coupler)]
+        parts += [_tip(f"b{i}", coupler), _hinge(f"coupler_{i}", "c0", f"b{i}", 1.0)]
+        place = ground * float(np.cos(towards)), ground * float(np.sin(towards))
+        parts.append(_hinge(f"rocker_{i}", "base", f"r{i}", *place))
+        guess |= {f"rocker_{i}": rocker_angle, f"coupler_{i}": coupler_angle - angle}
+        closures.append({"frames": [f"b{i}_tip", f"r{i}_tip"], "axes": ["x", "y"]})
+    declaration = {
+        "closures": closures,
+        "actuated": ["crank"],
+        "independent": {"joints": ["crank"]},
+        "reference": {"joints": {"crank": angle}, "guess": guess},
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        return load_robot(write_robot(Path(folder), "\n".join([*parts, "</robot>"]), declaration))
+
+
+def random_loop(rng: np.random.Generator, towards: float) -> Loop:
+    """Return a four-bar on a crank of 1 m that has a flat pose, and whose crank turns all the way round."""
+    while True:
+        b, c = rng.uniform(0.3, 1.2, 2).tolist()
+        b, c, d = ((b, c, 1.0 + b - c), (b, c, b + c - 1.0), (b, c, 1.0 + c - b), (b, 1.0, b))[rng.integers(4)]
+        factors = factor((1.0, b, c, d)) if d > 0.2 and abs(1.0 - d) > 0.03 else None
+        if factors is not None and np.polynomial.Polynomial(factors[1])(np.linspace(-1.0, 1.0, 401)).min() > 1e-3:
+            return b, c, d, towards, int(rng.choice([-1, 1]))

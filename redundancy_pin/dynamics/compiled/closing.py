@@ -90,6 +90,7 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool) -> Lifted:
             break
         away = first - failed
         start = _start(loops, motion, first, mark, thorough=away & (away - 1) == 0)
+    status[(status == CLOSED) & _blurred(arrays[2], arrays[3], arrays[7])] = _SINGULAR
     good: BoolArray = status == CLOSED
     if not good.all():
         if not mark:
@@ -101,6 +102,21 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool) -> Lifted:
             array[~good] = np.nan
     q, trig, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
     return Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(good))
+
+
+def _blurred(v: Array, a: Array, margin: Array) -> BoolArray:
+    """Return (N,) where v and a (N, nv) show a rank loss that the motion steps across, and none of a stretched leg.
+
+    A configuration that is good to 1e-16 gives accelerations to the square of the rates times 1e-16 / margin³. A share
+    of 1e-5 and more of them is too much; towards a stretched leg they are themselves as large as rates squared over the
+    margin squared, and stay good. Small margins all along, as of short levers, are none.
+    """
+    usual = margin[np.isfinite(margin)].max(initial=0.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        squared = np.abs(v).max(axis=1) ** 2
+        size = np.maximum(np.abs(a).max(axis=1), squared)
+        result: BoolArray = (margin < 0.1 * usual) & (margin**3 * size < 1e-16 / 1e-5 * squared)
+    return result
 
 
 def _run(
