@@ -40,7 +40,13 @@ EXACT = 1e-6
 CUT_OFF = 1e-3
 """Fraction of f that limits of the efforts may cut off between the nodes of a plan that keeps every limit."""
 
-MOST_ROUNDS = 5
+MOST_ROUNDS = 8
+
+STUCK = 0.1
+"""Fraction of f that a plan may miss, f being linear in its programme, and still be preferred to an elastic one."""
+
+SLOW = 0.99
+"""An elastic programme that is left with more than this fraction of what the one before was is as near as it comes."""
 
 LINEAR = 1e-2
 """Fraction of f by which a plan may miss W τ = f at a node, f being linear in its programme: else it has one more."""
@@ -65,13 +71,25 @@ FIRST_ROUNDS = 3
 class _Round:
     """A plan, and what the next one begins with.
 
-    ``nodes`` (N,) s; ``multipliers`` (N, n) of W τ = f there; ``left``: by which fraction of f that is missed at most.
+    ``nodes`` (N,) s; ``at``: s, ṡ and s̈ (N, k) there; ``multipliers`` (N, n) of W τ = f there; ``left``: by which
+    fraction of f that is missed at most.
     """
 
     command: Command
     nodes: Array
+    at: tuple[Array, ...]
     multipliers: Array
     left: float
+
+    @property
+    def doubt(self) -> float:
+        """What is left; not less than a bit where a limit kept the programme from an answer: it may come no nearer."""
+        return self.left if self.command.status is PlanningStatus.PLANNED else max(self.left, STUCK)
+
+    def halfway(self, other: _Round) -> _Round:
+        """Return another of the same nodes, of which the next one begins with the mean of both."""
+        at = tuple(0.5 * (own + their) for own, their in zip(self.at, other.at, strict=True))
+        return replace(other, at=at, multipliers=0.5 * (self.multipliers + other.multipliers))
 
 
 class RecedingHorizon:
@@ -202,7 +220,7 @@ class RecedingHorizon:
         if last is not None and plan.command.status is PlanningStatus.ELASTIC:
             # it may be stuck where W τ = f is missed least nearby
             another = self._rounds(t, until, given, self._guess(t, until, last))
-            if another.command.status is PlanningStatus.PLANNED:
+            if another.doubt < plan.doubt:
                 plan = another
         command = plan.command
         if command.status is PlanningStatus.PLANNED:
@@ -214,16 +232,22 @@ class RecedingHorizon:
 
     def _rounds(self, t: float, until: float, given: tuple[Array | None, ...], about: _Round | None) -> _Round:
         """Return a plan after as many programmes as it takes, each linear about the plan of the one before."""
-        plan = self._plan(t, until, given, about)
+        best = plan = self._plan(t, until, given, about)
         for done in range(1, MOST_ROUNDS):
-            if done >= (FIRST_ROUNDS if about is None else 1) and self._is_settled(t, plan):
+            if done >= (FIRST_ROUNDS if about is None else 1) and self._is_settled(t, best):
                 break
             another = self._plan(t, until, given, plan)
-            worse = another.command.status is not PlanningStatus.PLANNED
-            if worse and plan.command.status is PlanningStatus.PLANNED:
+            if another.doubt > max(best.doubt, LINEAR):  # too far: f is linear nearer to the best so far
+                plan = best.halfway(another)
+                continue
+            stuck = another.doubt > SLOW * best.doubt and another.command.status is PlanningStatus.ELASTIC
+            best = plan = another
+            if stuck:
                 break
-            plan = another
-        return plan
+        if best.command.status is PlanningStatus.PLANNED and best.left > STUCK:
+            reason = f"ahead {best.left:.0%} of the force is missing"
+            best = replace(best, command=replace(best.command, status=PlanningStatus.ELASTIC, reason=reason))
+        return best
 
     def _guess(self, t: float, until: float, last: _Round) -> _Round:
         """Return a motion to begin with, each time another one: to rest nearby, in the middle, towards a corner."""
@@ -315,7 +339,8 @@ class RecedingHorizon:
         if about is None:
             at = tuple(np.tile(part, (len(nodes), 1)) for part in first)
         else:
-            at = extended(about.command.carriers, nodes)
+            own_round = about.command.t == t and np.array_equal(about.nodes, nodes)
+            at = about.at if own_round else extended(about.command.carriers, nodes)
             places = np.searchsorted(about.nodes, nodes - SAME).clip(max=len(about.nodes) - 1)
             same = np.abs(about.nodes[places] - nodes) <= SAME
             multipliers[same] = about.multipliers[places[same]]
@@ -364,7 +389,7 @@ class RecedingHorizon:
                 )
             reason = "the solver found none"
             command = replace(last, t=t, status=PlanningStatus.FALLBACK, reason=reason, solver_seconds=seconds)
-            return replace(self._last, command=command, left=0.0)
+            return replace(self._last, command=command, left=np.inf)
         (x, multipliers), programme = solution, self.programme(status is PlanningStatus.ELASTIC)
         a = x[programme.sdd] * units_of(self.resolved)[2]
         h = np.diff(lin.nodes)[:, None]
@@ -378,12 +403,9 @@ class RecedingHorizon:
         f = self._ahead.known.values(self._ahead.at(lin.nodes[counts]), places[counts], speeds[counts], a[counts])
         missed = np.einsum("nij,nj->ni", lin.W[counts], tau[counts]) - f[:, : self.robot.n]
         left = float(np.abs(missed / problem.sizes.row).max(initial=0.0))
-        if last is not None:  # to the singular instant, and away from one just before, by the last plan
+        if last is not None:
             parts = zip((last.carriers, last.efforts, last.forces), (carriers, efforts, forces), strict=True)
-            carriers, efforts, forces = (
-                new if new.start <= t + SAME else PiecewisePolynomial.joined([old.between(t, new.start), new])
-                for old, new in parts
-            )
+            carriers, efforts, forces = (begun_with(old, new, t, float(lin.nodes[0])) for old, new in parts)
         unknown = np.flatnonzero(~lin.known)
         known_until = float(lin.nodes[max(unknown[0] - 1, 0)]) if len(unknown) else float(lin.nodes[-1])
         if len(unknown) and lin.nodes[unknown[0]] <= lin.until + SAME:
@@ -392,7 +414,7 @@ class RecedingHorizon:
         command = Command(
             t, status, reason, carriers, efforts, forces, residual, peak, frozen(roots), known_until, 0.0, seconds
         )
-        return _Round(command, lin.nodes, multipliers, left)
+        return _Round(command, lin.nodes, (places, speeds, a), multipliers, left)
 
     def _is_beyond(self, s: Array, sd: Array) -> bool:
         """Return whether a start is beyond the limits by more than rounding: then no plan keeps them."""
@@ -450,3 +472,16 @@ class RecedingHorizon:
             times, values = np.append(times, times + self.step), np.repeat(values, 2, axis=0)
         most = self.resolved.effort
         return PiecewisePolynomial.linear(times, np.clip(values, -most, most)), forces, residual, peak
+
+
+def begun_with(last: PiecewisePolynomial, new: PiecewisePolynomial, t: float, start: float) -> PiecewisePolynomial:
+    """Return the new function with its beginning: to the singular instant where its plan starts it is the last one's.
+
+    From there on efforts are linear up to the first instant at which W⁻¹ f is known: just behind a singular one it is
+    not, and their value at the start, where s̈ is given, is that of the last plan.
+    """
+    before = [last.between(t, start)] if start > t + SAME else []
+    if new.start > start + SAME:
+        ends = np.array([start, new.start])
+        before.append(PiecewisePolynomial.linear(ends, np.array([last.at(start), new.at(new.start)])))
+    return PiecewisePolynomial.joined([*before, new]) if before else new

@@ -38,6 +38,9 @@ CLOSER = 1e-5
 """By this fraction the limits are closer at the end of the horizon: the rest of a plan is not on the limits of the next
 one, which it would miss by rounding."""
 
+IN_HAND = 0.2
+"""So is the limit of acceleration, by this fraction: a plan that is to be put right as it comes nearer needs some."""
+
 BEYOND = 1e-6
 """Room in an elastic programme for a start that is on its limit, m."""
 
@@ -216,7 +219,7 @@ class Programme:
         s, sd, _ = problem.first
         closer = CLOSER * (lin.nodes - lin.nodes[0])[:, None] / (lin.nodes[-1] - lin.nodes[0])
         low, high = limits.track[:, 0] + closer * us, limits.track[:, 1] - closer * us
-        speed, acceleration = limits.speed * (1.0 - closer), limits.acceleration * (1.0 - closer)
+        speed, acceleration = limits.speed * (1.0 - closer), limits.acceleration * (1.0 - closer * (IN_HAND / CLOSER))
         if self.elastic:
             # room for a start that leaves a limit, and for going back with half the acceleration; for no other
             after, most = (lin.nodes - lin.nodes[0])[:, None], np.minimum(limits.acceleration, 1e3)

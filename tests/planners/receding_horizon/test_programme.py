@@ -256,11 +256,10 @@ def test_bounds_are_the_limits_at_the_nodes_and_what_the_start_is(rows):
     tick, p, limits = rows.tick, rows.programme, rows.tick.limits
     ut, near = tick.sizes.tau, {"rtol": 2.0 * CLOSER}
     given = int(not tick.free)
-    np.testing.assert_allclose(
-        rows.upper[p.sdd[given:]] * rows.units[2], limits.acceleration + 0.0 * p.sdd[given:], **near
-    )
+    # a fifth of the acceleration is kept in hand for the end of the horizon, so that a plan can be put right later
+    after = ((rows.lin.nodes - rows.lin.nodes[0]) / np.ptp(rows.lin.nodes))[given:, None]
+    np.testing.assert_allclose(rows.upper[p.sdd[given:]] * rows.units[2], limits.acceleration * (1.0 - 0.2 * after))
     np.testing.assert_allclose(rows.upper[p.sd[-1]] * rows.units[1], limits.speed, **near)
-    assert (rows.upper[p.sdd[given:]] * rows.units[2] <= limits.acceleration).all()
     np.testing.assert_allclose(rows.upper[p.tau] * ut, limits.effort + 0.0 * p.tau, rtol=1e-12)
     np.testing.assert_array_equal(rows.lower[:-1], -rows.upper[:-1])
     np.testing.assert_allclose(rows.lower[p.peak] * ut, WEIGHTS.memory * tick.largest)

@@ -20,6 +20,7 @@ from redundancy_pin.planners.receding_horizon import (
     run_online,
 )
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from
+from redundancy_pin.planners.receding_horizon.planner import SHORTEST_STOP
 from redundancy_pin.planners.receding_horizon.run import pieces_of
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
@@ -251,7 +252,8 @@ def test_carriers_of_unequal_limits_stop_on_their_tracks_behind_the_horizon():
         np.testing.assert_allclose(stop.derivative()(t[-1:], "left"), 0.0, atol=1e-9)
         pieces = stop(stop.edges[1:-1]) - stop(stop.edges[1:-1], "left")
         rates = stop.derivative()(stop.edges[1:-1]) - stop.derivative()(stop.edges[1:-1], "left")
-        np.testing.assert_allclose(np.concatenate([pieces, rates]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(pieces, 0.0, atol=1e-9)
+        np.testing.assert_allclose(rates, 0.0, atol=20.0 * SHORTEST_STOP)  # what stops sooner stands
 
 
 BETWEEN = 5e-3
