@@ -211,6 +211,9 @@ def _between(course: CarrierMotion, target: CarrierMotion, step: float) -> Carri
 NOTHING = 1e-5
 """A relaxation below this fraction of a limit is none: the objective and the reserve leave as much."""
 
+SPARED = 25_000
+"""Iterations, times nodes, for finding out whether one limit does by itself: two seconds of the processor."""
+
 TOUCHED = 1e-4
 """Fraction of its range within which a limit counts as reached."""
 
@@ -218,7 +221,9 @@ TOUCHED = 1e-4
 def relax(problem: WholeTrajectoryProblem, robot: RobotRecord, guess: dict[str, Array], message: str) -> Solution:
     """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
-    First all limits may give way at once, then each of those that did, or that are touched, by itself.
+    First all limits may give way at once, then each of those that did, or that are touched, by itself, as far as
+    ``SPARED`` goes: a limit that does by itself is found in as many iterations as the first took, one that does not in
+    ten times as many. Efforts come first: where carriers can move at all, they do.
 
     ``problem``: the numbers; ``robot``: names of carriers and actuators, and which of them rotate; ``guess``: first
     guess; ``message``: how the solver ended on the ordinary problem.
@@ -226,8 +231,9 @@ def relax(problem: WholeTrajectoryProblem, robot: RobotRecord, guess: dict[str, 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
             ``time`` and ``carrier`` where it is exceeded most, ``amount`` of that, and ``limit`` that would suffice;
-            ``relaxations``, the same for every limit that gave way; and ``together``, whether all of these are needed
-            or one of them is enough. Or nothing admits a plan, or the time ran out.
+            ``relaxations``, the same for every limit that gave way; ``together``, whether all of these are needed
+            or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
+            Or nothing admits a plan, or the time ran out.
     """
     settings = problem.settings.solver
     deadline = time.perf_counter() + settings.seconds
@@ -239,26 +245,74 @@ def relax(problem: WholeTrajectoryProblem, robot: RobotRecord, guess: dict[str, 
         return elastic
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
     touched = [kind for kind in KINDS if kind not in exceeded and is_touched(problem, robot, elastic, kind)]
-    candidates = [*exceeded, *touched]
-    alone = {}
-    for kind in candidates if len(candidates) > 1 else []:
-        left = deadline - time.perf_counter()
-        if left <= 0.0:
-            break
-        solution = solve_nlp(transcribe(problem, (kind,)), elastic.values, left, progress=settings.progress)
+    candidates = sorted([*exceeded, *touched], key=lambda kind: (exceeded != [kind], kind != "effort"))
+    alone: dict[str, Solution] = {}
+    untried: list[str] = []
+    left = max(elastic.iterations, SPARED // len(problem.grid.t))
+    for kind in candidates if len(candidates) > 1 else ():
+        seconds = deadline - time.perf_counter()
+        if left <= 0 or seconds <= 0.0:
+            untried.append(kind)
+            continue
+        programme, most = transcribe(problem, (kind,)), {"ipopt.max_iter": left}
+        solution = solve_nlp(programme, elastic.values, seconds, most, settings.progress)
+        left -= solution.iterations
         if solution.optimal:
             alone[kind] = solution
+        elif not solution.infeasible:
+            untried.append(kind)
     relaxed = alone or dict.fromkeys(exceeded, elastic)
     order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
     events = [elastic_event(problem, robot, relaxed[kind], kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event.pop("text")) for event in events)
+    rest = f" Not tried to the end: {', '.join(untried)} alone." if untried else ""
     raise InfeasiblePlanError(
-        f"No motion of the carriers keeps every limit. What would suffice: {text}.",
-        remedy="Widen these limits, slow the motion down, or leave the end free.",
+        f"No motion of the carriers keeps every limit. What would suffice: {text}.{rest}",
+        remedy=_REMEDY,
         relaxations=tuple(events),
         together=not alone and len(exceeded) > 1,
+        untried=tuple(untried),
         **events[0],
     )
+
+
+_REMEDY = "Widen these limits, slow the motion down, or leave the end free."
+
+
+def require_bounds(problem: WholeTrajectoryProblem, guess: dict[str, Array]) -> None:
+    """Check that each bound of ``at_most`` is not below the least that there is of it within the limits.
+
+    That takes a solution for each, and no search for a way to keep them all: it is a tenth of the time.
+
+    Raises:
+        InfeasiblePlanError: one is, as ``relax``.
+    """
+    settings, events = problem.settings, []
+    for name, bound in settings.at_most.items():
+        least = replace(problem, settings=replace(settings, objective={name: 1.0}, at_most={}))
+        solution = solve(least, guess, settings.solver.seconds)
+        fraction = objective_values(least, solution.values)[name] / bound - 1.0
+        if solution.optimal and fraction > NOTHING:
+            events.append(_bound_event(problem, name, fraction))
+    if events:
+        text = "; and ".join(str(event.pop("text")) for event in events)
+        known = "What would suffice" if len(settings.at_most) == 1 else "What is needed at least"
+        raise InfeasiblePlanError(
+            f"No motion of the carriers keeps every limit. {known}: {text}. Not tried: wider limits.",
+            remedy=_REMEDY,
+            relaxations=tuple(events),
+            together=len(events) > 1,
+            untried=tuple(kind for kind in KINDS if kind != "at_most"),
+            **events[0],
+        )
+
+
+def _bound_event(problem: WholeTrajectoryProblem, name: str, fraction: float) -> dict[str, object]:
+    """Return by how much a bound of ``at_most`` has to be wider."""
+    bound = problem.settings.at_most[name]
+    text = f"{name} at most, from {bound:.6g} to {bound * (1.0 + fraction):.6g} ({100.0 * fraction:.3g} %)"
+    numbers = {"amount": bound * fraction, "limit": bound * (1.0 + fraction), "fraction": fraction}
+    return {"constraint": "at_most", "objective": name, "time": float(problem.grid.t[0]), **numbers, "text": text}
 
 
 def _slack(solution: Solution, kind: str) -> float:
@@ -300,10 +354,8 @@ def elastic_event(
     t = problem.grid.t
     if kind == "at_most":
         costs = objective_values(problem, elastic.values)
-        name, bound = max(problem.settings.at_most.items(), key=lambda one: costs[one[0]] / one[1])
-        text = f"{name} at most, from {bound:.6g} to {bound * (1.0 + fraction):.6g} ({100.0 * fraction:.3g} %)"
-        numbers = {"amount": bound * fraction, "limit": bound * (1.0 + fraction), "fraction": fraction}
-        return {"constraint": kind, "objective": name, "time": float(t[0]), **numbers, "text": text}
+        name, _ = max(problem.settings.at_most.items(), key=lambda one: costs[one[0]] / one[1])
+        return _bound_event(problem, name, fraction)
     if kind == "end":
         missed = np.abs(elastic.values["s"][-1] - problem.settings.datum / problem.scales.s) * problem.scales.s
         if problem.settings.end == "datum":

@@ -27,6 +27,7 @@ from redundancy_pin.planners.whole_trajectory.multistart import (
     fit_and_solve,
     multistart,
     relax,
+    require_bounds,
 )
 from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import (
@@ -214,6 +215,8 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
         last = len(ratios) >= settings.mesh.refinements
         guess, look = first_guess(problem, position, 0), None
         begun = None if fitted else draft(problem, guess, settings.solver.seconds)
+        if begun is not None and not begun.optimal:
+            require_bounds(problem, guess)
         if begun is not None and begun.optimal and not exceeds_force(problem, begun):
             solution, look = begun, _look_between(task, problem, begun)
         if begun is None or look is None or look.passed or last:

@@ -256,6 +256,9 @@ CENTRED: Options = {
 """For the last steps from a point on the central path: the multipliers of inequalities follow from the barrier
 parameter, and IPOPT makes those of the equations by itself."""
 
+BOUNDED = 60
+"""Iterations of a draft with bounds of objectives after which each bound is looked at by itself."""
+
 LAST_STEPS, LAST_STEPS_OF_MANY = 2, 4
 """Numbers of these steps within tolerance. At 3000 nodes two leave 3e-5 of the efforts, four 3e-12."""
 
@@ -331,7 +334,9 @@ def draft(problem: WholeTrajectoryProblem, guess: dict[str, Array], seconds: flo
             return quick
     seconds = max(deadline - time.perf_counter(), LEAST_SECONDS)
     nlp = transcribe(problem, between=[], limit_force=False)
-    return solve_nlp(nlp, guess, seconds, strategy.first[0], problem.settings.solver.progress)
+    # bounds of objectives are asked for below the least there is, which takes a thousand iterations to see from here
+    most = {"ipopt.max_iter": BOUNDED} if problem.settings.at_most else {}
+    return solve_nlp(nlp, guess, seconds, {**strategy.first[0], **most}, problem.settings.solver.progress)
 
 
 def _least_peak(

@@ -9,6 +9,7 @@ import zoo
 from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.planners.whole_trajectory import multistart, planner
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -109,3 +110,29 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed):
     too_little = relaxed(dynamics, limits, details, NARROWER)
     with pytest.raises(InfeasiblePlanError):
         plan_whole_trajectory(dynamics, trajectory, **settings_of(too_little), **settings)
+
+
+def test_what_was_not_tried_is_said(monkeypatch):
+    """Of a limit that does not do by itself this takes ten times as long to see as of one that does."""
+    monkeypatch.setattr(multistart, "SPARED", 0)
+    dynamics, trajectory, limits = random_problem(6)
+    settings = {"dt": trajectory.duration / STEPS, "refinements": 0}
+    with pytest.raises(InfeasiblePlanError, match="Not tried to the end: ") as caught:
+        plan_whole_trajectory(dynamics, trajectory, **settings_of(limits), **settings)
+    assert set(caught.value.details["untried"]) >= {"effort"}
+    assert caught.value.details["together"]
+
+
+def test_a_bound_below_the_least_there_is_names_that_least_without_a_search(monkeypatch):
+    dynamics, trajectory = RneaDynamics(zoo.robot_of("five_bar")), straight((0.25, 0.6), (0.3, 0.3), 0.4)
+    settings = {"dt": trajectory.duration / STEPS, "refinements": 0}
+    least = plan_whole_trajectory(dynamics, trajectory, objective="energy", **settings).diagnostics["objective"][
+        "energy"
+    ]
+    monkeypatch.setattr(planner, "relax", None)
+    with pytest.raises(InfeasiblePlanError, match="What would suffice: energy at most") as caught:
+        plan_whole_trajectory(dynamics, trajectory, objective="peak", at_most={"energy": 0.5 * least}, **settings)
+    assert caught.value.details["limit"] == pytest.approx(least, rel=1e-6)
+    assert caught.value.details["constraint"] == "at_most"
+    kept = plan_whole_trajectory(dynamics, trajectory, objective="peak", at_most={"energy": 1.01 * least}, **settings)
+    assert kept.diagnostics["objective"]["energy"] <= 1.01 * least * (1.0 + ROUNDING)
