@@ -7,11 +7,13 @@ first paths and for those that are not planned at every tick. Times are those of
 
     python benchmarks/online.py compare [machine] [paths]   off line, switched off and on line, on the same paths
     python benchmarks/online.py preview [paths]             which preview the 2-RPR needs, by masses and acceleration
+    python benchmarks/online.py endless [ticks]             one planner along a path without end: statuses and memory
 
 print tables of docs/online.md.
 """
 
 import json
+import resource
 import sys
 import time
 from collections import Counter
@@ -22,7 +24,7 @@ import numpy as np
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
+from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, run_online
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.waypoints import through_points
 
@@ -237,6 +239,30 @@ def preview(count=8):
         print(f"| {heavier:g} | {most:g} | {off} | {' | '.join(cells)} |", flush=True)
 
 
+def without_end(times):
+    """A motion of the 2-RPR that never repeats itself, over the singular line once a second: up to 0.6 m/s."""
+    rates, sizes = np.array([[1.3, 2.1], [1.9, 3.1]]), np.array([[0.08, 0.03], [0.12, 0.05]])  # rad/s and m, of x and y
+    rates = rates * np.array([[1.0, np.sqrt(1.1)], [np.sqrt(0.9), np.pi / 3.0]])
+    angle = rates * times[:, None, None] + np.array([[0.3, 1.0], [2.0, 0.5]])
+    value, rate = sizes * np.sin(angle), sizes * rates * np.cos(angle)
+    x, xd, xdd = (part.sum(axis=2) for part in (value, rate, -(rates**2) * value))
+    return rp.PlatformMotion(times, x + np.array([0.25, 0.0]), xd, xdd)
+
+
+def endless(ticks=100000):
+    """Print the statuses of so many ticks of one planner, and the largest memory so far at every tenth of them."""
+    planner, counts = RecedingHorizon(machine("2rpr")), Counter()
+    path, crossings, sign = Preview(without_end, 0.0, 1e9), 0, 0.0
+    for i in range(int(ticks)):
+        command = planner.update(planner.step * i, path)
+        counts[command.status.value] += 1
+        y = np.sign(without_end(np.array([planner.step * i])).x[0, 1])
+        crossings, sign = crossings + (y != sign), y
+        if (i + 1) % (int(ticks) // 10) == 0:
+            size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+            print(f"{i + 1} ticks: {dict(counts)}, {crossings - 1} times over y = 0, {size:.0f} MiB", flush=True)
+
+
 def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
     """Go on where a file ends: ``least`` of the paths are planned off line too."""
     file = Path(file)
@@ -271,7 +297,7 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
 
 
 if __name__ == "__main__":
-    commands = {"compare": compare, "preview": preview}
+    commands = {"compare": compare, "preview": preview, "endless": endless}
     if sys.argv[1:2] and sys.argv[1] in commands:
         commands[sys.argv[1]](*sys.argv[2:])
     else:
