@@ -8,6 +8,7 @@ first paths and for those that are not planned at every tick. Times are those of
     python benchmarks/online.py compare [machine] [paths]   off line, switched off and on line, on the same paths
     python benchmarks/online.py preview [paths]             which preview the 2-RPR needs, by masses and acceleration
     python benchmarks/online.py endless [ticks]             one planner along a path without end: statuses and memory
+    python benchmarks/online.py loop [machines] [times]     in closed loop, imperfections of docs/robustness.md by times
 
 print tables of docs/online.md.
 """
@@ -17,6 +18,7 @@ import resource
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 from itertools import islice, product
 from pathlib import Path
 
@@ -25,7 +27,11 @@ import numpy as np
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.receding_horizon import Preview, RecedingHorizon, run_online
+from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, OnlinePlanning, Sampling, joint_friction
+from redundancy_pin.simulation.state import closed_state
+from redundancy_pin.studies.trial import MASSES, Imperfections, draw
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory.paths import circle_path
 from redundancy_pin.trajectory.waypoints import through_points
 
 MACHINES = {
@@ -55,6 +61,14 @@ HEAVIER = 0.5, 1.0, 2.0
 
 ACCELERATIONS = 2.5, 5.0, 10.0, 20.0
 """Limits of its carriers, m/s²; 10 is its own."""
+
+LOOP = Trajectory(
+    circle_path((0.25, 0.05), 0.09, start_angle=np.pi, sweep=np.pi), SpeedProfile(0.09 * np.pi, 0.45, 0.2)
+)
+"""Over the line and back."""
+
+LOOPS = {}, {"integral": 10.0}, {"bandwidth": 45.0, "integral": 10.0}
+FRICTION = "prismatic_coulomb", "prismatic_viscous", "revolute_coulomb", "revolute_viscous"
 
 
 def machine(name, heavier=1.0):
@@ -263,6 +277,49 @@ def endless(ticks=100000):
             print(f"{i + 1} ticks: {dict(counts)}, {crossings - 1} times over y = 0, {size:.0f} MiB", flush=True)
 
 
+def imperfect(number, times, **settings):
+    """Return how far the platform of an imperfect machine is from its circle over two crossings, m, and the ticks."""
+    known, sampling = rp.load_robot("2rpr", **MASSES), Sampling(1e-3, 1e-3)
+    one, dynamics = Imperfections(), rp.CompiledDynamics(known)
+    wrong = ("mass", "length", "start_position", "start_speed", "noise", *FRICTION)
+    bounds = replace(one, **{name: times * getattr(one, name) for name in wrong})
+    drawn, limits = draw(known, bounds, 0, number), {"effort_limit": 20.0, "carrier_force_limit": 40.0}
+    planner = RecedingHorizon(dynamics, track=(-0.16, 0.16))
+    control = OnlinePlanning(planner, LOOP, sampling, effort_scale=2.0, dynamics=dynamics, **limits, **settings)
+    true, point = rp.load_robot("2rpr", **{**MASSES, **drawn.arguments}), control.reference.at(0.0)
+    home = closed_state(true, point.x, point.xd, point.s, point.sd).q - point.q
+    beside = (point.x + drawn.x, point.xd + drawn.xd, point.s + drawn.s, point.sd + drawn.sd)
+    factors = {"coulomb_factor": drawn.coulomb, "viscous_factor": drawn.viscous}
+    run = rp.simulate(
+        true,
+        NoisyAmplifier(
+            Encoders(control, control.reference, period=1e-3, time_constant=5e-3, phase=drawn.phase, home=home),
+            drawn.random,
+            bounds.noise,
+        ),
+        start=closed_state(true, *beside),
+        duration=LOOP.duration,
+        dt=1e-3,
+        sampling=sampling,
+        external=joint_friction(true, **{name: getattr(bounds, name) for name in FRICTION}, **factors),
+        rtol=1e-6,
+        atol=1e-8,
+        integrator="RK45",
+        **limits,
+    )
+    planned = np.array([control.reference.platform(float(t))[0] for t in run.t])
+    return np.linalg.norm(run.x - planned, axis=1).max() if run.status.value == "completed" else np.inf, control.counts
+
+
+def loop(count=10, times=1.0):
+    """Print a row for each setting of the controller: machines within 2 mm, largest deviations, ticks."""
+    for settings in LOOPS:
+        runs = [imperfect(number, float(times), **settings) for number in range(int(count))]
+        ticks, away = sum((Counter(run[1]) for run in runs), Counter()), 1e3 * np.array([run[0] for run in runs])
+        told = f"{(away < 2.0).sum()} of {len(runs)}, {np.median(away):.2f} mm median, {away.max():.2f} mm at worst"
+        print(f"{times} times, {settings}: {told}; {dict(ticks)}", flush=True)
+
+
 def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
     """Go on where a file ends: ``least`` of the paths are planned off line too."""
     file = Path(file)
@@ -297,7 +354,7 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
 
 
 if __name__ == "__main__":
-    commands = {"compare": compare, "preview": preview, "endless": endless}
+    commands = {"compare": compare, "preview": preview, "endless": endless, "loop": loop}
     if sys.argv[1:2] and sys.argv[1] in commands:
         commands[sys.argv[1]](*sys.argv[2:])
     else:

@@ -1,5 +1,7 @@
 """Plans made inside the loop, from what encoders see of a machine that is not as planned."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -19,12 +21,13 @@ ASKED = 2e-3
 """m."""
 
 
-def closed_loop(number: int, duration: float) -> tuple[float, OnlinePlanning]:
+@functools.cache
+def closed_loop(number: int, duration: float, **settings: float) -> tuple[float, OnlinePlanning]:
     """Drive an imperfect machine of the robustness study; return how far it was off, and its controller."""
     bounds, nominal, sampling = Imperfections(), rp.load_robot("2rpr", **MASSES), Sampling(1e-3, 1e-3)
     dynamics, drawn = rp.CompiledDynamics(nominal), draw(nominal, bounds, 0, number)
     planner = rp.RecedingHorizon(dynamics, track=(-0.16, 0.16))
-    control = OnlinePlanning(planner, ACROSS, sampling, effort_scale=2.0, dynamics=dynamics)
+    control = OnlinePlanning(planner, ACROSS, sampling, effort_scale=2.0, dynamics=dynamics, **settings)
     machine = rp.load_robot("2rpr", **{**MASSES, **drawn.arguments})
     point = control.reference.at(0.0)
     home = closed_state(machine, point.x, point.xd, point.s, point.sd).q - point.q
@@ -60,13 +63,22 @@ def test_an_imperfect_machine_crosses_by_plans_made_on_the_way(number, duration)
     np.testing.assert_allclose(starts, control.tick * np.arange(1, len(starts) + 1) + control.planning_delay, atol=1e-9)
 
 
+def test_what_the_model_does_not_know_is_learnt_by_an_integral():
+    """Friction leaves the platform behind by its share of ω² e, which an integral takes over."""
+    (without, _), (learnt, control) = closed_loop(0, 0.25), closed_loop(0, 0.25, integral=10.0)
+    assert learnt < 0.75 * without
+    assert set(control.counts) == {"planned"}
+
+
 def test_settings_that_make_no_sense_are_refused():
     planner = rp.RecedingHorizon(rp.CompiledDynamics(rp.load_robot("2rpr", **MASSES)))
     with pytest.raises(InputError, match="is not within a tick"):
         OnlinePlanning(planner, ACROSS, Sampling(1e-3), effort_scale=1.0, delay=0.03)
-    for settings in ({"tick": 0.6}, {"delay": np.nan}, {"delay": "soon"}):
+    for settings in ({"tick": 0.6}, {"delay": np.nan}, {"delay": "soon"}, {"integral": -1.0}, {"integral": np.nan}):
         with pytest.raises(InputError):
             OnlinePlanning(planner, ACROSS, Sampling(1e-3), effort_scale=1.0, **settings)
+    with pytest.raises(InputError, match="integral of 30 rad/s is not within the bandwidth of 30 rad/s"):
+        OnlinePlanning(planner, ACROSS, Sampling(1e-3), effort_scale=1.0, integral=30.0)
     with pytest.raises(InputError, match="RecedingHorizon"):
         OnlinePlanning(None, ACROSS, Sampling(1e-3), effort_scale=1.0)
     with pytest.raises(InputError, match="digital"):

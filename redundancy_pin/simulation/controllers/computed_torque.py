@@ -255,6 +255,7 @@ class ComputedTorque(Tracking):
         error = state_error(robot, here, point.x, point.xd, point.s, point.sd)
         d, n = robot.n + robot.k, robot.n
         wanted = np.concatenate([point.xdd, point.sdd]) - self._stiffness * error[:d] - self._damping * error[d:]
+        wanted[:n] -= self._learnt()
         try:
             equations = self._model.at(here.q, here.v)
         except SingularPoseError:
@@ -276,6 +277,10 @@ class ComputedTorque(Tracking):
         if allocation.status is AllocationStatus.UNBALANCED:
             return self._as_planned(t, point, allocation)
         return TorqueCommand(t, read_only(allocation.tau), read_only(carriers.of(allocation.deviation)), allocation)
+
+    def _learnt(self) -> Array:
+        """Return the acceleration (n,) of the platform, m/s², that the motion so far has shown to be lacking: none."""
+        return np.zeros(self.robot.n)
 
     def _as_planned(self, t: float, point: ReferencePoint, allocation: Allocation) -> TorqueCommand:
         """Return the plan's efforts, within the limits."""

@@ -17,6 +17,7 @@ from redundancy_pin.planners.reference import MotionReference, ReferencePoint
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Command, Sampling
 from redundancy_pin.simulation.controllers.computed_torque import HISTORY, ComputedTorque
+from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.state import State
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
@@ -86,6 +87,8 @@ class OnlinePlanning(ComputedTorque):
         tick: between plans, s.
         delay: from reading the state to the plan that comes of it, s: at least the time that planning takes.
         correction: share of the carriers' distance from their plan that a new plan takes over, 0 to 1.
+        integral: ω_i, rad/s: ẍ has − ω² ω_i ∫ e dt too, against what the model does not know, such as friction; a tenth
+            to a third of the bandwidth is stable.
         effort_scale, carrier_scale: as of ``ComputedTorque``.
         others: further settings of ``ComputedTorque``.
 
@@ -102,6 +105,7 @@ class OnlinePlanning(ComputedTorque):
         tick: float = 0.02,
         delay: float = 5e-3,
         correction: float = 0.2,
+        integral: float = 0.0,
         effort_scale: ArrayLike,
         carrier_scale: ArrayLike = 1.0,
         dynamics: Dynamics | None = None,
@@ -124,6 +128,13 @@ class OnlinePlanning(ComputedTorque):
                 remedy="Have delay < tick <= horizon.",
             )
         self.correction = fraction(correction, "correction")
+        self.integral, self._period = float(each(integral, "integral", (1,), finite=True)[0]), sampling.period
+        if not 0.0 <= self.integral < self.bandwidth:
+            raise InputError(
+                f"An integral of {self.integral:g} rad/s is not within the bandwidth of {self.bandwidth:g} rad/s.",
+                remedy="Pass 0 <= integral < bandwidth.",
+            )
+        self._accumulated = np.zeros(planner.robot.n)  # m s
         self.plans: deque[planning.Command] = deque(maxlen=HISTORY)
         self._coming: planning.Command | None = None
         self._next = -np.inf
@@ -146,7 +157,14 @@ class OnlinePlanning(ComputedTorque):
             self._coming = self._plan(starts, s_then + beside[0], sd_then + beside[1])
         if self._coming is not None and t >= self._coming.t - 1e-9:
             self._live.plan, self._coming = self._coming, None
+        if self.integral:
+            point = self.reference.at(t)
+            error = state_error(self.robot, state, point.x, point.xd, point.s, point.sd)
+            self._accumulated = self._accumulated + self._period * error[: self.robot.n]
         return super().effort(t, state)
+
+    def _learnt(self) -> Array:
+        return self.integral * self.bandwidth**2 * self._accumulated
 
     def _plan(self, t: float, s: Array, sd: Array) -> planning.Command:
         command = self.planner.update(t, self._motion, s, sd)
