@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from functools import cached_property
@@ -32,6 +33,19 @@ the rounding unit is 1.5e-8; poses found by root finding reach 1e-12."""
 NEAR_SINGULAR_MARGIN = 0.05
 """Scaled margin below which a pose is reported as near-singular; on the 2-RPR it is reached at a
 condition number of 28, just above the largest threshold the thesis works with (20)."""
+
+
+_DECIMAL = re.compile(r"\s*([+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf(inity)?|nan))\s*", re.ASCII | re.IGNORECASE)
+
+
+def decimal(text: str) -> float:
+    """Return the number that a text is; ValueError where it is none to everybody.
+
+    ``float`` takes 1_0 for ten, and digits of any script, which other readers of the same file do not.
+    """
+    if not _DECIMAL.fullmatch(text):
+        raise ValueError(f"{text!r} is no decimal number")
+    return float(text)
 
 
 class Labelled(IntEnum):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from redundancy_pin.arrays import checked, frozen, read_only
+from redundancy_pin.arrays import checked, decimal, frozen, read_only
 from redundancy_pin.errors import InputError
 
 
@@ -66,3 +66,18 @@ def test_values_that_are_not_finite_are_counted_and_located(bad: float) -> None:
     with pytest.raises(InputError, match=r"2 value\(s\).*index \(1, 1\)") as caught:
         checked(values, "xdd", ("N", 2))
     assert caught.value.details["index"] == (1, 1)
+
+
+@pytest.mark.parametrize(
+    "text", ["1_0", "1e1_0", "\u0663", "\u0661.5", "1\u00a00", "0x1p3", "1d0", "1e", "", " ", "+-1", "1 0", "infinit"]
+)
+def test_what_is_a_number_to_python_alone_is_none(text: str) -> None:
+    with pytest.raises(ValueError, match="no decimal number"):
+        decimal(text)
+
+
+@given(st.floats(allow_nan=False), st.sampled_from(["{!r}", "{:.3e}", "{:+.9f}", " {:G} "]))
+def test_numbers_as_programs_write_them_are_taken(value: float, form: str) -> None:
+    assert decimal(form.format(value)) == float(form.format(value))
+    assert decimal("7.") == 7.0
+    assert np.isnan(decimal("NaN"))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
 import click
 
-from redundancy_pin.arrays import LARGEST, checked
+from redundancy_pin.arrays import LARGEST, checked, decimal
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, did_you_mean, shown
 
@@ -146,7 +146,7 @@ def _link_and_numbers(name: str, text: str, form: str) -> tuple[str, list[float]
     link, _, values = text.rpartition("=")
     allowed = {values.count(",") + 1 for values in (form.replace("[", "").replace("]", ""), form.partition("[")[0])}
     try:
-        given = [float(value) for value in values.split(",")]
+        given = [decimal(value) for value in values.split(",")]
     except ValueError:
         given = []
     if not link.strip() or len(given) not in allowed:
@@ -208,7 +208,7 @@ def parse_setting(text: str) -> tuple[str, float | bool | str]:
     if value.lower() in ("true", "false"):
         return name, value.lower() == "true"  # before numbers: xacro tells a truth value from 1
     try:
-        return name, float(value)
+        return name, decimal(value)
     except ValueError:
         return name, value
 
@@ -224,7 +224,8 @@ def parse_mode(text: str) -> tuple[int, ...]:
 def parse_vector(given: Any) -> tuple[float, ...]:
     """Return gravity, m/s², from ``X,Y,Z`` or a list."""
     try:
-        numbers = tuple(float(part) for part in (given.split(",") if isinstance(given, str) else given))
+        text = isinstance(given, str)
+        numbers = tuple(map(decimal, given.split(","))) if text else tuple(float(part) for part in given)
     except (TypeError, ValueError, OverflowError):
         numbers = ()
     if len(numbers) != 3 or not all(abs(number) <= LARGEST for number in numbers):

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import click
 import numpy as np
 
-from redundancy_pin.arrays import frozen
+from redundancy_pin.arrays import decimal, frozen
 from redundancy_pin.cli import options
 from redundancy_pin.cli.errors import KEYS
 from redundancy_pin.dynamics.base import Dynamics
@@ -44,7 +44,7 @@ def number(name: str, value: object) -> float:
     """Return a number; text with one is accepted (YAML reads ``1e-3`` as text)."""
     try:
         if not isinstance(value, bool) and isinstance(value, (int, float, str)):
-            return float(value)
+            return decimal(value) if isinstance(value, str) else float(value)
     except (ValueError, OverflowError):
         pass
     raise _refuse(name, value, "not a number", "a number, such as 0.5 (SI units)")

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
+from redundancy_pin.arrays import decimal
 from redundancy_pin.cli import options
 from redundancy_pin.cli.map import trajectory_of
 from redundancy_pin.cli.output import progress, report, resumable
@@ -256,7 +257,7 @@ def _planner_parameters(texts: tuple[str, ...], *refused: str) -> dict[str, Any]
 def _ends(text: str, flag: str, given: str, form: str, example: str) -> tuple[float, float]:
     """Return both numbers of LOW:HIGH; ``given`` is all that the flag was given, of which it is the end."""
     try:
-        low, high = (float(part) for part in text.split(":"))
+        low, high = (decimal(part) for part in text.split(":"))
     except ValueError:
         raise InputError(f"{flag} {shown(given)} is not {form}.", remedy=f"Write {flag} {example}.") from None
     return low, high

@@ -7,6 +7,7 @@ from typing import Any
 import click
 import numpy as np
 
+from redundancy_pin.arrays import decimal
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, shown
@@ -114,7 +115,7 @@ def _numbers(flag: str, text: str | None, between: str = ",", count: int | None 
     if text is None:
         return None
     try:
-        numbers = [float(part) for part in text.split(between)]
+        numbers = [decimal(part) for part in text.split(between)]
     except ValueError:
         numbers = []
     if not numbers or (count and len(numbers) != count):

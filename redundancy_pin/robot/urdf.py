@@ -9,6 +9,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
+from redundancy_pin.arrays import decimal
 from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.urdf_tree import read_tree
@@ -64,7 +65,7 @@ def from_text(text: str) -> Argument:
     if lowered in ("true", "false"):
         return lowered == "true"
     try:
-        number = float(text)
+        number = decimal(text)
     except ValueError:
         return text
     return number if math.isfinite(number) else text

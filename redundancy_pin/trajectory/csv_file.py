@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from redundancy_pin.arrays import LARGEST, Array
+from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import InputError, numbered_from, shown
 from redundancy_pin.io.reading import opened
 from redundancy_pin.motion import CarrierMotion, Consistency, PlatformMotion, require_consistent
@@ -221,6 +221,8 @@ def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: 
         if len(row) != len(names):
             raise _bad(path, f", row {line}: {len(row)} cells under {len(names)} column names.", row=line)
     try:
+        if any("_" in cell or not cell.isascii() for _, row in rows for cell in row):
+            raise ValueError("numpy takes them as ``float`` does")
         values = np.array([row for _, row in rows], dtype=np.float64)
     except ValueError:
         values = np.array([[_number(cell) for cell in row] for _, row in rows])
@@ -235,7 +237,7 @@ def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: 
 
 def _number(cell: str) -> float:
     try:
-        return float(cell)
+        return decimal(cell)
     except ValueError:
         return float("nan")
 

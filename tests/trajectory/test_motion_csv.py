@@ -95,6 +95,8 @@ def test_carrier_columns(tmp_path):
         ("t,x0,xd0,xdd0\n0,1,2,3\n1,2,abc,4\n", "row 3, column 'xd0': 'abc' is not a finite number"),
         ("t,x0,xd0,xdd0\n0,1,2,nan\n", "row 2, column 'xdd0': 'nan' is not a finite number"),
         ("t,x0,xd0,xdd0\n0,1e101,2,3\n", "row 2, column 'x0': '1e101' is not a finite number"),
+        ("t,x0,xd0,xdd0\n0,1,2,3\n1,1_0,2,3\n", "row 3, column 'x0': '1_0' is not a finite number"),
+        ("t,x0,xd0,xdd0\n0,\u0663,2,3\n", "row 2, column 'x0': '\u0663' is not a finite number"),
         ("t,x0,xd0,xdd0\n\n0,1,,3\n", "row 3, column 'xd0': '' is not a finite number"),
         ("t,x0,xd0,xdd0\n0,1,2\n", "row 2: 3 cells under 4 column names"),
         ("t,t,xd0,xdd0\n0,1,2,3\n", "has the column 't' more than once"),

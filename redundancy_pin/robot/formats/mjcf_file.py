@@ -15,7 +15,7 @@ from typing import NoReturn
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import LARGEST, Array
+from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.xacro_engine import is_within, own_folders
@@ -180,7 +180,7 @@ class Part:
         """Return the numbers of an attribute."""
         text = self.text(key, default)
         try:
-            values = [float(part) for part in text.split()]
+            values = [decimal(part) for part in text.split()]
         except ValueError:
             values = []
         count = len(values)

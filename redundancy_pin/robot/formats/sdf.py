@@ -16,7 +16,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from redundancy_pin.arrays import LARGEST, Array
+from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, UNLIMITED, Mechanism, placed, six_joints
 from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry
@@ -160,7 +160,7 @@ class _Reader:
 
     def _numbers(self, element: Element, text: str, count: int) -> Array:
         try:
-            values = [float(part) for part in text.split()]
+            values = [decimal(part) for part in text.split()]
         except ValueError:
             values = []
         if len(values) != count or not all(abs(value) < LARGEST for value in values):
