@@ -70,7 +70,8 @@ class PlanningStatus(Enum):
     PLANNED = "planned"
     """A plan that keeps every limit, over the whole horizon or to the end of the preview."""
     ELASTIC = "elastic"
-    """No such plan: that which misses W τ = f least, or lets out the limits that the carriers are beyond."""
+    """No such plan: that which misses W τ = f least, or lets out the limits that the carriers are beyond; one that is
+    found to miss more than a tenth of f ahead, where f is not linear, too."""
     FALLBACK = "fallback"
     """No plan at all, or it came too late: the last one goes on, to its end and then in place."""
     REFUSED = "refused"

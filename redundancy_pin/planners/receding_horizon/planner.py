@@ -97,7 +97,7 @@ class RecedingHorizon:
 
     Each tick solves a convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, from a fifth of a second on 40,
     fixed in time, with s̈ linear in between, W τ = f linear about the last plan, its curvature in the cost as far as
-    that is convex, and the limits of the carriers between the nodes too. Where that is too far off it solves another.
+    that is convex, and the limits of the carriers between the nodes too. Where that is too far off it solves others.
     W⁻¹ is not formed: type II singularities ahead become nodes with what makes τ finite and continuous there
     (``ahead``). At the end of the horizon the carriers can still stop on their tracks, so there always is a motion
     within their limits.
