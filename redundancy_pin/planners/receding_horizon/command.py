@@ -113,8 +113,12 @@ class Command(Frozen):
     solver_seconds: float
 
     def motion_at(self, t: float) -> tuple[Array, Array, Array]:
-        """Return s, ṡ, s̈ (k,) at a time, m, m/s, m/s²; held after the end of the plan."""
-        s, sd, sdd = extended(self.carriers, np.array([t]))
+        """Return s, ṡ, s̈ (k,) at a time, m, m/s, m/s²; held after the end of the plan.
+
+        Raises:
+            InputError: not one finite time.
+        """
+        s, sd, sdd = extended(self.carriers, each(t, "t", (1,), finite=True))
         return s[0], sd[0], sdd[0]
 
     @property

@@ -462,6 +462,9 @@ def test_what_is_not_known_is_not_called_known_and_missed_ticks_go_forward():
     for t in (0.0, np.nan):
         with pytest.raises(InputError):
             planner.skip(t)
+    for t in (np.nan, [0.1, 0.2], "soon"):
+        with pytest.raises(InputError, match="t "):
+            command.motion_at(t)
     with pytest.raises(InputError, match="longer than the horizon"):
         run_online(planner, ACROSS, tick=0.6)
     with pytest.raises(InputError, match="effort weighs -1"):
