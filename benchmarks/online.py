@@ -198,7 +198,8 @@ def plans_of(dynamics, trajectory):
         try:
             made = plan(dynamics, trajectory)
         except InfeasiblePlanError as error:
-            made = "none" + f" ({error.constraint})".replace("_", " ") * hasattr(error, "constraint")
+            constraint = str(error.details.get("constraint", "")).replace("_", " ")
+            made = f"none ({constraint})" if constraint else "none"
         plans[method] = made, time.thread_time() - began
     return plans
 

@@ -14,7 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory import Line, Trajectory, circle_path, corner_path, from_points, through_points
+from redundancy_pin.trajectory import (
+    Line,
+    Trajectory,
+    circle_path,
+    corner_path,
+    from_points,
+    through_points,
+    time_optimal,
+)
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.points import MOST_POINTS, read_points
 from redundancy_pin.trajectory.time_optimal import BLEND, STEPS, fastest_law, least_duration
@@ -142,6 +150,8 @@ def circle_time(radius: float, acceleration: float, length: float) -> float:
         (Line((0.0, 0.0), (1.0, 0.0)), 9.0, 2.0, 2.0 * np.sqrt(1.0 / 2.0)),  # a triangle: half the way each
         (Line((0.0, 0.0), (3.0, 4.0)), [9.0, 9.0], [0.3, 0.5], 2.0 * np.sqrt(3.0 / 0.3)),  # x is the slower one
         (circle_path((0.0, 0.0), 0.5), 9.0, 1.0, circle_time(0.5, 1.0, np.pi)),
+        # where a side of the polygon has 6e-17 for a cosine of zero, cruising went to and fro and took 2 % more
+        (circle_path((0.0, 0.0), 0.3), 9.0, 2.0, circle_time(0.3, 2.0, 0.6 * np.pi)),
     ],
 )
 def test_the_least_time_is_that_of_closed_forms(path: Any, speed: Any, acceleration: Any, expected: float) -> None:
@@ -150,6 +160,13 @@ def test_the_least_time_is_that_of_closed_forms(path: Any, speed: Any, accelerat
     # the polygon in place of a norm costs 0.06 % there and nothing here; the window costs its own length
     assert expected < law.duration == pytest.approx(expected * (1.0 + BLEND), rel=5e-3)
     np.testing.assert_allclose(law.evaluate([0.0, law.duration]).pd, 0.0, atol=1e-12)
+
+
+def test_few_steps_keep_limits_at_both_ends_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the law would be stretched where they do not."""
+    monkeypatch.setattr(time_optimal, "STEPS", 20)
+    law = fastest_law(circle_path((0.0, 0.0), 0.3), 9.0, 2.0)
+    assert law.duration == pytest.approx(circle_time(0.3, 2.0, 0.6 * np.pi) * (1.0 + BLEND), rel=1e-2)
 
 
 def test_the_fastest_law_brakes_for_a_corner() -> None:
