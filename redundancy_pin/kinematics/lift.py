@@ -167,7 +167,8 @@ def lift(
         k = int(breaks[0])
         raise WorkingModeError(
             f"The motion cannot be followed continuously from sample {k - 1} to {k} (t = {motion.t[k - 1]:.6g} to "
-            f"{motion.t[k]:.6g} s): another branch of the kinematics is nearer.",
+            f"{motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}): another branch of the kinematics is "
+            "nearer.",
             remedy="Keep away from type I singularities, or sample the motion more finely.",
             sample=k,
         )
@@ -437,8 +438,10 @@ def _require_branch(system: ConstraintSystem, motion: PlatformMotion, anchors: A
     if not solved.in_mode.all():
         raise _leaves_mode(motion, system.robot, first + int(np.argmin(solved.in_mode)), solved.q[~solved.in_mode][0])
     raise WorkingModeError(
-        f"The motion cannot be followed continuously to sample {last} (t = {motion.t[last]:.6g} s): the way there "
-        "leaves the workspace or passes a type I singularity (a leg at full stretch, full fold or zero length).",
+        f"The motion cannot be followed continuously to sample {last} (t = {motion.t[last]:.6g} s, "
+        f"x = {np.round(motion.x[last], 6).tolist()}): the way there leaves the workspace, or passes a type I "
+        "singularity (a leg at full stretch, full fold or zero length) or a rank loss of the closures that no smooth "
+        "branch is known to lead across.",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=last,
     )
