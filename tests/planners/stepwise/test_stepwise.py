@@ -270,6 +270,25 @@ def test_what_binds_at_the_end_of_a_track_is_the_track():
     assert {("track", "upper"), ("track", "lower"), ("stop", "upper"), ("stop", "lower")} <= kinds
 
 
+def test_what_binds_first_is_what_is_named():
+    """The steps of an event end at the speed that is named, or have the acceleration."""
+    plan = plan_stepwise(dynamics_of(), reference.corner(radius=0.013).sample(0.01), speed=0.4, acceleration=3.0)
+    kinds = []
+    for event in plan.diagnostics["bounds"]:
+        during = (plan.t >= event["start"]) & (plan.t <= event["end"]) & (plan.phase == plan.phases.index("optimise"))
+        carrier, sign = int(event["carrier"][-1]) - 1, 1.0 if event["side"] == "upper" else -1.0
+        sd, sdd = sign * plan.carriers.sd[during, carrier], sign * plan.carriers.sdd[during, carrier]
+        at_speed, at_acceleration = np.abs(sd - 0.4) < 1e-9, np.abs(sdd - 3.0) < 1e-9
+        if event["bound"] == "speed":
+            assert at_speed.all()
+        else:
+            assert event["bound"] == "acceleration"
+            assert at_acceleration[1:-1].all()
+            assert not at_speed[:-1].any()
+        kinds.append(event["bound"])
+    assert set(kinds) == {"speed", "acceleration"}
+
+
 def test_the_thesis_corner_in_its_mode():
     """Mode (+,+,+), r = 0.025, 5 ms: carrier 2 meets its speed, then its acceleration limit (Parsa 2014, fig. 4.9)."""
     plan = plan_stepwise(dynamics_of(), corner(0.005))
