@@ -226,6 +226,10 @@ def test_limits_wider_than_the_robots_are_noted() -> None:
     assert result.passed
     assert len(result.wider_limits) == robot.k
     assert result.wider_limits[0].startswith(f"{robot.carriers[0]}: judged by a track of -9 to 9, ")
+    for change, notes in (({"upper": 9.0}, robot.k), ({"lower": -9.0}, robot.k), ({"lower": -0.1, "upper": 0.1}, 0)):
+        one_end = tuple(replace(limit, **change) for limit in plan.limits.judged_by)
+        changed = replace(plan, limits=replace(plan.limits, judged_by=one_end))
+        assert len(rp.check_plan(changed, rp.RneaDynamics(robot)).wider_limits) == notes
 
 
 def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whole: Plan) -> None:

@@ -169,6 +169,13 @@ def test_few_steps_keep_limits_at_both_ends_of_them(monkeypatch: pytest.MonkeyPa
     assert law.duration == pytest.approx(circle_time(0.3, 2.0, 0.6 * np.pi) * (1.0 + BLEND), rel=1e-2)
 
 
+def test_the_least_time_is_the_same_backwards() -> None:
+    """Start and end of each step change places: what limits one limits the other, and the optimum is that of both."""
+    limits = [0.5, 0.3], [2.0, 1.0]
+    there, back = (least_duration(through_points(points), *limits) for points in (POINTS, POINTS[::-1]))
+    assert back == pytest.approx(there, rel=1e-6)  # steps of a thousandth are not halved alike
+
+
 def test_the_fastest_law_brakes_for_a_corner() -> None:
     """On an arc of radius r the platform may have √(a r), on straights more: limits hold on both sides of a break."""
     path = corner_path((0.0, 0.0), (1.0, 0.0), 0.5, 0.05)

@@ -231,8 +231,7 @@ def _unbounded(
             amount=float(abs(stuck.s[farthest])),
         )
     if near:
-        ahead = near[0].t - stuck.t
-        force = near[0].left(equation, stuck.s + ahead * stuck.sd, stuck.sd)
+        force = near[0].left(equation, stuck.s, stuck.sd)
         return nothing_carries(near[0], force, f"brought there at s = {np.round(stuck.s, 4).tolist()} m")
     message = (
         f"Past t = {stuck.t:.6g} s no bounded motion of the carriers balances the prescribed efforts: "

@@ -312,7 +312,7 @@ def about(axis: Array, angle: float) -> Array:
 
 
 def from_z(z: Array) -> Array:
-    """Return the least rotation (3, 3) that takes the z axis to a direction."""
+    """Return the least rotation (3, 3) that takes the z axis to a direction, which may have any length."""
     axis = np.array([-z[1], z[0], 0.0])
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:

@@ -93,10 +93,9 @@ def place_of_geom(geom: Part) -> Array:
         return geom.placement()
     ends = geom.numbers("fromto", 6)
     along = ends[:3] - ends[3:]  # MuJoCo's z axis points from the second end to the first
-    length = float(np.linalg.norm(along))
-    if not length > 1e-12:
+    if not np.linalg.norm(along) > 1e-12:
         geom.refuse(f"{geom} has a fromto of length zero")
-    return placed(from_z(along / length), 0.5 * (ends[:3] + ends[3:]))
+    return placed(from_z(along), 0.5 * (ends[:3] + ends[3:]))
 
 
 def _of_geom(geom: Part, within: Array) -> LinkEntry:
