@@ -470,8 +470,12 @@ def test_gravity_that_moves_nothing_is_said(tmp_path, caplog):
 
 
 def test_moments_of_inertia_of_no_body_say_the_rule(tmp_path):
-    with pytest.raises(ModelFileError, match="no body can have: the largest exceeds the sum of the other two"):
-        rp.load_robot(write(tmp_path, tree=FIVE_BAR.replace('izz="0.02"', 'izz="5"', 1)))
+    robot = rp.load_robot(write(tmp_path, tree=FIVE_BAR.replace('izz="0.02"', 'izz="5"', 1)))
+    assert [note for note in robot.notes if "no body can have, the largest exceeds the sum of the other two" in note]
+    assert np.sort([body.inertia[2, 2] for body in robot.model.inertias])[-1] == 5.0
+    # a body that could be has no note
+    possible = FIVE_BAR.replace('ixx="0"', 'ixx="0.02"').replace('iyy="0"', 'iyy="0.02"')
+    assert not any("no body" in note for note in rp.load_robot(write(tmp_path, tree=possible)).notes)
     with pytest.raises(ModelFileError, match="no body can have: a negative one"):
         rp.load_robot(write(tmp_path, tree=FIVE_BAR.replace('ixx="0"', 'ixx="-1"', 1)))
 

@@ -21,7 +21,7 @@ from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, Tree, read_tree, require_same
+from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, Tree, impossible_moments, read_tree, require_same
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot, slides
 from redundancy_pin.robot.urdf import Argument, source_of
@@ -70,6 +70,7 @@ def build(
         start=start,
     )
     frictions, notes = _frictions(declaration, tree)
+    notes += impossible_moments(tree.links.values())
     return replace(robot.loaded(*frictions), notes=notes) if frictions or notes else robot
 
 

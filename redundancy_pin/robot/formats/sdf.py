@@ -19,7 +19,7 @@ import numpy as np
 from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, UNLIMITED, Mechanism, placed, six_joints
-from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry
+from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry, impossible_moments
 from redundancy_pin.robot.formats.xml_files import Element, parsed
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import Closure, Coupling
@@ -239,13 +239,11 @@ class _Reader:
         moments = np.linalg.eigvalsh(inertia)
         if mass < 0.0 or moments[0] < -1e-12:
             self.refuse(inertial, f"the link {name!r} has the mass {mass:g} and the moments {moments}", "Correct it.")
-        if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-3) + 1e-12:
-            self.notes.append(
-                f"The link {name!r} has moments of inertia that no body has; taken as they stand: {moments}."
-            )
         place = self._own_pose(inertial)
         turn = place[:3, :3]
-        return LinkEntry(name, mass, place[:3, 3], turn @ inertia @ turn.T)
+        link = LinkEntry(name, mass, place[:3, 3], turn @ inertia @ turn.T)
+        self.notes += impossible_moments([link])
+        return link
 
     def _joint(self, name: str) -> _Joint:
         element = self.elements["joint"][name]

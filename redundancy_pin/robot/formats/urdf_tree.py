@@ -9,7 +9,7 @@ import difflib
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
@@ -129,7 +129,7 @@ def read_tree(urdf: str, path: Path) -> Tree:
 
     Raises:
         ModelFileError: naming the file, the line, and the link or joint: numbers that are none, elements that are
-            missing, there twice or misspelt; names that are; masses and inertias that no body has; links that make no
+            missing, there twice or misspelt; names that are; negative masses and moments of inertia; links that make no
             tree; a joint that mimics none; more links or freedoms than a model may have.
     """
     robot = _Part(parsed_text(urdf, str(path)), path, "The robot")
@@ -253,6 +253,25 @@ class _Part:
         return placement
 
 
+def impossible_moments(links: Iterable[LinkEntry]) -> tuple[str, ...]:
+    """Return a note on each link whose largest principal moment of inertia exceeds the sum of the other two.
+
+    No body has such moments, but files have. With masses and moments that are not negative the mass matrix still has
+    no negative eigenvalue, so that they are taken as they stand; negative ones are refused.
+    """
+    notes = []
+    for link in links:
+        moments = np.linalg.eigvalsh(link.inertia)
+        allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max()) + _NO_MOMENT
+        if moments[2] > moments[0] + moments[1] + allowed:
+            text = np.array2string(moments, precision=4)
+            notes.append(
+                f"The link {link.name!r} has principal moments of inertia {text} that no body can have, the largest "
+                "exceeds the sum of the other two; taken as they stand."
+            )
+    return tuple(notes)
+
+
 def _link(name: str, part: _Part) -> LinkEntry:
     part.require_known_parts()
     inertial = part.one("inertial")
@@ -266,10 +285,9 @@ def _link(name: str, part: _Part) -> LinkEntry:
     matrix = np.array([[inertia.number("i" + "".join(sorted(a + b))) for b in "xyz"] for a in "xyz"])
     moments = np.linalg.eigvalsh(matrix)
     allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max()) + _NO_MOMENT
-    if moments[0] < -allowed or moments[2] > moments[0] + moments[1] + allowed:
+    if moments[0] < -allowed:
         text = np.array2string(moments, precision=4)
-        rule = "a negative one" if moments[0] < -allowed else "the largest exceeds the sum of the other two"
-        inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have: {rule}")
+        inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have: a negative one")
     placement = inertial.placement()
     turn = placement[:3, :3]
     return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T)
