@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 
@@ -10,6 +11,7 @@ from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.continuation import (
     ANCHOR_SPACING,
     Anchors,
+    closed_around,
     continuous,
     follow,
     follows,
@@ -32,6 +34,15 @@ def test_anchors_are_dense_enough_and_no_denser(shipped: Robot) -> None:
     assert steps.max() <= allowed + sample
     length = np.linalg.norm(difference(shipped, x[1:], x[:-1]) * row_scale(shipped), axis=1).sum()
     assert len(anchors.position) <= length / allowed + 2
+
+
+def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None:
+    """Those along the branch by 0.4 rad or m of the joint that goes farthest, before the chains are closed again."""
+    reference, q = np.array(shipped.q_reference), closed_around(zoo.system_of(shipped)).q
+    far = np.array([np.abs(pin.difference(shipped.model, reference, one)).max() for one in q])
+    assert far[0] < 1e-9
+    along = far[1 + len(far) // 2 :]
+    assert 0.3 < along.min() <= along.max() < 0.5
 
 
 def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:

@@ -62,7 +62,7 @@ def case(name: str) -> Case:
         "effort": [4.0 + i for i in range(robot.m)],
     }
     if name == "rates alone":
-        limits["effort"] = np.inf
+        limits |= dict.fromkeys(("effort", "speed", "acceleration"), np.inf)
     seen, rate = [], None if name == "efforts alone" else 0.5
     with pytest.MonkeyPatch.context() as patch:
 
@@ -264,6 +264,8 @@ def test_the_first_guess_is_a_harmonic_motion_that_the_parked_machine_can_follow
     np.testing.assert_allclose(guess["pdd"][:, 0] * u.acceleration, np.cos(phase) * u.acceleration, atol=1e-12)
     np.testing.assert_allclose([u.speed, u.acceleration], [rate, 2.0 * rate**2 / length], rtol=1e-12)
     np.testing.assert_allclose(u.duration, t[-1], rtol=1e-12)
+    if name == "rates alone":  # of carriers without such limits, what takes them far in a tenth of the time
+        np.testing.assert_allclose([u.sd * (t[-1] / 10.0), u.sdd * (t[-1] / 10.0) ** 2], [u.s, u.s], rtol=1e-12)
     v = {"pd": guess["pd"] * u.speed, "pdd": guess["pdd"] * u.acceleration, "s": guess["s"] * u.s}
     np.testing.assert_allclose(v["s"], np.tile(of.options["datum"], (len(t), 1)), rtol=1e-12)
     v |= {name: np.zeros_like(v["s"]) for name in ("sd", "sdd")}

@@ -286,6 +286,29 @@ def test_pictures_of_plain_shapes(tmp_path):
     assert first.size == (0.02, 0.2)
 
 
+@pytest.mark.parametrize(
+    ("geom", "shape", "size", "ends"),
+    [
+        ('type="box" size=".1 .2 .3"', "box", (0.2, 0.4, 0.6), []),
+        ('type="sphere" size=".15"', "sphere", (0.15,), None),
+        ('type="cylinder" size=".05 .25"', "cylinder", (0.05, 0.5), []),
+        ('type="capsule" size=".06 .35"', "cylinder", (0.06, 0.7), [-0.35, 0.35]),
+    ],
+)
+def test_pictures_have_the_sizes_of_solids(geom, shape, size, ends, tmp_path):
+    """MuJoCo gives halves of edges and lengths; a capsule ends in balls."""
+    from redundancy_pin.visualisation.viewer.scene import make_scene
+
+    text = f"""<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/><geom {geom} pos="4 0 0"/></body></worldbody>
+        <actuator><motor joint="turn"/></actuator></mujoco>"""
+    robot = rp.load_robot(write(tmp_path, text))
+    scene = make_scene(robot, np.zeros(1), np.array(robot.q_reference)[None], np.ones(1))
+    solids = [solid for solid in scene.solids if solid.role == "link" and solid.placement[0, 3] > 3.0]
+    np.testing.assert_allclose([solid.size for solid in solids if solid.shape == shape], [size], rtol=1e-12)
+    if ends is not None:
+        assert sorted(solid.placement[2, 3] for solid in solids if solid.shape == "sphere") == pytest.approx(ends)
+
+
 def test_a_file_is_what_its_top_element_says(tmp_path):
     """A URDF whose name ends in .xml is a URDF, beside a declaration as alone."""
     urdf = (

@@ -15,7 +15,14 @@ from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised
 from redundancy_pin.planners.receding_horizon.preview import Preview
-from redundancy_pin.planners.receding_horizon.programme import CLOSER, FORCE_KEPT, Programme, TickProblem, units_of
+from redundancy_pin.planners.receding_horizon.programme import (
+    CLOSER,
+    FORCE_KEPT,
+    Programme,
+    TickProblem,
+    TickScales,
+    units_of,
+)
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import circle_path
 
@@ -379,6 +386,10 @@ def test_sizes_divide_unknowns_by_what_they_are_at_most(rows):
     half = 0.5 * np.diff(TRACK)[:, 0]
     for unit, expected in zip(rows.units, (half, limits.speed, limits.acceleration), strict=True):
         np.testing.assert_allclose(unit, expected)
+    # motors of twice the transmission need half the efforts for the same forces
+    lin = rows.tick.lin
+    once, twice = TickScales.of(lin), TickScales.of(replace(lin, W=2.0 * lin.W))
+    assert (twice.tau, *twice.row) == pytest.approx((0.5 * once.tau, *once.row), rel=1e-12)
 
 
 def test_an_elastic_programme_has_room_to_come_back_and_pays_for_what_is_missing():
