@@ -20,7 +20,7 @@ from redundancy_pin.kinematics.assembly import (
     rates,
 )
 from redundancy_pin.kinematics.chain import tracker
-from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, left_open
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, left_open, with_all_rows
 from redundancy_pin.kinematics.continuation import (
     NEAR_RANK_LOSS,
     Anchors,
@@ -43,6 +43,7 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart
+from redundancy_pin.kinematics.selection import rows_at
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
@@ -57,6 +58,9 @@ SAME_CONFIGURATION = 1e-6
 
 _ALMOST_CLOSED = 1e-6
 """Gap that Newton comes below at a rank loss too, where it halves the error with each step and no more."""
+
+_POOR = 0.1
+"""Margin below which rows that were left out help those that count: at 1e-3 accelerations lose eight digits."""
 
 _NO_SIDE = 1e-6
 """A mode indicator (sine or metres) this small at a pose where modes meet is zero."""
@@ -243,6 +247,9 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
     near = (solved.gap < _ALMOST_CLOSED) & (solved.margin < NEAR_RANK_LOSS)
     if near.any():
         near &= solved.margin < near_rank_loss(system)
+    if system.robot.all_closures:
+        poor = np.flatnonzero((solved.gap < _ALMOST_CLOSED) & (solved.margin < _POOR))
+        near[_made_up_for(motion, solved, poor)] = False
     parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap
     unit = row_scale(system.robot)
     for first, stop in runs(near):
@@ -273,6 +280,25 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
             first = last
     if not positions_only:
         solved.margin[near & ~carried & _blurred(solved)] = 0.0
+
+
+def _made_up_for(motion: PlatformMotion, solved: _Lifted, samples: IntArray) -> IntArray:
+    """Solve samples with all closure rows, by least squares, and return those at which these keep their rank.
+
+    Which rows say all changes along the motion of over-constrained mechanisms: where those that count lose rank, the
+    ones that were left out say what they no longer do, and together they have one solution.
+    """
+    if not len(samples):
+        return samples
+    full = constraint_system(with_all_rows(solved.system.robot))
+    one = assemble(full, solved.q[samples], motion.x[samples], redundant=True)
+    projection = project(full, one.state)
+    good = one.closed & (projection.margin > near_rank_loss(full))
+    v, a = rates(full, one.state, projection, motion.xd[samples], motion.xdd[samples])
+    parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap, solved.margin
+    for array, new in zip(parts, (one.q, projection.gamma, v, a, one.gap, projection.margin), strict=True):
+        array[samples[good]] = new[good]
+    return samples[good]
 
 
 def _blurred(solved: _Lifted) -> BoolArray:
@@ -378,15 +404,38 @@ def guesses_along(
     first, point = solved
     _, q, slope, _ = point
     onward = motion.x[first:]
-    anchors = follow(system, onward, q, slope, resume=mark)
+    anchors = _follow(system, onward, q, slope, mark)
     if not mark:
         _require_branch(system, motion, anchors)
     guess = initial_guess(system, onward, anchors)
     if first == 0:
         return guess, point
     back = motion.x[first::-1]
-    before = initial_guess(system, back, follow(system, back, q, slope, resume=mark))
+    before = initial_guess(system, back, _follow(system, back, q, slope, mark))
     return np.concatenate([before[:0:-1], guess]), None
+
+
+def _follow(system: ConstraintSystem, x: Array, q: Array, slope: Array, mark: bool) -> Anchors:
+    """Return ``follow`` along a path, with other closure rows from where those that count lose rank and all keep it."""
+    anchors = follow(system, x, q, slope, resume=mark)
+    while system.robot.all_closures and not anchors.valid.all():
+        reached = int(np.argmin(anchors.valid)) - 1
+        if reached < 0:
+            return anchors
+        full, rest = constraint_system(with_all_rows(system.robot)), anchors.x[reached:]
+        ahead = assemble(full, anchors.q[reached : reached + 1], rest[1:2], redundant=True)
+        if not ahead.closed[0]:
+            return anchors
+        other = constraint_system(rows_at(system.robot, ahead.q[0]))
+        again = follow(other, rest, anchors.q[reached], anchors.gamma[reached], resume=mark, every_sample=True)
+        if not again.valid[1:2].all():
+            return anchors
+        places = np.interp(again.position, np.arange(len(rest)), anchors.position[reached:])
+        before = (part[:reached] for part in (anchors.position, anchors.x, anchors.q, anchors.gamma, anchors.valid))
+        behind = places, again.x, again.q, again.gamma, again.valid
+        anchors = Anchors(*(np.concatenate(pair) for pair in zip(before, behind, strict=True)))
+        system = other
+    return anchors
 
 
 def first_on_branch(

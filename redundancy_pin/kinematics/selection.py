@@ -18,7 +18,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.closing import SEED, close, closed_near, scattered
-from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.mobility import row_names
 from redundancy_pin.robot import AXES, Closure, Robot
@@ -120,6 +120,15 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
             **({"balls": balls} if balls == loose else {}),
         )
     return Selection(robot, left_out, opened, fixed_spins, independent, q)
+
+
+def rows_at(robot: Robot, q: Array) -> Robot:
+    """Return a robot whose redundant rows were left out with those rows that say most at a closed configuration."""
+    full = with_all_rows(robot)
+    rows = _rows(constraint_system(full), q)
+    keep = np.zeros(len(rows), dtype=bool)
+    keep[_pivots(rows.T, len(constraint_system(robot).rows))] = True
+    return replace(_with_rows(full, keep)[0], all_closures=robot.all_closures)
 
 
 def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:

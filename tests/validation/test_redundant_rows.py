@@ -157,3 +157,62 @@ def test_rows_that_open_are_noticed():
     assert run.status.value == "failed"
     assert "the closures leave a gap" in run.reason
     assert run.gap.max() > 1e-5
+
+
+CRANK, PIVOTS = 0.4, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.45, 0.7, 0.0]])
+BODIES = [(1.0, np.array([0.2, 0.0, 0.0])), (2.0, np.array([0.2, 0.02, 0.0])), (3.0, np.array([0.2, 0.04, 0.0]))]
+PLATE, INERTIA = 3.0, 0.02
+
+
+def three_cranks(angle):
+    """A plate on three equal cranks: four rows of rank three; those of two cranks lose it twice a turn, all never."""
+    model = pin.Model()
+    model.gravity = pin.Motion(np.array([0.0, -9.81, 0.0]), np.zeros(3))
+    tip, cranks = pin.SE3(np.eye(3), np.array([CRANK, 0.0, 0.0])), []
+    for i, (mass, centre) in enumerate(BODIES):
+        cranks.append(model.addJoint(0, pin.JointModelRZ(), pin.SE3(np.eye(3), PIVOTS[i]), f"crank_{i + 1}"))
+        model.appendBodyToJoint(cranks[i], pin.Inertia(mass, centre, INERTIA * np.eye(3)), pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"end_{i + 1}", cranks[i], tip, pin.FrameType.OP_FRAME))
+    plate = model.addJoint(cranks[0], pin.JointModelRZ(), tip, "plate")
+    model.appendBodyToJoint(plate, pin.Inertia(PLATE, np.array([0.5, 0.3, 0.0]), np.eye(3)), pin.SE3.Identity())
+    closures = []
+    for i in (1, 2):
+        model.addFrame(pin.Frame(f"pin_{i + 1}", plate, pin.SE3(np.eye(3), PIVOTS[i]), pin.FrameType.OP_FRAME))
+        closures.append((f"pin_{i + 1}", f"end_{i + 1}", ["x", "y"]))
+    start = {f"crank_{i}": angle for i in (1, 2, 3)} | {"plate": -angle}
+    q = np.zeros(model.nq)
+    for name, value in start.items():
+        q[model.joints[model.getJointId(name)].idx_q] = value
+    return rp.Robot.from_model(
+        model, closures=closures, actuated=["crank_1"], independent=["crank_1"], reference=q, redundant_rows=True
+    )
+
+
+def torque_of_three_cranks(angle, acceleration):
+    """The plate translates with the tips: I α + m g dy/dθ of every body."""
+    torque = PLATE * (CRANK**2 * acceleration + 9.81 * CRANK * np.cos(angle))
+    for mass, (x, y, _) in BODIES:
+        torque = torque + (INERTIA + mass * (x * x + y * y)) * acceleration
+        torque = torque + mass * 9.81 * (x * np.cos(angle) - y * np.sin(angle))
+    return torque
+
+
+@pytest.mark.parametrize("angle", [0.3, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("turns", [1.0, -1.0])
+def test_which_rows_count_is_chosen_along_the_motion(angle, turns):
+    """Through the poses at which one pair of cranks is stretched, where the rows chosen at the reference lose rank."""
+    robot, t = three_cranks(angle), np.linspace(0.0, 1.0, 201)
+    assert sum(len(closure.axes) for closure in robot.closures) == 3
+    x = angle + 2.0 * np.pi * turns * t + 0.75 * t**2
+    sides = np.array([PIVOTS[1], PIVOTS[2], PIVOTS[2] - PIVOTS[1]])
+    flat = (np.arctan2(sides[:, 1], sides[:, 0])[:, None] + np.pi * np.arange(-4, 5)).ravel()
+    x = np.unique(np.concatenate([x, flat[(flat > x.min()) & (flat < x.max())]]))[:: int(turns)]
+    xd, xdd = np.full_like(x, 3.0 * turns), np.full_like(x, 1.5)
+    times, parts = np.linspace(0.0, 1.0, len(x)), [part[:, None] for part in (x, xd, xdd)]
+    along = rp.RneaDynamics(robot).along(rp.PlatformMotion(times, *parts, check_rates=False))
+    for name, sign in (("crank_1", 1.0), ("crank_2", 1.0), ("crank_3", 1.0), ("plate", -1.0)):
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        np.testing.assert_allclose(along.tree.q[:, joint.idx_q], sign * x, atol=CLOSED)
+        np.testing.assert_allclose(along.tree.a[:, joint.idx_v], sign * 1.5, atol=1e-9)
+    want = torque_of_three_cranks(x, 1.5)
+    np.testing.assert_allclose(along.reduce().f[:, 0], want, atol=1e-10 * np.abs(want).max())
