@@ -356,7 +356,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
     if direct is not None:
         reached, valid = direct.point, True
     else:
-        anchors = follow(system, np.stack([home.x, x]), reference)
+        anchors = _follow(system, np.stack([home.x, x]), reference, None, False)
         reached, valid = Point(x, anchors.q[-1], anchors.gamma[-1]), bool(anchors.valid[-1])
     if valid and (in_working_mode(robot, reached.q[None])[0] or _between_modes(robot, reached.q)):
         return reached
@@ -415,7 +415,7 @@ def guesses_along(
     return np.concatenate([before[:0:-1], guess]), None
 
 
-def _follow(system: ConstraintSystem, x: Array, q: Array, slope: Array, mark: bool) -> Anchors:
+def _follow(system: ConstraintSystem, x: Array, q: Array, slope: Array | None, mark: bool) -> Anchors:
     """Return ``follow`` along a path, with other closure rows from where those that count lose rank and all keep it."""
     anchors = follow(system, x, q, slope, resume=mark)
     while system.robot.all_closures and not anchors.valid.all():

@@ -83,7 +83,7 @@ class EventFunctions:
         if unknown:
             raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
         robot = chain.robot
-        self.nq = robot.model.nq
+        self.nq, self.stop_at = robot.model.nq, stop_at
         labels, stops = _stops(robot)
         self.stops = stops
         """(4, l) index in q and in v, side and bound of each stop; they come first among the functions."""

@@ -27,7 +27,9 @@ from scipy.optimize import brentq
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.forward import LEAST_INERTIA, Advance, ForwardKernel, Integration, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
+from redundancy_pin.kinematics.closure import made_up
 from redundancy_pin.kinematics.coordinates import velocity_scale
+from redundancy_pin.kinematics.selection import rows_at
 from redundancy_pin.simulation.controllers.base import Command, Sampling, is_same
 from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
@@ -179,12 +181,16 @@ class Progress:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSample:
-    """A closed state y (nq + nv,) at time t, s, and the command that is held there (None: the controller's answer)."""
+    """A closed state y (nq + nv,) at time t, s, and the command that is held there (None: the controller's answer).
+
+    ``machine``: what has moved it, with the closure rows that count there; None is that of the start.
+    """
 
     t: float
     y: Array
     hold: Command | None
     sheet: Sheet | None
+    machine: Machine | None = None
 
 
 @dataclass(eq=False)
@@ -209,6 +215,7 @@ def integrate(
     parts = stretches(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling)
     kernel = machine.kernel if problem.method in EXPLICIT else None
     ordinary = None if kernel is None else OrdinarySteps(kernel, problem, parts)
+    changed = -np.inf
     with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
         for stretch in parts:
             if progress.t >= stretch.end:
@@ -217,11 +224,34 @@ def integrate(
                 commands.append(machine.amplifiers.command(machine.state(stretch.start, progress.y)))
             hold = None if stretch.acting is None else commands[stretch.acting]
             progress = _integrate_stretch(problem, progress, stretch, hold, record, ordinary)
+            while (other := _with_other_rows(problem, progress, changed)) is not None:
+                (problem, progress), changed, ordinary = other, progress.t, None
+                progress = _integrate_stretch(problem, progress, stretch, hold, record, None)
             if progress.status is not None:
                 break
-    record.samples.append(_sample(machine, progress.t, progress.y, hold, progress.sheet))
+    record.samples.append(_sample(problem.machine, progress.t, progress.y, hold, progress.sheet))
     status = progress.status or SimulationStatus.COMPLETED
     return record, replace(progress, status=status, seconds=time.perf_counter() - began)
+
+
+def _with_other_rows(
+    problem: InitialValueProblem, progress: Progress, changed: float
+) -> tuple[InitialValueProblem, Progress] | None:
+    """Return how to go on where the rows that count have failed, and those that were left out make up for them.
+
+    ``changed``: when that was done last, s; it is not done twice at one place.
+    """
+    robot = problem.machine.robot
+    if progress.status is not SimulationStatus.FAILED or progress.t <= changed:
+        return None
+    q = progress.y[: robot.model.nq]
+    if not made_up(robot, q):
+        return None
+    machine = problem.machine.with_rows(rows_at(robot, q))
+    functions = EventFunctions(machine.chain, problem.functions.stop_at)
+    going_on = replace(progress, status=None, reason="", sheet=None, near=NEAR, next_step=None, short=0)
+    going_on = replace(going_on, values=functions.at_start(q))
+    return replace(problem, machine=machine, functions=functions), going_on
 
 
 class _Rate:
@@ -555,4 +585,4 @@ def _record(
 
 
 def _sample(machine: Machine, t: float, y: Array, hold: Command | None, sheet: Sheet | None) -> SimulatedSample:
-    return SimulatedSample(t, machine.project(t, y, sheet)[0], hold, sheet)
+    return SimulatedSample(t, machine.project(t, y, sheet)[0], hold, sheet, machine)

@@ -292,11 +292,12 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
     tau, carrier_force = np.full((count, robot.m), np.nan), np.full((count, robot.k), np.nan)
     closure_force = np.full((count, machine.chain.rows), np.nan)
     for i, sample in enumerate(samples):
-        state = machine.state(sample.t, sample.y)
-        energy[i] = machine.energy(state)
+        here = sample.machine or machine
+        state = here.state(sample.t, sample.y)
+        energy[i] = here.energy(state)
         try:
-            command = machine.amplifiers.command(state) if sample.hold is None else sample.hold
-            loads = machine.solve(state, command, sample.sheet)
+            command = here.amplifiers.command(state) if sample.hold is None else sample.hold
+            loads = here.solve(state, command, sample.sheet)
         except (IllPosedModelError, SingularPoseError):
             continue  # a failed simulation ends there: the efforts have no accelerations
         except InputError:
@@ -305,6 +306,9 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
             continue  # what blows up may leave a controller without an answer
         tau[i], carrier_force[i] = command[0], loads.carrier_force
         a[i], closure_force[i] = loads.a, loads.closure_force
+        if here.robot.closures != robot.closures:  # of the same effect, in the rows of the robot
+            own, other = (constraint_system(each).evaluate(state.q[None]).Jc[0] for each in (robot, here.robot))
+            closure_force[i] = np.linalg.lstsq(own.T, other.T @ loads.closure_force, rcond=None)[0]
     evaluated = constraint_system(robot).evaluate(q)
     columns = robot.carrier_velocity
     x, xd = coordinates(robot, evaluated), np.einsum("nij,nj->ni", evaluated.Jx, v)

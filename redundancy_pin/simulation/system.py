@@ -126,8 +126,13 @@ class Machine:
         self.manifold = Manifold(self.chain)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
         self._tree_loads = tree_loads(robot)
+        self._method: Method = method
         self._constraint_dynamics = _constraint_dynamics(robot, method, carrier_law is not None)
         self._split = robot.model.nq
+
+    def with_rows(self, robot: Robot) -> Machine:
+        """Return the machine of the same robot with other closure rows that count; without machine code."""
+        return Machine(robot, self.amplifiers, self._law, self._external, self._method)
 
     def state(self, t: float, y: Array) -> State:
         """Return the state of y = (q, v) at time t, carriers where the law wants them."""

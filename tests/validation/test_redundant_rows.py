@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 
 import redundancy_pin as rp
 from redundancy_pin.crosscheck.closed_forward import ClosedForward
@@ -216,3 +217,28 @@ def test_which_rows_count_is_chosen_along_the_motion(angle, turns):
         np.testing.assert_allclose(along.tree.a[:, joint.idx_v], sign * 1.5, atol=1e-9)
     want = torque_of_three_cranks(x, 1.5)
     np.testing.assert_allclose(along.reduce().f[:, 0], want, atol=1e-10 * np.abs(want).max())
+
+
+class _Push:
+    """A constant torque on the first crank."""
+
+    def effort(self, t, state):
+        return np.array([6.0]), np.zeros(0)
+
+
+@pytest.mark.parametrize("angle", [1.0, 2.0])
+def test_simulations_go_on_with_other_rows(angle):
+    """Over several turns, against the one equation of motion by another integrator; all rows closed."""
+    robot = three_cranks(angle)
+    run = rp.simulate(robot, _Push(), duration=2.5, rtol=1e-9, atol=1e-11)
+    assert run.status.value == "completed"
+    assert run.gap.max() < CLOSED
+
+    def rate(t, y):
+        still = torque_of_three_cranks(y[0], 0.0)
+        return [y[1], (6.0 - still) / (torque_of_three_cranks(y[0], 1.0) - still)]
+
+    alone = solve_ivp(rate, (0.0, 2.5), [angle, 0.0], method="DOP853", rtol=1e-12, atol=1e-12, t_eval=run.t)
+    np.testing.assert_allclose(run.x[:, 0], alone.y[0], atol=1e-6)
+    np.testing.assert_allclose(run.xd[:, 0], alone.y[1], atol=1e-5)
+    assert (np.abs(np.diff(np.sign(np.sin(run.x[:, 0])))) > 0).sum() > (1 if angle == 1.0 else 3)
