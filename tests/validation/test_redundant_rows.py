@@ -234,6 +234,14 @@ def test_simulations_go_on_with_other_rows(angle):
     assert run.status.value == "completed"
     assert run.gap.max() < CLOSED
 
+    rows, data = ClosedForward(robot), robot.model.createData()
+    driven = np.eye(robot.model.nv)[robot.actuated_velocity][0]
+    for q, v, a, force in zip(run.q[::5], run.v[::5], run.a[::5], run.closure_force[::5], strict=True):
+        J, _ = rows.rows(np.array(q), np.array(v))
+        if np.linalg.svd(J, compute_uv=False)[-1] > 0.01:  # else the rows of the robot cannot say it
+            effort = pin.rnea(robot.model, data, np.array(q), np.array(v), np.array(a))
+            np.testing.assert_allclose(effort - 6.0 * driven - J.T @ force, 0.0, atol=1e-6)
+
     def rate(t, y):
         still = torque_of_three_cranks(y[0], 0.0)
         return [y[1], (6.0 - still) / (torque_of_three_cranks(y[0], 1.0) - still)]
