@@ -182,7 +182,8 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     """Invert K at evaluated configurations; where it has more rows than columns, which agree, by least squares."""
     robot, columns = system.robot, system.pose_columns
     scale = projection_scale(system)
-    inverse: Array = np.linalg.pinv(state.K) if state.K.shape[1] > len(columns) else inverses(state.K)
+    overdetermined = state.K.shape[1] > len(columns)
+    inverse = np.asarray(np.linalg.pinv(state.K), dtype=np.float64) if overdetermined else inverses(state.K)
     # 1 / σ_min is the 2-norm of the scaled inverse; the Frobenius norm bounds it within √p and needs no decomposition
     with np.errstate(over="ignore"):  # next to a singularity, where the margin is zero all the same
         size = np.sqrt(np.einsum("nij,nij,ij->n", inverse, inverse, scale))
