@@ -504,6 +504,12 @@ def _with_rows_that_count(
             "else, is held: one ball is a universal joint, the first where it has damping or armature; where both "
             "have, this is an approximation."
         )
+    if selection.off_axis:
+        listed = ", ".join(f"{name} by {away:.2g} m" for name, away in selection.off_axis.items())
+        notes.append(
+            f"The centre of mass is off that line: {listed}. There a rod between two balls swings, which is left out: "
+            "what holds its spin carries the moment."
+        )
     if selection.left_out:
         # rows that are left say less of the side on which a weld closes: what follows starts on the right one
         every = _with_redundant_rows(kept.closures, provisional.closures)

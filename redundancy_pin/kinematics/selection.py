@@ -56,7 +56,8 @@ class Selection(NamedTuple):
         robot: the robot with the closures that are left, or the ones it had.
         left_out: names of the rows left out, such as ``"z of 'left = right'"``.
         opened: how far those open around the reference, m or rad: rounding, of Newton or of the file's numbers.
-        held: joints whose spin about the line between two balls is held by a row that was added.
+        fixed_spins: joints whose spin about the line between two balls is held by a row that was added.
+        off_axis: how far the centre of mass of what spins there is from that line, m, by joint; where rounding is not all.
         independent: names of the independent joints.
         q: (nq,) a closed configuration.
     """
@@ -65,6 +66,7 @@ class Selection(NamedTuple):
     left_out: tuple[str, ...]
     opened: float
     fixed_spins: tuple[str, ...]
+    off_axis: dict[str, float]
     independent: tuple[str, ...]
     q: Array
 
@@ -106,6 +108,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
         robot, left_out, opened = _without_redundant_rows(robot, q, _ROUNDED if rounded else STAYS_CLOSED)
     independent, loose = _independent(robot, q)
     fixed_spins = tuple(name for name in loose if redundant and _spins(robot, name, q) is not None)
+    off_axis = {name: away for name in fixed_spins if (away := _off_axis(robot, name, q)) > _ROUNDED}
     for name in fixed_spins:
         robot = _with_spin_fixed(robot, name, q, at_first=name in resisted)
     if fixed_spins:
@@ -119,7 +122,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
             joints=loose,
             **({"balls": balls} if balls == loose else {}),
         )
-    return Selection(robot, left_out, opened, fixed_spins, independent, q)
+    return Selection(robot, left_out, opened, fixed_spins, off_axis, independent, q)
 
 
 def rows_at(robot: Robot, q: Array) -> Robot:
@@ -151,6 +154,17 @@ def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
     rod = ends[0]
     is_ball = model.joints[joints[0]].nq == 4 if rod.closure is None else robot.closures[rod.closure].axes == AXES[:3]
     return rod if is_ball else None
+
+
+def _off_axis(robot: Robot, joint: str, q: Array) -> float:
+    """Return how far the centre of mass of a rod is from the line between its balls, m; zero without a mass."""
+    model, data, rod = robot.model, robot.model.createData(), _spins(robot, joint, q)
+    inertia = model.inertias[model.getJointId(joint)]
+    if rod is None or inertia.mass == 0.0:
+        return 0.0
+    pin.forwardKinematics(model, data, q)
+    along, centre = rod.far - rod.near, data.oMi[model.getJointId(joint)].act(inertia.lever) - rod.near
+    return float(np.linalg.norm(np.cross(along, centre)) / np.linalg.norm(along))
 
 
 def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> Robot:

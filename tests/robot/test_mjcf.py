@@ -159,6 +159,25 @@ def test_a_base_that_is_held(root, key, tmp_path):
     assert loose.n == 7
 
 
+def test_what_a_held_spin_and_a_ball_leave_out_is_said(tmp_path):
+    """A rod whose mass is off the line between its balls would swing; ranges of balls stop nothing here."""
+    text = SPATIAL.replace('type="ball"', 'type="ball" range="0 60"')
+    robot = rp.load_robot(path := write(tmp_path, text))
+    engine = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(engine)
+    mujoco.mj_kinematics(engine, data)
+    mujoco.mj_comPos(engine, data)
+    start, end = data.joint("ball").xanchor, data.site("far").xpos
+    centre = data.body("rod").subtree_com - start
+    away = np.linalg.norm(np.cross(centre, end - start)) / np.linalg.norm(end - start)
+    assert away > 0.01
+    assert sum(f"off that line: ball by {away:.2g} m" in note for note in robot.notes) == 1
+    assert f"{NOT_IN_FORCE} range of ball." in robot.notes
+    plain = rp.load_robot(write(tmp_path, RSSR)).notes
+    assert not any("off that line" in note or "range" in note for note in plain)
+    assert any("The spin of ball" in note for note in plain)
+
+
 def test_a_ball_that_carries_a_hinge_is_no_rod(tmp_path):
     """It moves freely, as three hinges, whose damping is no longer that of a ball."""
     text = """<mujoco><worldbody><body name="arm"><joint name="ball" type="ball" damping="0.1"/>

@@ -233,6 +233,7 @@ def test_empty_ranges_count_as_none(numbers, compiler, tmp_path):
         ([(2, "-5 5", "")], "-4 3"),
         ([(2, "0 3", "")], ""),
         ([(2, "-3 3", "1 2")], ""),
+        ([(-2, "-3 3", "1 2")], ""),
         ([(2, "0 3", ""), (-2, "0 3", "")], ""),  # one pulls, the other pushes
     ],
 )
@@ -254,7 +255,7 @@ def test_limits_of_efforts_are_what_mujoco_reaches(motors, driven, tmp_path):
     assert robot.effort_limits[:, robot.actuated.index("k")].tolist() == sorted(reached)
     notes = [note for note in robot.notes if note.startswith("Efforts of k")]
     assert len(notes) == (sum(reached) != 0.0)
-    if min(reached) >= 0.0:
+    if min(reached) >= 0.0 or max(reached) < 0.0:
         with pytest.raises(UnsupportedRobotError, match=r"one limit of effort, both ways.*'k'"):
             robot.to_urdf(tmp_path / "k.urdf")
         robot.with_limits({"k": {"effort": 2.0}}).to_urdf(tmp_path / "k.urdf")

@@ -162,11 +162,14 @@ def _added(model: pin.Model, joint: JointEntry, carrier: int, place: pin.SE3) ->
     *aligned, unaligned = _ALIGNED[joint.kind]
     along = np.flatnonzero(joint.axis == 1.0)
     kind = aligned[int(along[0])]() if len(along) == 1 else unaligned(joint.axis)
-    limits = (np.array([joint.limits[key]]) for key in ("effort", "velocity", "lower", "upper"))
-    number = int(model.addJoint(carrier, kind, place, joint.name, *limits))
-    lower_effort = model.lowerEffortLimit
-    lower_effort[model.joints[number].idx_v] = joint.limits.get("effort_lower", -joint.limits["effort"])
-    model.lowerEffortLimit = lower_effort
+    limits = [np.array([joint.limits[key]]) for key in ("velocity", "lower", "upper")]
+    number = int(model.addJoint(carrier, kind, place, joint.name, np.array([np.inf]), *limits))
+    column, effort = model.joints[number].idx_v, joint.limits["effort"]
+    # efforts may all be of one sign, and addJoint takes the least for minus the most
+    for name, bound in (("lower", joint.limits.get("effort_lower", -effort)), ("upper", effort)):
+        bounds = getattr(model, f"{name}EffortLimit")
+        bounds[column] = bound
+        setattr(model, f"{name}EffortLimit", bounds)
     return number
 
 

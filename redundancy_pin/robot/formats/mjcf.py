@@ -382,6 +382,8 @@ class _Reader:
         self.names[name] = (name,)
         self._positions.append((name,))
         if kind == "ball":
+            if part.limited("limited", "range"):
+                self.forces.left_out.setdefault("range", []).append(name)
             self._moving(JointEntry(name, "ball", parent, f"{name}::link", anchored, np.zeros(3), UNLIMITED))
             self.initial[name] = np.array([0.0, 0.0, 0.0, 1.0])
             return f"{name}::link", back
