@@ -57,7 +57,7 @@ class Selection(NamedTuple):
         left_out: names of the rows left out, such as ``"z of 'left = right'"``.
         opened: how far those open around the reference, m or rad: rounding, of Newton or of the file's numbers.
         fixed_spins: joints whose spin about the line between two balls is held by a row that was added.
-        off_axis: how far the centre of mass of what spins there is from that line, m, by joint; where rounding is not all.
+        off_axis: how far the centre of mass of what spins there is from that line, m, by joint; more than rounding.
         independent: names of the independent joints.
         q: (nq,) a closed configuration.
     """
