@@ -45,13 +45,15 @@ class ClosedForward:
 
     def __init__(self, robot: Robot) -> None:
         self._robot, self._model, self._data = robot, robot.model, robot.model.createData()
+        self._depth = max(len(support) - 1 for support in robot.model.supports)
 
     def __call__(self, q: Array, v: Array, force: Array) -> tuple[Array, float]:
         """Return the accelerations (nv,) at q (nq,), v (nv,) under generalised forces (nv,), and their rounding.
 
         The latter is |A⁻¹| (|δA| |x| + |δb|), the largest of the accelerations, for one unit in the last place of each
-        term. Entries of J are differences of lever arms, of the size of the largest one: a row of nothing but short
-        ones has a λ so large that λ times this, and no solver, decides what the accelerations are.
+        term and each joint on the longest way from the root: so many placements are multiplied for it. Entries of J are
+        differences of lever arms, of the size of the largest one: a row of nothing but short ones has a λ so large
+        that λ times this, and no solver, decides what the accelerations are.
         """
         model, data = self._model, self._data
         upper = pin.crba(model, data, q)
@@ -68,7 +70,7 @@ class ClosedForward:
         solution += inverse @ (rest - matrix @ solution)
         terms = np.block([[np.abs(mass) / heavy, levers.T], [levers, none]]) @ np.abs(solution)
         terms += np.concatenate([(np.abs(force) + np.abs(bent)) / heavy, np.abs(bias)])
-        rounding = np.finfo(float).eps * (np.abs(inverse) @ terms)[: model.nv]
+        rounding = self._depth * np.finfo(float).eps * (np.abs(inverse) @ terms)[: model.nv]
         return solution[: model.nv], float(rounding.max())
 
     def rows(self, q: Array, v: Array) -> tuple[Array, Array]:

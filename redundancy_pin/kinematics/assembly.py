@@ -210,14 +210,14 @@ def integrate(model: pin.Model, q: Array, step: Array) -> Array:
     """Return q ⊕ step for (N, nq) configurations and (N, nv) tangent steps."""
     if model.nq == model.nv:
         return q + step
-    return np.array([pin.integrate(model, a, b) for a, b in zip(q, step, strict=True)])
+    return np.array([pin.integrate(model, a, b) for a, b in zip(q, step, strict=True)]).reshape(len(q), model.nq)
 
 
 def configuration_difference(model: pin.Model, q0: Array, q1: Array) -> Array:
     """Return (N, nv) the tangent step from q0 to q1."""
     if model.nq == model.nv:
         return q1 - q0
-    return np.array([pin.difference(model, a, b) for a, b in zip(q0, q1, strict=True)])
+    return np.array([pin.difference(model, a, b) for a, b in zip(q0, q1, strict=True)]).reshape(len(q0), model.nv)
 
 
 @dataclass(frozen=True, eq=False)

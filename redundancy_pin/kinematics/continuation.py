@@ -426,16 +426,19 @@ def determinants(system: ConstraintSystem, K: Array) -> tuple[Array, Array]:
     return sign, log
 
 
-@lru_cache(maxsize=64)
 def near_rank_loss(system: ConstraintSystem) -> float:
-    """Return the margin below which a pose counts as near a rank loss, ``NEAR_RANK_LOSS`` but for robots of small ones.
+    """Return the margin below which a pose counts as near a rank loss: less for robots of small ones."""
+    return min(NEAR_RANK_LOSS, _USUAL_PART * usual_margin(system))
 
-    The usual margin is the largest of the reference's and of some configurations around it: a rank loss is left behind
-    by all but every change, small margins throughout are not.
+
+@lru_cache(maxsize=64)
+def usual_margin(system: ConstraintSystem) -> float:
+    """Return the largest margin of the reference and of some configurations around it; one where they have none.
+
+    A rank loss is left behind by all but every change, small margins throughout are not.
     """
     around = closed_around(system)
-    usual = float(around.projection.margin.max(where=around.closed, initial=0.0))
-    return min(NEAR_RANK_LOSS, _USUAL_PART * usual) if usual > 0.0 else NEAR_RANK_LOSS
+    return float(around.projection.margin.max(where=around.closed, initial=0.0)) or 1.0
 
 
 def through_rank_loss(

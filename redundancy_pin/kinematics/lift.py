@@ -32,6 +32,7 @@ from redundancy_pin.kinematics.continuation import (
     near_rank_loss,
     reacquire,
     through_rank_loss,
+    usual_margin,
 )
 from redundancy_pin.kinematics.coordinates import (
     difference,
@@ -59,8 +60,13 @@ SAME_CONFIGURATION = 1e-6
 _ALMOST_CLOSED = 1e-6
 """Gap that Newton comes below at a rank loss too, where it halves the error with each step and no more."""
 
-_POOR = 0.1
-"""Margin below which rows that were left out help those that count: at 1e-3 accelerations lose eight digits."""
+_POOR, _POOR_PART = 0.1, 0.3
+"""Margin below which rows that were left out may help those that count, as it is and as a part of the robot's usual
+one: at 1e-3 accelerations lose eight digits."""
+
+_HELPED = 3.0
+"""How many times larger the margin is with rows that help. Rows that were left out for rounding agree with those that
+count to some 1e-10 only, and those that count are what the motion is judged by."""
 
 _NO_SIDE = 1e-6
 """A mode indicator (sine or metres) this small at a pose where modes meet is zero."""
@@ -248,7 +254,8 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
     if near.any():
         near &= solved.margin < near_rank_loss(system)
     if system.robot.all_closures:
-        poor = np.flatnonzero((solved.gap < _ALMOST_CLOSED) & (solved.margin < _POOR))
+        low = min(_POOR, _POOR_PART * usual_margin(system))
+        poor = np.flatnonzero((solved.gap < _ALMOST_CLOSED) & (solved.margin < low))
         near[_made_up_for(motion, solved, poor)] = False
     parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap
     unit = row_scale(system.robot)
@@ -283,7 +290,7 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
 
 
 def _made_up_for(motion: PlatformMotion, solved: _Lifted, samples: IntArray) -> IntArray:
-    """Solve samples with all closure rows, by least squares, and return those at which these keep their rank.
+    """Solve samples with all closure rows, by least squares, and return those at which these keep a rank that is lost.
 
     Which rows say all changes along the motion of over-constrained mechanisms: where those that count lose rank, the
     ones that were left out say what they no longer do, and together they have one solution.
@@ -293,7 +300,7 @@ def _made_up_for(motion: PlatformMotion, solved: _Lifted, samples: IntArray) -> 
     full = constraint_system(with_all_rows(solved.system.robot))
     one = assemble(full, solved.q[samples], motion.x[samples], redundant=True)
     projection = project(full, one.state)
-    good = one.closed & (projection.margin > near_rank_loss(full))
+    good = one.closed & (projection.margin > np.maximum(near_rank_loss(full), _HELPED * solved.margin[samples]))
     v, a = rates(full, one.state, projection, motion.xd[samples], motion.xdd[samples])
     parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap, solved.margin
     for array, new in zip(parts, (one.q, projection.gamma, v, a, one.gap, projection.margin), strict=True):

@@ -175,3 +175,5 @@ def test_integrate_and_difference_are_inverse(kind: str) -> None:
     step = rng.uniform(-1.0, 1.0, (5, robot.model.nv))
     moved = integrate(robot.model, q, step)
     np.testing.assert_allclose(configuration_difference(robot.model, q, moved), step, atol=1e-14)
+    assert integrate(robot.model, q[:0], step[:0]).shape == q[:0].shape
+    assert configuration_difference(robot.model, q[:0], q[:0]).shape == step[:0].shape
