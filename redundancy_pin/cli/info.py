@@ -112,15 +112,17 @@ def _reference(robot: Robot) -> dict[str, Any]:
 
 
 def _joint(robot: Robot, index: int) -> dict[str, Any]:
+    from redundancy_pin.kinematics.coordinates import joint_position
+
     name, kind = str(robot.model.names[index]), str(robot.model.joints[index].shortname())
     # Pinocchio has a class for each axis: JointModelRX, JointModelPZ, JointModelRevoluteUnaligned, ...
     known = {"JointModelP": "prismatic", "JointModelR": "revolute"}
     role = "actuated" if name in robot.actuated else "carrier" if name in robot.carriers else "passive"
     joint, model, limits = robot.model.joints[index], robot.model, None
-    if joint.nq == 1:  # others count no turns, or have several freedoms
+    if joint.nq == 1:  # continuous ones have none, and others several freedoms
         ends = (float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
         limits = [end if np.isfinite(end) and abs(end) < 1e300 else None for end in ends]
-    at = float(robot.q_reference[joint.idx_q]) if joint.nq == 1 else None
+    at = float(joint_position(robot, name, robot.q_reference[None])[0]) if joint.nv == 1 else None
     kind = known.get(kind[: len("JointModelP")], kind)
     return {"name": name, "type": kind, "role": role, "limits": limits, "reference": at}
 
@@ -184,13 +186,16 @@ def _tables(facts: dict[str, Any]) -> Iterator[TextTable]:
 
 def _range(joint: dict[str, Any]) -> tuple[str, str]:
     """Return the limits of a joint, and where it is at the reference configuration, marked where that is outside."""
-    if joint["limits"] is None:
+    at = joint["reference"]
+    if at is None:
         return "", ""
-    lower, upper = joint["limits"]
-    at, unit = joint["reference"], "m" if joint["type"] == "prismatic" else "rad"
+    lower, upper = joint["limits"] or (None, None)
     outside = (lower is not None and at < lower) or (upper is not None and at > upper)
+    shown = f"{round(at, 9):.4g}{' (outside)' if outside else ''}"
+    if lower is None and upper is None:
+        return "", shown
     ends = " … ".join("none" if end is None else f"{end:g}" for end in (lower, upper))
-    return f"{ends} {unit}", f"{at:.4g}{' (outside)' if outside else ''}"
+    return f"{ends} {'m' if joint['type'] == 'prismatic' else 'rad'}", shown
 
 
 def _loads_table(facts: dict[str, Any]) -> TextTable:

@@ -116,11 +116,14 @@ def test_a_robot_without_description_and_parameters_has_no_empty_places(tmp_path
     )
     (tmp_path / "robot.yaml").write_text(
         "name: bare\nurdf: bare.urdf\nactuated: [crank]\nindependent: {joints: [crank]}\n"
-        "reference: {platform: [0.0], guess: {crank: 0.0}}\n"
+        "reference: {platform: [0.7], guess: {crank: 0.7}}\n"
     )
     text = call("info", "--robot", tmp_path).stdout
     assert "bare:" not in text
     assert "--set" not in text
+    # a continuous joint has no limits, and is at an angle all the same
+    assert any("crank" in line and "0.7" in line for line in text.splitlines())
+    assert '"reference": 0.7' in call("info", "--robot", tmp_path, "--json").stdout
 
 
 def test_the_reference_of_a_pose_is_position_and_angles_without_rounding() -> None:

@@ -46,7 +46,7 @@ def test_samples_take_a_few_newton_steps(shipped: Robot, rows: Callable[[Callabl
         assert 0.7 * most <= rows(lambda t=t: dynamics.along(motion.at(t))) <= MORE * most
 
 
-ASSEMBLED = {"2rpr": 115, "3rrr": 171, "five_bar": 138, "four_bar": 172, "gough": 144}
+ASSEMBLED = {"2rpr": 115, "3rrr": 102, "five_bar": 102, "four_bar": 101, "gough": 125}
 
 
 def test_bad_guesses_are_closed_in_some_dozen_steps(shipped: Robot, rows: Callable[[Callable[[], Any]], int]) -> None:

@@ -95,7 +95,7 @@ double rp_assemble(double *q, const double *x) {
       if (stalled || longest < 1e-14) break;
     } else {
       damping *= 8.0;
-      if (damping > 1e8) break;
+      if (damping > 1e8 || longest < 1e-14) break; /* refused for rounding: smaller ones are no better */
     }
   }
   turns_of(q, trig);

@@ -197,7 +197,7 @@ class Interpreter:
                     break
             else:
                 damping *= 8.0
-                if damping > 1e8:
+                if damping > 1e8 or longest < 1e-14:
                     break
         residual, _, alignment = self.rows_at(q, x)
         turned = np.arccos(np.clip(alignment, -1.0, 1.0))[alignment <= 0.0]
