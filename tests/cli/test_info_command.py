@@ -116,7 +116,7 @@ def test_a_robot_without_description_and_parameters_has_no_empty_places(tmp_path
     )
     (tmp_path / "robot.yaml").write_text(
         "name: bare\nurdf: bare.urdf\nactuated: [crank]\nindependent: {joints: [crank]}\n"
-        "reference: {platform: [0.7], guess: {crank: 0.7}}\n"
+        "reference: {joints: {crank: 0.7}}\n"
     )
     text = call("info", "--robot", tmp_path).stdout
     assert "bare:" not in text
