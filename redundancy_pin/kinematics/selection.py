@@ -107,8 +107,9 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
     if redundant and (robot.closures or robot.couplings):
         robot, left_out, opened = _without_redundant_rows(robot, q, _ROUNDED if rounded else STAYS_CLOSED)
     independent, loose = _independent(robot, q)
-    fixed_spins = tuple(name for name in loose if redundant and _spins(robot, name, q) is not None)
-    off_axis = {name: away for name in fixed_spins if (away := _off_axis(robot, name, q)) > _ROUNDED}
+    rods = {name: rod for name in loose if redundant and (rod := _spins(robot, name, q)) is not None}
+    fixed_spins = tuple(rods)
+    off_axis = {name: away for name, rod in rods.items() if (away := _off_axis(robot, name, rod, q)) > _ROUNDED}
     for name in fixed_spins:
         robot = _with_spin_fixed(robot, name, q, at_first=name in resisted)
     if fixed_spins:
@@ -156,14 +157,13 @@ def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
     return rod if is_ball else None
 
 
-def _off_axis(robot: Robot, joint: str, q: Array) -> float:
+def _off_axis(robot: Robot, joint: str, rod: _Rod, q: Array) -> float:
     """Return how far the centre of mass of a rod is from the line between its balls, m; zero without a mass."""
-    model, data, rod = robot.model, robot.model.createData(), _spins(robot, joint, q)
-    inertia = model.inertias[model.getJointId(joint)]
-    if rod is None or inertia.mass == 0.0:
+    model, data, index = robot.model, robot.model.createData(), robot.model.getJointId(joint)
+    if model.inertias[index].mass == 0.0:
         return 0.0
     pin.forwardKinematics(model, data, q)
-    along, centre = rod.far - rod.near, data.oMi[model.getJointId(joint)].act(inertia.lever) - rod.near
+    along, centre = rod.far - rod.near, data.oMi[index].act(model.inertias[index].lever) - rod.near
     return float(np.linalg.norm(np.cross(along, centre)) / np.linalg.norm(along))
 
 
