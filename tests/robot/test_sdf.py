@@ -260,6 +260,10 @@ REFUSED = {
     "twice": ('name="rocker"', 'name="rod"', "the name 'rod', which is taken"),
     "degrees": ("<pose>0 0 0.1 0 0 0.9</pose>", '<pose degrees="true">0 0 0.1 0 0 50</pose>', "another form"),
     "static": ("<link", "<static>1</static><link", "is static"),
+    "placed": ('name="machine"', 'name="machine" placement_frame="rod"', "placement_frame"),
+    "posed": ("<link", '<pose relative_to="crank">1 0 0 1 0 0</pose><link', "a pose relative to a frame"),
+    "flag": ('<link name="crank">', '<link name="crank"><gravity>no</gravity>', "<gravity> is 'no'"),
+    "limits": ("<lower>-2<", "<lower>3<", "the limits 3 and 2, the lower above the upper"),
     "loose": ("</model>", link("loose", "0 0 0 0 0 0") + "</model>", "'loose' is joined to nothing"),
 }
 
@@ -271,6 +275,11 @@ def test_what_is_not_covered_is_refused_by_name(case, tmp_path):
     assert old in text
     with pytest.raises(RedundancyPinError, match=r"machine\.sdf, line \d+: .*" + message):
         rp.load_robot(written(tmp_path, text.replace(old, new, 1)))
+
+
+def test_an_initial_position_is_named(tmp_path):
+    text = sdf(*FOUR_BAR, PIN).replace("</axis>", "<initial_position>0.4</initial_position></axis>", 1)
+    assert "initial position of 'crank' is not read" in str(rp.load_robot(written(tmp_path, text)).notes)
 
 
 def _cassie():

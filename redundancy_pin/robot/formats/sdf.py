@@ -109,6 +109,9 @@ class _Reader:
         if not self.elements["link"]:
             self.refuse(self.model, "the model has no links")
         self._resolving: list[str] = []
+        if self.model.get("placement_frame") or self._relative_to(self.model, "world") != "world":
+            # either puts the model elsewhere than its pose says, and turns it in gravity
+            self.refuse(self.model, "the model has placement_frame, or a pose relative to a frame", "Say its own pose.")
         self.world = self._own_pose(self.model)
         self.places = {name: self._place(name) for name in self.elements["link"]}
         """Placement (4, 4) of each link in the model."""
@@ -170,8 +173,11 @@ class _Reader:
     def _number(self, element: Element, tag: str, default: str | None = None) -> float:
         return float(self._numbers(self._one(element, tag) or element, self._text(element, tag, default), 1)[0])
 
-    def _flag(self, element: Element, tag: str) -> bool:
-        return self._text(element, tag, "0").lower() in ("1", "true")
+    def _flag(self, element: Element, tag: str, default: str = "0") -> bool:
+        text = self._text(element, tag, default) or default
+        if text.lower() not in ("0", "1", "false", "true"):
+            self.refuse(self._one(element, tag) or element, f"<{tag}> is {shown(text)}", "Write true or false.")
+        return text.lower() in ("1", "true")
 
     # --- poses --------------------------------------------------------------------------------------------------------
 
@@ -215,7 +221,7 @@ class _Reader:
     def _link(self, name: str) -> LinkEntry:
         element = self.elements["link"][name]
         self._require_known(element, f"the link {name!r}")
-        if self._text(element, "gravity", "1").lower() in ("0", "false"):
+        if not self._flag(element, "gravity", "1"):
             self.refuse(element, f"the link {name!r} has no gravity, which is not covered")
         if self._flag(element, "kinematic") or self._flag(element, "enable_wind"):
             self.refuse(element, f"the link {name!r} is kinematic or in the wind, which is not covered")
@@ -271,6 +277,8 @@ class _Reader:
                 continue
             self._require_known(axis, f"the joint {name!r}")
             self._read_forces(axis, name, kind)
+            if self._number(axis, "initial_position", "0"):
+                self.notes.append(f"The initial position of {name!r} is not read: joints are at zero where links are.")
             if number >= wanted:  # damping of a ball is said there; a direction means nothing
                 continue
             axes.append(self._direction(axis, name, frame))
@@ -313,6 +321,9 @@ class _Reader:
             value = sign * math.inf if text.lower().lstrip("+-") in ("inf", "infinity") else self._number(limit, key)
             if (sign and abs(value) < _UNLIMITED and kind != "continuous") or (not sign and 0.0 <= value < _UNLIMITED):
                 result[key] = value
+        if result["lower"] > result["upper"]:
+            what = f"the limits {result['lower']:g} and {result['upper']:g}, the lower above the upper"
+            self.refuse(limit, what, "Correct them.")
         return result
 
     def _read_forces(self, axis: Element, name: str, kind: str) -> None:
