@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
-from reached import PACKAGE, QUIET, ROOT, import_libraries, tests_reaching
+from reached import KEPT, PACKAGE, QUIET, ROOT, import_libraries, tests_reaching
 
 ROOMS = ("dynamics", "kinematics", "trajectory", "robot", "planners")
 """Where mutants are made."""
@@ -487,6 +487,8 @@ def main() -> None:
     ``none`` in place of a number changes nothing: a place with quick tests is judged as it is.
     """
     count, first = (*sys.argv[1:], *("10", "0")[len(sys.argv) - 1 :])
+    if not any(KEPT.glob("*.json")):
+        raise SystemExit("Which tests reach which lines is not known: run tests/support/reached.py first.")
     import_libraries()
     if first == "none":
         quick = next(mutant for mutant in mutants() if mutant.path == "trajectory/csv_file.py")
