@@ -83,6 +83,21 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "0.5*+",
     ): "a safeguard: in panels so short Newton's steps leave their bracket by rounding only (395 random splines tried)",
     (
+        "kinematics/tree.py",
+        "if b.size < _FEW:  # the number of calls counts, and not that of products",
+        "<",
+    ): "which of two ways to the same products, of which each is tried",
+    (
+        "kinematics/continuation.py",
+        "lost = np.flatnonzero((sign[0] * sign[1] <= 0.0) | (size.min(axis=0) <= ROUNDING))",
+        "*",
+    ): "signs are one or minus one; of zero the size is zero too",
+    (
+        "planners/carrier_model.py",
+        "units = (np.array(0), np.array(1), 2 + terms, np.array(2 + TERMS), 3 + TERMS + terms)",
+        "+",
+    ): "which coefficients share a tolerance of 1e-12",
+    (
         "kinematics/assembly.py",
         "if 2 * done.sum() > len(done):  # go on with the rest alone; to leave out fewer costs more than it saves",
         ">",

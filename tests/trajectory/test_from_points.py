@@ -162,6 +162,12 @@ def test_the_least_time_is_that_of_closed_forms(path: Any, speed: Any, accelerat
     np.testing.assert_allclose(law.evaluate([0.0, law.duration]).pd, 0.0, atol=1e-12)
 
 
+def test_a_limit_of_the_norm_is_a_polygon_inside_the_circle() -> None:
+    """Of 64 sides: what is reached across the middle of a side is less than the limit by a factor of cos(π/64)."""
+    expected = 2.0 * np.sqrt(1.0 / (2.0 * np.cos(np.pi / 64.0)))
+    assert least_duration(Line((0.0, 0.0), (1.0, 0.0)), 9.0, 2.0) == pytest.approx(expected, rel=1e-9)
+
+
 def test_few_steps_keep_limits_at_both_ends_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the law would be stretched where they do not."""
     monkeypatch.setattr(time_optimal, "STEPS", 20)

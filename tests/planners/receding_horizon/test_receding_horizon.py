@@ -408,6 +408,16 @@ def test_the_rate_of_f_at_a_singular_instant_is_that_of_differences_by_the_other
     np.testing.assert_allclose((rate[1] - rate[0]) / 2e-4, lin.W_rate[0], rtol=1e-5)
 
 
+def test_no_part_of_the_preview_is_passed_over_from_tick_to_tick():
+    """Singular instants are looked for between neighbours of a grid, wherever a tick left off."""
+    ahead = Ahead(machine()[0], Preview.of(ACROSS), 0.02)
+    ends = [0.2, 0.2011, 0.2026, 0.2101, 0.2125, 0.3]
+    for start, end in zip(np.linspace(0.0, 0.05, len(ends)), ends, strict=True):
+        ahead.look(float(start), end)
+    assert ahead.known.t[-1] == pytest.approx(0.3)
+    assert np.diff(ahead.known.t).max() <= ahead.spacing * (1.0 + 1e-9)
+
+
 def test_nodes_are_the_same_whenever_they_are_asked_for():
     roots = np.array([0.113, 0.25])
     early, singular = nodes_from(0.0, 0.02, 30, roots)
