@@ -98,7 +98,8 @@ def mjcf(
     _add(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false", fusestatic="false")
     solver = {"solver": "Newton", "tolerance": 0, "iterations": 50}
     option = _add(root, "option", gravity=robot.gravity, timestep=step, integrator=integrator, **solver)
-    _add(option, "flag", contact="disable", warmstart="enable")
+    # ranges of efforts are said and not enforced, as here: what is beyond them is seen in a plan, not cut off unseen
+    _add(option, "flag", contact="disable", warmstart="enable", clampctrl="disable")
     bodies = [_add(root, "worldbody")]
     for index in range(1, model.njoints):
         name, placement = str(model.names[index]), model.jointPlacements[index]
@@ -130,8 +131,11 @@ def mjcf(
     if robot.platform is not None:
         _site(bodies, model, f"platform:{robot.platform.frame}", robot.platform.frame, np.zeros(3))
     motors = _add(root, "actuator")
-    for name in (*robot.actuated, *robot.carriers):
-        _add(motors, "motor", name=name, joint=name)
+    strongest = np.array([limits.force for limits in robot.carrier_limits])
+    efforts = np.hstack([robot.effort_limits, [-strongest, strongest]]).T
+    for name, ends in zip((*robot.actuated, *robot.carriers), efforts, strict=True):
+        limited = np.isfinite(ends).any() and ends[0] < ends[1]
+        _add(motors, "motor", name=name, joint=name, **({"ctrlrange": np.clip(ends, -_FAR, _FAR)} if limited else {}))
     _add(_add(root, "keyframe"), "key", name="reference", qpos=_position(model, np.array(robot.q_reference)))
     return root
 
@@ -380,7 +384,8 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
 
 
 def _named_frames(robot: Robot) -> list[str]:
-    frames = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
+    closures = robot.all_closures or robot.closures
+    frames = [name for closure in closures for name in (closure.frame_a, closure.frame_b)]
     frames += [robot.platform.frame] if robot.platform else []
     return list(dict.fromkeys(frames))
 
@@ -430,13 +435,13 @@ def _urdf_joint(
         return
     _add(element, "axis", xyz=axis)
     least, most = model.lowerEffortLimit[joint.idx_v], model.upperEffortLimit[joint.idx_v]
-    if least > 0.0 or most < 0.0 or (least == 0.0) != (most == 0.0):
+    if least != -most:
         raise UnsupportedRobotError(
-            f"A URDF has one limit of effort, both ways; those of joint {name!r} have one sign, {least:g} to {most:g}.",
+            f"A URDF has one limit of effort, the same both ways; those of joint {name!r} are {least:g} to {most:g}.",
             remedy=f"Set one: robot.with_limits({{{name!r}: {{'effort': ...}}}}).",
             joint=name,
         )
-    limits = {"effort": min(-least, most), "velocity": model.upperVelocityLimit[joint.idx_v]}
+    limits = {"effort": most, "velocity": model.upperVelocityLimit[joint.idx_v]}
     if joint.nq == 1:
         lower, upper = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
         limits |= {"lower": 0.0, "upper": 0.0}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from mjcf_models import GEARED, RSSR, SPATIAL, write
+from mjcf_models import FOUR_BAR, GEARED, RSSR, SPATIAL, write
 from zoo import home_of, robot_of
 
 import redundancy_pin as rp
@@ -147,7 +147,7 @@ def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["five_bar", "gough", "geared"])
 def test_a_urdf_and_its_declaration_are_the_same_robot(name: str, tmp_path: Path) -> None:
-    without_armature = GEARED.replace('<joint armature="0.01"/>', "")
+    without_armature = GEARED.replace('<joint armature="0.01"/>', "").replace("-2 3", "-2 2")
     robot = rp.load_robot(write(tmp_path, without_armature)) if name == "geared" else robot_of(name)
     robot = robot.loaded(
         Payload(robot.closures[0].frame_a, 0.4, [0.1, 0.0, 0.2]),
@@ -227,6 +227,48 @@ def test_names_that_no_reader_takes_are_refused(write: Any, name: str, tmp_path:
     with pytest.raises(InputError, match="control characters"):
         write(robot, tmp_path / "robot.xml")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_limits_of_effort_are_said_in_mjcf_and_cut_nothing_off(tmp_path: Path) -> None:
+    """As here: a plan that breaks them is one that says so, and MuJoCo's motion is its motion still."""
+    mujoco = pytest.importorskip("mujoco")
+    robot = robot_of("five_bar")
+    limits = np.array([[-3.0, 1.0], [3.0, np.inf]])
+    columns = robot.actuated_velocity
+    for name, values in zip(("lowerEffortLimit", "upperEffortLimit"), limits, strict=True):
+        array = np.array(getattr(robot.model, name))
+        array[columns] = values
+        setattr(robot.model, name, array)
+    path = robot.to_mjcf(tmp_path / "robot.xml")
+    again = rp.load_robot(path).effort_limits
+    np.testing.assert_array_equal(again[:, 0], limits[:, 0])
+    assert (again[0, 1], again[1, 1] > 1e9) == (1.0, True)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    carriers = [[-each.force, each.force] for each in robot.carrier_limits]
+    limited = model.actuator_ctrllimited[robot.m :].astype(bool)
+    assert limited.tolist() == np.isfinite(carriers).all(axis=1).tolist()
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 50.0
+    mujoco.mj_forward(model, data)
+    assert data.actuator_force[0] == 50.0
+    with pytest.raises(UnsupportedRobotError, match="the same both ways; those of joint .* are 1 to inf"):
+        robot.to_urdf(tmp_path / "robot.urdf")
+
+
+def test_a_closure_that_is_redundant_in_all_rows_is_in_the_urdf_too(tmp_path: Path) -> None:
+    """Of two pins in one axis the second holds nothing; the declaration names its frames."""
+    text = FOUR_BAR.replace('ctrlrange="-2 3"', "")
+    for site in ("tip", "end"):
+        place = text.split(f'<site name="{site}" pos="')[1].split('"')[0]
+        x = place.split()[0]
+        text = text.replace(f'<site name="{site}"', f'<site name="{site}_2" pos="{x} 0 0.1"/><site name="{site}"')
+    text = text.replace("</equality>", '<connect name="again" site1="tip_2" site2="end_2"/></equality>')
+    robot = rp.load_robot(write(tmp_path, text.replace('<joint armature="0.01"/>', "")))
+    assert [each.name for each in robot.all_closures] == ["pin", "again"]
+    assert [each.name for each in robot.closures] == ["pin"]
+    again = rp.load_robot(robot.to_urdf(tmp_path / "robot.urdf").with_suffix(".yaml"))
+    assert again.all_closures == robot.all_closures
+    assert_same_forces(robot, again)
 
 
 def test_joints_without_limits_have_none_in_mjcf(tmp_path: Path) -> None:

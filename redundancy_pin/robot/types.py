@@ -296,8 +296,8 @@ class Robot(Frozen):
     def to_mjcf(self, path: str | Path, *, step: float = 1e-3, reflected: bool = False) -> Path:
         """Write the robot as MJCF that MuJoCo runs: loops, couplings, motors, damping, and its reference as a keyframe.
 
-        Joints and motors have the names of the robot's, main actuators first: ``data.ctrl`` are efforts. MuJoCo's
-        constraints are soft; they are as stiff as it takes at that step.
+        Joints and motors have the names of the robot's, main actuators first: ``data.ctrl`` are efforts, their limits
+        ranges that cut nothing off. MuJoCo's constraints are soft; they are as stiff as it takes at that step.
 
         Args:
             path: the file.
