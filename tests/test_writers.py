@@ -251,7 +251,7 @@ def test_limits_of_effort_are_said_in_mjcf_and_cut_nothing_off(tmp_path: Path) -
     data.ctrl[0] = 50.0
     mujoco.mj_forward(model, data)
     assert data.actuator_force[0] == 50.0
-    with pytest.raises(UnsupportedRobotError, match="the same both ways; those of joint .* are 1 to inf"):
+    with pytest.raises(UnsupportedRobotError, match=r"the same both ways; those of joint .* are 1 to inf"):
         robot.to_urdf(tmp_path / "robot.urdf")
 
 
