@@ -34,7 +34,7 @@ from redundancy_pin.robot.build import build, characteristic_length, robot_of_tr
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
-from redundancy_pin.robot.from_model import declared, depth_first, in_order_of
+from redundancy_pin.robot.from_model import declared, depth_first, in_order_of, not_in_force
 from redundancy_pin.robot.loads import JointForces, Load
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, render, source_of
@@ -417,7 +417,7 @@ def robot_from_model(
     loose = any(hasattr(each, "joint1_placement") for each in closures)
     robot = made(data, model, start, loose=loose, urdf=urdf, mode=working_mode)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
-    return replace(robot, urdf_folder=urdf_folder, notes=(*robot.notes, *moved))
+    return replace(robot, urdf_folder=urdf_folder, notes=(*robot.notes, *moved, *not_in_force(given)))
 
 
 def made(

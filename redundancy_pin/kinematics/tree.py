@@ -294,7 +294,7 @@ def _joint(model: pin.Model, data: pin.Data, index: int) -> _Joint:
     if not kind.startswith(_COVERED) or kind == "JointModelSphericalZYX" or (sliding & turning).any():
         raise UnsupportedRobotError(
             f"Joint {model.names[index]!r} has type {kind}, which closed-chain kinematics does not cover.",
-            remedy="Build it from revolute, continuous, prismatic, planar or floating joints.",
+            remedy="Build it from revolute, continuous, prismatic, planar, ball or floating joints.",
             joint=model.names[index],
             type=kind,
         )

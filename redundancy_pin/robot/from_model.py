@@ -12,6 +12,9 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform
 
+_NO_MOMENT = 1e-12
+"""kg·m²: rounding of moments of inertia."""
+
 _OF_VELOCITIES = ("armature", "rotorInertia", "rotorGearRatio")
 _OF_LIMITS = tuple(f"{bound}{what}Limit" for bound in ("lower", "upper") for what in ("Position", "Velocity", "Effort"))
 
@@ -72,8 +75,9 @@ def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> d
     the model; ``at`` are its indices of the joints that they name.
 
     Raises:
-        InputError: something of another form, or a joint that depends on others.
+        InputError: something of another form, numbers that no machine has, or a joint that depends on others.
     """
+    _require_sound(model)
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         if "Mimic" in joint.shortname():
             raise InputError(
@@ -93,6 +97,53 @@ def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> d
         "carriers": [{"joint": each} if isinstance(each, str) else each for each in carriers],
         "independent": roles,
     }
+
+
+def _require_sound(model: pin.Model) -> None:
+    """Raise InputError for numbers that no machine has, which files are not allowed either."""
+    for index, joint in enumerate(model.joints):
+        name, inertia, place = str(model.names[index]), model.inertias[index], model.jointPlacements[index]
+        if not np.isfinite(place.homogeneous).all():
+            raise InputError(f"The joint {name!r} is not placed by finite numbers.", remedy="Correct it.", joint=name)
+        body = np.array([inertia.mass, *inertia.lever, *inertia.inertia.flat])
+        if not np.isfinite(body).all() or inertia.mass < 0.0 or np.linalg.eigvalsh(inertia.inertia)[0] < -_NO_MOMENT:
+            raise InputError(
+                f"What the joint {name!r} carries has the mass {inertia.mass:g} and the inertia "
+                f"{inertia.inertia.tolist()}, negative or not finite.",
+                remedy="Correct it.",
+                joint=name,
+            )
+        if index == 0:
+            continue
+        armature = model.armature[joint.idx_v : joint.idx_v + joint.nv]
+        if not (armature >= 0.0).all() or not np.isfinite(armature).all():
+            raise InputError(
+                f"The joint {name!r} has the armature {armature.tolist()}.", remedy="Correct it.", joint=name
+            )
+        for what, first, count in (("Position", joint.idx_q, joint.nq), ("Effort", joint.idx_v, joint.nv)):
+            low, high = (getattr(model, f"{end}{what}Limit")[first : first + count] for end in ("lower", "upper"))
+            if not (low <= high).all():
+                raise InputError(
+                    f"The joint {name!r} has the limits of {what.lower()} {low.tolist()} to {high.tolist()}.",
+                    remedy="Correct them; infinite ones are none.",
+                    joint=name,
+                )
+    if np.any(model.gravity.angular):
+        raise InputError(
+            f"The model's gravity has an angular part, {model.gravity.angular.tolist()}.", remedy="Set it to zero."
+        )
+
+
+def not_in_force(model: pin.Model) -> tuple[str, ...]:
+    """Return a note on damping and friction of the model, which Pinocchio's own algorithms leave out too."""
+    said = []
+    for what in ("damping", "friction"):
+        values = np.array(getattr(model, what, np.zeros(model.nv)))
+        joints = enumerate(model.joints)
+        names = [str(model.names[k]) for k, at in joints if k and values[at.idx_v : at.idx_v + at.nv].any()]
+        said += [f"{what} of {', '.join(names)}"] if names else []
+    remedy = "robot.loaded(JointForces(...)) puts it in force."
+    return (f"Not in force, though the model has it: {'; '.join(said)}. {remedy}",) if said else ()
 
 
 def _coupling(given: Any, number: int) -> dict[str, Any]:
@@ -124,6 +175,11 @@ def _closure(model: pin.Model, given: Any, number: int, at: list[int]) -> dict[s
             f"closures[{number}] is {shown(given)}.",
             remedy="Pass a Closure, (frame_a, frame_b, axes), a mapping with frames and axes, or a constraint model of "
             "Pinocchio between two placements.",
+        )
+    if "Contact" in type(given).__name__:
+        raise InputError(
+            f"closures[{number}] is a {type(given).__name__}, which can let go and slide.",
+            remedy="Pass a PointAnchorConstraintModel where it does neither.",
         )
     rows = given.residualSize()
     if rows not in (3, 6):

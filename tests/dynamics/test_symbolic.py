@@ -7,6 +7,7 @@ import pickle
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
@@ -69,6 +70,29 @@ def test_they_say_what_rnea_says(name: str) -> None:
         # the bias is the rest of the acceleration rows, those of the platform included
         rows = np.concatenate([state.Jc[k], state.Jx[k]]) @ a + np.array(functions.bias(q, v))[:, 0]
         assert_equal(rows, np.concatenate([np.zeros(r), motion.xdd[k]]), "bias")
+
+
+def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
+    """All rows vanish there, and the cosines are zero: CompiledDynamics took it for closed where they rounded up."""
+    model = pin.Model()
+    joints = (pin.JointModelRZ(), pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ(), pin.JointModelSpherical())
+    for number, joint in enumerate(joints):
+        name = ("turn", "x", "y", "z", "ball")[number]
+        index = model.addJoint(number if number > 1 else 0, joint, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    for name, joint in (("hand", 1), ("end", 5)):
+        model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+    weld = ("hand", "end", ["x", "y", "z", "rx", "ry", "rz"])
+    robot = Robot.from_model(model, closures=[weld], actuated=["turn"])
+    functions, rng = symbolic(robot), np.random.default_rng(0)
+    assert (np.array(functions.alignment(np.array(robot.q_reference))) > 0.0).all()
+    false = np.concatenate([np.zeros(4), [0.5, 0.5, 0.5, 0.5]])
+    for turn in (1.0, -1.0):
+        false[4:7] = 0.5 * turn
+        for step in 1e-9 * rng.normal(size=(10, robot.model.nv)):
+            q = pin.integrate(robot.model, false, step)
+            assert np.abs(np.array(functions.closure(q))).max() < 1e-7
+            assert (np.array(functions.alignment(q)) < 0.0).any()
 
 
 def test_what_is_off_is_told() -> None:

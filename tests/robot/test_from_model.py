@@ -252,6 +252,66 @@ def test_refusals(case):
         made(**changes)
 
 
+def unsound(change):
+    model = planar_parallelogram()
+    change(model)
+    return model
+
+
+def with_values(name, *values):
+    """Return a change of a model: values of an array of its joint 1."""
+
+    def change(model):
+        for key, value in zip((f"lower{name}", f"upper{name}") if len(values) == 2 else (name,), values, strict=True):
+            array = np.array(getattr(model, key))
+            array[0] = value
+            setattr(model, key, array)
+
+    return change
+
+
+def with_mass(mass):
+    return lambda model: model.inertias.__setitem__(1, pin.Inertia(mass, np.zeros(3), np.eye(3)))
+
+
+UNSOUND = {
+    "mass": (with_mass(-1.0), "the mass -1"),
+    "no mass": (with_mass(np.nan), "the mass nan"),
+    "armature": (with_values("armature", -1.0), r"the armature \[-1.0\]"),
+    "range": (with_values("PositionLimit", 2.0, 1.0), r"limits of position \[2.0\] to \[1.0\]"),
+    "effort": (with_values("EffortLimit", np.nan, 1.0), "limits of effort"),
+    "place": (
+        lambda model: model.jointPlacements.__setitem__(1, pin.SE3(np.eye(3), np.array([np.inf, 0.0, 0.0]))),
+        "not placed by finite numbers",
+    ),
+    "gravity": (lambda model: setattr(model.gravity, "angular", np.ones(3)), "angular part"),
+}
+
+
+@pytest.mark.parametrize("case", UNSOUND)
+def test_numbers_that_no_machine_has_are_refused(case):
+    """Files are refused with such, and W τ = f came out of a model with them without a word."""
+    change, message = UNSOUND[case]
+    with pytest.raises(InputError, match=message):
+        made(unsound(change))
+
+
+def test_friction_of_the_model_is_said_not_to_be_in_force():
+    model = unsound(with_values("damping", 0.5))
+    note = next(note for note in made(model).notes if "Not in force" in note)
+    assert f"damping of {model.names[1]}. robot.loaded(" in note
+    assert not any("Not in force" in note for note in made().notes)
+
+
+def test_a_contact_is_no_closure():
+    if not hasattr(pin, "PointContactConstraintModel"):
+        pytest.skip("this Pinocchio has none")
+    model = planar_parallelogram()
+    contact = pin.PointContactConstraintModel(model, 1, pin.SE3.Identity(), 2, pin.SE3.Identity())
+    with pytest.raises(InputError, match="can let go and slide"):
+        made(model, closures=[contact])
+
+
 def test_what_does_not_close_is_refused():
     model = planar_parallelogram()
     model.jointPlacements[3] = pin.SE3(np.eye(3), np.array([9.0, 0.0, 0.0]))

@@ -53,7 +53,7 @@ class SymbolicRobot(Frozen):
         base_wrench: (q, v, a) to (6): force and moment of the robot on its base, world origin and axes, N and N·m.
         energy: (q, v) to (1): kinetic plus potential energy, J (zero height at the world origin).
         mode: (q) to (legs): positive in the robot's own working mode; empty where none is declared.
-        alignment: (q) to (some): cosines, positive at a true closure of hinges and welds.
+        alignment: (q) to (some): positive at a true closure of hinges and welds, and at no false one.
     """
 
     robot: Robot

@@ -301,13 +301,17 @@ class SymbolicChain:
 
     @cached_property
     def alignment(self) -> SX:
-        """Cosines that must be positive: axes of a hinge or a weld that coincide, and the turn to a target pose."""
+        """Positive where axes of hinges and welds coincide, and a pose is less than a quarter turn off its target.
+
+        False closures have cosines of −1, and of 0 where the axes of a weld changed places: less a half, or their
+        rounding would choose.
+        """
         ca = casadi()
         cosines = [ca.SX(1.0)]
         for closure in self.robot.closures:
             free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
             between = self.frame(closure.frame_a)[0].T @ self.frame(closure.frame_b)[0]
-            cosines += [between[k, k] for k in {0: [0, 1, 2], 1: free}.get(len(free), [])]
+            cosines += [between[k, k] - 0.5 for k in {0: [0, 1, 2], 1: free}.get(len(free), [])]
         if self.is_pose:
             turn = self._to_target()
             cosines.append(0.5 * (ca.trace(turn) - 1.0))
