@@ -86,13 +86,11 @@ def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
     robot = Robot.from_model(model, closures=[weld], actuated=["turn"])
     functions, rng = symbolic(robot), np.random.default_rng(0)
     assert (np.array(functions.alignment(np.array(robot.q_reference))) > 0.0).all()
-    false = np.concatenate([np.zeros(4), [0.5, 0.5, 0.5, 0.5]])
-    for turn in (1.0, -1.0):
-        false[4:7] = 0.5 * turn
-        for step in 1e-9 * rng.normal(size=(10, robot.model.nv)):
-            q = pin.integrate(robot.model, false, step)
-            assert np.abs(np.array(functions.closure(q))).max() < 1e-7
-            assert (np.array(functions.alignment(q)) < 0.0).any()
+    false = np.concatenate([np.zeros(4), [-0.5, -0.5, -0.5, 0.5]])
+    for step in 1e-9 * rng.normal(size=(20, robot.model.nv)):
+        q = pin.integrate(robot.model, false, step)
+        assert np.abs(np.array(functions.closure(q))).max() < 1e-7
+        assert (np.array(functions.alignment(q)) < 0.0).any()
 
 
 def test_what_is_off_is_told() -> None:
