@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
+from redundancy_pin.cli.errors import printable
 from redundancy_pin.cli.options import json_option, trust_option
-from redundancy_pin.cli.output import report
+from redundancy_pin.cli.output import report, warning
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable, write_text
 
@@ -25,6 +26,9 @@ _SINGLE = ("revolute", "continuous", "prismatic")
 
 _COINCIDE = 1e-5
 """m: frames that are nearer at the zero configuration are taken to be one point, cut in two; files are rounded."""
+
+_ROUNDED = 1e-6
+"""rad or m: what is written has six digits."""
 
 _NO_MASS = 1e-6
 """Of the mass of all: exporters give frames a gram in a tonne, as some readers refuse links that weigh nothing."""
@@ -67,8 +71,9 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     tree = read_tree(urdf, source)
     model = model_of(tree, urdf, source)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
-    pairs, how = _proposed_closures(tree, model)
-    transmissions = _transmissions(urdf, tree)
+    pairs, how, doubts = _proposed_closures(tree, model)
+    transmissions, unknown = _transmissions(urdf, tree)
+    doubts += [f"A transmission drives {name!r}, which is no joint that moves." for name in unknown]
     single = [joint for joint in tree.joints if joint.kind in _SINGLE and not joint.mimic]
     driven = transmissions or [joint.name for joint in single if _is_limited(joint)] or [joint.name for joint in single]
     if not driven:
@@ -83,7 +88,9 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     start, couplings = pin.neutral(model), tree.couplings
     robot = made(data, model, start, loose=True, drive_independent=not transmissions, couplings=couplings)
     beside = target.resolve().parent == source.resolve().parent
-    write_text(target, _text(robot, source.name if beside else str(source.resolve()), how, bool(transmissions)))
+    doubts += _out_of_range(robot)
+    place = source.name if beside else str(source.resolve())
+    write_text(target, _text(robot, place, how, bool(transmissions), doubts))
     loaded = load_robot(target, trust=trust)
     facts = {
         "out": str(target),
@@ -91,14 +98,17 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
         "couplings": [asdict(coupling) for coupling in loaded.couplings],
         "actuated": loaded.actuated,
         "independent": loaded.independent_joints,
+        "doubts": doubts,
     }
+    for doubt in () if as_json else doubts:
+        warning(doubt)
     closures = f"{len(loaded.closures)} closure(s)" if pairs else f"no closure: {how}"
     counts = f"n = {loaded.n}, m = {loaded.m}, {closures}"
     report(as_json, facts, f"{target}: {counts}. Read it, and correct it.")
 
 
-def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], str]:
-    """Return pairs of frames that close loops, and how they were found."""
+def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], str, list[str]]:
+    """Return pairs of frames that close loops, how they were found, and what could be otherwise."""
     import pinocchio as pin
 
     data = model.createData()
@@ -131,11 +141,27 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
         if end not in paired and len(on) == 1:
             pairs.append([end, *on.values()])
     if pairs:
-        return pairs, "they coincide when all joints are at zero"
+        doubts = [
+            f"{end!r} is where {one!r} and {other!r} are: a pin of three links takes one closure more, a mark none."
+            for one, other in pairs
+            for end in ends
+            if carrier[end] not in (carrier[one], carrier[other]) and np.linalg.norm(at[end] - at[one]) < _COINCIDE
+        ]
+        return pairs, "they coincide when all joints are at zero", doubts
     if len(ends) == 2 and carrier[ends[0]] != carrier[ends[1]]:
-        return [ends], "the only two links that carry nothing and weigh nothing"
+        return [ends], "the only two links that carry nothing and weigh nothing", []
     loose = f" (say under closures which are one point: {', '.join(ends)})" if len(ends) > 1 else ""
-    return [], f"no two frames coincide when all joints are at zero{loose}"
+    return [], f"no two frames coincide when all joints are at zero{loose}", []
+
+
+def _out_of_range(robot: Robot) -> list[str]:
+    """Return a line on joints that the reference has beyond their limits."""
+    model, q = robot.model, robot.q_reference
+    named = list(zip(model.names, model.joints, strict=True))[1:]
+    joints = [(str(name), joint.idx_q) for name, joint in named if joint.nq == 1]
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    beyond = [name for name, k in joints if not low[k] - _ROUNDED <= q[k] <= high[k] + _ROUNDED]
+    return [f"The reference is out of the range of {', '.join(beyond)}: guess another."] if beyond else []
 
 
 def _is_limited(joint: JointEntry) -> bool:
@@ -145,8 +171,8 @@ def _is_limited(joint: JointEntry) -> bool:
     return limits.get("effort", 0.0) > 0.0 and bounds < (np.inf if joint.kind == "prismatic" else 2.0 * np.pi - 0.01)
 
 
-def _transmissions(urdf: str, tree: Tree) -> list[str]:
-    """Return the moving joints that transmissions name."""
+def _transmissions(urdf: str, tree: Tree) -> tuple[list[str], list[str]]:
+    """Return the moving joints that transmissions name, and what else they name."""
     from redundancy_pin.robot.formats.xml_files import parsed_text
 
     moving = [joint.name for joint in tree.joints if joint.kind in _SINGLE]
@@ -155,10 +181,11 @@ def _transmissions(urdf: str, tree: Tree) -> list[str]:
         for transmission in parsed_text(urdf, "the URDF").iter("transmission")
         for joint in transmission.iter("joint")
     ]
-    return [name for name in dict.fromkeys(named) if name in moving]
+    names = list(dict.fromkeys(named))
+    return [name for name in names if name in moving], [name for name in names if name not in moving]
 
 
-def _text(robot: Robot, urdf: str, how: str, transmissions: bool) -> str:
+def _text(robot: Robot, urdf: str, how: str, transmissions: bool, doubts: list[str]) -> str:
     """Return the declaration, with a comment on each thing that was guessed."""
     import json
 
@@ -177,4 +204,5 @@ def _text(robot: Robot, urdf: str, how: str, transmissions: bool) -> str:
     made = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.cli", ""), trim_blocks=True)
     made.filters["quoted"] = lambda value: json.dumps(value, ensure_ascii=False)
     template = made.get_template("robot.yaml.j2")
-    return template.render(robot=robot, urdf=urdf, how=how, driven=driven, free=free, rest=rest) + "\n"
+    said = [printable(doubt) for doubt in doubts]
+    return template.render(robot=robot, urdf=urdf, how=how, driven=driven, free=free, rest=rest, doubts=said) + "\n"

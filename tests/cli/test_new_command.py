@@ -66,6 +66,28 @@ def test_frames_that_coincide_and_transmissions(urdf, tmp_path):
     assert "they coincide when all joints are at zero" in out.read_text()
 
 
+def test_what_it_cannot_know_is_said(urdf, tmp_path):
+    """Of three links at one point two are paired; transmissions of no joint, and references out of range, are named."""
+    text = urdf.read_text()
+    place = "".join(f'<link name="{name}"/>' for name in ("here", "there")) + "".join(
+        f'<joint name="{name}_end" type="fixed"><parent link="{parent}"/><child link="{name}"/>'
+        f'<origin xyz="{x} 0 0"/></joint>'
+        for name, parent, x in (("here", "base", 0.4), ("there", "crank", 0.4))
+    )
+    text = text.replace("</robot>", f'{place}<transmission name="t"><joint name="no joint"/></transmission></robot>')
+    urdf.write_text(text.replace('lower="-100"', 'lower="0.5"', 1))
+    run = call("new", urdf)
+    written = (tmp_path / "robot.yaml").read_text()
+    for said in (
+        "'coupler_tip' is where 'here' and 'there' are",
+        "A transmission drives 'no joint', which is no joint that moves",
+        "The reference is out of the range of crank",
+    ):
+        assert said in " ".join(run.stderr.split()), run.stderr
+        assert f"# Doubtful: {said}" in written
+    assert rp.load_robot(tmp_path / "robot.yaml").n >= 1
+
+
 MASS = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 SLIDER = f"""<robot name="slider"><link name="base"/><link name="crank">{MASS}</link><link name="rod">{MASS}</link>
 <link name="slider">{MASS}</link><link name="end"/><link name="mark"/>
