@@ -191,14 +191,14 @@ def solve_grid(
     """Flood a grid from one configuration: every solved node is where its neighbours start from.
 
     Only the part of the workspace that is connected to the start (in the slice of the grid) is found; with ``islands``
-    also parts that random starts meet. Where no working modes tell branches apart, a part that touches another one is
-    another branch there, and left out.
+    also what hangs on by the corner of a cell, and parts that random starts meet. Where no working modes tell branches
+    apart, a part that touches another one is another branch there, and left out.
     """
     mesh = np.meshgrid(*axes, indexing="ij")
     nodes = np.repeat(place.x[None], mesh[0].size, axis=0)
     for column, values in zip(place.free, mesh, strict=True):
         nodes[(slice(None), column, 3) if nodes.ndim == 3 else (slice(None), column)] = values.ravel()
-    flood = _Flood(system, nodes, mesh[0].shape)
+    flood = _Flood(system, nodes, mesh[0].shape, across_corners=islands and len(axes) > 1)
     flood.run(place.x, place.q)
     if islands:
         flood.look_for_islands(place, axes)
@@ -209,8 +209,9 @@ def solve_grid(
 class _Flood:
     """State of the flooding; used up by one run."""
 
-    def __init__(self, system: ConstraintSystem, nodes: Array, shape: tuple[int, ...]) -> None:
+    def __init__(self, system: ConstraintSystem, nodes: Array, shape: tuple[int, ...], *, across_corners: bool) -> None:
         self.system = system
+        self.across_corners = across_corners
         self.nodes = nodes
         self.shape = shape
         self.q = np.full((len(nodes), system.robot.model.nq), np.nan)
@@ -267,14 +268,25 @@ class _Flood:
                 self.part[self.part == other] = touched.min()
 
     def _spread(self, front: IntArray) -> None:
-        """Solve the neighbours of solved nodes, outward in waves until no new node closes."""
-        while len(front):
-            targets, sources = self._neighbours(front)
-            front = self._reach(targets, self.nodes[sources], self.q[sources], self.gamma[sources])
+        """Solve the neighbours of solved nodes, outward in waves until no new node closes.
 
-    def _neighbours(self, front: IntArray) -> tuple[IntArray, IntArray]:
+        Where none along the axes does any more those at corners are tried, if at all: a strip is narrower than a cell.
+        """
+        fresh = [front]
+        while len(front):
+            front = self._wave(front, corners=False)
+            fresh.append(front)
+            if not len(front) and self.across_corners:
+                front = self._wave(np.concatenate(fresh), corners=True)
+                fresh = [front]
+
+    def _wave(self, front: IntArray, *, corners: bool) -> IntArray:
+        targets, sources = self._neighbours(front, corners=corners)
+        return self._reach(targets, self.nodes[sources], self.q[sources], self.gamma[sources])
+
+    def _neighbours(self, front: IntArray, *, corners: bool) -> tuple[IntArray, IntArray]:
         """Return the unsolved neighbours of nodes, each once, and the node each is reached from."""
-        target, source = self._beside(front)
+        target, source = self._beside(front, corners=corners)
         unsolved = ~self.solved[target]
         unique, first = np.unique(target[unsolved], return_index=True)
         return unique, source[unsolved][first]

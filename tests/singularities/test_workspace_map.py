@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 
@@ -82,6 +83,38 @@ def test_the_default_grid_ends_beyond_the_workspace() -> None:
     assert y[-1] > tip
     assert x[0] < -0.5
     assert x[-1] > 1.0
+
+
+def test_strips_narrower_than_a_cell_are_reached_across_its_corners() -> None:
+    """Two rings share a horn whose nodes hang on by a corner: it was missing in the map of this mode."""
+    model, base, mode = pin.Model(), 0.401, (1, -1)
+    lengths, tips = ((0.963, 0.433), (0.426, 0.545)), []
+    start = np.array([-0.2, 0.75])
+    guess = {}
+    for leg, (upper, lower) in enumerate(lengths):
+        far = start - np.array([base * leg, 0.0])
+        bend = mode[leg] * np.arccos((far @ far - upper**2 - lower**2) / (2.0 * upper * lower))
+        angle = np.arctan2(far[1], far[0]) - np.arctan2(lower * np.sin(bend), upper + lower * np.cos(bend))
+        guess |= {f"crank_{leg}": float(angle), f"elbow_{leg}": float(bend)}
+        joint = 0
+        for name, x in ((f"crank_{leg}", base * leg), (f"elbow_{leg}", upper)):
+            place = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+            joint = model.addJoint(joint, pin.JointModelRZ(), place, name)
+            model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame(f"tip_{leg}", joint, pin.SE3(np.eye(3), np.array([lower, 0.0, 0.0])), 0)
+        tips.append(f"tip_{leg}")
+    robot = rp.Robot.from_model(
+        model,
+        closures=[(*tips, ["x", "y"])],
+        actuated=["crank_0", "crank_1"],
+        independent={"platform": "tip_0", "axes": ["x", "y"]},
+        reference={"platform": start.tolist(), "guess": guess},
+        working_modes={"joints": ["elbow_0", "elbow_1"], "signs": [1, 1], "default": list(mode)},
+    )
+    space = rp.workspace(robot, resolution=30)
+    rho = np.linalg.norm(nodes(space)[:, :, None] - np.array([[0.0, 0.0], [base, 0.0]]), axis=-1)
+    least, most = np.array([(abs(upper - lower), upper + lower) for upper, lower in lengths]).T
+    assert (space.reachable[0] == ((rho > least) & (rho < most)).all(axis=-1)).all()
 
 
 @pytest.mark.long_for("False")
