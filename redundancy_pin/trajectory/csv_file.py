@@ -190,6 +190,7 @@ def tables_of_csv(
             if not some:
                 remedy = "Give a row of column names (t, x0, ..., xd0, ..., xdd0, ...) and at least one row of numbers."
                 raise _bad(path, " has 0 rows of numbers.", remedy)
+            _require_names(names, some[0][1], path)
             if twice:
                 raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
             while some:
@@ -214,6 +215,21 @@ def _lines(stream: TextIOWrapper, path: str | os.PathLike[str]) -> Iterator[str]
         if len(line) > _LONGEST_LINE:
             raise _bad(path, f" has a line of more than {_LONGEST_LINE} characters.", "Write a line for each sample.")
         yield line
+
+
+def _require_names(names: Sequence[str], first: Sequence[str], path: str | os.PathLike[str]) -> None:
+    """Check that the first row names columns between commas: numbers there would be dropped as if they were names."""
+    if names and np.isfinite([_number(name) for name in names]).all():
+        message = f" begins with numbers, {shown(', '.join(names))}, where the names of its columns should stand."
+        raise _bad(path, message, "Put a row of names before it, such as t,x,y; a sampled motion has t,x0,xd0,xdd0.")
+    if len(names) != 1:
+        return
+    for separator, what in ((";", "semicolons"), ("\t", "tabs"), (None, "blanks")):
+        parts = names[0].split(separator)
+        # a name may hold blanks: they separate where the numbers below stand in as many parts
+        if len(parts) > 1 and (separator or len(parts) == len(" ".join(first).split())):
+            message = f" has one column, {shown(names[0])}: {what} are between its names."
+            raise _bad(path, message, "Put commas between the columns, and points into the numbers.")
 
 
 def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: str | os.PathLike[str]) -> Array:

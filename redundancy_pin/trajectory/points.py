@@ -78,7 +78,14 @@ def from_points(
         InputError: none or two of times and speed, points that are none, times that do not increase, a file that
             cannot be read (with row and column), ...
     """
+    given, remedy = "", 'Pass one of times=[...], speed=0.1, and times="time-optimal" with limits.'
     if isinstance(points, (str, os.PathLike)):
+        file = os.fspath(points)
+        given = f", and {file} has neither t nor speed"
+        remedy = (
+            'Give it a column t, or pass speed=0.1, or times="time-optimal" with limits '
+            f"(--trajectory {file}:speed=0.1 on the command line)."
+        )
         points, own_times, own_speed = read_points(points)
         if own_times is not None:
             if times is not None or speed is not None:
@@ -91,8 +98,9 @@ def from_points(
             times = own_times
         speed = own_speed if speed is None else speed
     if (times is None) == (speed is None):
-        given = "Both times and speed are given." if speed is not None else "Neither times nor speed is given."
-        raise InputError(given, remedy='Pass one of times=[...], speed=0.1, and times="time-optimal" with limits.')
+        if speed is not None:
+            raise InputError("Both times and speed are given.", remedy="Leave one of them out.")
+        raise InputError(f"Neither times nor speed is given{given}.", remedy=remedy)
     fastest = isinstance(times, str)
     if fastest and times != TIME_OPTIMAL:
         raise InputError(f"times is {shown(times)}.", remedy='Pass times, or "time-optimal".', name="times")

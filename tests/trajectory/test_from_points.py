@@ -353,6 +353,13 @@ def test_poses_that_make_no_spline_are_said() -> None:
     [
         ("way.csv", "t,x\n0,1\n1,two\n", "row 3, column 'x': 'two'"),
         ("way.csv", "t\n0\n1\n", "no coordinates"),
+        (
+            "way.csv",
+            "x,y\n0,0\n1,1\n",
+            "given, and .*way.csv has neither t nor speed. Give it a column t, or .*csv:speed=0.1",
+        ),
+        ("way.csv", "0,0\n1,1\n2,3\n", "begins with numbers, '0, 0', where the names of its columns should stand"),
+        ("way.csv", "t;x;y\n0;0,5;1\n", "one column, 't;x;y': semicolons are between its names. Put commas"),
         ("way.csv", "t,x0,xd0,xdd0\n0,0,0,0\n1,1,0,0\n", "sampled motion"),
         ("way.json", '{"points": [[0, 1], [2]], "t": [0, 1]}', "points is not an array"),
         ("way.json", '{"pionts": [[0, 1]]}', "'pionts'"),
@@ -366,6 +373,15 @@ def test_files_that_hold_no_points_are_named(name: str, text: str, says: str, tm
     (tmp_path / name).write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=says):
         from_points(tmp_path / name)
+
+
+def test_a_first_row_of_numbers_is_no_name(tmp_path: Path) -> None:
+    """With a speed the first of three points was dropped, and the motion went through the other two."""
+    (tmp_path / "way.csv").write_text("0.25,0.7\n0.3,0.75\n0.2,0.72\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"begins with numbers, '0.25, 0.7'.*such as t,x,y"):
+        from_points(tmp_path / "way.csv", speed=0.1)
+    file = write(tmp_path / "one.csv", "crank angle", np.array([[0.0], [1.0]]))  # a name may hold a blank
+    assert from_points(file, [0.0, 1.0]).dimension == 1
 
 
 @pytest.mark.parametrize("count", [MOST_POINTS, MOST_POINTS + 1])
