@@ -14,7 +14,7 @@ angular velocity is ω. Beyond the motion with that link, which is the link's ow
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -91,8 +91,8 @@ class TreeLoads:
             for index, wrench in self._bodies(state, placed).items():
                 for column in self.supports[index]:
                     effort[column] -= np.einsum("in,in->n", placed.pose.jacobian[:, column], wrench)
-            for rotor in self._rotors:
-                effort[rotor.column] += rotor.load.rotor_inertia * rotor.load.gear * placed.spins[rotor.load.joint].turn
+            for rotor, spin in zip(self._rotors, placed.spins, strict=True):
+                effort[rotor.column] += rotor.load.rotor_inertia * rotor.load.gear * spin.turn
         return effort
 
     def rotor_mass(self, state: TreeState) -> Array:
@@ -100,8 +100,8 @@ class TreeLoads:
         nv = self.robot.model.nv
         at_rest = TreeState(np.repeat(state.q, nv, axis=0), np.zeros((nv, nv)), np.eye(nv))
         mass, placed = np.zeros((nv, nv)), self._placed(at_rest)
-        for rotor in self._rotors:
-            spin, size = placed.spins[rotor.load.joint], rotor.load.rotor_inertia * rotor.load.gear
+        for rotor, spin in zip(self._rotors, placed.spins, strict=True):
+            size = rotor.load.rotor_inertia * rotor.load.gear
             mass[rotor.column] += size * spin.turn
             for column in self.supports[rotor.parent]:
                 mass[column] += size * np.einsum("in,in->n", placed.pose.jacobian[3:, column], spin.rate)
@@ -111,7 +111,7 @@ class TreeLoads:
         """Return (nv, N) Σ Jᵀ w of the wrenches alone."""
         effort, pose = np.zeros((self.robot.model.nv, len(state.q))), self._tree.pose(state.q)
         for wrench, value in zip(self._wrenches, state.wrenches, strict=True):
-            total = _external(wrench, value, _Placed(pose, {}, {}))
+            total = _external(wrench, value, _Placed(pose, {}, []))
             for column in self.supports[self._carried_by[wrench.frame]]:
                 effort[column] += np.einsum("in,in->n", pose.jacobian[:, column], total)
         return effort
@@ -128,8 +128,8 @@ class TreeLoads:
             for wrench, value in zip(self._wrenches, state.wrenches, strict=True):
                 if self._carried_by[wrench.frame]:
                     total += _external(wrench, value, placed)
-            for rotor in self._rotors:
-                total[3:] -= rotor.load.rotor_inertia * rotor.load.gear * placed.spins[rotor.load.joint].rate
+            for rotor, spin in zip(self._rotors, placed.spins, strict=True):
+                total[3:] -= rotor.load.rotor_inertia * rotor.load.gear * spin.rate
         return np.ascontiguousarray(total.T)
 
     def energy(self, state: TreeState) -> Array:
@@ -140,10 +140,10 @@ class TreeLoads:
                 total += 0.5 * load.stiffness * (state.q[:, joint.idx_q] - load.rest) ** 2
         if self._frames:
             placed = self._placed(state)
-            for rotor in self._rotors:
+            for rotor, spin in zip(self._rotors, placed.spins, strict=True):
                 size = rotor.load.rotor_inertia * rotor.load.gear
                 v = state.v[:, rotor.column]
-                total += size * v * (0.5 * rotor.load.gear * v + placed.spins[rotor.load.joint].link)
+                total += size * v * (0.5 * rotor.load.gear * v + spin.link)
             for spring in self._springs:
                 line = placed.point(spring.frame_b, spring.point_b) - placed.point(spring.frame_a, spring.point_a)
                 total += 0.5 * spring.stiffness * (np.linalg.norm(line, axis=0) - spring.length) ** 2
@@ -190,10 +190,8 @@ class TreeLoads:
     def _placed(self, state: TreeState) -> _Placed:
         pose = self._tree.pose(state.q)
         motions = self._tree.motions(pose, state.v) if self._springs or self._rotors else {}
-        placed = _Placed(pose, motions, {})
-        for rotor in self._rotors:
-            placed.spins[rotor.load.joint] = rotor.spin(placed, state, self.supports)
-        return placed
+        placed = _Placed(pose, motions, [])
+        return replace(placed, spins=[rotor.spin(placed, state, self.supports) for rotor in self._rotors])
 
     def _bodies(self, state: TreeState, placed: _Placed) -> dict[int, Array]:
         total: dict[int, Array] = {}
@@ -207,8 +205,8 @@ class TreeLoads:
             on_b = _spring_wrench(spring, placed)
             add(self._carried_by[spring.frame_b], on_b)
             add(self._carried_by[spring.frame_a], -on_b)
-        for rotor in self._rotors:
-            moment = -rotor.load.rotor_inertia * rotor.load.gear * placed.spins[rotor.load.joint].rate
+        for rotor, spin in zip(self._rotors, placed.spins, strict=True):
+            moment = -rotor.load.rotor_inertia * rotor.load.gear * spin.rate
             add(rotor.parent, np.concatenate([np.zeros_like(moment), moment]))
         return total
 
@@ -232,7 +230,7 @@ class _Spin:
 class _Placed:
     pose: TreePose
     motions: dict[str, tuple[Array, Array]]
-    spins: dict[str, _Spin]
+    spins: list[_Spin]  # of each rotor: a joint may have several
 
     def point(self, frame: str, point: Array) -> Array:
         """Return (3, N) a point of a frame in the world, m."""

@@ -69,6 +69,7 @@ def all_loads(name: str, samples: int, seed: int = 0) -> tuple[Load, ...]:
     for joint in JOINTS[name]:
         numbers = rng.uniform(0.1, 1.0, 5)
         loads += [JointForces(joint, *numbers[:2], 0.1, *numbers[2:4], 0.01 * numbers[4], -7.0)]
+    loads += [JointForces(joint, rotor_inertia=0.002, gear=20.0) for joint in JOINTS[name][:2]]  # a second rotor there
     for a, b in ((0, 4), (4, 5), (2, 6), (1, 3)):
         ends = 0.3 * rng.normal(size=(2, 3))
         loads += [Spring(FRAMES[name][a], FRAMES[name][b], 20.0, 3.0, 0.1, *ends)]
