@@ -34,7 +34,8 @@ _PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: wide eno
 def console(*, markup: bool = False) -> Console:
     """Return a console on stdout; plain text of a fixed width when that is not a terminal.
 
-    With ``markup`` a ``[green]`` in a text is a colour; without, texts of users are shown as they stand.
+    With ``markup`` a ``[green]`` in a text is a colour; without, texts of users are shown as they stand. ``:a:`` in a name
+    is no picture in either.
     """
     from rich.console import Console
 
@@ -44,8 +45,8 @@ def console(*, markup: bool = False) -> Console:
 
     # a width of its own in a pipe: rich would take 80 columns there and cut numbers
     if _is_terminal(sys.stdout):
-        return Printer(markup=markup, highlight=False)
-    return Printer(markup=markup, highlight=False, width=_PIPE_WIDTH, color_system=None)
+        return Printer(markup=markup, emoji=False, highlight=False)
+    return Printer(markup=markup, emoji=False, highlight=False, width=_PIPE_WIDTH, color_system=None)
 
 
 def _is_terminal(stream: Any) -> bool:
@@ -168,7 +169,7 @@ def progress(title: str) -> Iterator[Advance]:
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=Console(stderr=True, emoji=False),
         transient=True,
     )
     with bar:

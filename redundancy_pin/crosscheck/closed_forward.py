@@ -89,7 +89,8 @@ class ClosedForward:
                 row[other.idx_v] -= powers.deriv()(q[other.idx_q])
                 bend = -float(powers.deriv(2)(q[other.idx_q])) * v[other.idx_v] ** 2
             rows.append((row, bend))
-        return np.array([row for row, _ in rows]), np.array([bias for _, bias in rows])
+        J = np.array([row for row, _ in rows]).reshape(-1, model.nv)  # an open chain has no row
+        return J, np.array([bias for _, bias in rows])
 
     def missed(self, q: Array, v: Array, a: Array, xd: Array, xdd: Array) -> float:
         """Return by how much v and a miss the closures, ẋ and ẍ (n,), as a part of the terms of each row."""

@@ -54,6 +54,18 @@ def test_the_reference_has_its_unit(name: str, unit: str) -> None:
     assert f"reference [{unit}] " in call("info", "--robot", name).stdout
 
 
+def test_colons_in_names_make_no_pictures(tmp_path: Path) -> None:
+    """``rod:a:universal``, a frame that the reader of MuJoCo's models makes, was shown with an emoji in it."""
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        """<mujoco model="arm:a:"><worldbody><body><joint name="hinge:b:1"/><geom size="0.1"/></body></worldbody>
+        <actuator><motor joint="hinge:b:1"/></actuator></mujoco>""",
+        encoding="utf-8",
+    )
+    assert call("info", "--robot", str(file)).stdout.count("hinge:b:1") >= 2
+    assert "arm:a:" in call("validate", "--robot", str(file), "--samples", "2").stdout
+
+
 def test_parameters_show_value_and_default() -> None:
     facts = json.loads(
         call(

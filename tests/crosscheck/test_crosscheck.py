@@ -217,6 +217,16 @@ def test_as_many_motors_as_freedoms_may_leave_one_undriven(tmp_path):
     assert {row.check: row.samples for row in report.rows}["inverse -> forward (rnea)"] == 8
 
 
+def test_a_chain_without_loops_is_checked_too(tmp_path):
+    """Its closures are no rows at all, which ended in a ValueError of numpy."""
+    inner = '<body pos="0.3 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body>'
+    text = f'<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size="0.1"/>{inner}</body></worldbody>'
+    path = write(tmp_path, text + '<actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>')
+    report = crosscheck.run([str(path)], samples=8)
+    assert report.passed
+    assert {row.check: row.samples for row in report.rows}["inverse -> forward (rnea)"] == 8
+
+
 def test_what_could_not_be_checked_is_named_and_does_not_fail():
     robot = load_robot("gough")
     weak = replace(robot, actuated=robot.actuated[:5], actuated_velocity=robot.actuated_velocity[:5])
