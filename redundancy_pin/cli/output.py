@@ -34,8 +34,8 @@ _PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: wide eno
 def console(*, markup: bool = False) -> Console:
     """Return a console on stdout; plain text of a fixed width when that is not a terminal.
 
-    With ``markup`` a ``[green]`` in a text is a colour; without, texts of users are shown as they stand. ``:a:`` in a name
-    is no picture in either.
+    With ``markup`` a ``[green]`` in a text is a colour; without, texts of users are shown as they stand. In either
+    ``:a:`` in a name is no picture.
     """
     from rich.console import Console
 

@@ -72,7 +72,9 @@ class ClosureForces(Frozen):
         if name not in self.names:
             raise InputError(
                 f"There is no closure row {name!r}.",
-                remedy=f"{did_you_mean(name, self.names)}Choose from {', '.join(self.names)}.",
+                remedy=f"{did_you_mean(name, self.names)}Choose from {', '.join(self.names)}."
+                if self.names
+                else "The robot has no closures.",
             )
         unit: Array = np.eye(len(self.names))[self.names.index(name)]
         return unit

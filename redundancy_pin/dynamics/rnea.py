@@ -393,7 +393,10 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     """
     require_type(along, RneaAlongMotion, "RNEA dynamics along a motion", "Pass RneaDynamics(robot).along(motion).")
     robot, tree = along.robot, along.tree
-    effort = np.asarray(tau, dtype=float)
+    try:
+        effort = np.asarray(tau, dtype=float)
+    except (TypeError, ValueError):  # a Distribution, say: what is wrong with it is said by
+        effort = checked(tau, "tau", (len(along.motion), robot.m))
     holes = np.isnan(effort).any(axis=-1, keepdims=True) if effort.ndim == 2 else np.zeros(1, dtype=bool)
     checked(np.where(holes, 0.0, effort), "tau", (len(along.motion), robot.m))
     usable = ~holes[:, 0] & tree.reachable
@@ -440,6 +443,8 @@ def closure_multipliers(
         multipliers = system.closure_scale[:, None] * (right @ (inverse[:, :, None] * (left @ efforts[:, columns])))
     else:
         multipliers = np.linalg.pinv(transposed) @ efforts[:, columns]
+    if not rank:  # an open chain, or one whose closures are redundant in every row
+        return multipliers, efforts[:, columns] - transposed @ multipliers, np.ones(len(usable), dtype=bool)
     determined = np.linalg.svd(scaled, compute_uv=False)[:, rank - 1] > SINGULAR_MARGIN
     return multipliers, efforts[:, columns] - transposed @ multipliers, determined
 

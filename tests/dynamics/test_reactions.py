@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 
 import redundancy_pin as rp
+from redundancy_pin.dynamics.contacts import closure_forces
 from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
 from redundancy_pin.errors import InputError
 
@@ -130,3 +131,24 @@ def test_wrong_shape_is_refused(case):
     _, along, carriers, _, tau = case
     with pytest.raises(InputError, match="tau"):
         joint_reactions(along, tau[:, :-1], carriers)
+    with pytest.raises(InputError, match="tau is not an array of numbers"):
+        joint_reactions(along, rp.distribute(along.reduce(carriers)), carriers)  # its .tau is meant
+
+
+def test_a_chain_without_loops_has_reactions_too():
+    """Two hanging links: each joint bears the weight of what hangs on it."""
+    model, parent = pin.Model(), 0
+    for name in ("upper", "lower"):
+        parent = model.addJoint(parent, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.3])), name)
+        inertia = pin.Inertia(2.0, np.array([0.0, 0.0, -0.1]), 0.01 * np.eye(3))
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    robot = rp.Robot.from_model(model, actuated=["upper", "lower"])
+    still = np.zeros((2, 2))
+    along = RneaDynamics(robot).along(rp.PlatformMotion([0.0, 1.0], still, still, still))
+    reactions = joint_reactions(along, rp.distribute(along.reduce()).tau)
+    weight = -2.0 * model.gravity.linear[2]
+    np.testing.assert_allclose(reactions.joint_wrench[:, :, 2], [[2 * weight, weight]] * 2, atol=FORCE_TOLERANCE)
+    assert reactions.residual.max() < FORCE_TOLERANCE
+    assert closure_forces(along).names == ()
+    with pytest.raises(InputError, match=r"There is no closure row 'x of grip'. The robot has no closures"):
+        closure_forces(along).component("grip", "x")
