@@ -115,8 +115,13 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
     (
         "dynamics/compiled/design.py",
         "return _without_rounding(placements, 1.0 / step), _without_rounding(inertias, 1.0 / step)",
+        "1.0/",
+    ): "another size of what counts as rounding",
+    (
+        "planners/whole_trajectory/multistart.py",
+        'percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"',
         "1.0",
-    ): "twice the size of what counts as rounding",
+    ): "up to 200 % both ways of writing it say the same",
     (
         "planners/switch_off/crossing.py",
         "size = float(max(np.abs(here.f0 / row_scale).max(), np.abs(load / row_scale).max(), 1e-12))",

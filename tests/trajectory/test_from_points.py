@@ -410,7 +410,7 @@ def test_coordinates_of_a_file_are_taken_by_name(names: str, order: list[int], t
     np.testing.assert_allclose(points, rows[:, order], atol=1e-12)
 
 
-@pytest.mark.parametrize("names", ["t,x,y,z,roll,pitch,yaw", "x,y,z,yaw", "x,Roll"])
+@pytest.mark.parametrize("names", ["t,x,y,z,roll,pitch,yaw", "x,y,z,yaw", "x,Roll", "t,x,y,yaw,pitch"])
 def test_angles_of_a_pose_are_refused_with_what_to_do(names: str, tmp_path: Path) -> None:
     file = write(tmp_path / "way.csv", names, np.random.default_rng(3).uniform(size=(5, names.count(",") + 1)))
     with pytest.raises(InputError, match=r"qx, qy, qz, qw \(scipy"):
