@@ -257,7 +257,10 @@ class _Flood:
         self.q[self.part < 0] = np.nan
 
     def _name(self, new: IntArray) -> None:
-        """Number a part that was found; one that touches another is of it, or another branch, where no modes tell."""
+        """Number a part that was found; one that touches another is of it, or another branch, where no modes tell.
+
+        Of two branches the larger counts: a start beside a stretched leg may lead to a node or two, and no further.
+        """
         beside = self.part[self._beside(new, corners=True)[0]]
         touched = beside[beside >= 0]
         if not len(touched):
@@ -266,6 +269,9 @@ class _Flood:
             self.part[new] = touched.min()
             for other in np.unique(touched):
                 self.part[self.part == other] = touched.min()
+        elif touched.min() > 0 and len(new) > (fewer := np.isin(self.part, touched)).sum():
+            self.part[new] = self.part.max() + 1
+            self.part[fewer] = -1
 
     def _spread(self, front: IntArray) -> None:
         """Solve the neighbours of solved nodes, outward in waves until no new node closes.

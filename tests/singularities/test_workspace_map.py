@@ -85,6 +85,35 @@ def test_the_default_grid_ends_beyond_the_workspace() -> None:
     assert x[-1] > 1.0
 
 
+def test_an_island_is_not_left_out_for_a_node_at_its_end() -> None:
+    """Of a four-bar whose crank swings in two ranges, the far one was two nodes, at its ends, where branches meet."""
+    crank, coupler, rocker, base, angle = 0.424, 0.569, 0.297, 0.618, -0.5707
+    far = np.array([base, 0.0]) - crank * np.array([np.cos(angle), np.sin(angle)])
+    length = np.linalg.norm(far)
+    spread = np.arccos((length**2 + coupler**2 - rocker**2) / (2.0 * coupler * length))
+    model = pin.Model()
+    for name, parent, x in (("crank", 0, 0.0), ("knee", 1, crank), ("rocker", 0, base)):
+        place = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        joint = model.addJoint(parent, pin.JointModelRZ(), place, name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    for name, joint, x in (("tip", 2, coupler), ("end", 3, rocker)):
+        model.addBodyFrame(name, joint, pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])), 0)
+    for turn in (1.0, -1.0):
+        heading = np.arctan2(far[1], far[0]) + turn * spread
+        ends = coupler * np.array([np.cos(heading), np.sin(heading)]) - far
+        robot = rp.Robot.from_model(
+            model,
+            closures=[("tip", "end", ["x", "y"])],
+            actuated=["crank"],
+            reference=[angle, heading - angle, np.arctan2(ends[1], ends[0])],
+        )
+        space = rp.workspace(robot, resolution=150)
+        apart = np.sqrt(crank**2 + base**2 - 2.0 * crank * base * np.cos(space.axes[0]))
+        inside = (apart > coupler - rocker + 1e-2) & (apart < coupler + rocker - 1e-2)
+        assert np.diff(inside.astype(int)).tolist().count(1) == 2
+        assert space.reachable[0][inside].all()
+
+
 def test_strips_narrower_than_a_cell_are_reached_across_its_corners() -> None:
     """Two rings share a horn whose nodes hang on by a corner: it was missing in the map of this mode."""
     model, base, mode = pin.Model(), 0.401, (1, -1)
