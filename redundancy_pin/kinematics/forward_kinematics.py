@@ -51,6 +51,9 @@ from redundancy_pin.robot.named import is_pose
 _AGREE = 1e-8
 """Distance, rad or m, by which positions of redundant motors may contradict each other: rounding."""
 
+_WEAKER = 0.5
+"""Of the margin at which redundant motors began to be followed: below it others are looked for."""
+
 _STARTS, _MOST_STARTS, _IN_VAIN = 128, 2048, 512
 """Random starts of a round, of all rounds, and of all where none closes."""
 _SEEN, _OFTEN = 1e-3, 6
@@ -100,7 +103,8 @@ class ForwardKinematics(Frozen):
             the others zeros.
         status: (N,) a ``ForwardStatus`` each.
         gap: (N,) closure residual, m or rad; of redundant motors also what they contradict each other by.
-        margin: (N,) lower bound of the scaled distance to type II, as ``TreeMotion.serial_margin_bound``.
+        margin: (N,) lower bound of the scaled distance to type II, as ``TreeMotion.serial_margin_bound``; of redundant
+            motors that of those which were followed.
         excess: (N, joints) how far each joint of the model is beyond its range, m or rad, not positive inside.
     """
 
@@ -142,7 +146,8 @@ def forward_kinematics(
 
     The motors go in a straight line from their positions at the start to the first sample, and from sample to sample;
     the branch is followed continuously all the way. It ends at the first sample that is singular or out of reach. For
-    all poses that positions of the motors allow, see ``assembly_modes``.
+    all poses that positions of the motors allow, see ``assembly_modes``. Of redundant motors those are followed that
+    determine the platform best, others from where these come near a singularity of theirs.
 
     Args:
         robot: the robot, or its name or path.
@@ -165,7 +170,52 @@ def forward_kinematics(
     )
     system = constraint_system(robot)
     q0 = np.array(robot.q_reference if start is None else checked(start, "start", (robot.model.nq,)))
-    followed = _followed(system, q0)
+    stretches, followed, path = [], _followed(system, q0), (u, ud, udd)
+    while True:
+        stretch = _stretch(system, path, q0, followed)
+        kept, others = _handed_over(system, stretch, followed)
+        stretches.append([part[:kept] for part in stretch])
+        if others is None:
+            return ForwardKinematics(
+                robot, *(read_only(np.concatenate(parts)) for parts in zip(*stretches, strict=True))
+            )
+        q0, followed, path = stretch.q[kept - 1], others, (path[0][kept:], path[1][kept:], path[2][kept:])
+
+
+class _Stretch(NamedTuple):
+    """What ``ForwardKinematics`` has, of samples along which the same motors are followed."""
+
+    x: Array
+    xd: Array
+    xdd: Array
+    q: Array
+    jacobian: Array
+    status: IntArray
+    gap: Array
+    margin: Array
+    excess: Array
+
+
+def _handed_over(system: ConstraintSystem, stretch: _Stretch, followed: IntArray) -> tuple[int, IntArray | None]:
+    """Return how many samples of a stretch count, and which motors are followed behind them; None for no others.
+
+    Of redundant motors those that are followed may come to a singularity of theirs where all of them are well: others
+    take over on the way there, or where the last sample is that they lead to.
+    """
+    count, reference = len(stretch.status), stretch.margin[:1]
+    good = int(np.argmin(np.append(stretch.status <= ForwardStatus.OUT_OF_RANGE, False)))
+    for i in range(min(good, count - 1)) if system.robot.m > system.robot.n else ():
+        if stretch.margin[i] < _WEAKER * reference[0] or i == good - 1:
+            others = _followed(system, stretch.q[i])
+            if not np.array_equal(others, followed):
+                return i + 1, others
+            reference = stretch.margin[i : i + 1]
+    return count, None
+
+
+def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Array, followed: IntArray) -> _Stretch:
+    """Return where motors at ``given`` positions, rates and accelerations take the platform from a configuration."""
+    robot, (u, ud, udd) = system.robot, given
     driven = _driven(robot, tuple(robot.actuated[j] for j in followed))
     motors = constraint_system(driven)
     home = assemble(motors, q0[None], max_iterations=0)
@@ -208,11 +258,13 @@ def forward_kinematics(
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
     q, x = route.turned(branch, q), x[places] if is_pose(robot) else route.turned(x, x[places])
     gap = np.fmax(gap, _contradiction(system, followed, u, q))
-    status[(status == ForwardStatus.CONVERGED) & (gap > _AGREE)] = ForwardStatus.OUT_OF_REACH
+    contradicted = (status == ForwardStatus.CONVERGED) & (gap > _AGREE)
+    status[contradicted] = ForwardStatus.OUT_OF_REACH
+    for part in (x, xd, xdd, q, J):
+        part[contradicted] = np.nan
     excess = range_excess(robot, q)
     status[(status == ForwardStatus.CONVERGED) & (excess > ROUNDING).any(axis=1)] = ForwardStatus.OUT_OF_RANGE
-    parts = x, xd, xdd, q, J, status, gap, margin, excess
-    return ForwardKinematics(robot, *(read_only(part) for part in parts))
+    return _Stretch(x, xd, xdd, q, J, status, gap, margin, excess)
 
 
 @lru_cache(maxsize=64)

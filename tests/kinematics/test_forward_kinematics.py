@@ -13,6 +13,7 @@ from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePose
 from redundancy_pin.kinematics.forward_kinematics import ForwardStatus
 
 BASE, LINK = 0.5, 0.5  # of the shipped five-bar, m
+Pair = tuple[float, float]
 TOLERANCE = 1e-11  # closure tolerance, times the gain of a well-conditioned pose
 LIKE_RATES = 1e-6  # central differences at 1e-4 s
 
@@ -253,6 +254,26 @@ def test_redundant_motors_must_agree(five_bar: rp.Robot) -> None:
     solution = rp.forward_kinematics(robot, u)
     assert solution.status.tolist() == [0, 0, ForwardStatus.OUT_OF_REACH, 0, 0]
     assert solution.gap[2] > 1e-4
+    assert np.isnan(solution.x[2]).all()
+    assert np.isfinite(solution.x[3:]).all()
+
+
+@pytest.mark.parametrize("end", [(0.25, 0.1), (0.3, -0.4), (-0.1, -0.4)])
+def test_redundant_motors_lead_through_singularities_of_some_of_them(five_bar: rp.Robot, end: Pair) -> None:
+    """Those on the base alone lose the platform on the way, or take it elsewhere; all three never do."""
+    robot = redundant(five_bar)
+    motion = rp.trajectory.from_points([(0.25, 0.75), end], speed=0.5).sample(0.02)
+    tree = rp.lift(robot, motion)  # from the platform to the joints nothing is singular
+    u, ud, udd = (np.array(part)[:, robot.actuated_velocity] for part in (tree.q, tree.v, tree.a))
+    alone = rp.forward_kinematics(five_bar, u[:, :2])
+    assert not (np.abs(alone.x - motion.x) < 0.01).all()
+    solution = rp.forward_kinematics(robot, u, rates=ud, accelerations=udd)
+    assert solution.known.all()
+    assert np.abs(solution.x - motion.x).max() < TOLERANCE
+    assert np.abs(solution.xd - motion.xd).max() < 1e-10
+    assert np.abs(solution.xdd - motion.xdd).max() < 1e-9
+    through = np.einsum("nij,nj->ni", solution.jacobian, ud)
+    assert np.abs(through - motion.xd).max() < 1e-10
 
 
 def test_refusals(five_bar: rp.Robot) -> None:
