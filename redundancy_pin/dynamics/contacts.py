@@ -90,7 +90,8 @@ class ClosureForces(Frozen):
         Args:
             closure: its name; its rows are the normal and the tangents.
             friction: μ, positive.
-            normal: axis of the closure that pushes the second frame away from the first, "x", "y" or "z".
+            normal: axis of the closure that pushes the second frame away from the first, "x", "y" or "z" of the first
+                frame: of a foot let the ground be that, for it does not turn.
             sides: of the pyramid, at least 3; 8 leave at most 8 % of the cone's radius out.
             least: smallest normal force, N.
 

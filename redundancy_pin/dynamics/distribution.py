@@ -26,7 +26,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.dynamics.allocation import fit_into_bounds, least_residual, leaves_bounds, minimum_norm
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.errors import InputError, shown
+from redundancy_pin.errors import InputError
 from redundancy_pin.spectrum import null_directions, scaled, spectrum_of
 
 
@@ -371,7 +371,8 @@ def _with_rows(problem: _Problem, rows: Sequence[EffortRows], column_scale: Arra
     """Return the problem with further rows, made unit rows of scaled efforts."""
     samples, _, m = problem.A.shape
     if rows is None or isinstance(rows, EffortRows):
-        raise InputError(f"rows is {shown(rows)}.", remedy="Pass a list of EffortRows, an empty one for none.")
+        what = "rows is None" if rows is None else "rows is one EffortRows"
+        raise InputError(f"{what}.", remedy="Pass a list of EffortRows, rows=[squeeze], an empty one for none.")
     for one in rows:
         require_type(one, EffortRows, "Rows of efforts", "Pass EffortRows, or what dynamics.contacts makes.")
         try:

@@ -282,7 +282,10 @@ def _own_source(record: RobotRecord) -> str:
     """Return where the record itself may say its robot is; PlanFileError where the user has to."""
     if not record.source:
         raise PlanFileError(
-            f"The plan does not say where its robot {shown(record.name)} was loaded from.", remedy=_PASS_SOURCE
+            f"The plan does not say where its robot {shown(record.name)} was loaded from: it was made in Python.",
+            remedy="Pass the robot itself where a function takes it, rp.show(plan, robot=robot), or write it, "
+            'robot.to_urdf("machine.urdf"), and name the machine.yaml that comes with it (source=, or --robot on the '
+            "command line).",
         )
     if record.folder is None or record.source in shipped_sources():
         return record.source

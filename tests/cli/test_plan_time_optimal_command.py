@@ -39,7 +39,8 @@ def test_flags_and_problem_files_give_the_plan_of_the_function(tmp_path: Path) -
 
 
 def test_mistakes_end_with_one_line(tmp_path: Path) -> None:
-    assert "Nothing limits the time" in refused(*BARE)
+    assert "Nothing limits the time. Limit the efforts, effort=, or" in (said := refused(*BARE))
+    assert "--max-effort, --actuator-speed" in said
     assert "closed path" in refused(*BARE, "--max-effort", "3", "--lap")
     assert "--begin" in refused(*CORNER, "--max-effort", "3", "--begin", "somehow")
     motion = tmp_path / "motion.csv"

@@ -195,3 +195,12 @@ def test_rows_that_are_none_are_refused(gripping, rows: object) -> None:
         rp.distribute(rp.RneaDynamics(robot).reduce(motion), rows=rows)
     with pytest.raises(InputError):
         closure_forces(robot)
+
+
+def test_rows_without_a_list_are_not_printed_out(gripping) -> None:
+    robot, motion = gripping
+    along = rp.RneaDynamics(robot).along(motion)
+    force = closure_forces(along)
+    squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
+    with pytest.raises(InputError, match=r"rows is one EffortRows. Pass a list of EffortRows, rows=\[squeeze\]"):
+        rp.distribute(along.reduce(), rows=squeeze)

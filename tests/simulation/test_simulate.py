@@ -253,6 +253,15 @@ REFUSED = {
 }
 
 
+def test_a_motion_is_no_drive_and_the_message_says_what_makes_one() -> None:
+    robot, corner = zoo.robot_of("3rrr"), rp.trajectory.reference.corner(radius=0.025)
+    for motion in (corner, corner.sample(0.1)):
+        with pytest.raises(InputError, match=r"A motion has no efforts yet: pass FeedForward\(motion_reference"):
+            rp.simulate(robot, motion)
+    with pytest.raises(InputError, match=r"MotionReference for the drive. Pass FeedForward\(reference\)"):
+        rp.simulate(robot, rp.simulation.motion_reference(robot, corner))
+
+
 @pytest.mark.parametrize("case", REFUSED)
 def test_bad_settings_are_refused_by_name(case: str) -> None:
     options, message = REFUSED[case]

@@ -156,7 +156,10 @@ def plan_time_optimal(
     rates = each(np.inf if actuator_speed is None else actuator_speed, "actuator_speed", (robot.m,), above_zero=True)
     if not (np.isfinite(resolved.effort).any() or np.isfinite(rates).any()):
         raise InputError(
-            "Nothing limits the time.", remedy="Limit the efforts, or the rates of the actuators.", name="effort"
+            "Nothing limits the time.",
+            remedy="Limit the efforts, effort=, or the rates of the actuators, actuator_speed= (on the command line "
+            "--max-effort, --actuator-speed); limits that the robot's joints have bind no planner.",
+            name="effort",
         )
     park, count = resolved.on_track(datum, "datum"), whole(steps, "steps", 4, 100_000)
     often, bound = whole(refinements, "refinements", 0, MOST_REFINEMENTS), positive(seconds, "seconds", "s")

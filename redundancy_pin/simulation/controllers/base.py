@@ -15,6 +15,7 @@ from redundancy_pin.arrays import Array, each, frozen
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.forward import Feedback, ForwardKernel
 from redundancy_pin.errors import InputError
+from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.planners.robot_record import robot_record
@@ -118,10 +119,15 @@ def as_controller(law: Controller | EffortLaw) -> Controller:
     if isinstance(law, Controller):
         return law
     if not callable(getattr(law, "effort", None)):
-        raise InputError(
-            f"simulate was given {type(law).__name__} for the drive.",
-            remedy="Pass a plan, or a controller with effort(t, state) -> (tau, carrier_force).",
-        )
+        remedy = "Pass a plan, or a controller with effort(t, state) -> (tau, carrier_force)."
+        if isinstance(law, PlatformMotion) or hasattr(law, "sample"):
+            remedy = (
+                "A motion has no efforts yet: pass FeedForward(motion_reference(robot, motion)), both of "
+                "redundancy_pin.simulation, or another controller of that reference."
+            )
+        elif isinstance(law, MotionReference):
+            remedy = "Pass FeedForward(reference), or another controller of it."
+        raise InputError(f"simulate was given {type(law).__name__} for the drive.", remedy=remedy)
     return Adapted(law)
 
 
