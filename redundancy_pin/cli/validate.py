@@ -8,7 +8,7 @@ import click
 
 from redundancy_pin import crosscheck
 from redundancy_pin.cli.errors import FAILED_CHECK
-from redundancy_pin.cli.options import jobs_option, json_option, scheduler_option, trust_option
+from redundancy_pin.cli.options import jobs_option, json_option, scheduler_option, settings_option, trust_option
 from redundancy_pin.cli.output import console, print_json, progress
 from redundancy_pin.workers import cluster
 
@@ -21,6 +21,11 @@ from redundancy_pin.workers import cluster
     metavar="NAME|PATH",
     help="Robot to check; may be repeated. Default: all shipped ones.",
 )
+@settings_option(
+    "--set",
+    "settings",
+    "Parameter of the robots, such as base=fixed, which are then taken as they are; may be repeated.",
+)
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
 @jobs_option(1)
@@ -28,7 +33,14 @@ from redundancy_pin.workers import cluster
 @trust_option
 @json_option
 def validate(
-    robots: tuple[str, ...], samples: int, seed: int, jobs: int, scheduler: str | None, trust: bool, as_json: bool
+    robots: tuple[str, ...],
+    settings: dict[str, object],
+    samples: int,
+    seed: int,
+    jobs: int,
+    scheduler: str | None,
+    trust: bool,
+    as_json: bool,
 ) -> int:
     r"""Check the dynamics on random states.
 
@@ -38,12 +50,19 @@ def validate(
     \b
     Example:
       redundancy-pin validate --robot 3rrr --samples 10000 --seed 1 --jobs 4
+      redundancy-pin validate --robot machine.xml --set base=fixed
     """
     # as joblib counts them: −1 means all cores
     processes = os.cpu_count() or 1 if jobs == -1 else jobs
     with cluster(scheduler), progress("validate") as advance:
         report = crosscheck.run(
-            robots or None, samples, seed, lambda done, total: advance(done, total, ""), processes, trust=trust
+            robots or None,
+            samples,
+            seed,
+            lambda done, total: advance(done, total, ""),
+            processes,
+            trust=trust,
+            settings=settings,
         )
     if as_json:
         print_json(report.as_dict())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from redundancy_pin.arrays import require_few
@@ -47,6 +47,7 @@ def run(
     jobs: int = 1,
     *,
     trust: bool = False,
+    settings: Mapping[str, object] | None = None,
 ) -> CrossCheckReport:
     """Check the dynamics of robots on random states and return the worst deviations.
 
@@ -60,6 +61,7 @@ def run(
         progress: called as batches get ready.
         jobs: processes that share the work; the report does not depend on it.
         trust: as for ``load_robot``.
+        settings: arguments of the robots, as ``load_robot`` takes them; shipped ones are then taken as they are, too.
 
     Raises:
         InputError: ``samples`` or ``jobs`` is not positive, or ``seed`` is negative.
@@ -71,7 +73,8 @@ def run(
     require_few(samples, MOST_STATES, "samples is {}", "Ask for fewer, with several seeds.")
     require_jobs(jobs)
     names = tuple(robots) if robots else shipped_robots(gallery=False)
-    work = [(*each, trust) for each in _batches(names, samples, seed)]
+    given = tuple((settings or {}).items())
+    work = [(*each, trust, given) for each in _batches(names, samples, seed, vary=not given)]
     total, done = sum(size for _, _, size, *_ in work), 0
     rows: tuple[CheckRow, ...] = ()
     # in order, so that the report does not depend on which process was faster
@@ -83,23 +86,34 @@ def run(
     return CrossCheckReport(rows, seed)
 
 
-def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[tuple[str, int, int, int, bool, bool]]:
+def _batches(
+    names: Sequence[str], samples: int, seed: int, *, vary: bool
+) -> Iterator[tuple[str, int, int, int, bool, bool]]:
     """Return what ``checked_batch`` takes, for each case."""
     for position, name in enumerate(names):
-        vary = name in shipped_robots(gallery=False)
+        varied = vary and name in shipped_robots(gallery=False)
         own = seed + 1000 * position
-        yield from ((name, index, size, own, vary, False) for index, size in enumerate(batches(samples)))
-        if vary and load_robot(name).closed_form == "2rpr":
+        yield from ((name, index, size, own, varied, False) for index, size in enumerate(batches(samples)))
+        if varied and load_robot(name).closed_form == "2rpr":
             sizes = batches(max(1, samples // 4))
-            yield from ((name, index, size, seed + 7, vary, True) for index, size in enumerate(sizes))
+            yield from ((name, index, size, seed + 7, varied, True) for index, size in enumerate(sizes))
 
 
 def checked_batch(
-    name: str, index: int, samples: int, seed: int, vary: bool, massless: bool, trust: bool
+    name: str,
+    index: int,
+    samples: int,
+    seed: int,
+    vary: bool,
+    massless: bool,
+    trust: bool,
+    settings: tuple[tuple[str, object], ...] = (),
 ) -> list[CheckRow]:
     """Draw a case and check it; ``massless`` is the 2-RPR of the thesis, whose only masses are the carriers."""
     masses, carriers = (Masses.ZERO_STAYS_ZERO, True) if massless else (Masses.ALL, None)
-    case = random_case(name, samples, seed, index, vary=vary, carriers=carriers, masses=masses, trust=trust)
+    case = random_case(
+        name, samples, seed, index, vary=vary, carriers=carriers, masses=masses, trust=trust, settings=settings
+    )
     deviations = _massless_deviations(case) if massless else _deviations(case)
     rows = [checked_row(case.robot.name, *deviation) for deviation in deviations]
     if vary:  # the shipped ones have states for every check

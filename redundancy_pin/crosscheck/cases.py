@@ -111,22 +111,24 @@ def random_case(
     carriers: bool | None = None,
     masses: Masses = Masses.SOME,
     trust: bool = False,
+    settings: tuple[tuple[str, object], ...] = (),
 ) -> RandomCase:
     """Return one case of so many states; cases of different ``index`` are independent draws.
 
     A robot that may ``vary`` gets random arguments, gravity and working mode. ``carriers`` forces its argument of that
-    name, and ``masses`` says which of those that are zero by default get a positive value.
+    name, and ``masses`` says which of those that are zero by default get a positive value. One that does not has the
+    arguments of ``settings``.
     """
     # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
     with_carriers = True if carriers is None and index == 0 else carriers
     rng = np.random.default_rng([seed, index])
     failure: RedundancyPinError | None = None
+    # what does not vary is what its files say, draw after draw
+    nominal = None if vary else load_with(source, dict(settings), trust=trust) if settings else _nominal(source, trust)
     for attempt in range(TRIES):
         try:
-            robot = random_robot(source, rng, with_carriers, masses) if vary else _nominal(source, trust)
+            robot = nominal or random_robot(source, rng, with_carriers, masses)
         except DeclarationError as error:
-            if not vary:
-                raise  # it is what its files say, draw after draw
             failure = error  # these lengths do not close in this mode: draw again
             continue
         if not vary and attempt % 2 and robot.working_modes is None:

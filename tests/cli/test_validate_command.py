@@ -63,3 +63,21 @@ def test_what_a_declaration_says_wrong_is_said_and_not_drawn_again(tmp_path: Pat
     message = refused("validate", "--robot", path, "--samples", "5")
     assert message == refused("info", "--robot", path)
     assert "nowhere.urdf" in message
+
+
+def test_parameters_are_those_of_the_robot_that_is_checked(tmp_path: Path) -> None:
+    """A model of MuJoCo that floats is held by base=fixed, which no file of its own could say."""
+    file = tmp_path / "arm.xml"
+    body = '<body name="trunk"><freejoint/><geom size="0.2"/><body><joint name="hip"/><geom size="0.1" pos="0.3 0 0"/>'
+    motor = '<actuator><motor joint="hip"/></actuator>'
+    file.write_text(f"<mujoco><worldbody>{body}</body></body></worldbody>{motor}</mujoco>", encoding="utf-8")
+    robot = ("--robot", str(file), "--set", "base=fixed")
+    facts = json.loads(call("validate", *robot, "--samples", "5", "--json").stdout)
+    assert facts["passed"]
+    assert facts == json.loads(json.dumps(crosscheck.run([str(file)], 5, 0, settings={"base": "fixed"}).as_dict()))
+    assert any(row["check"].startswith("inverse") and row["samples"] == 5 for row in facts["rows"])  # six more fall
+    assert "has no argument 'bass'" in refused("validate", *robot[:2], "--set", "bass=fixed")
+    shipped = json.loads(
+        call("validate", "--robot", "four_bar", "--set", "crank_length=0.12", "--samples", "5", "--json").stdout
+    )
+    assert shipped["passed"]
