@@ -33,16 +33,18 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.continuation import Point
+from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point
 from redundancy_pin.kinematics.coordinates import (
     angle_columns,
     coordinates,
+    difference,
     joint_position,
+    row_scale,
     turning_velocities,
     velocity_scale,
 )
 from redundancy_pin.kinematics.inverse_kinematics import wrapped
-from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.kinematics.lift import TreeMotion, anchors_along, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, range_excess
@@ -346,6 +348,10 @@ def _lifted(driven: Robot, route: _Route, path: list[Array], first: Point) -> tu
     motion = PlatformMotion(np.arange(len(route.u)), route.u, rate, second, check_rates=False)
     tree = lift(driven, motion, mark_unreachable=True, start=first)
     good = np.logical_and.accumulate(tree.reachable)
+    steps = np.linalg.norm(difference(driven, route.u[1:], route.u[:-1]) * row_scale(driven), axis=1)
+    if (steps > ANCHOR_SPACING * driven.characteristic_length).any():  # the branch may end between two samples
+        anchors = anchors_along(constraint_system(driven), route.u, first.q, first.gamma, False)
+        good &= np.arange(len(good)) < np.append(anchors.position[~anchors.valid], np.inf)[0]
     return tree, np.where(good[:, None], tree.q, np.nan)  # what lift takes up again behind a gap is on any branch
 
 

@@ -363,7 +363,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
     if direct is not None:
         reached, valid = direct.point, True
     else:
-        anchors = _follow(system, np.stack([home.x, x]), reference, None, False)
+        anchors = anchors_along(system, np.stack([home.x, x]), reference, None, False)
         reached, valid = Point(x, anchors.q[-1], anchors.gamma[-1]), bool(anchors.valid[-1])
     if valid and (in_working_mode(robot, reached.q[None])[0] or _between_modes(robot, reached.q)):
         return reached
@@ -411,18 +411,18 @@ def guesses_along(
     first, point = solved
     _, q, slope, _ = point
     onward = motion.x[first:]
-    anchors = _follow(system, onward, q, slope, mark)
+    anchors = anchors_along(system, onward, q, slope, mark)
     if not mark:
         _require_branch(system, motion, anchors)
     guess = initial_guess(system, onward, anchors)
     if first == 0:
         return guess, point
     back = motion.x[first::-1]
-    before = initial_guess(system, back, _follow(system, back, q, slope, mark))
+    before = initial_guess(system, back, anchors_along(system, back, q, slope, mark))
     return np.concatenate([before[:0:-1], guess]), None
 
 
-def _follow(system: ConstraintSystem, x: Array, q: Array, slope: Array | None, mark: bool) -> Anchors:
+def anchors_along(system: ConstraintSystem, x: Array, q: Array, slope: Array | None, mark: bool) -> Anchors:
     """Return ``follow`` along a path, with other closure rows from where those that count lose rank and all keep it."""
     anchors = follow(system, x, q, slope, resume=mark)
     while system.robot.all_closures and not anchors.valid.all():

@@ -235,6 +235,18 @@ def test_gough_forwards_is_its_inverse_backwards() -> None:
     assert np.abs(np.einsum("nij,nkj->nik", solution.jacobian, tree.W) - np.eye(6)).max() < 1e-9  # W = J⁻ᵀ
 
 
+def test_a_branch_that_ends_between_far_samples_is_lost(five_bar: rp.Robot) -> None:
+    """The motors go straight to a single sample far away; where they cannot in between, nothing is known behind."""
+    home = motors(five_bar, five_bar.q_reference)
+    for goal, whole in (((1.24, -2.49), False), ((4.33, 2.34), False), ((2.0, -2.51), False), ((3.2, 2.9), True)):
+        way = two_circles(home + np.linspace(0.0, 1.0, 2001)[:, None] * (goal - home))
+        assert np.isfinite(way[-1]).all()
+        assert np.isfinite(way).all() == whole
+        solution = rp.forward_kinematics(five_bar, goal)
+        assert solution.status_labels[0] == ("converged" if whole else "branch_lost")
+        assert not whole or np.abs(solution.x[0] - way[-1]).max() < TOLERANCE
+
+
 def redundant(five_bar: rp.Robot) -> rp.Robot:
     model, closures = five_bar.model, five_bar.closures
     return rp.Robot.from_model(
