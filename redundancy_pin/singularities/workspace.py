@@ -146,11 +146,19 @@ def default_axes(
     if _at_an_end(wanted(grid).reshape(grid.shape)):
         wider = around(half * _FARTHEST / _REACH)
         grid = grid if _at_an_end(wanted(wider).reshape(wider.shape)) else wider
+    outer, grids = grid.axes, [grid]
+    if within_ranges and len(outer) == 2:  # a horn that is narrower than a cell goes on beyond the last node in it
+        closer = []
+        for k, axis in enumerate(outer):
+            reached, room = positions(grid.x[wanted(grid)], place.free)[:, k], 3.0 * (axis[1] - axis[0])
+            ends = max(reached.min() - room, axis[0]), min(reached.max() + room, axis[-1])
+            closer.append(np.linspace(*ends, coarse))
+        grids.append(solve_grid(system, place, tuple(closer), islands=True))
     axes = []
-    for k, axis in enumerate(grid.axes):
-        reached = positions(grid.x[wanted(grid)], place.free)[:, k]
-        cell = axis[1] - axis[0]
-        low, high = float(reached.min()) - cell, float(reached.max()) + cell
+    for k, axis in enumerate(outer):
+        found = [(positions(one.x[wanted(one)], place.free)[:, k], one.axes[k][1] - one.axes[k][0]) for one in grids]
+        low = min(float(reached.min() - cell) for reached, cell in found)
+        high = max(float(reached.max() + cell) for reached, cell in found)
         room = _BORDER * (high - low)
         axes.append(np.linspace(max(low - room, axis[0]), min(high + room, axis[-1]), resolution))
     return tuple(axes)

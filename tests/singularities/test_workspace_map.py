@@ -85,6 +85,49 @@ def test_the_default_grid_ends_beyond_the_workspace() -> None:
     assert x[-1] > 1.0
 
 
+def test_the_default_grid_goes_on_where_a_horn_is_narrow() -> None:
+    """Three rings share an area with a horn that is narrower than a cell of the coarse grid: it was cut by 20 mm."""
+    bases, corners = [[0.73, -0.12], [-0.08, 0.61], [-0.33, -0.8]], [[0.23, -0.04], [-0.02, 0.15], [-0.09, -0.23]]
+    lengths, bends = np.array([[0.39, 0.62], [0.57, 0.49], [0.31, 0.66]]), (1.0, 1.0, -1.0)
+    model, angle, home = pin.Model(), -0.52, np.array([-0.07, -0.24])
+    offsets = np.array(corners) @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) - bases
+    guess = {"x": float(home[0]), "y": float(home[1]), "turn": angle}
+
+    def add(parent: int, joint: object, x: float, y: float, name: str) -> int:
+        index = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([x, y, 0.0])), name)
+        model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+        return int(index)
+
+    for leg, ((upper, lower), far) in enumerate(zip(lengths, home + offsets, strict=True)):
+        bend = bends[leg] * np.arccos((far @ far - upper**2 - lower**2) / (2.0 * upper * lower))
+        turned = np.arctan2(far[1], far[0]) - np.arctan2(lower * np.sin(bend), upper + lower * np.cos(bend))
+        guess |= {f"crank_{leg}": float(np.angle(np.exp(1j * turned))), f"elbow_{leg}": float(bend)}
+        crank = add(0, pin.JointModelRZ(), *bases[leg], f"crank_{leg}")
+        elbow = add(crank, pin.JointModelRZ(), upper, 0.0, f"elbow_{leg}")
+        model.addBodyFrame(f"tip_{leg}", elbow, pin.SE3(np.eye(3), np.array([lower, 0.0, 0.0])), 0)
+    hand = add(add(0, pin.JointModelPX(), 0.0, 0.0, "x"), pin.JointModelPY(), 0.0, 0.0, "y")
+    hand = add(hand, pin.JointModelRZ(), 0.0, 0.0, "turn")
+    for name, place in (("hand", [0.0, 0.0]), *((f"corner_{leg}", corners[leg]) for leg in range(3))):
+        model.addBodyFrame(name, hand, pin.SE3(np.eye(3), np.array([*place, 0.0])), 0)
+    model.lowerPositionLimit, model.upperPositionLimit = -100.0 * np.ones(9), 100.0 * np.ones(9)
+    elbows = [f"elbow_{leg}" for leg in range(3)]
+    robot = rp.Robot.from_model(
+        model,
+        closures=[(f"tip_{leg}", f"corner_{leg}", ["x", "y"]) for leg in range(3)],
+        actuated=[f"crank_{leg}" for leg in range(3)],
+        independent={"platform": "hand", "axes": ["x", "y", "rz"]},
+        reference={"platform": [*home.tolist(), angle], "guess": guess},
+        working_modes={"joints": elbows, "signs": [1, 1, 1], "default": [1, 1, -1]},
+    )
+    space = rp.workspace(robot, resolution=24)
+    fine = np.stack(np.meshgrid(*2 * [np.linspace(-1.5, 1.5, 600)], indexing="ij"), axis=-1)
+    rho = np.linalg.norm(fine[:, :, None] + offsets, axis=-1)
+    inside = fine[((rho > np.abs(lengths[:, 0] - lengths[:, 1])) & (rho < lengths.sum(axis=1))).all(axis=-1)]
+    for axis, least, most in zip(space.axes, inside.min(axis=0), inside.max(axis=0), strict=True):
+        assert axis[0] < least
+        assert most < axis[-1]
+
+
 def test_an_island_is_not_left_out_for_a_node_at_its_end() -> None:
     """Of a four-bar whose crank swings in two ranges, the far one was two nodes, at its ends, where branches meet."""
     crank, coupler, rocker, base, angle = 0.424, 0.569, 0.297, 0.618, -0.5707
