@@ -250,10 +250,10 @@ def _of_mechanism(
         "closures": [*own, *further] if isinstance(further, list) else own if further is None else further,
     }
     if not roles["actuated"]:
-        raise DeclarationError(
-            f"{file.name} drives no joint.",
-            remedy="Give it actuators, or write a robot.yaml that names it under `urdf`, and joints under `actuated`.",
-        )
+        sdf = file.suffix.lower() == ".sdf"  # which has no actuators
+        drive = 'Name what is driven (actuated="a,b", or --set actuated=a,b)' if sdf else "Give it actuators"
+        remedy = f"{drive}, or write a robot.yaml that names it under `urdf`, and joints under `actuated`."
+        raise DeclarationError(f"{file.name} drives no joint.", remedy=remedy)
     return made(
         roles,
         model,

@@ -307,3 +307,14 @@ def test_cassie_loads_and_moves(name, freedoms):
     x = home_of(robot) + 0.03 * np.sin(np.arange(robot.n))
     motion = rp.PlatformMotion([0.0], x[None], 0.1 * np.ones((1, robot.n)), np.zeros((1, robot.n)))
     assert np.isfinite(rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau).all()
+
+
+def test_a_model_that_drives_nothing_is_told_how_to_say_it(tmp_path: Path) -> None:
+    """An SDF has no actuators to add: joints are named. One with a spring is not taken to be driven unasked."""
+    spring = "<dynamics><spring_stiffness>5</spring_stiffness><spring_reference>0</spring_reference></dynamics>"
+    arm = joint("hinge", "revolute", "base", "arm", more=spring)
+    path = written(tmp_path, sdf(link("base", "0 0 0 0 0 0"), link("arm", "0 0 0 0 0 0"), arm))
+    with pytest.raises(RedundancyPinError, match='actuated="a,b"') as caught:
+        rp.load_robot(path)
+    assert "actuators" not in str(caught.value)
+    assert rp.load_robot(path, actuated="hinge").actuated == ("hinge",)
