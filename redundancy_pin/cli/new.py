@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -13,7 +15,7 @@ import numpy as np
 from redundancy_pin.cli.errors import printable
 from redundancy_pin.cli.options import json_option, trust_option
 from redundancy_pin.cli.output import report, warning
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.io.files import require_writable, write_text
 
 if TYPE_CHECKING:
@@ -29,6 +31,14 @@ _COINCIDE = 1e-5
 
 _ROUNDED = 1e-6
 """rad or m: what is written has six digits."""
+
+_BESIDE, _TRIES = 0.5, 8
+"""How far from zero, rad and m, and how often poses are tried where loops lie in a line at zero."""
+
+_FLAT = (
+    "At zero loops lie in a line, where branches meet and rows are redundant: the reference is another pose. "
+    "See that it is on the branch of your machine."
+)
 
 _NO_MASS = 1e-6
 """Of the mass of all: exporters give frames a gram in a tonne, as some readers refuse links that weigh nothing."""
@@ -52,9 +62,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     Example:
       redundancy-pin new machine.urdf
     """
-    import pinocchio as pin
-
-    from redundancy_pin.loading import load_robot, made
+    from redundancy_pin.loading import load_robot
     from redundancy_pin.robot.build import model_of
     from redundancy_pin.robot.formats.urdf_tree import read_tree
     from redundancy_pin.robot.urdf import render
@@ -85,8 +93,8 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
         "actuated": driven,
         "reference": {},
     }
-    start, couplings = pin.neutral(model), tree.couplings
-    robot = made(data, model, start, loose=True, drive_independent=not transmissions, couplings=couplings)
+    robot, flat = _closed(data, model, drive_independent=not transmissions, couplings=tree.couplings)
+    doubts += [_FLAT] if flat else []
     beside = target.resolve().parent == source.resolve().parent
     doubts += _out_of_range(robot)
     place = source.name if beside else str(source.resolve())
@@ -105,6 +113,29 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     closures = f"{len(loaded.closures)} closure(s)" if pairs else f"no closure: {how}"
     counts = f"n = {loaded.n}, m = {loaded.m}, {closures}"
     report(as_json, facts, f"{target}: {counts}. Read it, and correct it.")
+
+
+def _closed(data: Mapping[str, Any], model: pin.Model, **settings: Any) -> tuple[Robot, bool]:
+    """Return the robot, and whether it is that of a pose beside zero: where loops lie in a line their rank is lower.
+
+    Raises:
+        DeclarationError: as at zero, if no pose near it serves either.
+    """
+    import pinocchio as pin
+
+    from redundancy_pin.loading import made
+
+    zero, rng = pin.neutral(model), np.random.default_rng(0)
+    try:
+        return made(data, model, zero, loose=True, **settings), False
+    except DeclarationError:
+        for _ in range(_TRIES):
+            beside = pin.integrate(model, zero, rng.uniform(-_BESIDE, _BESIDE, model.nv))
+            if model.nq == model.nv:
+                beside = np.clip(beside, model.lowerPositionLimit, model.upperPositionLimit)
+            with suppress(DeclarationError):
+                return made(data, model, beside, loose=True, **settings), True
+        raise
 
 
 def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], str, list[str]]:

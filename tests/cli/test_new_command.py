@@ -119,6 +119,36 @@ def test_a_pin_that_is_marked_on_one_link(tmp_path):
     assert "which are one point: end, mark" in printed
 
 
+def test_loops_that_lie_in_a_line_at_zero_have_their_reference_beside_it(tmp_path):
+    """A four-bar of 0.2, 0.5, 0.2 and 0.5: flat at zero its two branches meet, and one row of its pin is redundant."""
+    links = "".join(f'<link name="{name}">{MASS}</link>' for name in ("crank", "coupler", "rocker"))
+    turns = '<axis xyz="0 0 1"/><limit lower="-9" upper="9" effort="{}" velocity="9"/>'
+    joints = "".join(
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{x} 0 0"/>'
+        f"{turns.format(effort) if kind == 'revolute' else ''}</joint>"
+        for name, kind, parent, child, x, effort in (
+            ("drive", "revolute", "base", "crank", 0.0, 9),
+            ("knee", "revolute", "crank", "coupler", 0.2, 0),
+            ("foot", "revolute", "base", "rocker", 0.5, 0),
+            ("a", "fixed", "coupler", "tip_a", 0.5, 0),
+            ("b", "fixed", "rocker", "tip_b", 0.2, 0),
+        )
+    )
+    path = tmp_path / "flat.urdf"
+    path.write_text(
+        f'<robot name="flat"><link name="base"/>{links}<link name="tip_a"/><link name="tip_b"/>{joints}</robot>'
+    )
+    result = call("new", path)
+    assert "n = 1, m = 1, 1 closure(s)" in result.stdout
+    assert "lie in a line" in result.stderr
+    assert "Doubtful: At zero loops lie in a line" in (tmp_path / "robot.yaml").read_text()
+    robot = rp.load_robot(tmp_path)
+    drive, knee, foot = robot.q_reference
+    assert abs(drive) > 0.1
+    tip = 0.2 * np.exp(1j * drive) + 0.5 * np.exp(1j * (drive + knee))
+    assert tip == pytest.approx(0.5 + 0.2 * np.exp(1j * foot), abs=1e-10)
+
+
 @pytest.mark.parametrize("declared", [False, True])
 def test_continuous_joints_that_mimic_count_their_turns(tmp_path, declared):
     """A dial that turns twice as fast as the crank, by the URDF's ``mimic`` or by the declaration's couplings."""
