@@ -87,6 +87,9 @@ def show(
         if robot is not None:
             raise InputError("robot= goes with a plan or a simulation.", remedy="Pass the robot first, without robot=.")
         shown = subject if isinstance(subject, Robot) else load_robot(subject)
+        if isinstance(motion, (Plan, Simulation)):
+            kind = type(motion).__name__
+            raise InputError(f"{kind} is no motion.", remedy=f"Pass show({kind.lower()}, robot=robot).")
         motion = default_motion(shown) if motion is None else motion
         require_sampled(motion)
         carriers = CarrierMotion.parked(len(motion), shown.k) if carriers is None else carriers

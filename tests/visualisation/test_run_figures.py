@@ -85,7 +85,7 @@ def test_a_plan_of_another_machine_or_of_other_times_is_refused(runs: Runs) -> N
 
 
 def test_a_run_is_shown_as_it_was_simulated(runs: Runs) -> None:
-    robot, _, run = runs
+    robot, plan, run = runs
     scene = rp.show(run).scene
     assert scene.title == "3rrr: simulation, stepwise, completed"
     data = robot.model.createData()
@@ -96,6 +96,10 @@ def test_a_run_is_shown_as_it_was_simulated(runs: Runs) -> None:
     assert {arrow.name for arrow in scene.arrows} == {*robot.actuated, *robot.carriers}
     with pytest.raises(InputError, match="simulation has its own motions"):
         rp.show(run, reference.corner().sample(0.1))
+    with pytest.raises(InputError, match=r"Simulation is no motion. Pass show\(simulation, robot=robot\)"):
+        rp.show(robot, run)
+    with pytest.raises(InputError, match=r"Plan is no motion. Pass show\(plan, robot=robot\)"):
+        rp.show(robot, plan)
 
 
 def test_where_the_robot_is_gone_efforts_are_drawn_and_nothing_is_made_up(runs: Runs) -> None:
