@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import path_timing
 
 import redundancy_pin as rp
-from redundancy_pin.studies.co_design import DesignTask, _Search
+from redundancy_pin.studies.co_design import DesignTask, Search
 from redundancy_pin.trajectory import reference
 
 REPEATS = 3
@@ -117,7 +117,7 @@ def gradient():
             slopes.append((ends[0] - ends[1]) / (2.0 * at * STEP))
         return np.array(slopes)
 
-    search = _Search([DesignTask(rp.VirtualWork(robot), circle, options)], design)
+    search = Search([DesignTask(rp.VirtualWork(robot), circle, options)], design)
     yield compared(
         "slopes of a least cost by three numbers of the 2-RPR, plans made anew over multipliers and exact derivatives",
         differences,

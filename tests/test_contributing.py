@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,6 +64,22 @@ def _private(path: Path) -> Iterator[str]:
         else:
             continue
         yield from (name for name in names if re.match(r"_[a-zA-Z]", name) and name not in FOREIGN)
+
+
+def test_benchmarks_and_scripts_of_documents_import_what_is_there() -> None:
+    """They take longer than the tests and run apart; what moves must not leave them behind."""
+    root = TESTS.parent
+    files = [*(root / "benchmarks").rglob("*.py"), *(root / "docs").rglob("*.py")]
+    wanted = [
+        (path.name, node.module, alias.name)
+        for path in files
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("redundancy_pin")
+        for alias in node.names
+    ]
+    assert len(wanted) > 50
+    gone = [row for row in wanted if not hasattr(importlib.import_module(row[1]), row[2])]
+    assert gone == []
 
 
 def test_tests_of_a_room_enter_the_others_by_modules_that_rooms_import_or_documents_name() -> None:

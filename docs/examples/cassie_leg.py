@@ -22,6 +22,9 @@ from redundancy_pin.robot import Robot
 
 SIDES = ("left", "right")
 MOTORS = ("roll-op", "yaw-op", "pitch-op", "knee-op", "tarsus-crank-joint")
+FOLDED = -1.1
+"""rad: a crank's angle, within its range. In the file's pose, at zero, crank and plantar rod lie nearly in a line: from
+there a smooth motion of the crank into its range crosses the rod."""
 SPRINGS = ("knee-shin-joint", "tarsus-spring-joint")
 """Joints of a leg that motors turn, and those of its leaf springs."""
 BLADE = (0.01, 0.045, 0.0)
@@ -38,7 +41,8 @@ couplings: [{", ".join(f"{{joint: {side}-{name}, polynomial: [0]}}" for side in 
 actuated: &motors [{", ".join(f"{side}-{name}" for side in SIDES for name in MOTORS)}]
 independent: {{joints: *motors}}
 reference:
-  joints: {{{", ".join(f"{side}-{name}: 0" for side in SIDES for name in MOTORS)}}}
+  joints: {{{", ".join(f"{side}-{name}: {FOLDED if 'crank' in name else 0}" for side in SIDES for name in MOTORS)}}}
+  guess: {{{", ".join(f"{side}-foot-op: {FOLDED}, {side}-crank-rod-joint: {-FOLDED}" for side in SIDES)}}}
 """
 
 
@@ -68,7 +72,7 @@ def bend(robot: Robot, samples: int = 41) -> rp.PlatformMotion:
     """Return two seconds in which the left leg folds: its knee by −2 rad, the hip by 1; the blade stays level."""
     row = dict(zip(robot.independent_joints, np.eye(robot.n), strict=True))
     end = -2.0 * row["left-knee-op"] + 1.0 * row["left-pitch-op"] - 1.0 * row["left-tarsus-crank-joint"]
-    start = -1.1 * row["left-tarsus-crank-joint"]
+    start = FOLDED * (row["left-tarsus-crank-joint"] + row["right-tarsus-crank-joint"])
     return rp.trajectory.from_points([start, start + end], [0.0, 2.0]).sample(2.0 / (samples - 1))
 
 

@@ -39,8 +39,13 @@ _NO_GAIN = 1e-5
 """Share of what is open that a step has to close."""
 
 
-def closed_near(robot: Robot, q: Array) -> Array:
+def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) -> Array:
     """Return the closed configuration (nq,) that the smallest changes of q lead to.
+
+    Args:
+        robot: its closure rows may be redundant.
+        q: (nq,) where to begin.
+        tolerance: m, or rad, what may be left open; more where redundant rows agree but for rounding.
 
     Raises:
         DeclarationError: the loops do not close from there.
@@ -49,7 +54,7 @@ def closed_near(robot: Robot, q: Array) -> Array:
     closed, gap = close(system, q)
     left, best = _ALL_STEPS, gap
     for spread in (0.0, *np.linspace(0.2, 1.5, _RESTARTS)):
-        if gap < CLOSURE_TOLERANCE:
+        if gap < tolerance:
             return closed
         near, steps, size = brought_near(system, q if spread == 0.0 else scattered(system, q, 1, spread, rng)[0])
         if size < _NEAR:
@@ -57,7 +62,7 @@ def closed_near(robot: Robot, q: Array) -> Array:
         left, best = left - steps, min(best, gap, size)
         if left < 0:
             break
-    if gap < CLOSURE_TOLERANCE:
+    if gap < tolerance:
         return closed
     raise DeclarationError(
         f"The loops of {robot.name} do not close near the reference: a gap of {best:.3g} is left.",

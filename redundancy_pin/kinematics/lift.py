@@ -16,7 +16,9 @@ from redundancy_pin.kinematics.assembly import (
     Assembly,
     assemble,
     configuration_difference,
+    inverses,
     project,
+    projection_scale,
     rates,
 )
 from redundancy_pin.kinematics.chain import tracker
@@ -29,6 +31,7 @@ from redundancy_pin.kinematics.continuation import (
     crosses,
     follow,
     initial_guess,
+    loops,
     near_rank_loss,
     reacquire,
     through_rank_loss,
@@ -286,7 +289,9 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
                     break
             first = last
     if not positions_only:
-        solved.margin[near & ~carried & _blurred(solved)] = 0.0
+        left = np.flatnonzero(near & ~carried)
+        if len(left):
+            solved.margin[left[_blurred(solved, left)]] = 0.0
 
 
 def _made_up_for(motion: PlatformMotion, solved: _Lifted, samples: IntArray) -> IntArray:
@@ -308,21 +313,32 @@ def _made_up_for(motion: PlatformMotion, solved: _Lifted, samples: IntArray) -> 
     return samples[good]
 
 
-def _blurred(solved: _Lifted) -> BoolArray:
-    """Return (N,) where Newton's rounding takes too much of Γ or of accelerations.
+def _blurred(solved: _Lifted, samples: IntArray) -> BoolArray:
+    """Return, of some samples, where Newton's rounding takes too much of Γ or of accelerations.
 
     It makes Γ wrong by 1e-16 / margin², and accelerations by the square of the rates times 1e-16 / margin³. Towards a
     stretched leg, or where the branch turns sharply, both are themselves that large; at a rank loss that the branch
-    goes through they are not.
+    goes through they are not. Each loop counts with its own margin and its own rates: one that stands beside its rank
+    loss loses no digits because another moves.
     """
-    unit, scale = row_scale(solved.system.robot), velocity_scale(solved.system.robot)
-    gamma = np.abs(solved.gamma * (scale[:, None] / unit)).max(axis=(1, 2), initial=0.0)
-    speed, a = (
-        np.abs(rate * scale).max(axis=1) / solved.system.robot.characteristic_length for rate in (solved.v, solved.a)
-    )
+    system = solved.system
+    unit, scale, columns = row_scale(system.robot), velocity_scale(system.robot), system.pose_columns
+    sizes = projection_scale(system)
     with np.errstate(invalid="ignore", over="ignore"):
-        rough = solved.margin**2 * np.maximum(gamma, 1.0) < _ROUNDED_SHARE
-        result: BoolArray = rough | (solved.margin**3 * np.maximum(a, speed**2) < _ROUNDED_SHARE * speed**2)
+        K = system.evaluate(solved.q[samples]).K
+        gamma = np.abs(solved.gamma[samples] * (scale[:, None] / unit)).max(axis=2, initial=0.0)[:, columns]
+        speed, a = (
+            np.abs(rate[samples] * scale)[:, columns] / system.robot.characteristic_length
+            for rate in (solved.v, solved.a)
+        )
+        most = np.maximum(a.max(axis=1), speed.max(axis=1) ** 2)
+        result = np.zeros(len(samples), dtype=bool)
+        for rows, own in loops(system):
+            inverse = inverses(K[:, rows[:, None], own])
+            size = np.sqrt(np.einsum("nij,nij,ij->n", inverse, inverse, sizes[np.ix_(own, rows)]))
+            margin = np.where(np.isfinite(size), 1.0 / size, 0.0)
+            result |= margin**2 * np.maximum(gamma[:, own].max(axis=1), 1.0) < _ROUNDED_SHARE
+            result |= margin**3 * most < _ROUNDED_SHARE * speed[:, own].max(axis=1) ** 2
     return result
 
 

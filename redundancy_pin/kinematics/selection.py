@@ -101,11 +101,12 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
         DeclarationError: the loops do not close; rows that depend on the others at the reference only; or a joint of
             several freedoms that the loops leave free.
     """
-    q = closed_near(robot, q)
+    opens = _ROUNDED if rounded else STAYS_CLOSED
+    q = closed_near(robot, q, opens if redundant else CLOSURE_TOLERANCE)
     left_out: tuple[str, ...] = ()
     opened = 0.0
     if redundant and (robot.closures or robot.couplings):
-        robot, left_out, opened = _without_redundant_rows(robot, q, _ROUNDED if rounded else STAYS_CLOSED)
+        robot, left_out, opened = _without_redundant_rows(robot, q, opens)
     independent, loose = _independent(robot, q)
     rods = {name: rod for name in loose if redundant and (rod := _spins(robot, name, q)) is not None}
     fixed_spins = tuple(rods)
