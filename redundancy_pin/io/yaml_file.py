@@ -102,6 +102,8 @@ def parse_yaml(
             reader.events.dispose()
     except yaml.MarkedYAMLError as fault:
         mark = fault.problem_mark or fault.context_mark
+        if "nesting depth" in str(fault.problem):  # libyaml since 0.2.6 looks ahead for a key, over a thousand brackets
+            raise reader.too_deep(mark) from fault
         reasons = ", ".join(part for part in (fault.context, fault.problem) if part)
         raise reader.refused(mark, f"not readable YAML: {reasons}", "Repair the file there.") from fault
     except yaml.YAMLError as fault:  # characters that YAML does not allow, such as NUL
@@ -147,7 +149,7 @@ class _Reader:
         if isinstance(event, yaml.AliasEvent):
             return self.alias(event)
         if depth > DEEPEST:
-            raise self.refused(event.start_mark, f"values are nested more than {DEEPEST} deep", "Flatten the file.")
+            raise self.too_deep(event.start_mark)
         before = self.count
         self.add(1, event)
         if event.anchor is not None:
@@ -266,6 +268,9 @@ class _Reader:
         where = f"`{key}` is" if key else "there is"
         message = f"{where} {what}which YAML reads as {shown(tag.removeprefix(_TAG))[1:-1]}"
         return self.refused(event.start_mark, message, "Put it into quotes, or write a number, text, list or mapping.")
+
+    def too_deep(self, mark: Any) -> RedundancyPinError:
+        return self.refused(mark, f"values are nested more than {DEEPEST} deep", "Flatten the file.")
 
     def refused(self, mark: Any, message: str, remedy: str, **details: object) -> RedundancyPinError:
         where = self.path if mark is None else f"{self.path}, line {mark.line + 1}, column {mark.column + 1}"
