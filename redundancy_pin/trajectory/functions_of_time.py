@@ -155,10 +155,20 @@ class PiecewisePolynomial(Frozen):
         return PiecewisePolynomial(read_only(edges), self.coefficients[:, : len(edges) - 1])
 
     def between(self, start: float, end: float) -> PiecewisePolynomial:
-        """Return the function between two times, s, of which the first may lie inside a piece."""
-        times = np.concatenate([[start], self.edges[(self.edges > start) & (self.edges < end)], [end]])
-        orders = range(len(self.coefficients))
-        return PiecewisePolynomial.taylor(times, *(self.derivative(order)(times) for order in orders))
+        """Return the function between two times, s, of which the first may lie inside a piece, but not before all."""
+        pieces = slice(self._piece(start), self._piece(end, "left") + 1)
+        coefficients = self.coefficients[:, pieces].copy()
+        shift = min(start, self.end) - self.edges[pieces.start]
+        for last in range(
+            len(coefficients), 1, -1
+        ):  # Horner's rule again and again: powers of the time since the start
+            for order in range(1, last):
+                coefficients[order, 0] += shift * coefficients[order - 1, 0]
+        edges = np.concatenate([[start], self.edges[pieces.start + 1 : pieces.stop], [end]])
+        return PiecewisePolynomial(read_only(edges), read_only(coefficients))
+
+    def _piece(self, t: float, side: Side = "right") -> int:
+        return int(np.clip(np.searchsorted(self.edges, t, side) - 1, 0, len(self.edges) - 2))
 
     @staticmethod
     def constant(value: Array, start: float, end: float) -> PiecewisePolynomial:

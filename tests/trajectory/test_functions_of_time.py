@@ -56,6 +56,21 @@ def test_an_edge_has_two_sides_and_outside_are_the_ends():
     np.testing.assert_array_equal(steps.until(1.5).edges, [0.0, 1.0, 1.5])
 
 
+@examples(30)
+@given(seed=st.integers(0, 10**6))
+def test_a_function_between_two_times_is_the_same_there(seed):
+    rng = np.random.default_rng(seed)
+    edges = np.cumsum(rng.uniform(0.1, 1.0, 5))
+    whole = PiecewisePolynomial(edges, rng.normal(size=(int(rng.integers(1, 6)), 4, 2)))
+    at_edges = edges[[int(rng.integers(0, 2)), int(rng.integers(2, 5))]]
+    for start, end in (np.sort(rng.uniform(edges[0], edges[-1], 2)), at_edges, (at_edges[0], edges[2] + 0.01)):
+        part, times = whole.between(start, end), rng.uniform(start, end, 20)
+        assert [part.start, part.end] == [start, end]
+        np.testing.assert_allclose(part(times), whole(times), rtol=0.0, atol=1e-13)
+    behind = whole.between(edges[-1] + 1.0, edges[-1] + 2.0)
+    np.testing.assert_allclose(behind.at(behind.start), whole.at(edges[-1]), rtol=0.0, atol=1e-13)
+
+
 def test_extremes_peaks_and_ranges_against_dense_samples(fitted):
     dense = np.linspace(*EDGES[[0, -1]], 200_001)
     values = fitted(dense)

@@ -172,7 +172,9 @@ _SAME = 1e-9
 
 def parts_of(samples: int, threads: int) -> list[slice]:
     """Return parts of many samples, one a thread, of few all in one."""
-    count = max(1, min(threads, samples // _PER_THREAD))
+    count = min(threads, samples // _PER_THREAD)
+    if count <= 1:
+        return [slice(0, samples)]
     edges = np.linspace(0, samples, count + 1).round().astype(int).tolist()
     return [slice(a, b) for a, b in pairwise(edges)]
 

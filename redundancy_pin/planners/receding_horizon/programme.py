@@ -115,14 +115,29 @@ class Rows:
         rows, columns = np.repeat(np.arange(len(entries)), entries), np.concatenate([p.ravel() for p in self._columns])
         self.order = np.lexsort((rows, columns))
         starts = np.searchsorted(columns[self.order], np.arange(variables + 1))
-        data = np.zeros(len(rows))
+        self._row, data = rows, np.zeros(len(rows))
         self.matrix = sparse.csc_matrix((data, rows[self.order], starts), shape=(len(entries), variables))
 
     def fill(self, blocks: Mapping[str, tuple[Array, ...]]) -> list[Array]:
-        """Set the entries, and return what else comes with the rows of each block: right sides or bounds."""
-        entries, *rest = zip(*(blocks[name] for name in self.blocks), strict=True)
-        self.matrix.data[:] = np.concatenate([part.ravel() for part in entries])[self.order]
-        return [np.concatenate([part.ravel() for part in parts]) for parts in rest]
+        """Set the entries, and return what else comes with the rows of each block: right sides or bounds.
+
+        Rows with two infinite bounds, which the solver refuses, become rows of zeros, which hold nothing. Large numbers
+        as bounds would not do: the solver's tolerance is relative to the largest.
+        """
+        entries, *sides = (
+            np.concatenate([part.ravel() for part in parts])
+            for parts in zip(*(blocks[name] for name in self.blocks), strict=True)
+        )
+        if len(sides) == 2:
+            low, high = sides
+            nothing = np.isinf(low) & np.isinf(high)
+            entries[nothing[self._row]] = 0.0
+            sides = [
+                np.where(nothing, -1.0, np.maximum(low, -INFINITE)),
+                np.where(nothing, 1.0, np.minimum(high, INFINITE)),
+            ]
+        self.matrix.data[:] = entries[self.order]
+        return sides
 
 
 class Programme:
@@ -364,7 +379,7 @@ class Programme:
             closer = CLOSER * (lin.nodes - lin.nodes[0])[:, None] / (lin.nodes[-1] - lin.nodes[0])
             most, base = np.where(counting, FORCE_KEPT - closer, np.inf), base * counting
             rows["force"] = (wide, -most - base, most - base)
-        return {name: without_bounds(*row) for name, row in rows.items()}
+        return rows
 
 
 def units_of(limits: ResolvedLimits) -> tuple[Array, Array, Array]:
@@ -375,13 +390,3 @@ def units_of(limits: ResolvedLimits) -> tuple[Array, Array, Array]:
         np.where(np.isfinite(limits.speed), limits.speed, 1.0),
         np.where(np.isfinite(limits.acceleration), limits.acceleration, 10.0),
     )
-
-
-def without_bounds(row: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
-    """Return rows of zeros, which hold nothing, in place of those with two infinite bounds, which the solver refuses.
-
-    Large numbers as bounds would not do: the solver's tolerance is relative to the largest.
-    """
-    nothing = np.isinf(low) & np.isinf(high)
-    row = np.where(nothing[..., None], 0.0, row)
-    return row, np.where(nothing, -1.0, np.maximum(low, -INFINITE)), np.where(nothing, 1.0, np.minimum(high, INFINITE))
