@@ -15,7 +15,7 @@ from redundancy_pin.cli.plan import BREAKS_LIMITS, NOT_OPTIMAL
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.cli.show import robot_of
 from redundancy_pin.errors import InputError, OutputError
-from redundancy_pin.kinematics.coordinates import distance
+from redundancy_pin.kinematics.coordinates import distance, turning_coordinates
 from redundancy_pin.loading import load_with
 from redundancy_pin.planners.plan import Plan, load_plan
 from redundancy_pin.robot import Robot
@@ -141,7 +141,7 @@ def simulate(robot: options.RobotOptions, **given: Any) -> int:
             save_video(view(run, robot=machine), video, progress=lambda done, total: advance(done, total, "video"))
     facts = summary(run, reference, machine)
     facts |= {"controller": given["controller"], "out": out, "plot": plot, "video": video}
-    output.report(given["as_json"], facts, _table(run, facts))
+    output.report(given["as_json"], facts, _table(run, facts, machine))
     warn(run)
     return EXIT_CODES.get(run.status, BAD_INPUT)
 
@@ -268,16 +268,17 @@ def _peaks(values: Array) -> Array:
     return peaks
 
 
-def _table(run: Simulation, facts: Mapping[str, Any]) -> output.TextTable:
+def _table(run: Simulation, facts: Mapping[str, Any], machine: Robot) -> output.TextTable:
     main, moved = run.robot.effort_units
+    unit = f"m, rad times {machine.characteristic_length:.4g} m" if any(turning_coordinates(machine)) else "m"
     seen = [f"{event.kind.replace('_', ' ')} ({event.name}) at {event.t:.4g} s" for event in run.events]
 
     rows = [
         ("status", run.status.value.replace("_", " ")),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {len(run)} samples"),
         ("events", output.listed(seen, LISTED, "\n") or "none"),
-        ("largest distance from the planned motion [m]", output.number(facts["largest_distance"])),
-        ("distance at the end [m]", output.number(facts["last_distance"])),
+        (f"largest distance from the planned motion [{unit}]", output.number(facts["largest_distance"])),
+        (f"distance at the end [{unit}]", output.number(facts["last_distance"])),
         *((f"peak of {name} [{main}]", output.number(value))
           for name, value in zip(run.robot.actuated, facts["peak_effort"].tolist(), strict=True)),
         *((f"peak of {name} [{moved}]", output.number(value))

@@ -114,11 +114,14 @@ def moved(robot: Robot, start: Array, increment: Array) -> Array:
 @lru_cache(maxsize=64)
 def row_scale(robot: Robot) -> Array:
     """Return (n,) the characteristic length for rotations and 1 for translations among the independent coordinates."""
+    return read_only(np.where(turning_coordinates(robot), robot.characteristic_length, 1.0))
+
+
+def turning_coordinates(robot: Robot) -> list[bool]:
+    """Return which of the n independent coordinates are rotations."""
     if robot.platform is not None:
-        turning = [axis.startswith("r") for axis in robot.platform.axes]
-    else:
-        turning = [is_revolute(robot, name) for name in robot.independent_joints]
-    return read_only(np.where(turning, robot.characteristic_length, 1.0))
+        return [axis.startswith("r") for axis in robot.platform.axes]
+    return [is_revolute(robot, name) for name in robot.independent_joints]
 
 
 @lru_cache(maxsize=64)

@@ -62,6 +62,7 @@ def test_a_table_has_the_joints_by_name(plan_file: Path, tmp_path: Path) -> None
     out = tmp_path / "run.csv"
     result = call("simulate", "--plan", plan_file, "--duration", "0.1", "--dt", "0.02", "--out", out)
     assert result.exit_code == 0, result.stderr
+    assert "distance at the end [m, rad times 0.9859 m]" in result.stdout  # its platform turns
     assert "peak of base_2 [N·m]" in result.stdout
     expected = rp.simulate(rp.load_robot("3rrr"), rp.load_plan(plan_file), duration=0.1, dt=0.02)
     with out.open() as file:
