@@ -71,8 +71,9 @@ def _span(model: pin.Model, index: int, kind: str) -> slice:
 def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> dict[str, Any]:
     """Return the part of a declaration that says what closes the loops and which role each joint has.
 
-    Frames that are named and are no links become links, and the frames of Pinocchio's constraint models are added to
-    the model; ``at`` are its indices of the joints that they name.
+    Frames that are named and are no links become links, as do points and what joints carry without a link (by the name
+    of the joint, "universe" for the ground), and the frames of Pinocchio's constraint models are added to the model;
+    ``at`` are its indices of the joints that they name.
 
     Raises:
         InputError: something of another form, numbers that no machine has, or a joint that depends on others.
@@ -86,6 +87,7 @@ def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> d
     loops, couplings, actuated, carriers = (
         _several(arguments[what], what) for what in ("closures", "couplings", "actuated", "carriers")
     )
+    _name_links(model)
     loops = [_closure(model, each, number, at) for number, each in enumerate(loops)]
     roles = _independent(arguments["independent"])
     for frame in (*(name for loop in loops for name in loop["frames"]), roles.get("platform")):
@@ -200,6 +202,17 @@ def _independent(given: Any) -> dict[str, Any]:
     if isinstance(given, Platform):
         return {"platform": given.frame, "axes": list(given.axes)}
     return dict(given) if isinstance(given, Mapping) else {"joints": list(_several(given, "independent"))}
+
+
+def _name_links(model: pin.Model) -> None:
+    """Let all that loads may act on be found as links: points of the model, and what a joint carries by its name."""
+    bodies = {int(frame.parentJoint) for frame in model.frames if frame.type == pin.FrameType.BODY}
+    for frame in list(model.frames):
+        if frame.type in (pin.FrameType.OP_FRAME, pin.FrameType.SENSOR):
+            _make_link(model, str(frame.name))
+    for index, name in enumerate(model.names):
+        if index not in bodies and not model.existFrame(name, pin.FrameType.BODY):
+            model.addFrame(pin.Frame(str(name), index, pin.SE3.Identity(), pin.FrameType.BODY))
 
 
 def _make_link(model: pin.Model, name: Any) -> None:

@@ -188,7 +188,8 @@ class Robot(Frozen):
         """Return a closed-chain robot made of a Pinocchio tree, with the checks that a file goes through.
 
         Args:
-            model: the tree; it is copied. Its gravity counts. Frames of any type may be named.
+            model: the tree; it is copied. Its gravity counts. Frames of any type may be named, and what a joint carries
+                by the joint's name where it has no link, "universe" for the ground.
             actuated: names of the main actuators.
             closures: the loops, each a ``Closure``, a mapping ``{"frames": [a, b], "axes": ["x", "y"]}``, a tuple
                 ``(a, b, axes)``, or a constraint model of Pinocchio; of the latter, rows that are redundant all along

@@ -371,3 +371,27 @@ def test_a_machine_of_one_joint_at_one_instant() -> None:
     pendulum = rp.RneaDynamics(rp.Robot.from_model(model, actuated=["hinge"], independent=["hinge"]))
     f = pendulum.reduce(rp.PlatformMotion([0.0], [[0.3]], [[0.7]], [[1.1]])).f
     np.testing.assert_allclose(f, [[2.0 * 9.81 * 0.5 * np.sin(0.3) + 2.0 * 0.25 * 1.1]], rtol=1e-12)
+
+
+def test_loads_act_on_points_of_the_model_and_on_what_joints_carry():
+    """A point that no closure names, a joint without frames, the ground; Jᵀ w by Pinocchio's own Jacobian."""
+    model = planar_parallelogram()
+    model.addFrame(pin.Frame("tool", 2, pin.SE3(np.eye(3), np.array([0.1, 0.2, 0.0])), pin.FrameType.OP_FRAME))
+    robot = made(model)
+    x = robot.q_reference[:1] + np.zeros((2, 1))
+    motion = rp.PlatformMotion([0.0, 1.0], x, np.zeros((2, 1)), np.ones((2, 1)))
+    free, wrench = rp.RneaDynamics(robot).reduce(motion).f, np.array([1.0, 2.0, 0.0, 0.0, 0.0, 3.0])
+    gamma, data = rp.lift(robot, motion).gamma[0], model.createData()
+    pin.computeJointJacobians(model, data, np.array(robot.q_reference))
+    pin.updateFramePlacements(model, data)
+    for name, jacobian in (
+        ("tool", pin.getFrameJacobian(model, data, model.getFrameId("tool"), pin.LOCAL_WORLD_ALIGNED)),
+        ("coupler", pin.getJointJacobian(model, data, 2, pin.LOCAL_WORLD_ALIGNED)),
+        ("universe", np.zeros((6, 3))),
+    ):
+        f = rp.RneaDynamics(robot.loaded(rp.Wrench(name, wrench))).reduce(motion).f
+        np.testing.assert_allclose(free - f, np.tile(gamma.T @ jacobian.T @ wrench, (2, 1)), atol=1e-12)
+    rotor = rp.RneaDynamics(robot.loaded(rp.JointForces("rocker", rotor_inertia=1e-3, gear=10.0))).reduce(motion).f
+    # the rocker stands on the ground: gear² · inertia at its own rate
+    a = rp.lift(robot, motion).a[:, 2]
+    np.testing.assert_allclose(rotor - free, 0.1 * a[:, None] * gamma[2], atol=1e-12)
