@@ -1,0 +1,303 @@
+"""A motion is the same whatever it is measured in, and what is taken ends where the error says, at any size.
+
+Lengths and times are multiplied by powers of two, so that what is homogeneous in them agrees to rounding: a product in
+the place of a quotient shows, in tolerances and stopping rules too. Edges are tried from both sides, next to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin.errors import InputError
+from redundancy_pin.trajectory import (
+    Arc,
+    ChainedPath,
+    Line,
+    PoseTrajectory,
+    RestToRest,
+    SpeedProfile,
+    Trajectory,
+    boundary_polynomial,
+    circle_path,
+    corner_path,
+    from_points,
+    reference,
+    rounded_polygon,
+    through_points,
+)
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.time_optimal import least_duration
+from redundancy_pin.trajectory.timing import law_through_speeds
+
+UNITS = [(2.0**20, 1.0), (2.0**-20, 1.0), (1.0, 2.0**20), (2.0**11, 2.0**-17)]
+"""How many new units of length and time an old one is."""
+
+ROUNDED = 1e-11
+"""Relative to the largest number of its kind."""
+
+POINTS = np.array([[0.0, 0.0], [0.2, 0.1], [0.3, 0.4], [0.1, 0.5], [0.0, 0.3]])
+TIMES = np.array([0.0, 0.5, 1.2, 2.0, 3.0])
+CUSP = np.array([[0.0, 0.0], [0.3, 1e-3], [0.0, 2e-3], [0.3, 0.1]])
+"""Turns back within a millimetre, where the arc length takes many panels, and time-optimal grids many steps."""
+SQUARE = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.0, 0.3]])
+POSES = np.tile(np.eye(4), (4, 1, 1))
+POSES[:, :3, :3] = Rotation.from_rotvec([[0, 0, 0], [0.4, 0.1, 0], [0.8, 0.5, -0.3], [0.2, 1.0, -0.6]]).as_matrix()
+POSES[:, :3, 3] = [[0.0, 0.0, 1.0], [0.1, 0.0, 1.1], [0.2, 0.2, 1.1], [0.1, 0.3, 1.0]]
+
+
+def poses(L: float) -> np.ndarray:
+    moved = POSES.copy()
+    moved[:, :3, 3] *= L
+    return moved
+
+
+MOTIONS: dict[str, Callable[[float, float], Trajectory]] = {
+    "a spline by times": lambda L, T: from_points(L * POINTS, T * TIMES),
+    "a spline by speed": lambda L, T: from_points(L * POINTS, speed=0.2 * L / T),
+    "a spline by speeds": lambda L, T: from_points(L * POINTS, speed=np.array([0.0, 0.2, 0.3, 0.1, 0.0]) * L / T),
+    "a closed spline by speeds": lambda L, T: from_points(
+        L * POINTS, speed=np.array([0.1, 0.2, 0.3, 0.1, 0.2]) * L / T, closed=True
+    ),
+    "a spline with ramps": lambda L, T: from_points(L * POINTS, speed=0.2 * L / T, ramp_time=0.3 * T),
+    "the fastest": lambda L, T: from_points(
+        L * POINTS[:4], "time-optimal", max_speed=0.5 * L / T, max_acceleration=2.0 * L / T**2
+    ),
+    "the fastest of each coordinate": lambda L, T: from_points(
+        L * CUSP, "time-optimal", max_speed=np.array([0.5, 0.3]) * L / T, max_acceleration=np.array([2, 1]) * L / T**2
+    ),
+    "the fastest pose": lambda L, T: from_points(
+        poses(L), "time-optimal", max_speed=[0.3 * L / T, 1.0 / T], max_acceleration=[1.0 * L / T**2, 3.0 / T**2]
+    ),
+    "poses by speed": lambda L, T: from_points(poses(L), speed=0.1 * L / T, ramp_time=0.3 * T),
+    "poses by times": lambda L, T: from_points(poses(L), T * np.array([0.0, 0.5, 1.2, 2.0])),
+    "a pose": lambda L, T: reference.pose(poses(L)[0], poses(L)[2], 2.0 * T),
+    "a corner": lambda L, T: on(corner_path((0.1 * L, 0.2 * L), (3.0 * L, 4.0 * L), 0.3 * L, 0.1 * L, -2.0), L, T),
+    "a polygon": lambda L, T: on(rounded_polygon(L * SQUARE, 0.05 * L), L, T),
+    "an open polygon": lambda L, T: on(rounded_polygon(L * SQUARE, 0.05 * L, closed=False), L, T),
+    "unequal ramps": lambda L, T: Trajectory(
+        Line((0.0, 0.0), (L, 0.0)), SpeedProfile(L, 0.5 * L / T, 0.4 * T, 0.14 * L, 0.6 * T, 0.13 * L)
+    ),
+    "a cusp": lambda L, T: on(through_points(L * CUSP), L, T),
+}  # fmt: skip
+
+
+def on(path: Any, L: float, T: float) -> Trajectory:
+    return Trajectory(path, SpeedProfile(path.length, 0.2 * L / T, 0.2 * T))
+
+
+def close(one: Any, other: Any) -> None:
+    """Each column is the same but for rounding of its largest entry."""
+    one, other = np.asarray(one), np.asarray(other)
+    assert one.shape == other.shape
+    np.testing.assert_allclose(one, other, rtol=0.0, atol=ROUNDED * max(np.abs(other).max(initial=0.0), 1e-300))
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_motion_is_the_same_in_other_units(name: str) -> None:
+    plain = MOTIONS[name](1.0, 1.0)
+    part = np.linspace(0.0, 1.0, 41)
+    x, xd, xdd = plain.evaluate(np.minimum(part * plain.duration, plain.duration))
+    for L, T in UNITS[3:] if "fastest" in name else UNITS:
+        # the fastest pose has a grid on which metres and radians count alike
+        L = 1.0 if name == "the fastest pose" else L
+        other = MOTIONS[name](L, T)
+        close(other.duration / T, plain.duration)
+        y, yd, ydd = other.evaluate(np.minimum(part * other.duration, other.duration))
+        pose = y.ndim == 3
+        length = np.repeat([L, 1.0], 3) if pose else L
+        if pose:
+            close(y[:, :3, :3], x[:, :3, :3])
+            close(y[:, :3, 3] / L, x[:, :3, 3])
+        else:
+            close(y / L, x)
+        close(yd / length * T, xd)
+        # where the curvature jumps rounding decides the side
+        smooth = np.abs(part[:, None] * plain.duration - plain.breaks).min(axis=1, initial=1.0) > 1e-9
+        close((ydd / length * T**2)[smooth], xdd[smooth])
+        close(other.breaks / T, plain.breaks)
+        assert len(continuous_motion(other).kinks) == len(continuous_motion(plain).kinks)
+
+
+@pytest.mark.parametrize("unit", UNITS[:2])
+def test_the_least_time_is_the_same_in_other_units(unit: tuple[float, float]) -> None:
+    plain, (L, T) = least_duration(through_points(CUSP), 0.5, 2.0), unit
+    there = least_duration(through_points(L * CUSP), 0.5 * L / T, 2.0 * L / T**2)
+    assert there / T == pytest.approx(plain, rel=1e-9)
+
+
+def chain(gap: float, kink: float, L: float) -> Any:
+    turned = np.array([np.cos(kink), np.sin(kink)])
+    first = Line((0.0, 0.0), (0.6 * L, 0.0))
+    start = np.array([0.6 * L + gap, 0.0])
+    return ChainedPath([first, Line(start, start + 0.4 * L * turned)])
+
+
+def turned(angle: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    return pose
+
+
+EDGES: dict[str, tuple[Callable[[float, float], Any], Mapping[str, Callable[[float], float]]]] = {
+    # what is made of a size L and a number next to one, refused where it is above one; and what the error says
+    "a path too short for its ramps": (
+        lambda L, x: SpeedProfile(L / x, 0.5 * L, 1.2, 0.3 * L, 2.0, 0.7 * L),
+        {"ramp_length": lambda L: 0.3 * L, "end_ramp_length": lambda L: 0.7 * L, "length": lambda L: L},
+    ),
+    "a ramp up that begins backwards": (
+        lambda L, x: SpeedProfile(L, 0.5 * L, 1.5, 0.3 * L / x, 0.5, 0.2 * L),
+        {"least": lambda L: 0.3 * L, "most": lambda L: L},
+    ),
+    "a ramp down that begins backwards": (
+        lambda L, x: SpeedProfile(L, 0.5 * L, 0.5, 0.2 * L, 1.5, 0.3 * L / x),
+        {"least": lambda L: 0.3 * L, "most": lambda L: L},
+    ),
+    "a radius beyond an edge": (
+        lambda L, x: rounded_polygon(L * SQUARE, 0.15 * L * x),
+        {"largest_radius": lambda L: 0.15 * L, "edge": lambda L: 1},
+    ),
+    "a radius beyond the first edge of an open polygon": (
+        lambda L, x: rounded_polygon(L * np.array([[0, 0], [0.2, 0], [0.2, 0.9]]), 0.2 * L * x, closed=False),
+        {"largest_radius": lambda L: 0.2 * L, "edge": lambda L: 0},
+    ),
+    "a start before the straight": (
+        lambda L, x: rounded_polygon(L * SQUARE, 0.05 * L, start=0.05 * L / x),
+        {"lower": lambda L: 0.05 * L, "upper": lambda L: 0.35 * L, "start": lambda L: 0.05 * L},
+    ),
+    "a start beyond the straight": (
+        lambda L, x: rounded_polygon(L * SQUARE, 0.05 * L, start=0.35 * L * x),
+        {"lower": lambda L: 0.05 * L, "upper": lambda L: 0.35 * L, "start": lambda L: 0.35 * L},
+    ),
+    "a law of another length": (
+        lambda L, x: Trajectory(Line((0.0, 0.0), (L, 0.0)), RestToRest(L * (1.0 + 1e-9 * x), 1.0)),
+        {"path_length": lambda L: L, "timing_length": lambda L: L * (1.0 + 1e-9)},
+    ),
+    "a gap in a chain": (lambda L, x: chain(1e-9 * L * x, 0.0, L), {"gap": lambda L: 1e-9 * L, "segment": lambda L: 0}),
+    "a kink in a chain": (lambda L, x: chain(0.0, 1e-9 * x, L), {"kink": lambda L: 1e-9, "segment": lambda L: 0}),
+    "an arc off its circle": (
+        lambda L, x: Arc((0.0, 0.0), L, (1.0, 0.0), (1e-9 * x, 1.0), 1.0), {"error": lambda L: 1e-9}
+    ),
+    "half a turn": (
+        lambda L, x: PoseTrajectory(turned(0.0), turned(np.pi - 1e-6 / x), RestToRest(L, 1.0)),
+        {"angle": lambda L: np.pi - 1e-6},
+    ),
+}  # fmt: skip
+
+
+BESIDE = dict.fromkeys(("a gap in a chain", "a kink in a chain", "an arc off its circle", "half a turn",
+                        "a law of another length"), 1e-3)  # fmt: skip
+"""Of tolerances that are small themselves."""
+BESIDE |= {name: 1e-6 for name in EDGES if "radius" in name or "straight" in name}
+"""Of a straight that is left of an edge, a shorter one loses its direction to rounding."""
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**20, 2.0**-20])
+@pytest.mark.parametrize("name", EDGES)
+def test_what_is_taken_ends_where_the_error_says(name: str, size: float) -> None:
+    make, says = EDGES[name]
+    beside = BESIDE.get(name, 1e-9)
+    make(size, 1.0 - beside)
+    with pytest.raises(InputError) as caught:
+        make(size, 1.0 + beside)
+    for key, value in says.items():
+        # the offending number is off the edge by what it was moved
+        assert caught.value.details[key] == pytest.approx(value(size), rel=2.0 * beside), key
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**20, 2.0**-20])
+def test_peaks_of_ramps_are_those_of_dense_samples(size: float) -> None:
+    for up in (0.4, 0.45, 0.6, 0.61, 0.8, 1.5):
+        for down in (0.4, 0.59, 0.7, 1.2):
+            v, up_time, down_time = 0.3 * size, 0.7, 1.1
+            law = SpeedProfile(9.0 * size, v, up_time, up * v * up_time, down_time, down * v * down_time)
+            t = np.linspace(0.0, law.duration, 40001)
+            at = law.evaluate(t)
+            assert law.peak_speed == pytest.approx(at.pd.max(), rel=1e-6)
+            # dense samples: the place is the integral of the speed, the speed that of the acceleration
+            for value, rate in ((at.p, at.pd), (at.pd, at.pdd)):
+                gained = np.cumsum(0.5 * np.diff(t) * (rate[1:] + rate[:-1]))
+                np.testing.assert_allclose(value[1:] - value[0], gained, atol=1e-5 * np.abs(value).max())
+            assert at.p[-1] == pytest.approx(9.0 * size, rel=1e-12)
+            cruise = (9.0 * size - up * v * up_time - down * v * down_time) / v
+            np.testing.assert_allclose(law.knots, [up_time, up_time + cruise], rtol=1e-12)
+            assert law.duration == pytest.approx(up_time + cruise + down_time, rel=1e-12)
+
+
+def test_laws_through_many_random_speeds_pass_them_and_never_run_back() -> None:
+    """Places, speeds and accelerations by the sentence in the docstring, where no cubic runs back."""
+    rng, plain = np.random.default_rng(11), 0
+    for _ in range(60):
+        count = int(rng.integers(2, 9))
+        p = 7.0 + np.concatenate([[0.0], np.cumsum(rng.uniform(0.05, 2.0, count - 1))])
+        v = rng.uniform(0.1, 3.0, count)
+        v[rng.integers(count)] *= rng.integers(2)
+        law = law_through_speeds(p, v)
+        knots = np.concatenate([[0.0], law.knots, [law.duration]])
+        at = law.evaluate(knots)
+        np.testing.assert_allclose(at.p, p - p[0], atol=1e-12 * (p[-1] - p[0]))
+        np.testing.assert_allclose(at.pd, v, atol=1e-11 * v.max())
+        slopes = slopes_of(p, v)
+        share = 1.0 if np.allclose(at.pdd, slopes, atol=1e-9 * (1.0 + np.abs(slopes).max())) else None
+        plain += share is not None
+        if share is None:  # a half of them, or none
+            ratio = at.pdd[np.abs(slopes) > 1e-9] / slopes[np.abs(slopes) > 1e-9]
+            assert any(np.allclose(ratio, part, atol=1e-6) for part in (0.5, 0.0))
+        assert law.evaluate(np.linspace(0.0, law.duration, 2001)).pd.min() > -1e-9 * v.max()
+    assert 20 <= plain < 60
+
+
+def slopes_of(p: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Half the slopes of the monotone cubic of v² over p, by Fritsch and Butland's harmonic means."""
+    w, h = v**2, np.diff(p)
+    secant = np.diff(w) / h
+    slopes = np.zeros(len(p))
+    for i in range(1, len(p) - 1):
+        a, b = secant[i - 1], secant[i]
+        if a * b > 0.0:
+            one, other = 2.0 * h[i] + h[i - 1], h[i] + 2.0 * h[i - 1]
+            slopes[i] = (one + other) / (one / a + other / b)
+    return 0.5 * slopes
+
+
+@pytest.mark.parametrize("turn", [0.3, -1.2, 2.5, -4.0])
+def test_corners_and_circles_turn_by_their_angle_to_its_side(turn: float) -> None:
+    forward, radius = np.array([0.6, 0.8]), 0.07
+    path = corner_path((1.0, 2.0), 5.0 * forward, 0.2, radius, turn, 0.3)
+    assert path.length == pytest.approx(0.2 + radius * abs(turn) + 0.3, rel=1e-12)
+    np.testing.assert_allclose(path.joints, [0.2, 0.2 + radius * abs(turn)], rtol=1e-12)
+    cos, sin = np.cos(turn), np.sin(turn)
+    leaving = np.array([[cos, -sin], [sin, cos]]) @ forward
+    # chords of a circle are 2 r sin(θ/2) long, along the mean direction
+    half = np.array([[np.cos(turn / 2), -np.sin(turn / 2)], [np.sin(turn / 2), np.cos(turn / 2)]]) @ forward
+    end = np.array([1.0, 2.0]) + 0.2 * forward + 2.0 * radius * np.sin(abs(turn) / 2) * half + 0.3 * leaving
+    at = path.evaluate(path.length)
+    np.testing.assert_allclose(at.x, end, atol=1e-12)
+    np.testing.assert_allclose(at.tangent, leaving, atol=1e-12)
+    circle = circle_path((1.0, 2.0), radius, 0.4, turn)
+    angle = 0.4 + np.sign(turn) * 0.02 / radius
+    at = circle.evaluate(0.02)
+    np.testing.assert_allclose(at.x, [1.0 + radius * np.cos(angle), 2.0 + radius * np.sin(angle)], atol=1e-12)
+    np.testing.assert_allclose(at.tangent, np.sign(turn) * np.array([-np.sin(angle), np.cos(angle)]), atol=1e-12)
+    np.testing.assert_allclose(at.curvature, -np.array([np.cos(angle), np.sin(angle)]) / radius, atol=1e-11)
+
+
+def test_polynomials_of_random_conditions_meet_them_whatever_the_interval() -> None:
+    """Derivatives at both ends by the power basis of numpy, of moderate degrees where it keeps its digits."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        t0, span = rng.uniform(-5.0, 5.0), 2.0 ** rng.integers(-3, 4)
+        start, end = (rng.normal(size=rng.integers(1, 4)) for _ in range(2))
+        made = boundary_polynomial(t0, t0 + span, list(start), list(end))
+        kappa = np.polynomial.Polynomial(made.coefficients)
+        for order in range(made.degree + 1):
+            times = np.linspace(t0, t0 + span, 7)
+            value = made(times, order)
+            expected = kappa.deriv(order)((times - t0) / span) / span**order if order else kappa((times - t0) / span)
+            np.testing.assert_allclose(value, expected, atol=1e-9 * (1.0 + np.abs(expected).max()))
+        for at, given in ((t0, start), (t0 + span, end)):
+            np.testing.assert_allclose([made(at, i) for i in range(len(given))], given, atol=1e-8)
