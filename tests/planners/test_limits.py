@@ -1,0 +1,306 @@
+"""Limits of a plan at their edges: events by a loop over samples, and what a check lets pass, at several sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import zoo
+from scipy.interpolate import CubicSpline
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.planners.check import BALANCE_TOLERANCE, SAME, SAME_PEAK, merged_events
+from redundancy_pin.planners.limits import (
+    BINDING,
+    EXCEEDING,
+    LimitEvent,
+    Limits,
+    check_limits,
+    limits_broken,
+    motion_broken,
+    ranges_left,
+)
+from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.robot.joint_ranges import joint_ranges
+from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+
+def stretches(t: Array, flags: list[bool]) -> Iterator[list[int]]:
+    run: list[int] = []
+    for i, flag in enumerate([*flags, False]):
+        if flag:
+            run.append(i)
+        elif run:
+            yield run
+            run = []
+
+
+def by_a_loop(limits: list[CarrierLimits], t: Array, values: list[Array]) -> tuple[set, set]:
+    """Broken and touched limits, one sample after the other."""
+    broken, touched = set(), set()
+    for i, limit in enumerate(limits):
+        ends = {
+            "track": (limit.lower, limit.upper),
+            "speed": (-limit.speed, limit.speed),
+            "acceleration": (-limit.acceleration, limit.acceleration),
+            "force": (-limit.force, limit.force),
+        }
+        for (quantity, (low, high)), series in zip(ends.items(), values, strict=True):
+            for edge, sign in ((high, 1.0), (low, -1.0)):
+                if not np.isfinite(edge):
+                    continue
+                size = max(abs(edge), (high - low) / 2.0)
+                excess = [sign * (x - edge) for x in series[:, i]]
+                over = [x > EXCEEDING * size for x in excess]
+                near = [x > -BINDING * size and not far for x, far in zip(excess, over, strict=True)]
+                for into, flags in ((broken, over), (touched, near)):
+                    for run in stretches(t, flags):
+                        worst = max(run, key=lambda k: excess[k])
+                        into.add(
+                            LimitEvent(
+                                f"c{i}",
+                                quantity,
+                                t[run[0]],
+                                t[run[-1]],
+                                t[worst],
+                                series[worst, i],
+                                edge,
+                                max(excess[worst], 0.0),
+                            )
+                        )
+    return broken, touched
+
+
+class Carriers:
+    """What of a robot limits are judged by."""
+
+    def __init__(self, limits: list[CarrierLimits]) -> None:
+        self.carrier_limits, self.carriers = tuple(limits), tuple(f"c{i}" for i in range(len(limits)))
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**20, 2.0**-20])
+def test_events_are_those_of_a_loop_over_the_samples(size):
+    rng = np.random.default_rng(7)
+    limits = [
+        CarrierLimits(-0.3 * size, 0.5 * size, 2.0 * size, 7.0 * size, 30.0 * size),
+        CarrierLimits(0.2 * size, 0.9 * size, 3.0 * size, np.inf, 40.0 * size),
+        CarrierLimits(-np.inf, np.inf, np.inf, 5.0 * size, np.inf),
+    ]
+    t = np.sort(rng.uniform(0.0, 9.0, 400))
+    ends = [[(one.lower, one.upper) for one in limits]]
+    ends += [
+        [(-getattr(one, name), getattr(one, name)) for one in limits] for name in ("speed", "acceleration", "force")
+    ]
+    beside = [-3.0 * BINDING, -1.5 * BINDING, -0.7 * BINDING, 0.0, 0.7 * EXCEEDING, 1.5 * EXCEEDING, 3e-9, 0.4]
+    values = []
+    for sides in ends:
+        columns = []
+        for low, high in sides:
+            at = np.where(rng.random(400) < 0.5, low, high) if np.isfinite(low) else np.full(400, size)
+            half = np.maximum(np.abs(at), (high - low) / 2.0) if np.isfinite(low) else size
+            # runs of samples, so that an event has a start and an end
+            step = np.repeat(rng.choice(beside, 100), 4)
+            columns.append(at + np.where(at == low, -1.0, 1.0) * step * half)
+        values.append(np.array(columns).T)
+    robot = Carriers(limits)
+    report = check_limits(robot, t, rp.CarrierMotion(*values[:3], check_rates=False), values[3])
+    broken, touched = by_a_loop(limits, t, values)
+    assert len(broken) > 100
+    assert len(touched) > 100
+    assert set(report.violated) == broken
+    assert set(report.binding) == touched
+    for events in (report.violated, report.binding):
+        starts = [event.start for event in events]
+        assert starts == sorted(starts)
+
+
+def test_efforts_beyond_a_factor_of_their_limits_are_one_event_each():
+    rng = np.random.default_rng(2)
+    for allowed in (1.0, 1.05, 2.0):
+        t, names = np.sort(rng.uniform(0.0, 3.0, 60)), ("a", "b", "c", "d")
+        limit = np.array([2.0, 50.0, np.inf, 0.3])
+        values = rng.normal(size=(60, 4)) * np.where(np.isfinite(limit), limit, 1.0)
+        values[rng.integers(60, size=5), 1] = np.nan
+        values[:, 3] = 0.3 * allowed * np.where(np.arange(60) == 20, -1.0, 0.9)  # on the edge is not beyond it
+        found = limits_broken("effort", names, t, values, limit, allowed)
+        assert [event.carrier for event in found] == ["a", "b"]
+        for event, column, most in zip(found, values.T, limit, strict=False):
+            size = np.where(np.isnan(column), 0.0, np.abs(column))
+            over = np.flatnonzero(size > allowed * most)
+            worst = max(over, key=lambda k: size[k])
+            assert (event.start, event.end, event.worst) == (t[over[0]], t[over[-1]], t[worst])
+            assert event.value == column[worst]
+            assert event.limit == np.sign(column[worst]) * most
+            assert event.amount == pytest.approx(size[worst] - most, rel=1e-12)
+        values[20, 3] *= 1.0 + 1e-12
+        assert limits_broken("effort", names, t, values, limit, allowed)[-1].carrier == "d"
+
+
+def test_between_samples_the_largest_values_decide():
+    """Of random cubics, by dense samples: position, speed and acceleration, and where they are largest."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        t = np.concatenate([[1.0], 1.0 + np.cumsum(rng.uniform(0.05, 0.4, 5))])
+        spline = CubicSpline(t, rng.normal(size=(6, 1)))
+        position = PiecewisePolynomial.linear(t, *(spline(t, order) for order in range(3)))
+        dense = np.unique(np.append(t, np.linspace(t[0], t[-1], 20001)))
+        values = [spline(dense, order)[:, 0] for order in range(3)]
+        peaks = [np.abs(value).max() for value in values]
+        robot = Carriers([CarrierLimits(-0.8 * peaks[0], 0.8 * peaks[0], 0.9 * peaks[1], 0.95 * peaks[2], np.inf)])
+        events = motion_broken(robot, position)
+        for quantity, value, part in (
+            ("speed", values[1], 0.9),
+            ("acceleration", values[2], 0.95),
+            ("track", values[0], 0.8),
+        ):
+            mine = [event for event in events if event.quantity == quantity]
+            worst = max(mine, key=lambda event: event.amount)
+            most = np.abs(value).max()
+            assert worst.amount == pytest.approx((1.0 - part) * most, rel=2e-2)
+            assert abs(worst.value) == pytest.approx(most, rel=2e-3)
+            assert worst.limit == pytest.approx(np.sign(worst.value) * part * most, rel=1e-9)
+        # what is uncertain by more than the excess is no event; the track is known
+        error = np.zeros((2, 5, 1))
+        for order, quantity in enumerate(("speed", "acceleration")):
+            least = min(event.amount for event in events if event.quantity == quantity)
+            error[order] = least
+            certain = motion_broken(robot, position, error)
+            kept = [event.amount for event in certain if event.quantity == quantity]
+            assert sorted(kept) == sorted(e.amount for e in events if e.quantity == quantity and e.amount > least)
+            error[order] = 0.0
+        assert motion_broken(robot, position, error) == events
+
+
+def test_joints_beyond_their_ranges_are_named_with_what_is_too_much():
+    robot = zoo.robot_of("five_bar")
+    ranges = [joint for joint in joint_ranges(robot) if np.isfinite(joint.upper - joint.lower)]
+    assert ranges
+    t = np.arange(7.0)
+    for joint in ranges:
+        q = np.tile(robot.q_reference, (7, 1))
+        q[2, joint.at] = joint.upper + 0.25
+        q[3, joint.at] = joint.upper + 0.5
+        q[5, joint.at] = joint.lower - 0.125
+        q[6] = np.nan
+        events = {event.limit: event for event in ranges_left(robot, t, q) if event.carrier == joint.name}
+        over, under = events[joint.upper], events[joint.lower]
+        assert (over.start, over.end, over.worst) == (2.0, 3.0, 3.0)
+        assert over.amount == pytest.approx(0.5)
+        assert over.value == pytest.approx(joint.upper + 0.5)
+        assert (under.start, under.end, under.worst) == (5.0, 5.0, 5.0)
+        assert under.amount == pytest.approx(0.125)
+
+
+def test_an_event_replaces_one_that_it_overlaps_where_it_exceeds_by_more():
+    at = LimitEvent("a", "speed", 1.0, 2.0, 1.5, 3.0, 2.5, 0.5)
+    for start, end, overlaps in (
+        (2.0, 3.0, True),
+        (2.1, 3.0, False),
+        (0.0, 1.0, True),
+        (0.0, 0.9, False),
+        (1.2, 1.4, True),
+    ):
+        for amount in (0.4, 0.6):
+            other = replace(at, start=start, end=end, amount=amount)
+            merged = merged_events((at,), (other,))
+            if not overlaps:
+                assert set(merged) == {at, other}
+            else:
+                assert merged == ((other,) if amount > 0.5 else (at,))
+    below = replace(at, limit=-2.5, amount=0.9)
+    assert set(merged_events((at,), (below,))) == {at, below}
+
+
+@cache
+def planned() -> Plan:
+    dynamics = rp.VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0))
+    return rp.plan_whole_trajectory(dynamics, reference.corner(), dt=0.05, refinements=0)
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+@pytest.mark.parametrize("name", ["carrier_force", "actuated_rate", "margin", "xd", "s", "sd", "sdd", "tau", "peak"])
+def test_a_check_lets_pass_what_two_backends_may_show_and_no_more(name, beyond):
+    plan = planned()
+    i, part = 4, 1.05 if beyond else 0.95
+    if name == "tau":
+        dynamics = rp.RneaDynamics(zoo.robot_of("3rrr", carrier_mass=3.0))
+        reduced = dynamics.reduce(plan.motion, plan.carriers)
+        size = np.abs(reduced.f / reduced.row_scale).max()
+        column = np.linalg.norm(reduced.W[i, :, 1] / reduced.row_scale)
+        tau = plan.tau.copy()
+        tau[i, 1] += part * BALANCE_TOLERANCE * size / column
+        changed, what, amount = replace(plan, tau=tau), "main efforts", part * BALANCE_TOLERANCE
+    elif name == "peak":
+        peak = plan.between.peak.copy()
+        amount = part * SAME_PEAK * peak.max()
+        peak[1] += amount
+        changed, what = replace(plan, between=replace(plan.between, peak=peak)), "peak effort"
+    else:
+        holder = plan.carriers if name in ("s", "sd", "sdd") else plan.motion if name == "xd" else plan
+        values = np.array(getattr(holder, name))
+        flat = values.reshape(len(values), -1)
+        amount = part * SAME * (1e3 if name == "sdd" else 1.0) * np.abs(values).max()
+        flat[i, -1] += amount
+        new = replace(holder, **{name: flat.reshape(values.shape)})
+        changed = plan if new is plan else new
+        if holder is plan.carriers:
+            changed = replace(plan, carriers=new)
+        elif holder is plan.motion:
+            changed = replace(plan, motion=new)
+        what = {
+            "carrier_force": "forces of the carriers", "actuated_rate": "rates of the main actuators",
+            "margin": "margin", "xd": "platform motion xd",
+        }.get(name, f"carrier motion {name}")  # fmt: skip
+    found = rp.check_plan(changed, rp.RneaDynamics(zoo.robot_of("3rrr", carrier_mass=3.0)))
+    named = {deviation.quantity: deviation for deviation in found.deviations}
+    assert (what in named) == beyond
+    if beyond:
+        assert named[what].amount == pytest.approx(amount, rel=1e-2)
+        if name != "peak":
+            assert named[what].time == plan.t[i]
+
+
+@pytest.mark.parametrize("name", ["track", "speed", "acceleration", "force"])
+def test_a_plan_on_its_limit_is_within_it_and_one_beside_it_is_not(name):
+    """The largest of each quantity as a limit, a little wider and a little narrower."""
+    plan = planned()
+    robot = zoo.robot_of("3rrr", carrier_mass=3.0)
+    values = {"track": plan.carriers.s, "speed": plan.carriers.sd, "acceleration": plan.carriers.sdd,
+              "force": plan.carrier_force}[name]  # fmt: skip
+    most = float(np.abs(values[:, 0]).max())
+    for factor, broken in ((1.0 + 1e-8, False), (1.0 - 1e-8, True)):
+        edge = most * factor
+        change = {"lower": -edge, "upper": edge} if name == "track" else {name: edge}
+        limits = (
+            CarrierLimits(
+                **{"lower": -9.0, "upper": 9.0, "speed": np.inf, "acceleration": np.inf, "force": np.inf} | change
+            ),
+        )
+        limits += tuple(CarrierLimits(-9.0, 9.0, np.inf, np.inf, np.inf) for _ in range(2))
+        report = check_limits(replace(robot, carrier_limits=limits), plan.t, plan.carriers, plan.carrier_force)
+        assert bool(report.violated) == broken
+        assert all(event.carrier == robot.carriers[0] for event in (*report.violated, *report.binding))
+        assert report.binding or broken
+        if broken:
+            worst = max(report.violated, key=lambda event: event.amount)
+            assert worst.amount == pytest.approx(1e-8 * most, rel=1e-3)
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**20])
+def test_places_are_on_a_track_up_to_its_ends(size):
+    robot = zoo.robot_of("2rpr")
+    limits = Limits(track=[(-0.2 * size, 0.3 * size), (0.1 * size, 0.4 * size)]).resolved(robot)
+    for places in ((-0.2, 0.1), (0.3, 0.4)):
+        np.testing.assert_array_equal(limits.on_track(size * np.array(places), "start"), size * np.array(places))
+    for places, carrier, amount in (((-0.25, 0.2), 0, 0.05), ((0.0, 0.425), 1, 0.025), ((0.0, 0.0), 1, 0.1)):
+        with pytest.raises(rp.errors.InfeasiblePlanError) as caught:
+            limits.on_track(size * np.array(places), "start")
+        assert caught.value.details["carrier"] == robot.carriers[carrier]
+        assert caught.value.details["amount"] == pytest.approx(amount * size)
