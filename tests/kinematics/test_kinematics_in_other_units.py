@@ -1,0 +1,111 @@
+"""Kinematics are the same whatever lengths and times are measured in: of a machine that is so much larger."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.kinematics.coordinates import turning_velocities
+from redundancy_pin.kinematics.inverse_kinematics import multistart
+from redundancy_pin.kinematics.lift import lift
+
+SAME = 1e-8
+"""Chains are closed to 1e-11 m, whatever the size: relative to the smallest unit here."""
+
+LENGTHS = {
+    "2rpr": ("base_distance", "track_offset", "track_half_length", "cylinder_length", "piston_length"),
+    "3rrr": ("base_radius", "platform_radius", "proximal_length", "distal_length", "tail_length"),
+    "five_bar": ("base_distance", "proximal_length", "distal_length", "tail_length"),
+    "four_bar": ("ground_length", "crank_length", "coupler_length", "rocker_length"),
+}
+UNITS = [(2.0**7, 1.0), (2.0**-5, 2.0**9)]
+"""New units of length and time in an old one."""
+
+
+@cache
+def robot_in(name: str, length: float) -> rp.Robot:
+    shipped = zoo.robot_of(name)
+    return rp.load_robot(name, **{key: float(shipped.parameters[key]) * length for key in LENGTHS[name]})
+
+
+def sizes(robot: rp.Robot, length: float) -> tuple[Array, Array]:
+    """What coordinates and joint velocities are multiplied by."""
+    axes = robot.platform.axes if robot.platform else ()
+    own = [1.0 if axis.startswith("r") else length for axis in axes] or [1.0] * robot.n
+    return np.array(own), np.where(turning_velocities(robot), 1.0, length)
+
+
+def motion_in(name: str, length: float, time: float, speed: float = 2.0) -> rp.PlatformMotion:
+    plain = zoo.smooth_motion(zoo.robot_of(name), 3, 1.0, speed).at(np.linspace(0.0, 1.0, 41))
+    own, _ = sizes(zoo.robot_of(name), length)
+    return rp.PlatformMotion(plain.t * time, plain.x * own, plain.xd * own / time, plain.xdd * own / time**2)
+
+
+def close(found: Array, expected: Array) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=SAME * max(np.abs(expected).max(initial=0.0), 1e-3))
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("name", LENGTHS)
+def test_joints_follow_the_platform_alike(name: str, unit: tuple[float, float]) -> None:
+    (length, time), plain = unit, lift(robot_in(name, 1.0), motion_in(name, 1.0, 1.0))
+    other = lift(robot_in(name, length), motion_in(name, length, time))
+    own, joints = sizes(plain.robot, length)
+    assert other.robot.characteristic_length == pytest.approx(length * plain.robot.characteristic_length, rel=1e-9)
+    close(other.q / joints, plain.q)
+    close(other.v / joints * time, plain.v)
+    close(other.a / joints * time**2, plain.a)
+    close(other.gamma / joints[:, None] * own, plain.gamma)
+    close(other.serial_margin_bound, plain.serial_margin_bound)
+    assert (other.gap < 1e-10 * max(length, 1.0)).all()
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar"])
+def test_the_platform_follows_the_motors_alike(name: str, unit: tuple[float, float]) -> None:
+    (length, time), found = unit, []
+    for robot, (L, T) in ((robot_in(name, 1.0), (1.0, 1.0)), (robot_in(name, length), (length, time))):
+        tree = lift(robot, motion_in(name, L, T))
+        at = robot.actuated_velocity
+        u, ud, udd = (np.array(part[:, at]) for part in (tree.q, tree.v, tree.a))
+        found.append((robot, rp.forward_kinematics(robot, u, rates=ud, accelerations=udd, start=tree.q[0]), u[20]))
+    (robot, plain, u), (larger, other, v) = found
+    own, _ = sizes(robot, length)
+    motors = np.array(sizes(robot, length)[1][robot.actuated_velocity])
+    assert other.status.tolist() == plain.status.tolist()
+    close(other.x / own, plain.x)
+    close(other.xd / own * time, plain.xd)
+    close(other.xdd / own * time**2, plain.xdd)
+    close(other.jacobian / own[:, None] * motors, plain.jacobian)
+    close(other.margin, plain.margin)
+    modes = [rp.assembly_modes(one, at) for one, at in ((robot, u), (larger, v))]
+    assert len(modes[0]) == len(modes[1])
+    close(modes[1].x / own, modes[0].x)
+    close(modes[1].margin, modes[0].margin)
+    for each in modes:
+        assert each.unseen == (each.hits == 1).sum() / each.hits.sum()
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_poses_are_found_and_refused_alike(name: str, unit: tuple[float, float]) -> None:
+    length = unit[0]
+    robot, larger = robot_in(name, 1.0), robot_in(name, length)
+    own, joints = sizes(robot, length)
+    rng, closed = np.random.default_rng(5), []
+    for _ in range(8):
+        x = zoo.home_of(robot) + rng.uniform(-3.0, 3.0, robot.n) * zoo.reach_of(robot)
+        one, other = (
+            multistart(zoo.system_of(machine), np.array(machine.q_reference), pose)
+            for machine, pose in ((robot, x), (larger, x * own))
+        )
+        assert one.in_mode == other.in_mode
+        closed.append(one.in_mode)
+        if one.in_mode:
+            close(other.q / joints, one.q)
+    assert any(closed)
