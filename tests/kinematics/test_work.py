@@ -7,6 +7,7 @@ rounding.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -143,3 +144,19 @@ def test_loops_are_closed_from_afar_in_few_steps(name: str) -> None:
         assert system.misalignment(system.evaluate(near[None])).max() < 0.01
         assert close(system, near)[1] < CLOSURE_TOLERANCE
     assert 0.7 * STEPS[name] <= steps <= MORE * STEPS[name]
+
+
+def test_loops_too_far_apart_to_close_are_given_up_in_a_few_dozen_steps() -> None:
+    """A rocker that is hinged ten metres away: the nearest that the links come to each other is left open."""
+    robot = spatial_chains.chain_of("universal")
+    model = pin.Model(robot.model)
+    moved = pin.SE3(model.jointPlacements[model.getJointId("rocker")])
+    moved.translation = moved.translation + np.array([10.0, 0.0, 0.0])
+    model.jointPlacements[model.getJointId("rocker")] = moved
+    system = ConstraintSystem(replace(robot, model=model))
+    near, count, left = brought_near(system, np.array(robot.q_reference))
+    assert count <= MORE * 66
+    # along a line: ten metres and a half, less 0.2 + 0.6 m of crank and coupler and 0.4 m of rocker, 0.3 m aside
+    assert 8.0 < left < 11.0
+    gone_on = brought_near(system, near)
+    assert gone_on[2] >= left * (1.0 - 1e-2)

@@ -189,3 +189,21 @@ def test_other_terms_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type(along), "base_wrench", lambda self, c: true(self, c) + np.prod(c.s, axis=1, keepdims=True))
     with pytest.raises(UnsupportedRobotError, match="slide or turn"):
         base_wrench(along, np.zeros((1, 6)), np.zeros(3))
+
+
+@pytest.mark.parametrize("heavier", [2.0**-30, 2.0**30])
+def test_coefficients_of_the_wrench_are_those_of_any_mass(heavier: float) -> None:
+    """A mass is a factor of all of them, and of what may be rounding of them."""
+    masses = ("proximal_mass", "distal_mass", "platform_mass", "carrier_mass")
+    shipped, models = zoo.robot_of("3rrr"), []
+    for factor in (1.0, heavier):
+        robot = zoo.robot_of("3rrr", **{name: float(shipped.parameters[name]) * factor for name in masses})
+        along = RneaDynamics(robot).along(reference.corner().sample(0.3))
+        models.append(base_wrench(along, np.zeros((1, 6)), np.array(CENTRE)))
+    one, other = models
+    np.testing.assert_allclose(other.w0 / heavier, one.w0, atol=1e-9 * np.abs(one.w0).max())
+    np.testing.assert_allclose(other.by_term / heavier, one.by_term, atol=1e-9 * np.abs(one.by_term).max())
+    assert other.felt.tolist() == one.felt.tolist()
+    assert other.changed.tolist() == one.changed.tolist()
+    sdd = np.array([20.0, 30.0, 40.0])
+    np.testing.assert_allclose(other.sizes(sdd) / heavier, one.sizes(sdd), rtol=1e-9)
