@@ -14,6 +14,7 @@ import redundancy_pin as rp
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised
+from redundancy_pin.planners.receding_horizon.command import Command
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.programme import (
     CLOSER,
@@ -50,22 +51,42 @@ def other() -> rp.VirtualWork:
 
 
 @cache
-def ticks() -> dict[str, tuple[RecedingHorizon, TickProblem]]:
-    """The first tick, the second round of it, one on the way, and one that begins at a singular instant."""
-    seen, solve = [], Programme.solve
+def updates() -> tuple[RecedingHorizon, list[TickProblem], list[tuple[float, int, Command]]]:
+    """The planner, what it solved, and of each tick the time, how much had been solved before, and what came of it."""
+    seen, made, solve = [], [], Programme.solve
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Programme, "solve", lambda self, problem: seen.append(problem) or solve(self, problem))
         dynamics = rp.CompiledDynamics(rp.load_robot("2rpr", **ROBOT))
         planner = RecedingHorizon(dynamics, objective=WEIGHTS, limits=LIMITS)
         crossing = rp.find_crossings(dynamics.robot, ACROSS)[0].t
         for t in (*np.arange(0.0, crossing - 0.01, 0.02), crossing - 0.003):
-            planner.update(t, ACROSS)
+            before = len(seen)
+            made.append((t, before, planner.update(t, ACROSS)))
+    return planner, seen, made
+
+
+@cache
+def ticks() -> dict[str, tuple[RecedingHorizon, TickProblem]]:
+    """The first tick, the second round of it, one on the way, and one that begins at a singular instant."""
+    planner, seen, _ = updates()
     assert seen[0].free
     assert not seen[0].lin.curvature.any()
     assert seen[1].lin.curvature.any()
     assert seen[-1].lin.singular[0] == 0
     cases = {"first": seen[0], "second round": seen[1], "on the way": seen[6], "begins there": seen[-1]}
     return {name: (planner, problem) for name, problem in cases.items()}
+
+
+def test_a_tick_goes_on_from_the_jerk_of_the_plan_before_it() -> None:
+    _, seen, made = updates()
+    assert seen[0].jerk is None
+    for (_, _, last), (t, before, _), (_, after, _) in zip(
+        made, made[1:], [*made[2:], (0.0, len(seen), None)], strict=False
+    ):
+        assert after > before
+        for problem in seen[before:after]:
+            expected = last.carriers.derivative(3)(np.array([t]), "left")[0]
+            np.testing.assert_allclose(problem.jerk, expected, atol=1e-9 * LIMITS.jerk[0])
 
 
 class Rows:
