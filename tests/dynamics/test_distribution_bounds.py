@@ -10,6 +10,7 @@ from prescribed import factors, reduced, times
 from scipy.linalg import null_space
 from scipy.optimize import LinearConstraint, minimize
 
+from redundancy_pin.arrays import RANK_TOLERANCE
 from redundancy_pin.dynamics.allocation import fit_into_bounds, least_miss, least_residual, within_bounds
 from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus, distribute, torque_speed_bounds
 from redundancy_pin.dynamics.rnea import RneaDynamics
@@ -428,3 +429,20 @@ def test_preload_against_backlash_presses_every_gear_to_its_side():
         some = np.linalg.lstsq(W, f, rcond=None)[0]  # the shortest, for equal scales of three torques
         push = max(0.0, float(((least - some * side) / (direction * side)).max()))
         np.testing.assert_allclose(pressed.tau[k], some + push * direction, atol=1e-8 * np.abs(some).max())
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_a_bound_that_nothing_moves_may_be_missed_by_rounding_of_the_size_at_stake(side, size):
+    """The first of two efforts is given, the second free: it misses its bound by the tolerance, and a little."""
+    start, null, bounded = np.array([size, 0.0]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0], [0.3, 2.0]])
+    low, high = np.array([-np.inf, 1.0]), np.array([np.inf, 9.0])
+    for miss, kept in ((0.9 * RANK_TOLERANCE, True), (1.1 * RANK_TOLERANCE, False), (0.5, False)):
+        if side == "lower":
+            low[0] = size + miss
+        else:
+            high[0] = size - miss
+        z = within_bounds(start, null, bounded, low, high)
+        assert (z is not None) == kept
+        if kept:
+            np.testing.assert_allclose(2.0 * z, [max(1.0 - 0.3 * size, 0.0)], atol=1e-9)

@@ -174,3 +174,32 @@ def test_boxes_that_daqp_calls_infeasible_have_their_minimum(seed):
     assert optimality((c + B @ u)[None], B[None], lower[None], upper[None], u[None]) < 1e-9
     expected = lsq_linear(B, -c, (lower, upper), tol=1e-14).x
     assert np.linalg.norm(c + B @ u) == pytest.approx(np.linalg.norm(c + B @ expected), rel=1e-9)
+
+
+@pytest.mark.parametrize("size", [2.0**-30, 1.0, 2.0**30])
+def test_what_a_step_says_of_its_optimum_is_that_of_one_point_after_the_other(size):
+    """In the unit of r, whatever that of u is: J is so many times as large where u is measured in larger units."""
+    rng = np.random.default_rng(6)
+    r, J, C = rng.normal(size=(40, 3)), rng.normal(size=(40, 3, 2)), 0.2 * rng.normal(size=(40, 3, 2))
+    u = rng.uniform(-1.0, 1.0, (40, 2))
+    lower, upper = np.full((40, 2), -1.0), np.full((40, 2), 1.0)
+    u[:10, 0], u[10:20, 1], u[20:25] = -1.0, 1.0, [1.0, -1.0]
+    left = optimality(r, J * size, lower / size, upper / size, u / size)
+    curved = definiteness(r, J * size, C * size**2)
+    for i in range(40):
+        downhill = []
+        for k in range(2):
+            slope = sum(r[i, m] * J[i, m, k] for m in range(3))
+            # downhill is where the slope is negative: not beyond an end of the box
+            stuck = (slope > 0.0 and u[i, k] == -1.0) or (slope < 0.0 and u[i, k] == 1.0)
+            downhill.append(0.0 if stuck else abs(slope))
+        assert left[i] == pytest.approx(max(downhill) / max(abs(J[i].ravel())), rel=1e-12)
+
+        def cost(x, i=i):
+            return 0.5 * sum((r[i, m] + J[i, m] @ x + C[i, m] @ x**2) ** 2 for m in range(3))
+
+        h, e = 1e-4, np.eye(2)
+        hessian = [[(cost(h * (a + b)) - cost(h * (a - b)) - cost(h * (b - a)) + cost(-h * (a + b))) / (4.0 * h * h)
+                    for a in e] for b in e]  # fmt: skip
+        least, most = np.linalg.eigvalsh(hessian)
+        assert curved[i] == pytest.approx(least / most, abs=1e-5)

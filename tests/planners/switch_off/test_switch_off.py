@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, assume, given
 from hypothesis import strategies as st
 from leg_momentum import condition, free_carriers, imbalance, legs_along, momentum, momentum_rate
 
-from redundancy_pin import RneaDynamics, VirtualWork
+from redundancy_pin import RneaDynamics, VirtualWork, distribute
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
@@ -178,6 +178,31 @@ def test_ramp_down_continues_the_parked_efforts(ramp):
         assert quintic.deriv(2)(start) == pytest.approx(second[k], rel=1e-4)
         end = [quintic.deriv(order)(window["entry"]) if order else quintic(window["entry"]) for order in range(3)]
         np.testing.assert_allclose(end * ramp ** np.arange(3), 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-7, 2e-3])
+def test_a_ramp_down_that_begins_at_a_kink_goes_on_from_one_side_of_it(beside):
+    """Where the platform ends to speed up the rate of the parked efforts jumps: both of their derivatives are those of
+    one side, by an interpolant on it alone."""
+    trajectory, dynamics = reference.circle(), virtual_work()
+    (window,) = plan_switch_off(dynamics, trajectory, dt=1e-3).diagnostics["windows"]
+    kink = float(trajectory.timing.knots[0])
+    start = kink + beside
+    plan = plan_switch_off(dynamics, trajectory, ramp_down=window["entry"] - start, dt=2e-4)
+    (window,) = plan.diagnostics["windows"]
+    assert window["ramp_start"] == pytest.approx(start, abs=1e-14)
+    on_ramp = (plan.t >= start) & (plan.t <= window["entry"])
+    quintics = [np.polynomial.Polynomial.fit(plan.t[on_ramp], plan.tau[on_ramp, k], 5) for k in range(2)]
+    own = np.array([[quintic.deriv(order)(start) for order in (1, 2)] for quintic in quintics])
+    sides = []
+    for a, b in ((kink - 0.02, kink - 1e-12), (kink + 1e-12, kink + 0.02)):
+        t = np.sort(0.5 * (a + b) + 0.5 * (b - a) * np.polynomial.chebyshev.chebpts1(9))
+        tau = distribute(dynamics.reduce(trajectory.sample_at(t))).tau
+        fits = [np.polynomial.Chebyshev.fit(t, column, 8, domain=(a, b)) for column in tau.T]
+        sides.append([[fit.deriv(order)(start) for order in (1, 2)] for fit in fits])
+    apart = [np.abs(own / np.array(side) - 1.0).max() for side in sides]
+    assert np.abs(np.array(sides[0]) / np.array(sides[1]) - 1.0).max() > 0.1
+    assert min(apart) < 1e-3
 
 
 def test_carriers_are_parked_before_and_after():
