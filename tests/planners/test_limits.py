@@ -304,3 +304,25 @@ def test_places_are_on_a_track_up_to_its_ends(size):
             limits.on_track(size * np.array(places), "start")
         assert caught.value.details["carrier"] == robot.carriers[carrier]
         assert caught.value.details["amount"] == pytest.approx(amount * size)
+
+
+@pytest.mark.parametrize("name", ["jerk", "effort"])
+def test_a_limit_that_a_plan_was_made_with_is_broken_beyond_rounding_of_a_millionth(name):
+    plan = planned()
+    if name == "effort":
+        values = np.abs(plan.tau)
+    else:
+        step = np.diff(plan.t)
+        values = np.abs(np.diff(plan.carriers.sdd, axis=0)[step > 0.0] / step[step > 0.0, None])
+    most = values.max(axis=0)
+    dynamics = rp.RneaDynamics(zoo.robot_of("3rrr", carrier_mass=3.0))
+    for column in range(3):
+        for part, broken in ((1.0 - 5e-6, True), (1.0 - 5e-7, False)):
+            limit = np.where(np.arange(3) == column, part, 2.0) * most
+            judged = rp.check_plan(replace(plan, parameters={**plan.parameters, name: limit.tolist()}), dynamics)
+            events = [event for event in judged.violated if event.quantity == name]
+            assert bool(events) == broken
+            for event in events:
+                owner = dynamics.robot.carriers if name == "jerk" else dynamics.robot.actuated
+                assert event.carrier == owner[column]
+                assert event.amount == pytest.approx(5e-6 * most[column], rel=1e-3)
