@@ -149,6 +149,46 @@ def test_axes_of_every_version(version, xyz, more, expected, tmp_path):
     np.testing.assert_allclose(moving.axis, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(("version", "taken"), [("1.5", True), ("1.6", True), ("1.7", False), ("1.10", False)])
+def test_the_frame_of_the_model_is_asked_for_up_to_version_1_6(version, taken, tmp_path):
+    more = "<use_parent_model_frame>true</use_parent_model_frame>"
+    path = written(tmp_path, sdf(LINKS[0], LINKS[1], joint("crank", "revolute", "base", "crank", more=more)))
+    path.write_text(path.read_text().replace('version="1.6"', f'version="{version}"'))
+    if taken:
+        assert len(read_sdf(path).joints) > 0
+    else:
+        with pytest.raises(ModelFileError, match=r"use_parent_model_frame is no part of SDF 1\.7"):
+            read_sdf(path)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "continuous"])
+@pytest.mark.parametrize(
+    ("text", "end", "most"),
+    [
+        ("1.5", 1.5, 1.5),
+        ("-1.5", -1.5, np.inf),  # a speed or effort below zero is none
+        ("0", 0.0, 0.0),
+        ("9.9e14", 9.9e14, 9.9e14),
+        ("-9.9e14", -9.9e14, np.inf),
+        ("1e15", None, np.inf),
+        ("-1e15", None, np.inf),
+        ("inf", None, np.inf),
+        ("-Infinity", None, np.inf),
+    ],
+)
+def test_limits_hold_up_to_1e15(kind, text, end, most, tmp_path):
+    """Each by itself; what is beyond is none, and a joint that turns for ever ends nowhere."""
+    none = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
+    for key in none:
+        more = f"<limit><{key}>{text}</{key}></limit>"
+        path = written(tmp_path, sdf(LINKS[0], LINKS[1], joint("crank", kind, "base", "crank", more=more)))
+        (found,) = (entry.limits for entry in read_sdf(path).joints if entry.name == "crank")
+        is_end = key in ("lower", "upper")
+        without = kind == "continuous" or end is None
+        expected = (none[key] if without else end) if is_end else most
+        assert dict(found) == none | {key: expected}
+
+
 def test_poses_relative_to_others(tmp_path):
     """The crank in the frame of the base, the joint in that of the model."""
     crank = LINKS[1].replace("<pose>0 0 0.1 0 0 0.9</pose>", '<pose relative_to="base">1 0 0 0 0 0.5</pose>')

@@ -314,12 +314,13 @@ class _Reader:
         if limit is None:
             return result
         self._require_known(limit)
-        for key, sign in (("lower", -1.0), ("upper", 1.0), ("effort", 0.0), ("velocity", 0.0)):
+        for key in UNLIMITED:
             if self._one(limit, key) is None:
                 continue
             text = self._text(limit, key)
-            value = sign * math.inf if text.lower().lstrip("+-") in ("inf", "infinity") else self._number(limit, key)
-            if (sign and abs(value) < _UNLIMITED and kind != "continuous") or (not sign and 0.0 <= value < _UNLIMITED):
+            value = math.inf if text.lower().lstrip("+-") in ("inf", "infinity") else self._number(limit, key)
+            is_end = key in ("lower", "upper")
+            if abs(value) < _UNLIMITED and (kind != "continuous" if is_end else value >= 0.0):
                 result[key] = value
         if result["lower"] > result["upper"]:
             what = f"the limits {result['lower']:g} and {result['upper']:g}, the lower above the upper"
