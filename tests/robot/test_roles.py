@@ -183,3 +183,34 @@ def test_declarations_of_the_wrong_form_say_what_is_allowed(
 def test_a_robot_prints_its_mode_with_a_sign_a_leg() -> None:
     assert "+-+" in repr(load_robot("3rrr", working_mode=(1, -1, 1)))
     assert "-+-" in repr(load_robot("3rrr", working_mode=(-1, 1, -1)))
+
+
+@pytest.mark.parametrize(
+    ("joints", "changes", "numbers", "named"),
+    [
+        # four velocities, two rows
+        ([], {"independent": {"joints": ["base_1"]}}, (2, 1, 2), "still move: elbow_1, base_2, elbow_2"),
+        ([], {"independent": {"joints": ["base_1", "base_2", "elbow_1"]}}, (2, 3, 2), "is over-constrained"),
+        # of three rows one asks for what the plane has anyway
+        ([], {"closures": [{"frames": ["tip_1", "tip_2"], "axes": ["x", "y", "z"]}]}, (1, 2, 2), "redundant: z of"),
+        # one that nothing asks for
+        ([RIDER], {}, (3, 2, 2), "still move: rider"),
+        ([RIDER, J("spin", "revolute", "mass", "top")], {}, (4, 2, 2), "still move: rider, spin"),
+    ],
+)
+def test_freedoms_are_counted(
+    tmp_path: Path, joints: list[J], changes: dict[str, Any], numbers: tuple[int, int, int], named: str
+) -> None:
+    """Velocities less rows, what is declared, and the rank of the rows; and which joints or rows are too many."""
+    if "independent" in changes:
+        held = changes["independent"]["joints"]
+        guess = DECLARATION["reference"]["guess"]
+        reference = {
+            "joints": {name: guess[name] for name in held},
+            "guess": {name: value for name, value in guess.items() if name not in held},
+        }
+        changes = {**changes, "reference": reference}
+    with pytest.raises(DeclarationError, match=named) as caught:
+        load(tmp_path, [*FIVE_BAR, *joints], **changes)
+    details = caught.value.details
+    assert (details["freedoms"], details["declared"], details["rank"]) == numbers

@@ -34,8 +34,16 @@ def test_rates_of_quaternions_are_those_of_matrices(seed):
     q = dice.normal(size=(3, 4)) * [[1.0], [0.4], [3.0]]
     omega, alpha = dice.normal(size=(2, 3, 3))
     first, second = quaternion_rates(q, omega, alpha)
+    # the length stays: so do the first and second derivatives of its square
+    np.testing.assert_allclose((q * first).sum(axis=1), 0.0, atol=1e-12)
+    np.testing.assert_allclose((q * second + first**2).sum(axis=1), 0.0, atol=1e-12)
     for found, given in zip(angular_rates(q, first, second), (omega, alpha), strict=True):
         np.testing.assert_allclose(found, given, atol=1e-12)
+    # any number of axes before the last
+    stacked = [np.stack([each, each[::-1]]) for each in (q, omega, alpha)]
+    more = quaternion_rates(*stacked)
+    for found, one in zip((*more, *angular_rates(stacked[0], *more)), (first, second, omega, alpha), strict=True):
+        np.testing.assert_allclose(found, np.stack([one, one[::-1]]), atol=1e-12)
     for k in range(3):
         before, here, after = (
             Rotation.from_quat(q[k] + first[k] * t + 0.5 * second[k] * t**2).as_matrix() for t in (-STEP, 0.0, STEP)
