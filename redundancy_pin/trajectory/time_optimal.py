@@ -179,7 +179,7 @@ def _rows(tangent: Array, curvature: Array, groups: list[_Group]) -> tuple[Array
             continue
         # in the plane of both: along the tangent, and across it
         along = np.einsum("ni,ni->n", first, second) / np.where(size > 0.0, size, 1.0)
-        across = np.sqrt(np.maximum((second**2).sum(axis=1) - np.where(size > 0.0, along, 0.0) ** 2, 0.0))
+        across = np.sqrt(np.maximum((second**2).sum(axis=1) - along**2, 0.0))
         inscribed = group.acceleration * np.cos(np.pi / _DIRECTIONS)
         for cos, sin in _SIDES:
             A.append(cos * size)
