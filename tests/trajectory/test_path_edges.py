@@ -35,6 +35,18 @@ def test_a_closed_polygon_begins_on_the_straight_part_of_its_first_edge(unit, en
 
 
 @pytest.mark.parametrize("unit", UNITS)
+def test_a_closed_polygon_begins_in_the_middle_of_a_straight_between_unlike_corners(unit):
+    """A triangle of 3, 4 and 5: its corners are a right angle and those whose tangents are 3/4 and 4/3."""
+    vertices = unit * np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
+    radius = 0.3 * unit
+    # at each end an arc takes r / tan(half the angle inside)
+    low = radius / np.tan(0.5 * np.arctan2(3.0, 4.0))
+    high = 4.0 * unit - radius
+    path = rounded_polygon(vertices, radius)
+    np.testing.assert_allclose(path.evaluate(0.0).x, [0.5 * (low + high), 0.0], atol=1e-13 * unit)
+
+
+@pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("angle", [np.pi / 2.0, np.pi / 3.0, 2.0])
 @pytest.mark.parametrize(("slacks", "right"), [(0.0, True), (0.4, True), (4.0, False), (1e11, False)])
 def test_the_largest_radius_of_a_corner_takes_the_shorter_edge(unit, angle, slacks, right):
@@ -59,7 +71,7 @@ def test_a_kink_that_is_not_told_is_closed_in_on_to_1e_7_of_the_interval(start, 
     kink = start + 0.637 * length
 
     def function(t):
-        return np.abs(t - kink)[:, None] / length
+        return np.abs(t - kink)[:, None] / length * [1.0, -0.5]
 
     found = PiecewisePolynomial.fit(
         function, np.array([start, start + length]), np.empty(0), lambda values: np.abs(values).max(axis=0), 1e-13

@@ -1,4 +1,4 @@
-"""Poses as fast as limits allow: some limit is met all the time, of the origin or of the rotation, and none exceeded."""
+"""Poses as fast as limits allow: some limit is met all the time, of origin or rotation, and none exceeded."""
 
 from __future__ import annotations
 
