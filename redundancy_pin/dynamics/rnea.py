@@ -177,30 +177,19 @@ class RneaAlongMotion(Frozen):
     """
 
     def __init__(self, tree: TreeMotion, threads: int = 1) -> None:
-        self.tree = tree
+        self.tree, self.robot, self.motion = tree, tree.robot, tree.motion
         self.threads = max(1, min(threads, len(tree.motion) // _SAMPLES_PER_THREAD))
         self._rows = frozen(row_scale(tree.robot))
         self._columns = frozen(column_scale(tree.robot))
-
-    @property
-    def robot(self) -> Robot:
-        """The robot."""
-        return self.tree.robot
-
-    @property
-    def motion(self) -> PlatformMotion:
-        """The platform motion."""
-        return self.tree.motion
 
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out."""
         carriers = require_matching_carriers(self.robot, carriers, len(self.motion))
         f, force = np.empty(self.motion.xd.shape), np.empty(carriers.s.shape)
         for part in blocks(len(f), SAMPLES_PER_BLOCK):
-            effort = self._effort(carriers, part)
-            for i, gamma in enumerate(
-                self._gamma if len(f) <= SAMPLES_PER_BLOCK else _by_samples(self.tree.gamma[part])
-            ):
+            effort = self.tree_effort(carriers, part)
+            gammas = self._gamma if len(f) <= SAMPLES_PER_BLOCK else self.tree.gamma[part].transpose(2, 1, 0).copy()
+            for i, gamma in enumerate(gammas):
                 f[part, i] = np.einsum("vn,vn->n", gamma, effort)
             force[part] = effort[self.robot.carrier_velocity].T
         return ReducedDynamics(
@@ -215,25 +204,23 @@ class RneaAlongMotion(Frozen):
             out_of_range=self.tree.out_of_range,
         )
 
-    def tree_motion(self, carriers: CarrierMotion | None = None) -> tuple[Array, Array, Array]:
+    def tree_motion(
+        self, carriers: CarrierMotion | None = None, part: slice = slice(None)
+    ) -> tuple[Array, Array, Array]:
         """Return q (nq, N), v (nv, N), a (nv, N) of the tree, carriers included, samples in columns."""
-        return self._tree_motion(require_matching_carriers(self.robot, carriers, len(self.motion)), slice(None))
-
-    def _tree_motion(self, carriers: CarrierMotion, part: slice) -> tuple[Array, Array, Array]:
-        robot = self.robot
+        robot, carriers = self.robot, require_matching_carriers(self.robot, carriers, len(self.motion))
         q, v, a = (np.array(whole[part].T, order="F") for whole in (self.tree.q, self.tree.v, self.tree.a))
         q[robot.carrier_position] = carriers.s[part].T
         v[robot.carrier_velocity] = carriers.sd[part].T
         a[robot.carrier_velocity] = carriers.sdd[part].T
         return q, v, a
 
-    def tree_effort(self, carriers: CarrierMotion | None = None) -> Array:
+    def tree_effort(self, carriers: CarrierMotion | None = None, part: slice = slice(None)) -> Array:
         """Return (nv, N) generalised forces of the open tree, rnea(q, v, a)."""
-        return self._effort(require_matching_carriers(self.robot, carriers, len(self.motion)), slice(None))
-
-    def _effort(self, carriers: CarrierMotion, part: slice) -> Array:
-        q, v, a = self._tree_motion(carriers, part)
-        effort, loads = _batched_rnea(self._pool, self.threads, q, v, a), tree_loads(self.robot)
+        q, v, a = self.tree_motion(carriers, part)
+        # for a single column the binding returns a vector
+        effort: Array = np.reshape(pin.rneaInParallel(self.threads, self._pool, q, v, a), v.shape)
+        loads = tree_loads(self.robot)
         return effort if loads is None else effort + loads.efforts(self._state(q, v, a, part))
 
     def _state(self, q: Array, v: Array, a: Array, part: slice = slice(None)) -> TreeState:
@@ -277,13 +264,8 @@ class RneaAlongMotion(Frozen):
         root = np.zeros((7, samples))
         root[6] = 1.0  # w of the quaternion: no rotation, so the root's axes are the world's
         still = np.zeros((6, samples))
-        effort = _batched_rnea(
-            self._floating_pool,
-            self.threads,
-            np.asfortranarray(np.concatenate([root, q])),
-            np.asfortranarray(np.concatenate([still, v])),
-            np.asfortranarray(np.concatenate([still, a])),
-        )
+        whole = (np.asfortranarray(np.concatenate(pair)) for pair in ((root, q), (still, v), (still, a)))
+        effort = np.reshape(pin.rneaInParallel(self.threads, self._floating_pool, *whole), (-1, samples))
         # the effort at the root is what the ground exerts on the robot; the wrench on the base is its reaction
         wrench: Array = np.ascontiguousarray(-effort[:6].T)
         loads = tree_loads(self.robot)
@@ -319,7 +301,8 @@ class RneaAlongMotion(Frozen):
 
     @cached_property
     def _gamma(self) -> Array:
-        return _by_samples(self.tree.gamma)
+        """Γ as (n, nv, N): the projection then runs over contiguous samples."""
+        return self.tree.gamma.transpose(2, 1, 0).copy()
 
     @cached_property
     def _pool(self) -> pin.ModelPool:
@@ -335,17 +318,6 @@ class RneaAlongMotion(Frozen):
         # links fixed to the base stand on the ground: their weight is not the mechanism's
         model.inertias[base] = pin.Inertia.Zero()
         return pin.ModelPool(model, self.threads)
-
-
-def _by_samples(gamma: Array) -> Array:
-    """Return Γ as (n, nv, N): the projection then runs over contiguous samples."""
-    return np.ascontiguousarray(gamma.transpose(2, 1, 0))
-
-
-def _batched_rnea(pool: pin.ModelPool, threads: int, q: Array, v: Array, a: Array) -> Array:
-    # for a single column the binding returns a vector
-    result: Array = np.reshape(pin.rneaInParallel(threads, pool, q, v, a), v.shape)
-    return result
 
 
 # --- reactions --------------------------------------------------------------------------------------------------------
