@@ -356,7 +356,6 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
     Raises:
         CarrierLimitError: naming carrier, sample, time and the amount by which it leaves the track.
     """
-    carriers = require_matching_carriers(robot, carriers, len(t))
     lower = np.array([limits.lower for limits in robot.carrier_limits])
     upper = np.array([limits.upper for limits in robot.carrier_limits])
     outside = np.maximum(lower - carriers.s, carriers.s - upper)
