@@ -129,10 +129,15 @@ def spectrum_of(matrices: Array) -> Spectrum:
     """Return the singular values of stacked matrices (N, n, m), exact to rounding relative to the largest."""
     samples, n, m = matrices.shape
     finite = np.isfinite(matrices).all(axis=(1, 2))
-    if finite.all():
-        return Spectrum(read_only(_singular_values(matrices)))
-    values = np.full((samples, min(n, m)), np.nan)
-    values[finite] = _singular_values(matrices[finite])
+    if not finite.all():
+        values = np.full((samples, min(n, m)), np.nan)
+        values[finite] = spectrum_of(matrices[finite]).singular_values
+    elif samples < JACOBI_MIN_SAMPLES or min(n, m) > JACOBI_MAX_COLUMNS:
+        values = np.linalg.svd(matrices, compute_uv=False).astype(np.float64, copy=False)
+    else:
+        values, converged = jacobi_singular_values(matrices)
+        if not converged.all():
+            values[~converged] = np.linalg.svd(matrices[~converged], compute_uv=False)
     return Spectrum(read_only(values))
 
 
@@ -144,16 +149,6 @@ def null_directions(matrices: Array) -> tuple[Array, Array]:
     """
     u, _, vt = np.linalg.svd(matrices, full_matrices=True)
     return oriented(u[:, :, -1]), oriented(vt[:, -1, :])
-
-
-def _singular_values(matrices: Array) -> Array:
-    samples, n, m = matrices.shape
-    if samples < JACOBI_MIN_SAMPLES or min(n, m) > JACOBI_MAX_COLUMNS:
-        return np.linalg.svd(matrices, compute_uv=False).astype(np.float64, copy=False)
-    values, converged = jacobi_singular_values(matrices)
-    if not converged.all():
-        values[~converged] = np.linalg.svd(matrices[~converged], compute_uv=False)
-    return values
 
 
 def oriented(vectors: Array) -> Array:

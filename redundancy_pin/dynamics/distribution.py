@@ -222,7 +222,10 @@ def distribute(
     start = None
     if preferred is not None:  # efforts are counted from there
         start = _bound(preferred, "preferred", math.inf, len(size), problem.A.shape[2])
-        _require_finite(start)
+        if not np.isfinite(start).all():
+            raise InputError(
+                "preferred has values that are not finite.", remedy="Pass efforts, 0 where none is preferred."
+            )
         start = start / reduced.column_scale
         problem = replace(
             problem,
@@ -292,11 +295,6 @@ def torque_speed_bounds(rate: ArrayLike, stall: ArrayLike, no_load: ArrayLike) -
     upper = most * np.clip(1.0 - falling, -1.0, 1.0)
     lower = -most * np.clip(1.0 + falling, -1.0, 1.0)
     return read_only(lower), read_only(upper)
-
-
-def _require_finite(preferred: Array) -> None:
-    if not np.isfinite(preferred).all():
-        raise InputError("preferred has values that are not finite.", remedy="Pass efforts, 0 where none is preferred.")
 
 
 LARGEST_WEIGHT_RATIO = 1e12
