@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
     coordinates,
@@ -161,7 +161,9 @@ def assemble(
             break
         if 2 * done.sum() > len(done):  # go on with the rest alone; to leave out fewer costs more than it saves
             active, residual = active[~done], residual[~done]
-            state, equations, done = system.evaluate(q[active]), everything.of(active), done[~done]
+            ends, positions = (None if goal is None else goal[active] for goal in (target, actuated))
+            equations = _Equations(system, ends, positions, redundant)
+            state, done = system.evaluate(q[active]), done[~done]
     if len(active) < len(q):
         state = system.evaluate(q)
         residual = everything.residual(state)
@@ -228,11 +230,6 @@ class _Equations:
     target: Array | None
     actuated: Array | None
     redundant: bool
-
-    def of(self, samples: IntArray) -> _Equations:
-        """Return the equations of some of the samples."""
-        target, actuated = (None if goal is None else goal[samples] for goal in (self.target, self.actuated))
-        return _Equations(self.system, target, actuated, self.redundant)
 
     def residual(self, state: ConstraintState) -> Array:
         """Return (N, e) what is missing to the goal."""

@@ -304,26 +304,18 @@ class Tracker:
             # a rank loss within the step leaves a margin of about the way from it: what is on its other side is for
             # ``continuation`` to tell
             or not size * _NEARER * _largest(moved * self._radians) < 1.0
-            or not self._in_mode(q, here.q)
-            or not self._upright()
         ):
+            return None
+        for column, turns in self._legs:  # every leg is, and was, on the same side
+            new_side, old_side = float(q[column]), float(here.q[column])
+            if not (math.sin(new_side) * math.sin(old_side) if turns else new_side * old_side) > 0.0:
+                return None
+        axes = self.chain.vectors  # those that must coincide do, and are not turned over
+        if not all(float(axes[a : a + 3].dot(axes[b : b + 3])) > math.cos(TURNED_OVER) for a, b in self._aligned):
             return None
         for array in (q, gamma):
             array.setflags(write=False)
         return Tracked(new._replace(gamma=gamma), rows, inverse, gap, 1.0 / size)
-
-    def _in_mode(self, q: Array, before: Array) -> bool:
-        """Return whether every leg is, and was, on the same side."""
-        for column, turns in self._legs:
-            new, old = float(q[column]), float(before[column])
-            if not (math.sin(new) * math.sin(old) if turns else new * old) > 0.0:
-                return False
-        return True
-
-    def _upright(self) -> bool:
-        """Return whether axes that must coincide do, and are not turned over."""
-        axes = self.chain.vectors
-        return all(float(axes[a : a + 3].dot(axes[b : b + 3])) > math.cos(TURNED_OVER) for a, b in self._aligned)
 
     def _integrate(self, q: Array, step: Array) -> Array:
         result: Array = q + step if self._flat else pin.integrate(self._model, q, step)

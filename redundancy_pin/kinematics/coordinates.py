@@ -29,13 +29,7 @@ def coordinates(robot: Robot, state: ConstraintState) -> Array:
     if robot.platform is None:
         return np.stack([joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
     frame = robot.platform.frame
-    return platform_coordinates(robot, state.pose.frame_rotation[frame], state.pose.frame_origin[frame])
-
-
-def platform_coordinates(robot: Robot, rotation: Array, origin: Array) -> Array:
-    """Return ``coordinates`` for placements of the platform frame, rotations (3, 3, N) and origins (3, N)."""
-    if robot.platform is None:
-        raise ValueError("The robot has no platform.")
+    rotation, origin = state.pose.frame_rotation[frame], state.pose.frame_origin[frame]
     if robot.platform.is_pose:
         poses = np.zeros((origin.shape[1], 4, 4))
         poses[:, :3, :3] = rotation.transpose(2, 0, 1)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NoReturn
 
 import numpy as np
 
@@ -48,7 +49,7 @@ from redundancy_pin.kinematics.coordinates import (
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart
 from redundancy_pin.kinematics.selection import rows_at
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import require_matching
@@ -162,7 +163,6 @@ def lift(
         WorkingModeError: the motion leaves the working mode, or cannot be followed continuously.
     """
     robot = as_robot(robot)
-    require_sampled(motion)
     require_matching(robot, motion)
     system = constraint_system(robot)
     if len(motion) == 1 and (tree := _lift_one(robot, motion, start)) is not None:
@@ -172,7 +172,7 @@ def lift(
     solved = _solve(system, motion, guesses, progress)
     _solve_rank_losses(motion, solved, first if start is None else start, positions_only)
     solved.gap[:] = np.maximum(solved.gap, left_open(robot, solved.q))  # NaN, where it was not closed, stays
-    if not mark_unreachable:
+    if not mark_unreachable and not solved.regular.all():
         _require_closed_and_regular(motion, solved, 0)
     good = solved.regular & _require_modes(motion, solved, start, mark=mark_unreachable)
     breaks = _branch_breaks(motion, solved, good)
@@ -228,7 +228,7 @@ class _Lifted:
     @property
     def regular(self) -> BoolArray:
         """(N,) closed, and either no type I singularity or one that the branch goes smoothly through."""
-        return self.closed & ((self.margin > 0.0) | self.carried)
+        return (self.gap < CLOSURE_TOLERANCE) & ((self.margin > 0.0) | self.carried)
 
 
 def _solve(
@@ -381,7 +381,10 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
     else:
         anchors = anchors_along(system, np.stack([home.x, x]), reference, None, False)
         reached, valid = Point(x, anchors.q[-1], anchors.gamma[-1]), bool(anchors.valid[-1])
-    if valid and (in_working_mode(robot, reached.q[None])[0] or _between_modes(robot, reached.q)):
+    # a configuration where working modes meet belongs to both
+    if valid and (
+        in_working_mode(robot, reached.q[None])[0] or (np.abs(mode_indicator(robot, reached.q[None])) < _NO_SIDE).any()
+    ):
         return reached
     q, gap, in_mode = multistart(system, reference, x)
     closed, pose = gap < CLOSURE_TOLERANCE, f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
@@ -409,11 +412,6 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
     return Point(x, q, projection.gamma[0])
 
 
-def _between_modes(robot: Robot, q: Array) -> bool:
-    """Return whether a configuration (nq,) lies where working modes meet: it belongs to both."""
-    return bool((np.abs(mode_indicator(robot, q[None])) < _NO_SIDE).any())
-
-
 def guesses_along(
     system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None
 ) -> tuple[Array, Point | None]:
@@ -428,8 +426,8 @@ def guesses_along(
     _, q, slope, _ = point
     onward = motion.x[first:]
     anchors = anchors_along(system, onward, q, slope, mark)
-    if not mark:
-        _require_branch(system, motion, anchors)
+    if not mark and not anchors.valid.all():
+        _raise_branch_end(system, motion, anchors)
     guess = initial_guess(system, onward, anchors)
     if first == 0:
         return guess, point
@@ -497,10 +495,8 @@ def _branch_breaks(motion: PlatformMotion, solved: _Lifted, good: BoolArray) -> 
     return np.array([k + 1 for k in suspects.tolist() if not reached_again(k)], dtype=np.intp)
 
 
-def _require_branch(system: ConstraintSystem, motion: PlatformMotion, anchors: Anchors) -> None:
-    """Check that the anchors reach the end of the motion; where they do not, say what ended the branch."""
-    if anchors.valid.all():
-        return
+def _raise_branch_end(system: ConstraintSystem, motion: PlatformMotion, anchors: Anchors) -> NoReturn:
+    """Raise what ended a branch whose anchors do not reach the end of the motion."""
     lost = int(np.argmin(anchors.valid))
     first = int(np.floor(anchors.position[max(lost - 1, 0)]))
     last = int(np.ceil(anchors.position[lost]))

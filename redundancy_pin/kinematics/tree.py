@@ -104,7 +104,7 @@ class _Joints:
         if self.skew is None:
             k = self.principal
             i, j, sign = (k + 1) % 3, (k + 2) % 3, self.angular[0][k]
-            sine = sine if sign is None else _scaled(sine, sign)
+            sine = sine if sign is None else sine * sign
             turned = np.empty(shape)
             turned[:, k] = base[:, k]
             turned[:, i] = base[:, i] * cosine + base[:, j] * sine
@@ -375,16 +375,13 @@ def _wide(array: Array, samples: int) -> Array:
     return array if array.shape[-1] == samples else np.broadcast_to(array, (*array.shape[:-1], samples))
 
 
-def _scaled(values: Array, factor: Array | float) -> Array:
-    return values if isinstance(factor, float) and factor == 1.0 else values * factor
-
-
 def _apply(rotation: Array, parts: _Parts) -> Array:
     """Return R v for rotations (3, 3, L, N) and L constant vectors; it may share memory with R."""
     result: Array | None = None
     for k, component in enumerate(parts):
         if component is not None:
-            part = _scaled(rotation[:, k], component)
+            unscaled = isinstance(component, float) and component == 1.0
+            part = rotation[:, k] if unscaled else rotation[:, k] * component
             result = part if result is None else result + part
     return np.zeros((3, *rotation.shape[2:])) if result is None else result
 
