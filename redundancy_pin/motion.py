@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -240,15 +240,14 @@ class Consistency:
     def require(self) -> None:
         """Raise InputError where they are not, naming the column, the first sample that shows it, and the factor."""
         for name, levels in self._levels.items():
-            _require_rates(name, levels, [one.compared() for one in levels])
+            compared = [one.compared() for one in levels]
+            for level, one in enumerate(compared):
+                for k in np.flatnonzero(one.wrong)[:1].tolist():
+                    _raise_wrong_rate(name, levels, compared, level, k)
 
 
-def _require_rates(of: str, levels: Sequence[_Rates], compared: Sequence[_Compared]) -> None:
-    """Raise what ``Consistency.require`` does; levels are ``of`` and its rate, and that and its rate."""
-    bad = [(level, int(k)) for level, one in enumerate(compared) for k in np.flatnonzero(one.wrong)]
-    if not bad:
-        return
-    level, k = bad[0]
+def _raise_wrong_rate(of: str, levels: Sequence[_Rates], compared: Sequence[_Compared], level: int, k: int) -> NoReturn:
+    """Say what is wrong with a column; levels are ``of`` and its rate, and that and its rate."""
     of, name = of + level * "d", of + (level + 1) * "d"
     one = compared[level]
     factor, sample, time = float(one.factor[k]), int(one.sample[k]), float(one.time[k])
@@ -342,7 +341,7 @@ class _Rates:
     def add(self, t: Array, values: Array, rates: Array) -> None:
         """Take N samples: times, values (N, n) or poses (N, 4, 4), and rates (N, n)."""
         rates = np.ascontiguousarray(rates.T)
-        new: dict[str, Any] = {"rate2": _products(rates, rates), "samples": np.float64(len(t))}
+        new: dict[str, Any] = {"rate2": np.einsum("nk,nk->n", rates, rates), "samples": np.float64(len(t))}
         ends = {"rate": np.abs(rates).max(axis=1)}
         known = 0
         if self._last is not None:
@@ -373,12 +372,12 @@ class _Rates:
                 "bias": (integral - change) @ elapsed,
                 "bias of angles": (integral - continued) @ elapsed,
                 "elapsed2": elapsed @ elapsed,
-                "step2": _products(steps * later, steps),
-                "bend2": _products(bends * later, bends),
+                "step2": np.einsum("nk,nk,k->n", steps, steps, later),
+                "bend2": np.einsum("nk,nk,k->n", bends, bends, later),
                 "change": change.sum(axis=1),
-                "change2": _products(change, change),
-                "integral2": _products(integral, integral),
-                "product": _products(change, integral),
+                "change2": np.einsum("nk,nk->n", change, change),
+                "integral2": np.einsum("nk,nk->n", integral, integral),
+                "product": np.einsum("nk,nk->n", change, integral),
             }
             ends |= {"step": np.abs(steps).max(axis=1)}
             for name, series in (("change", change), ("integral", integral)):
@@ -409,23 +408,22 @@ class _Rates:
         integral, change, continued = kept[:, 1:]
         elapsed, most = kept[0, 0] - self._start, _BIAS * np.sqrt(sums["rate2"] / sums["samples"])
 
+        change_range, integral_range = (ends[f"{name} up"] + ends[f"{name} down"] for name in ("change", "integral"))
+
         def without_bias(bias: Array) -> Array:
             """Return the integral of the rates less a constant, where a small one brings it nearer to what changes."""
             bias = bias / sums["elapsed2"]
             return np.asarray(integral - np.where(np.abs(bias) <= most, bias, 0.0)[:, None] * elapsed)
 
-        def ptp(name: str) -> Array:
-            return np.asarray(ends[f"{name} up"] + ends[f"{name} down"])
-
         def tolerance(size: Array) -> Array:
-            size = np.maximum(ptp("change"), size)
+            size = np.maximum(change_range, size)
             return np.asarray(np.clip(sums["error"], _LEAST_MISFIT * size, _MISFIT * size))
 
         def follows(changed: Array, integral: Array, most: Array) -> BoolArray:
             return np.asarray(np.abs(changed - integral).max(axis=1) <= most)
 
-        size = np.maximum(ptp("change"), ptp("integral"))
-        apart = np.abs(change - integral) > tolerance(ptp("integral"))[:, None]
+        size = np.maximum(change_range, integral_range)
+        apart = np.abs(change - integral) > tolerance(integral_range)[:, None]
         fits = ~apart.any(axis=1)
         if not fits.all():
             unbiased = without_bias(sums["bias"])
@@ -438,7 +436,7 @@ class _Rates:
         # what hardly changes has few digits: the seventh of the largest coordinate is rounding
         largest = np.maximum(ends["change up"], ends["change down"]).max(initial=0.0)
         rounding = _ROUNDED * max(1.0, float(largest))
-        moves, changes = size > rounding, ptp("change") > rounding
+        moves, changes = size > rounding, change_range > rounding
         count = sums["steps"] + 1.0
         spread = np.sqrt(np.maximum(sums["change2"] / count - (sums["change"] / count) ** 2, 0.0))
         over = {"step2": "later", "bend2": "later", "rate2": "samples"}
@@ -451,11 +449,6 @@ class _Rates:
         at = np.argmax(apart, axis=1)
         sample = (at + 1) * self._stride
         return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, sample, kept[0, 0, at])
-
-
-def _products(a: Array, b: Array) -> Array:
-    """Return the scalar products (n,) of the rows of a and b (n, N)."""
-    return np.asarray(np.einsum("nk,nk->n", a, b))
 
 
 def _steps(x: Array) -> Array:
