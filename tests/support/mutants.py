@@ -66,11 +66,6 @@ FACTORS = (1e-2, 1e2)
 """Constants between these are changed; smaller ones are tolerances, larger ones bounds that hardly anything meets."""
 
 EQUIVALENT: dict[tuple[str, str, str], str] = {
-    (
-        "kinematics/continuation.py",
-        "part = 1.0 / (1.0 + np.exp(min(log[1] - log[0], 100.0)))  # of det K, all but linear between the two",
-        "100.0",
-    ): "keeps the exponential finite: a part of e^−100 or of e^−200 is none",
     ("dynamics/distribution.py", "return read_only(cost / cost.max())", "/"): "weights count relative to each other",
     (
         "planners/switch_off/carrier_equation.py",
