@@ -174,6 +174,9 @@ class RneaAlongMotion(Frozen):
     Args:
         tree: the lifted motion.
         threads: threads of the batched RNEA.
+
+    Attributes:
+        robot, motion: the robot, and its platform motion.
     """
 
     def __init__(self, tree: TreeMotion, threads: int = 1) -> None:
