@@ -242,8 +242,8 @@ class Consistency:
         for name, levels in self._levels.items():
             compared = [one.compared() for one in levels]
             for level, one in enumerate(compared):
-                for k in np.flatnonzero(one.wrong)[:1].tolist():
-                    _raise_wrong_rate(name, levels, compared, level, k)
+                if one.wrong.any():
+                    _raise_wrong_rate(name, levels, compared, level, int(one.wrong.argmax()))
 
 
 def _raise_wrong_rate(of: str, levels: Sequence[_Rates], compared: Sequence[_Compared], level: int, k: int) -> NoReturn:

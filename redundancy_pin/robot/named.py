@@ -42,7 +42,7 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
         InputError: not sampled, wrong number of coordinates, or poses where coordinates belong.
     """
     require_sampled(motion)
-    wants_pose = robot.platform is not None and robot.platform.is_pose
+    wants_pose = is_pose(robot)
     names = robot.platform.axes if robot.platform else robot.independent_joints
     if motion.is_pose != wants_pose or motion.xd.shape[1] != robot.n:
         form = "(N, 4, 4) poses" if wants_pose else f"(N, {robot.n})"

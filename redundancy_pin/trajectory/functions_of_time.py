@@ -159,9 +159,8 @@ class PiecewisePolynomial(Frozen):
         pieces = slice(self._piece(start), self._piece(end, "left") + 1)
         coefficients = self.coefficients[:, pieces].copy()
         shift = min(start, self.end) - self.edges[pieces.start]
-        for last in range(
-            len(coefficients), 1, -1
-        ):  # Horner's rule again and again: powers of the time since the start
+        # Horner's rule again and again: powers of the time since the start
+        for last in range(len(coefficients), 1, -1):
             for order in range(1, last):
                 coefficients[order, 0] += shift * coefficients[order - 1, 0]
         edges = np.concatenate([[start], self.edges[pieces.start + 1 : pieces.stop], [end]])

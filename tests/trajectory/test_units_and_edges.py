@@ -157,21 +157,9 @@ EDGES: dict[str, tuple[Callable[[float, float], Any], Mapping[str, Callable[[flo
         lambda L, x: SpeedProfile(L, 0.5 * L, 0.5, 0.2 * L, 1.5, 0.3 * L / x),
         {"least": lambda L: 0.3 * L, "most": lambda L: L},
     ),
-    "a radius beyond an edge": (
-        lambda L, x: rounded_polygon(L * SQUARE, 0.15 * L * x),
-        {"largest_radius": lambda L: 0.15 * L, "edge": lambda L: 1},
-    ),
     "a radius beyond the first edge of an open polygon": (
         lambda L, x: rounded_polygon(L * np.array([[0, 0], [0.2, 0], [0.2, 0.9]]), 0.2 * L * x, closed=False),
         {"largest_radius": lambda L: 0.2 * L, "edge": lambda L: 0},
-    ),
-    "a start before the straight": (
-        lambda L, x: rounded_polygon(L * SQUARE, 0.05 * L, start=0.05 * L / x),
-        {"lower": lambda L: 0.05 * L, "upper": lambda L: 0.35 * L, "start": lambda L: 0.05 * L},
-    ),
-    "a start beyond the straight": (
-        lambda L, x: rounded_polygon(L * SQUARE, 0.05 * L, start=0.35 * L * x),
-        {"lower": lambda L: 0.05 * L, "upper": lambda L: 0.35 * L, "start": lambda L: 0.35 * L},
     ),
     "a law of another length": (
         lambda L, x: Trajectory(Line((0.0, 0.0), (L, 0.0)), RestToRest(L * (1.0 + 1e-9 * x), 1.0)),
@@ -192,7 +180,7 @@ EDGES: dict[str, tuple[Callable[[float, float], Any], Mapping[str, Callable[[flo
 BESIDE = dict.fromkeys(("a gap in a chain", "a kink in a chain", "an arc off its circle", "half a turn",
                         "a law of another length"), 1e-3)  # fmt: skip
 """Of tolerances that are small themselves."""
-BESIDE |= {name: 1e-6 for name in EDGES if "radius" in name or "straight" in name}
+BESIDE |= {name: 1e-6 for name in EDGES if "radius" in name}
 """Of a straight that is left of an edge, a shorter one loses its direction to rounding."""
 
 
