@@ -302,7 +302,7 @@ def _advance(
     good = follows(configuration_difference(robot.model, q[:-1], q[1:]), gamma[:-1], gamma[1:], increment)
     good &= solution.regular
     if mode is not None:
-        good &= (mode_indicator(robot, solution.q) * mode > 0.0).all(axis=1)
+        good &= (np.sign(mode_indicator(robot, solution.q)) == mode).all(axis=1)
     side, log = determinants(system, solution.state.K)
     points = [here, *map(Point, targets, solution.q, solution.gamma, side)]
     if guarded:

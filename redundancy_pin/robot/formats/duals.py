@@ -68,7 +68,7 @@ class Dual(float):
         return -self if self < 0.0 else self
 
     def __pow__(self, other: Any, modulus: None = None) -> Any:
-        return _of(math.pow if float(self) >= 0.0 else float.__pow__, _by_power, self, other)
+        return _of(float.__pow__, _by_power, self, other)
 
     def __rpow__(self, other: Any, modulus: None = None) -> Any:
         return _of(math.pow, _by_power, other, self)
