@@ -170,6 +170,17 @@ def test_defaults_of_equalities(defaults, said, tmp_path):
     assert any("is not active" in note for note in mechanism.notes) == (not active.all())
 
 
+@pytest.mark.parametrize("contype", [None, 0, 2])
+@pytest.mark.parametrize("conaffinity", [None, 0, 2])
+def test_contacts_are_named_where_geoms_may_collide(contype, conaffinity, tmp_path):
+    given = {"contype": contype, "conaffinity": conaffinity}
+    said = " ".join(f'{name}="{value}"' for name, value in given.items() if value is not None)
+    text = _model().replace("<geom ", f"<geom {said} ")
+    loaded = mujoco.MjModel.from_xml_string(text)
+    may = (loaded.geom_contype | loaded.geom_conaffinity).any()
+    assert any("Contacts" in note for note in read_mjcf(write(tmp_path, text)).notes) == may
+
+
 def test_defaults_of_tendons_are_named(tmp_path):
     tendon = '<tendon><fixed name="rope"><joint joint="j" coef="1"/></fixed></tendon>'
     text = _model(DEFAULT.format('<tendon stiffness="5"/>'), last=tendon)
