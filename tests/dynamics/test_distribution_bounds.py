@@ -149,6 +149,23 @@ def test_least_residual_within_rows_of_redundant_motors_is_finite_and_least(scal
         assert residual / scale == pytest.approx(np.sqrt(best.fun), abs=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_least_miss_within_bounds_has_no_descent_left(seed):
+    """Efforts that are held at a value too: along none of the others the miss gets less."""
+    rng = np.random.default_rng([44, seed])
+    A, goal = rng.normal(size=(4, 5)), 3.0 * rng.normal(size=4)
+    lower = rng.uniform(-1.0, 0.5, 5)
+    upper = lower + np.where(rng.random(5) < 0.4, 0.0, rng.uniform(0.1, 1.0, 5))
+    u = least_miss(A, goal, lower, upper)
+    assert ((lower <= u) & (u <= upper)).all()
+    slope = A.T @ (A @ u - goal)
+    rounding = 1e-9 * np.linalg.norm(A) * np.linalg.norm(goal)
+    held = lower == upper
+    assert (np.abs(slope[(lower < u) & (u < upper)]) <= rounding).all()
+    assert (slope[(u == lower) & ~held] >= -rounding).all()
+    assert (slope[(u == upper) & ~held] <= rounding).all()
+
+
 @pytest.mark.parametrize("lower", [-2.0, 1.0])
 def test_residual_where_every_effort_is_held(lower):
     d = distribute(reduced([[[1.0, 1.0]]], [[10.0]]), lower=[lower, lower], upper=[lower, lower])
