@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import spatial_chains
 import zoo
 from folding import folding_four_bar
 
@@ -33,6 +34,22 @@ def test_a_pose_nearby_is_the_one_that_assembly_closes(shipped: Robot, many: boo
     np.testing.assert_allclose(reached.point.q, expected.q[0], rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(reached.point.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
     assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("name", ["hinge", "cylindrical", "universal"])
+def test_axes_that_coincide_are_followed_and_not_turned_over(name: str, many: bool) -> None:
+    """Along a turn by hundredths: each pose is the one that assembly closes."""
+    robot = spatial_chains.chain_of(name)
+    system, follower = zoo.system_of(robot), tracker(robot, many=many)
+    here = follower.home
+    for _ in range(3):
+        x = here.x + 0.02
+        reached = follower.towards(here, x)
+        assert reached is not None
+        expected = assemble(system, integrate(robot.model, here.q[None], (here.gamma @ (x - here.x))[None]), x[None])
+        np.testing.assert_allclose(reached.point.q, expected.q[0], rtol=0.0, atol=1e-12)
+        here = reached.point
 
 
 @pytest.mark.parametrize("many", [False, True])
