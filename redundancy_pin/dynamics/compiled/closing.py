@@ -141,7 +141,7 @@ def _run(
         outputs = [*(array[part] for array in arrays), status[part]]
         return kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], *outputs)
 
-    parts = [slice(first + p.start, first + p.stop) for p in parts_of(samples - first, loops.threads)]
+    parts = parts_of(samples, loops.threads)
     if len(parts) > 1 and first == 0:
         starts = [start]
         for part in parts[1:]:
@@ -151,11 +151,9 @@ def _run(
             starts.append(q)
         if len(starts) == len(parts):
             each(lambda pair: lift(*pair), list(zip(parts, starts, strict=True)))
-            if (status[first:] == CLOSED).all() and all(
-                _joined(kernel, arrays[0], x, part.start) for part in parts[1:]
-            ):
+            if (status == CLOSED).all() and all(_joined(kernel, arrays[0], x, part.start) for part in parts[1:]):
                 return samples
-        status[first:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
+        status[:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
     return first + lift(slice(first, samples), start)
 
 

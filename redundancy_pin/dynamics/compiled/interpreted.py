@@ -102,7 +102,7 @@ class Interpreter:
         """Bring a closed configuration to a platform pose in steps of Newton's method; None where that fails."""
         residual, done, share, sign = self.rows_at(pose.q, x)[0][self._r :], 0.0, 1.0, pose.sign
         while done < 1.0:
-            ahead = 1.0 - done - share if done + share < 1.0 else 0.0
+            ahead = max(1.0 - done - share, 0.0)
             reached = self._newton(pose.q, x, ahead * residual if ahead > 0.0 else None)
             if reached is not None and reached.sign == sign:
                 pose, done = reached, done + share
