@@ -507,7 +507,6 @@ def test_a_compiler_may_be_named_with_its_arguments(
         assert len(other.command) == 1
 
 
-@pytest.mark.long
 def test_a_motion_through_a_rank_loss_of_the_closures_is_refused_by_name() -> None:
     robot = parallelogram()
     t = np.linspace(0.0, 1.0, 101)
