@@ -262,9 +262,10 @@ class Programme:
         diagonal[self.s[-1]] += 2.0 * w.end
         diagonal[self.sd[-1]] += 2.0 * w.end_speed
         diagonal[self.missing] = w.missing
-        diagonal[self.peak] = 2.0 * w.peak + 1e-8
+        diagonal[self.peak] += 2.0 * w.peak
         # jerks, over one that brings s̈ to its limit in a step
-        jerk = w.jerk * (problem.step / np.diff(lin.nodes))[:, None] * problem.step / problem.horizon * np.ones(len(us))
+        jerk = w.jerk * (problem.step / np.diff(lin.nodes)) * problem.step / problem.horizon
+        jerk = np.tile(jerk[:, None], len(us))
         diagonal[self.sdd[:-1]] += 2.0 * jerk
         diagonal[self.sdd[1:]] += 2.0 * jerk
         # curvature of the constraints, as far as it is convex: without it the plans of two ticks may go to and fro
@@ -342,13 +343,13 @@ class Programme:
         lin, limits, (us, ud, ua) = problem.lin, problem.limits, units
         count, m = len(lin.nodes), lin.W.shape[2]
         h, one = np.diff(lin.nodes)[:, None], np.ones((count, len(us)))
-        there = np.repeat(problem.counts, m)[:, None]
-        room, without = np.where(there[:, 0], 0.0, 1.0), np.full(count * m, INFINITE)
+        there = np.repeat(problem.counts, m).astype(np.float64)[:, None]
+        room, without = 1.0 - there[:, 0], np.full(count * m, INFINITE)
         # no parabola leaves a chord: ṡ² ≤ ṡ_max |ṡ|
         fastest = np.minimum(limits.speed, np.sqrt(2.0 * limits.acceleration * np.diff(limits.track)[:, 0]))
         stopping = np.isfinite(fastest) & np.isfinite(limits.acceleration)  # else at once, or on a track without end
         after = np.divide(fastest, 2.0 * limits.acceleration, out=np.zeros_like(fastest), where=stopping)
-        stop = np.stack([one[0], after * ud / us], axis=-1)
+        after *= ud / us
         low, high, speed = low / us, high / us, speed / ud
         if not problem.free:
             speed[0] = np.inf  # that of the first half step is given
@@ -356,23 +357,23 @@ class Programme:
         # control points of s as a cubic spline, of which it is a mean everywhere; and of ṡ
         place = [one[1:-1], (h[1:] - h[:-1]) * (ud / us / 3.0), h[1:] * h[:-1] * (-ua / us / 6.0)]
         rows = {
-            "above": (there * [1.0, -1.0], -without, room),
-            "below": (there * [1.0, 1.0], -room, without),
+            "above": (np.hstack([there, -there]), -without, room),
+            "below": (np.hstack([there, there]), -room, without),
             "track": (
                 np.stack(place, axis=-1),
                 np.minimum(lowest[:-1], lowest[1:]),
                 np.maximum(highest[:-1], highest[1:]),
             ),
-            "last_track": (np.stack([one[0], -h[-1] / 3.0 * ud / us], axis=-1), lowest[-1], highest[-1]),
+            "last_track": (np.stack([one[0], -h[-1] / 3.0 * ud / us], axis=1), lowest[-1], highest[-1]),
             "hull_speed": (np.stack([one[1:], h * (0.5 * ua / ud)], axis=-1), -speed[:-1], speed[:-1]),
-            "stop": (stop, low[-1], high[-1]),
-            "stop_back": (stop * [1.0, -1.0], low[-1], high[-1]),
+            "stop": (np.stack([one[0], after], axis=1), low[-1], high[-1]),
+            "stop_back": (np.stack([one[0], -after], axis=1), low[-1], high[-1]),
         }
         if "jerk" in self.within.blocks:
             most = limits.jerk * h / ua
             rows["jerk"] = (np.stack([-one[1:], one[1:]], axis=-1), -most, most)
         if "force" in self.within.blocks:
-            size = np.where(np.isfinite(limits.carrier_force), limits.carrier_force, 1.0)
+            size = limits.carrier_force
             base = (lin.force - (lin.force_slopes * np.stack(lin.at)).sum(axis=0)) / size
             wide = np.moveaxis(lin.force_slopes * np.stack(units)[:, None], 0, 2) / size[:, None]
             counting = lin.known[:, None] & np.isfinite(limits.carrier_force)
