@@ -255,13 +255,14 @@ class RecedingHorizon:
         track, bound = self.resolved.track, np.isfinite(self.resolved.track).all(axis=1)
         middle, half = np.where(bound, track.mean(axis=1), s), np.where(bound, 0.5 * np.diff(track)[:, 0], 0.0)
         nearby = s + 0.5 * sd * np.abs(sd) / self.resolved.acceleration
-        corners = [middle + ASIDE * half * np.array(side) for side in product((-1.0, 1.0), repeat=self.robot.k)]
+        corners = [middle + np.copysign(ASIDE * half, side) for side in product((-1, 1), repeat=self.robot.k)]
         targets = [nearby, middle, *corners]
         target = targets[self._guesses % len(targets)]
         self._guesses += 1
-        curve = BPoly.from_derivatives([t, until], [[s, sd, sdd], [target, 0.0 * s, 0.0 * s]])
+        curve = BPoly.from_derivatives([t, until], [[s, sd, sdd], [target, np.zeros_like(s), np.zeros_like(s)]])
         carriers = PiecewisePolynomial(curve.x, PPoly.from_bernstein_basis(curve).c)
-        return replace(last, command=replace(last.command, carriers=carriers), multipliers=0.0 * last.multipliers)
+        multipliers = np.zeros_like(last.multipliers)
+        return replace(last, command=replace(last.command, carriers=carriers), multipliers=multipliers)
 
     def _checked_between(self, t: float, command: Command) -> Command:
         """Return a command whose status and residual know of what the efforts' limits cut off up to the next node.
@@ -270,7 +271,7 @@ class RecedingHorizon:
         """
         if not (self._sizes and np.isfinite(self.resolved.effort).any()):
             return command
-        ahead, end = self._ahead, min(t + 2.0 * self.step, command.known_until)
+        ahead, end = self._ahead, command.known_until
         times = ahead.instants(np.array([t, end]), end) if end > t else np.array([t])
         times = times[times <= t + self.step + SAME]
         efforts = command.efforts(times)
@@ -392,11 +393,11 @@ class RecedingHorizon:
             return replace(self._last, command=command, left=np.inf)
         (x, multipliers), programme = solution, self.programme(status is PlanningStatus.ELASTIC)
         a = x[programme.sdd] * units_of(self.resolved)[2]
-        h = np.diff(lin.nodes)[:, None]
+        h, none = np.diff(lin.nodes)[:, None], np.zeros_like(a[:1])
         # integrated once more: the solver's own are off by its tolerance
-        speeds = sd + np.concatenate([0.0 * a[:1], np.cumsum(0.5 * h * (a[:-1] + a[1:]), axis=0)])
+        speeds = sd + np.concatenate([none, np.cumsum(0.5 * h * (a[:-1] + a[1:]), axis=0)])
         moved = np.cumsum(h * speeds[:-1] + h**2 / 6.0 * (2.0 * a[:-1] + a[1:]), axis=0)
-        places = s + np.concatenate([0.0 * a[:1], moved])
+        places = s + np.concatenate([none, moved])
         carriers = self._with_stop(lin.nodes, places, speeds, a)
         tau, counts = x[programme.tau] * problem.sizes.tau, problem.counts
         efforts, forces, residual, peak = self._efforts(problem, carriers, tau)
