@@ -108,7 +108,7 @@ class Coefficients:
         count, n = self.terms.shape[2], along.shape[1]
         by_term = (self.terms[places][..., :n] @ along[:, None, :, None])[..., 0]  # (N, k, T)
         steps = BEND * np.stack([np.eye(3), -np.eye(3)])[:, None] + 1j * TINY * np.eye(3)[:, None]
-        at = np.stack([s, sd, sdd]) + steps[..., None, None]  # (2, 3 by steps i, 3 by steps of size h, 3, N, k)
+        at = steps[..., None, None] + np.stack([s, sd, sdd])  # (2, 3 by steps i, 3 by steps of size h, 3, N, k)
         s, sd, sdd = np.moveaxis(at, 3, 0)
         slope = np.stack(terms(s, sd, sdd, count, np), axis=-1).imag / TINY
         second: Array = ((slope[0] - slope[1]) * by_term).sum(axis=-1) / (2.0 * BEND)
@@ -159,7 +159,7 @@ class Ahead:
             self._edges = seen = seen[seen >= past]
             self.roots = self.roots[self.roots >= past]
         first = start if not len(seen) else seen[-1]
-        grid = spacing * np.arange(np.floor(first / spacing) + 1.0, np.floor(end / spacing + 1e-6) + 1.0)
+        grid = spacing * np.arange(np.floor(first / spacing), np.floor(end / spacing + 1e-6) + 1.0)
         new = grid[grid > first + 0.1 * spacing]
         if not len(seen):
             new = np.append(first, new)
@@ -218,11 +218,11 @@ class Ahead:
         value = np.linalg.det(self.known.W[places])
         value[~self.known.known[places]] = np.nan
         self._largest = largest = max(self._largest, float(np.nanmax(np.abs(value), initial=0.0)))
-        size, zero = np.abs(value), np.abs(value) <= AT_REST * largest
-        brackets = [(a, a + 1) for a in np.flatnonzero((value[:-1] * value[1:] < 0.0) & ~zero[:-1] & ~zero[1:])]
+        size, sign, zero = np.abs(value), np.sign(value), np.abs(value) <= AT_REST * largest
+        brackets = [(a, a + 1) for a in np.flatnonzero((sign[:-1] + sign[1:] == 0.0) & ~zero[:-1] & ~zero[1:])]
         inner = np.arange(1, len(edges) - 1)
         dips = inner[(size[inner] <= size[inner - 1]) & (size[inner] < size[inner + 1]) & (size[inner] < 0.3 * largest)]
-        brackets += [(j - 1, j + 1) for j in dips if value[j - 1] * value[j + 1] > 0.0]
+        brackets += [(j - 1, j + 1) for j in dips if sign[j - 1] == sign[j + 1]]
         brackets += [(j - 1, j + 1) for j in inner[zero[inner] & ~zero[inner - 1] & ~zero[inner + 1]]]
         for first, last in sorted(set(brackets)):
             roots = self._within(float(edges[first]), float(edges[last]), largest)
@@ -253,7 +253,7 @@ def nodes_from(start: float, step: float, count: int, roots: Array) -> tuple[Arr
     A step apart, and from ``NEAR`` steps on two, half as far around singular instants.
     """
     first = np.floor(2.0 * start / step)
-    half = np.arange(first, first + 4.0 * count)
+    half = np.arange(first, first + 4 * count)
     grid = 0.5 * step * half
     chosen: list[float] = []
     for root in roots[(roots >= start) & (roots <= start + 2.0 * step * count)].tolist():
@@ -322,7 +322,7 @@ class Linearised:
             times = np.concatenate([nodes, np.tile(nodes[singular], 2) + shift])
             s, sd, sdd = (np.tile(part[singular], (2, 1)) for part in at)
             h = shift[:, None]
-            beside = (s + h * sd + 0.5 * h**2 * sdd, sd + h * sdd, sdd)
+            beside = (s + h * sd, sd + h * sdd, sdd)  # what is even in h cancels
             whole = tuple(np.concatenate(pair) for pair in zip(at, beside, strict=True))
         else:
             whole = at

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
+import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.receding_horizon.ahead import Ahead, nodes_from
+from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from
 from redundancy_pin.planners.receding_horizon.preview import Preview
 
 STEP = 0.02
@@ -104,7 +106,8 @@ def test_the_end_of_a_preview_is_in_sight_too(end: float) -> None:
         expected = np.append(0.0, grid(0.0, up_to))
         if up_to == end and end - expected[-1] > SAME:
             expected = np.append(expected, end)
-        np.testing.assert_allclose(ahead.known.t, expected, rtol=0.0, atol=1e-12)
+        for found in (ahead.known.t, ahead._edges):
+            np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(np.sort(motion.asked), ahead.known.t, rtol=0.0, atol=1e-12)
 
 
@@ -208,6 +211,26 @@ def test_singular_instants_are_told_from_the_first_one_on() -> None:
     for start, count in ((0.0611 - 1e-6, 2), (0.0611 + 1e-6, 1), (0.15, 0)):
         assert len(ahead.look(start, 0.2)) == count
         assert len(ahead.roots) == 2
+
+
+@pytest.mark.parametrize("length", [0.05, 4.0])
+def test_directions_that_are_lost_count_moments_over_the_characteristic_length(length: float) -> None:
+    robot = replace(zoo.robot_of("3rrr"), characteristic_length=length)
+    rate = np.array([0.0, 0.0, -2.0])
+    start = zoo.home_of(robot) + np.array([0.1, 0.2, 0.0])
+
+    def turning(t: Array) -> rp.PlatformMotion:
+        return rp.PlatformMotion(t, start + t[:, None] * rate, np.tile(rate, (len(t), 1)), np.zeros((len(t), 3)))
+
+    ahead = Ahead(rp.RneaDynamics(robot), Preview(turning, 0.0, 1.0), STEP)
+    (root,) = ahead.look(0.0, 1.0)
+    nodes = root + np.array([-STEP, 0.0, STEP])
+    at = tuple(np.zeros((3, 3)) for _ in range(3))
+    lin = Linearised.about(ahead, nodes, np.array([1]), at, np.zeros((3, 3)), 1.0)
+    W = rp.VirtualWork(robot).reduce(turning(np.array([root]))).W[0]
+    np.testing.assert_allclose(lin.row_scale, [1.0, 1.0, length])
+    np.testing.assert_allclose(lin.lost[0] @ W, 0.0, atol=1e-6 * np.abs(W).max())
+    assert np.linalg.norm(lin.lost[0] * lin.row_scale) == pytest.approx(1.0)
 
 
 # instants of plans
