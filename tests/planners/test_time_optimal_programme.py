@@ -21,7 +21,7 @@ from redundancy_pin.planners.whole_trajectory.transcription import RESERVE
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
-from redundancy_pin.trajectory.paths import Path, circle_path
+from redundancy_pin.trajectory.paths import Line, Path, circle_path
 from redundancy_pin.trajectory.timing import uniform_law
 from redundancy_pin.trajectory.trajectory import Trajectory
 
@@ -47,6 +47,11 @@ def case(name: str) -> Case:
     """The numbers of a planning problem, which is not solved."""
     if name != "lap":
         robot, path = zoo.robot_of("3rrr", carrier_mass=3.0), reference.corner().path
+        if name == "straight":
+            path = Line(zoo.home_of(robot), zoo.home_of(robot) + np.array([0.05, 0.1, 0.3]))
+        if name == "heavy":
+            robot = zoo.robot_of("3rrr", carrier_mass=3.0, gravity=(0.0, -9.81, 0.0))
+        robot = replace(robot, characteristic_length=0.2)
         options = {"begin": "rest", "end": "datum", "datum": (0.1, -0.05, 0.02)}
     else:
         robot = zoo.robot_of("2rpr", **HEAVY)
@@ -61,9 +66,11 @@ def case(name: str) -> Case:
         "carrier_force": [30.0 + 10.0 * i for i in range(k)],
         "effort": [4.0 + i for i in range(robot.m)],
     }
+    if name == "heavy":
+        limits["effort"] = [60.0 + i for i in range(robot.m)]
     if name == "rates alone":
         limits |= dict.fromkeys(("effort", "speed", "acceleration"), np.inf)
-    seen, rate = [], None if name == "efforts alone" else 0.5
+    seen, rate = [], None if name in ("efforts alone", "straight", "heavy") else 0.5
     with pytest.MonkeyPatch.context() as patch:
 
         def stop(problem, between):
@@ -250,7 +257,7 @@ def test_bounds_are_those_of_the_unknowns_and_the_cost_is_time(numbers):
         np.testing.assert_allclose(cost, v["h"].sum() / u.duration + gentle, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["corner", "efforts alone", "rates alone"])
+@pytest.mark.parametrize("name", ["corner", "efforts alone", "rates alone", "straight", "heavy"])
 def test_the_first_guess_is_a_harmonic_motion_that_the_parked_machine_can_follow(name):
     of = case(name)
     problem, u, length = of.problem, of.problem.sizes, of.path.length
@@ -279,7 +286,8 @@ def test_the_first_guess_is_a_harmonic_motion_that_the_parked_machine_can_follow
     f = Numbers(of).reduced({**v, **everywhere, "s": 0.0 * v["s"]}).f / reduced.row_scale
     largest = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
     size = np.abs(f).max() / np.median(largest)
-    np.testing.assert_allclose(u.tau, size if name == "rates alone" else 4.0, rtol=1e-9)
+    np.testing.assert_allclose(u.tau, size if name == "rates alone" else min(of.limits["effort"]), rtol=1e-9)
+    np.testing.assert_allclose(u.s, 0.5 * np.diff(of.limits["track"])[:, 0])
     np.testing.assert_allclose(u.row / reduced.row_scale, max(np.abs(f).max(), u.tau * np.median(largest)), rtol=1e-9)
 
 
@@ -362,3 +370,160 @@ def test_finer_meshes_have_nodes_halfway_in_time_where_it_is_needed():
     still = SimpleNamespace(t=t, law=lambda times: np.zeros((len(times), 1)))
     stuck = np.setdiff1d(planner.finer_nodes(grid, still, np.array([1.35])).t, places)
     np.testing.assert_allclose(stuck[-1], places[-2] + 0.02 * (places[-1] - places[-2]))
+
+
+@pytest.mark.parametrize("steps", [6, 40])
+def test_there_are_as_many_steps_as_asked_for_at_least(steps):
+    h = np.diff(planned_nodes(steps))
+    assert steps <= (h > 0.0).sum() <= 2 * steps
+
+
+def planned_nodes(steps):
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+
+        def stop(problem, between):
+            seen.append(problem)
+            raise _EnoughError
+
+        patch.setattr(planner, "transcribe", stop)
+        with pytest.raises(_EnoughError):
+            rp.plan_time_optimal(
+                rp.VirtualWork(zoo.robot_of("3rrr", carriers=False)), reference.corner().path, steps=steps, effort=4.0
+            )
+    return seen[0].grid.t
+
+
+def test_a_solution_is_put_back_into_units(numbers):
+    """Motion, law, efforts and where the acceleration jumps; and what the next one begins with."""
+    of, u = numbers.of, numbers.u
+    problem, grid = of.problem, numbers.grid
+    for v in numbers.points:
+        units = {"pd": u.speed, "pdd": u.acceleration, "s": u.s, "sd": u.sd, "sdd": u.sdd, "tau": u.tau}
+        scaled = {name: v[name] / unit for name, unit in units.items()} | {"h": v["h"] / u.h[:, None]}
+        solution = SimpleNamespace(values=scaled)
+        back = planner._physical(problem, solution)
+        for name in (*units, "h"):
+            np.testing.assert_allclose(back[name], v[name], rtol=1e-12)
+        np.testing.assert_array_equal(back["place"], grid.t)
+        motion = planner._Motion.of(of.path, problem, solution)
+        t = np.append(0.0, np.cumsum(v["h"]))
+        np.testing.assert_allclose(motion.t, t, rtol=1e-12)
+        np.testing.assert_allclose(motion.tau, v["tau"], rtol=1e-12)
+        for name in ("s", "sd", "sdd"):
+            np.testing.assert_allclose(getattr(motion.samples, name), v[name], rtol=1e-12)
+        first = np.append(numbers.moving, False)  # of nodes at one time the second one is where a piece begins
+        for order, expected in enumerate((grid.t, v["pd"][:, 0], v["pdd"][:, 0])):
+            own = motion.law.derivative(order) if order else motion.law
+            np.testing.assert_allclose(own(t[first])[:, 0], expected[first], atol=1e-9)
+        np.testing.assert_allclose(motion.platform.breaks, t[:-1][~numbers.moving])
+        assert (motion.platform.start, motion.platform.end) == (0.0, t[-1])
+        platform, _ = numbers.motion(v)
+        found = motion.platform.sample_at(t[first])
+        np.testing.assert_allclose(found.x, platform.x[first], atol=1e-9)
+        np.testing.assert_allclose(found.xd, platform.xd[first], atol=1e-9)
+        inner = np.setdiff1d(t[1:-1], motion.platform.breaks)
+        np.testing.assert_allclose(motion.platform.knots, inner)
+
+
+def test_laws_that_run_ahead_or_back_leave_a_fiftieth_of_the_step():
+    places = np.array([1.0, 2.0, 4.0, 4.0, 9.0])
+    grid = Grid(places, np.array([], dtype=int), np.zeros(5, dtype=bool))
+    t = np.array([0.0, 1.0, 2.0, 2.0, 3.0])
+    for place, part in ((-1e3, 0.02), (1e3, 0.98)):
+        law = lambda times, place=place: np.full((len(times), 1), place)  # noqa: E731
+        finer = planner.finer_nodes(grid, SimpleNamespace(t=t, law=law), np.empty(0))
+        new = np.setdiff1d(finer.t, places)
+        np.testing.assert_allclose(new, [1.0 + part, 2.0 + 2.0 * part, 4.0 + 5.0 * part])
+
+
+def test_singular_nodes_on_a_jump_of_the_curvature_have_a_side_each(monkeypatch):
+    """Of two nodes at one place the first one ends what is before it."""
+    of = case("corner")
+    grid, seen = of.problem.grid, []
+    (jump, *_) = np.flatnonzero(grid.h == 0.0).tolist()
+    last = len(grid.t) - 1
+    nodes = Grid(grid.t, np.array([1, jump, jump + 1, last]), grid.smooth)
+    monkeypatch.setattr(planner, "singular_node", lambda *asked: seen.append((*asked[2:4], asked[5])))
+    unit = continuous_motion(Trajectory(of.path, uniform_law(of.path.length, of.path.length)))
+    given = {name: getattr(of.problem, name) for name in ("begin", "end", "datum", "lap", "limits")}
+    planner._problem(rp.VirtualWork(of.other.robot), unit, nodes, np.full(3, np.inf), given)
+    places = grid.t[[1, jump, jump + 1, last]].tolist()
+    assert seen == list(zip([1, jump, jump + 1, last], places, ["right", "left", "right", "right"], strict=True))
+
+
+class Solved:
+    """In place of the solver, for which time passes as told."""
+
+    def __init__(self, monkeypatch, **outcome):
+        self.outcome = {"optimal": True, "feasible": True, "takes": 1.0, "leaves": lambda asked: [], **outcome}
+        self.clock, self.asked, self.problem = 100.0, [], case("corner").problem
+        monkeypatch.setattr(planner.time, "perf_counter", lambda: self.clock)
+        monkeypatch.setattr(planner, "transcribe", lambda problem, between: between.copy())
+        monkeypatch.setattr(planner, "solve_nlp", self.solve)
+        monkeypatch.setattr(planner, "leaves_limits", self.leaves)
+
+    def solve(self, between, guess, left, options):
+        self.asked.append((between, guess, left, options))
+        self.clock += self.outcome["takes"]
+        count, optimal = len(self.asked), self.outcome["optimal"]
+        return planner.Solution(
+            {"solution": count}, optimal(count) if callable(optimal) else optimal, self.outcome["feasible"],
+            self.outcome.get("message", "tired"), 0.0, 0.25, 10 * count, self.outcome["takes"], None, {},
+        )  # fmt: skip
+
+    def leaves(self, problem, solution):
+        leaves = np.zeros(len(problem.grid.h), dtype=bool)
+        leaves[self.outcome["leaves"](len(self.asked))] = True
+        return leaves
+
+
+def test_each_way_to_solve_is_tried_in_turn_while_there_is_time(monkeypatch):
+    solver = Solved(monkeypatch)
+    found = planner._solve(solver.problem, {}, 60.0)
+    assert [(left, options) for _, _, left, options in solver.asked] == [(60.0, planner.STRATEGIES[0])]
+    assert (found.iterations, found.seconds) == (10, 1.0)
+    # the second one where the first one does not end; the time is that of both
+    solver = Solved(monkeypatch, optimal=lambda count: count == 2, takes=7.0)
+    found = planner._solve(solver.problem, {}, 60.0)
+    assert [(left, options) for _, _, left, options in solver.asked] == list(
+        zip([60.0, 53.0], planner.STRATEGIES, strict=True)
+    )
+    assert (found.iterations, found.seconds) == (30, 14.0)
+    # from a solution on fewer nodes, in one more way
+    solver = Solved(monkeypatch, optimal=False, takes=7.0)
+    planner._solve(solver.problem, {"tau": 0.0}, 60.0)
+    assert [options for *_, options in solver.asked] == [planner.WARM, *planner.STRATEGIES]
+    # and none when the time is over
+    solver = Solved(monkeypatch, optimal=False, takes=61.0)
+    planner._solve(solver.problem, {"tau": 0.0}, 60.0)
+    assert len(solver.asked) == 1
+
+
+def test_rows_between_the_nodes_are_added_where_limits_are_left_four_times_at_most(monkeypatch):
+    count = len(case("corner").problem.grid.h)
+    steps = [count - 1, 0, 0, 0, 6, 7]
+    solver = Solved(monkeypatch, leaves=lambda asked: [steps[asked - 1]])
+    planner._solve(solver.problem, {"first": 0}, 60.0)
+    # that of a step that has its rows already ends it
+    assert len(solver.asked) == 3
+    between = [np.flatnonzero(each).tolist() for each, *_ in solver.asked]
+    assert between == [[], [count - 3, count - 2, count - 1], [0, 1, 2, count - 3, count - 2, count - 1]]
+    assert [guess for _, guess, *_ in solver.asked] == [{"first": 0}, {"solution": 1}, {"solution": 2}]
+    solver = Solved(monkeypatch, leaves=lambda asked: [count - 1, 0] if asked % 2 else [count // 2])
+    monkeypatch.setattr(planner, "widened", lambda leaves, by: np.zeros_like(leaves))
+    planner._solve(solver.problem, {}, 60.0)
+    assert len(solver.asked) == 5
+
+
+@pytest.mark.parametrize(
+    ("message", "constraint", "words"),
+    [("Maximum_CpuTime_Exceeded", "seconds", "within 60 s"), ("tired", "effort", "that keeps the limits")],
+)
+def test_what_has_no_timing_is_told_from_what_had_no_time(monkeypatch, message, constraint, words):
+    message = planner.OUT_OF_TIME if constraint == "seconds" else message
+    solver = Solved(monkeypatch, feasible=False, optimal=False, message=message, leaves=lambda asked: [0])
+    with pytest.raises(rp.errors.InfeasiblePlanError, match=words) as caught:
+        planner._solve(solver.problem, {}, 60.0)
+    assert len(solver.asked) == len(planner.STRATEGIES)
+    assert (caught.value.details["constraint"], caught.value.details["amount"]) == (constraint, 0.25)

@@ -320,8 +320,8 @@ def _problem(
     limits = given["limits"]
     turning = np.abs(np.einsum("nim,ni->nm", model.W, motion.xd))
     fastest = (rates / np.maximum(turning, 1e-300)).min(axis=1, initial=1e300)
-    length = unit.end - unit.start
-    place = (nodes.t - nodes.t[0]) / length
+    length = unit.end
+    place = nodes.t / length
     regular = ~near_singular(parked)
     inverse = np.linalg.pinv(model.W[regular])
 
@@ -333,12 +333,12 @@ def _problem(
         share = np.abs(tau / np.where(np.isfinite(limits.effort), limits.effort, np.inf)).max(initial=0.0)
         return max(float(share), float((pd / fastest).max()))
 
-    speeds = length * np.geomspace(1e-2, 1e3, 101)
+    speeds = length * np.geomspace(1e-3, 1e3, 121)
     uses = np.array([use(speed) for speed in speeds])
     below = np.flatnonzero(uses <= 0.9)
     speed = float(speeds[below[-1] if len(below) else int(uses.argmin())])
     duration = 0.5 * np.pi * length / speed
-    share = np.arccos(np.clip(1.0 - 2.0 * place, -1.0, 1.0)) / np.pi
+    share = np.arccos(1.0 - 2.0 * place) / np.pi
     h = duration * np.diff(share)
     acceleration = 2.0 * speed**2 / length
     (lower, upper), k = limits.track.T, model.k
@@ -350,7 +350,7 @@ def _problem(
     finite = limits.effort[np.isfinite(limits.effort)]
     tau = float(finite.min()) if len(finite) else size / float(np.median(largest))
     row = max(size, tau * float(np.median(largest))) * parked.row_scale
-    sizes = PathScales(speed, acceleration, s, sd, sdd, tau, row, np.where(nodes.h > 0.0, h, 1.0), duration)
+    sizes = PathScales(speed, acceleration, s, sd, sdd, tau, row, np.where(nodes.h > 0.0, h, duration), duration)
     return TimeOptimalProblem(grid=nodes, model=model, singular=singular, fastest=fastest, sizes=sizes, **given)
 
 
@@ -363,7 +363,7 @@ def _at(first: Array, pd: ArrayLike, pdd: ArrayLike) -> Array:
 def first_guess(problem: TimeOptimalProblem) -> dict[str, Array]:
     """Return scaled variables of parked carriers and harmonic motion, of even speed in a lap."""
     u, grid, k = problem.sizes, problem.grid, problem.model.k
-    place = (grid.t - grid.t[0]) / (grid.t[-1] - grid.t[0])
+    place = grid.t / grid.t[-1]
     parked = np.tile(problem.datum / u.s, (len(place), 1)) if k else np.zeros((len(place), 0))
     if problem.lap:
         pd, pdd, h = np.full(len(place), 0.5), np.zeros(len(place)), grid.h / (0.5 * u.speed) / u.h
@@ -386,13 +386,13 @@ def _physical(problem: TimeOptimalProblem, solution: Solution) -> dict[str, Arra
 def moved_guess(values: dict[str, Array], problem: TimeOptimalProblem) -> dict[str, Array]:
     """Return scaled variables on other nodes, from those in units on fewer."""
     u, new, old = problem.sizes, problem.grid.t, values["place"]
-    at = np.minimum(np.searchsorted(old, new, side="left"), len(old) - 1)
+    at = np.searchsorted(old, new, side="left")
     # of nodes that occur twice the second one is the second one there, too
     second = np.append(False, np.diff(new) == 0.0)
-    at[second] = np.minimum(at[second] + 1, len(old) - 1)
+    at[second] += 1
     same = old[at] == new
     below = np.maximum(at - 1, 0)
-    part = np.where(same, 1.0, (new - old[below]) / np.where(old[at] > old[below], old[at] - old[below], 1.0))[:, None]
+    part = np.divide(new - old[below], old[at] - old[below], out=np.ones_like(new), where=~same)[:, None]
     moved = {name: (1.0 - part) * values[name][below] + part * values[name][at] for name in _MOVED}
     scaled_ones = {name: value / getattr(u, _SIZE.get(name, name)) for name, value in moved.items()}
     times = np.concatenate([[0.0], np.cumsum(values["h"])])
