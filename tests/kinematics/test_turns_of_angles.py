@@ -5,15 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 from written import J, urdf_of, write_robot
 
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.closing import scattered
+from redundancy_pin.kinematics.closing import brought_near, scattered
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.inverse_kinematics import wrapped
+from redundancy_pin.robot import Robot
 
 TURN = 2.0 * np.pi
 
@@ -108,3 +110,30 @@ def test_the_gap_that_is_left_is_what_bars_lack(tmp_path: Path, apart: float) ->
         load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
     # a gap is the largest part along an axis of the frame, which in a plane is no less than the whole over root 2
     assert (apart - 2.0) / np.sqrt(2.0) <= caught.value.details["gap"] <= 1.01 * (apart - 2.0)
+
+
+@pytest.mark.parametrize("free", [0, 1, 2])
+@pytest.mark.parametrize("away", [2.9, -2.2, np.pi], ids=["far", "farther than across", "opposite"])
+def test_hinges_that_start_turned_away_are_turned_back_the_short_way(free: int, away: float) -> None:
+    """A body on three hinges, whose axis a closure holds: it is turned over, and a little aside.
+
+    In steps of half a radian at most, so that it takes seven from the other side; two more end it, and one is spare.
+    """
+    model, parent = pin.Model(), 0
+    turns = [pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ()]
+    across = [k for k in range(3) if k != free]
+    for k in (*across, free):
+        parent = model.addJoint(parent, turns[k], pin.SE3.Identity(), f"about_{'xyz'[k]}")
+        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addFrame(pin.Frame("end", parent, pin.SE3.Identity(), pin.FrameType.BODY))
+    model.addFrame(pin.Frame("ground", 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    name = f"about_{'xyz'[free]}"
+    hinge = ("ground", "end", [f"r{'xyz'[k]}" for k in across])
+    robot = Robot.from_model(model, closures=[hinge], actuated=[name], independent=[name], reference=np.zeros(3))
+    system = ConstraintSystem(robot)
+    near, steps, left = brought_near(system, np.array([away, 0.3 if away != np.pi else 0.0, 0.4]))
+    assert left < 1e-3
+    assert steps <= 10
+    # the body's axis is the ground's, and not its opposite
+    end = system.evaluate(near[None]).pose.frame_rotation["end"][:, :, 0]
+    assert end[free, free] > 1.0 - 1e-6

@@ -13,6 +13,7 @@ from zoo import robot_of
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
 from redundancy_pin.robot import Closure, Platform
+from redundancy_pin.robot.from_model import depth_first, in_order_of
 
 SIDE = 0.4
 
@@ -224,6 +225,29 @@ def test_joints_in_any_order_are_numbered_depth_first():
     np.testing.assert_allclose(hand.actInv(shoe).translation[:2], 0.0, atol=1e-9)
     assert np.abs(q - start[[0, 2, 1, 3]]).max() < 0.5
     assert any("depth first" in note for note in robot.notes)
+
+
+def test_joints_of_several_numbers_keep_theirs_in_another_order():
+    """A ball has four numbers and three velocities, a hinge that turns on two and one: by name, whatever the order."""
+    model, body = pin.Model(), pin.Inertia(1.0, np.array([0.3, 0.1, 0.2]), 0.1 * np.eye(3))
+    for name, parent, kind in (
+        ("ball", 0, pin.JointModelSpherical()),
+        ("wheel", 0, pin.JointModelRUBZ()),
+        ("slide", 1, pin.JointModelPX()),
+        ("knob", 2, pin.JointModelRX()),
+    ):
+        model.appendBodyToJoint(model.addJoint(parent, kind, pin.SE3.Identity(), name), body, pin.SE3.Identity())
+    model.armature, model.upperPositionLimit = np.arange(6.0), np.arange(8.0)
+    model.lowerEffortLimit, model.upperEffortLimit = -np.arange(6.0) - 1.0, np.arange(6.0) + 2.0
+    own, at = depth_first(model)
+    assert list(own.names)[1:] == ["ball", "slide", "wheel", "knob"]
+    assert at == [0, 1, 3, 2, 4]
+    # numbers 0 to 3 of the ball, 4 and 5 of the wheel, 6 of the slide, 7 of the knob
+    assert own.upperPositionLimit.tolist() == [0.0, 1.0, 2.0, 3.0, 6.0, 4.0, 5.0, 7.0]
+    assert in_order_of(own, model, at, np.arange(8.0)).tolist() == own.upperPositionLimit.tolist()
+    assert own.armature.tolist() == [0.0, 1.0, 2.0, 4.0, 3.0, 5.0]
+    assert own.lowerEffortLimit.tolist() == (-own.armature - 1.0).tolist()
+    assert own.upperEffortLimit.tolist() == (own.armature + 2.0).tolist()
 
 
 BAD = {

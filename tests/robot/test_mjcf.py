@@ -189,6 +189,12 @@ def test_a_ball_that_carries_a_hinge_is_no_rod(tmp_path):
     assert not robot.closures
     assert robot.loads == (JointForces("hinge", 0.2),)
     assert f"{NOT_IN_FORCE} damping of ball." in robot.notes
+    # three hinges have no armature that turns as a ball's does; that of the hinge is another
+    same = text.replace('damping="0.2"', 'damping="0.2" armature="0.3"')
+    assert rp.load_robot(write(tmp_path, same)).model.armature.tolist() == [0.0, 0.0, 0.0, 0.3]
+    assert rp.load_robot(write(tmp_path, same.replace('damping="0.1"', 'armature="0"'))).n == 4
+    with pytest.raises(ModelFileError, match="ball joint of .* that moves freely has an armature"):
+        rp.load_robot(write(tmp_path, text.replace('damping="0.1"', 'armature="0.01"')))
 
 
 def test_start_limits_gear_armature_and_notes(tmp_path):

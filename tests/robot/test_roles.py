@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -214,3 +215,16 @@ def test_freedoms_are_counted(
         load(tmp_path, [*FIVE_BAR, *joints], **changes)
     details = caught.value.details
     assert (details["freedoms"], details["declared"], details["rank"]) == numbers
+
+
+@pytest.mark.parametrize("size", [1.0, 1e5])
+def test_freedoms_are_counted_alike_in_any_unit_of_length(tmp_path: Path, size: float) -> None:
+    """A slide that a closure of its own holds, and one that nothing does: beside hinges of 0.5 m, or so many 10 µm."""
+    joints = [replace(each, xyz=tuple(size * part for part in each.xyz)) for each in FIVE_BAR]
+    held = [J("bolt", "prismatic", "base", "bolt", axis=(1, 0, 0)), J("mark", "fixed", "base", "mark")]
+    closures = [*DECLARATION["closures"], {"frames": ["bolt", "mark"], "axes": ["x"]}]
+    reference = {**DECLARATION["reference"], "platform": [0.25 * size, 0.7 * size]}
+    given = {"closures": closures, "reference": reference, "characteristic_length": size}
+    with pytest.raises(DeclarationError, match=r"these joints still move: rider\. Add") as caught:
+        load(tmp_path, [*joints, *held, RIDER], **given)
+    assert [caught.value.details[key] for key in ("freedoms", "declared", "rank")] == [3, 2, 3]
