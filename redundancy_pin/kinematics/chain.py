@@ -45,8 +45,6 @@ from redundancy_pin.robot.named import is_pose
 _MOST_ITERATIONS = 10
 _MOST_PIECES = 100
 """Longer ways are left to the batches of ``continuation``."""
-_NEARER = 1.0
-"""Margin in scaled units for each radian of a step above which no rank loss is within the step."""
 _REACHED, _ROUNDED = 1e-13, 1e-14
 """A Newton step (rad, m) or a residual (m, rad) this small is rounding."""
 
@@ -301,9 +299,9 @@ class Tracker:
             not gap < CLOSURE_TOLERANCE
             or not (size < 1.0 / NEAR_RANK_LOSS or size < 1.0 / near_rank_loss(self.chain.system))
             or not _largest(moved - predicted) <= allowed
-            # a rank loss within the step leaves a margin of about the way from it: what is on its other side is for
-            # ``continuation`` to tell
-            or not size * _NEARER * _largest(moved * self._radians) < 1.0
+            # a rank loss within the step leaves a margin, in scaled units, of about the way from it in radians: what is
+            # on its other side is for ``continuation`` to tell
+            or not size * _largest(moved * self._radians) < 1.0
         ):
             return None
         for column, turns in self._legs:  # every leg is, and was, on the same side

@@ -333,6 +333,27 @@ def test_rates_that_are_rounding_beside_a_rank_loss_are_refused(monkeypatch: pyt
     assert lift(robot, motion, positions_only=True).q[1, 1] == pytest.approx(-1e-5, abs=1e-10)
 
 
+@pytest.mark.parametrize("length", [2.0**-6, 1.0, 2.0**6])
+@pytest.mark.parametrize(("rate", "second", "nearest"), [(0.0, 0.0, 1e-5), (1e-9, 1.0, 1e-5), (-1.0, 0.0, 1e-3)])
+def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
+    length: float, rate: float, second: float, nearest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of Γ rounding takes 1e-16 over the square of the angle, of accelerations by rates 1e-16 over its cube.
+
+    Of either 1e-5 is too much: at 3e-6 and at 2e-4, but for a factor of what the margin is per angle.
+    """
+    monkeypatch.setattr(lifting, "through_rank_loss", lambda *_: None)
+    robot = row_of_four_bars(1, crank=length, coupler=length)
+    for beside, taken in ((0.01 * nearest, False), (0.1 * nearest, False), (nearest, True), (10.0 * nearest, True)):
+        rates = np.full((2, 1), rate), np.full((2, 1), second)
+        motion = PlatformMotion(np.array([0.0, 1.0]), np.array([[1.0], [beside]]), *rates, check_rates=False)
+        if taken:
+            assert lift(robot, motion).q[1, 1] == pytest.approx(-beside, abs=1e-9)
+        else:
+            with pytest.raises(SingularPoseError, match="the closures lose rank"):
+                lift(robot, motion)
+
+
 def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:
     system, rng = constraint_system(shipped), np.random.default_rng(4)
     q = np.array(shipped.q_reference)[None] + rng.normal(0.0, 0.05, (5, shipped.model.nq))

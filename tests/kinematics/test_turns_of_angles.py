@@ -87,6 +87,8 @@ def test_scattered_configurations_are_as_far_away_as_is_said(name, spread):
             size = robot.characteristic_length if "P" in str(joint.shortname()).removeprefix("JointModel") else 1.0
             # the largest of 2000 even numbers is within 1 % of their bound
             assert 0.99 * spread * size < most <= spread * size * (1.0 + 1e-12)
+            # as many to either side, within three deviations of the mean
+            assert abs(away[:, joint.idx_q].mean()) < 3.0 * spread * size / np.sqrt(3.0 * 2000)
 
 
 @pytest.mark.parametrize("apart", [2.5, 3.0])

@@ -193,7 +193,7 @@ def test_a_ball_that_carries_a_hinge_is_no_rod(tmp_path):
     same = text.replace('damping="0.2"', 'damping="0.2" armature="0.3"')
     assert rp.load_robot(write(tmp_path, same)).model.armature.tolist() == [0.0, 0.0, 0.0, 0.3]
     assert rp.load_robot(write(tmp_path, same.replace('damping="0.1"', 'armature="0"'))).n == 4
-    with pytest.raises(ModelFileError, match="ball joint of .* that moves freely has an armature"):
+    with pytest.raises(ModelFileError, match=r"ball joint of .* that moves freely has an armature"):
         rp.load_robot(write(tmp_path, text.replace('damping="0.1"', 'armature="0.01"')))
 
 

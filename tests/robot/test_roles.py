@@ -228,3 +228,11 @@ def test_freedoms_are_counted_alike_in_any_unit_of_length(tmp_path: Path, size: 
     with pytest.raises(DeclarationError, match=r"these joints still move: rider\. Add") as caught:
         load(tmp_path, [*joints, *held, RIDER], **given)
     assert [caught.value.details[key] for key in ("freedoms", "declared", "rank")] == [3, 2, 3]
+
+
+def test_rows_are_looked_through_only_where_some_are_redundant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What names them takes as long to import as all else that loading asks for."""
+    asked: list[int] = []
+    monkeypatch.setattr("scipy.linalg.qr", lambda *_, **__: asked.append(1) or pytest.fail("the rows are independent"))
+    assert load(tmp_path, FIVE_BAR).n == 2
+    assert not asked
