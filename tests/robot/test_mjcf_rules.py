@@ -10,8 +10,8 @@ from mjcf_models import FOUR_BAR, write
 import redundancy_pin as rp
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError, ModelFileError, UnsupportedRobotError
-from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats import mjcf_file
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.formats.mjcf_file import _MOST_INCLUDED
 from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS
