@@ -189,6 +189,7 @@ def test_a_ball_that_carries_a_hinge_is_no_rod(tmp_path):
     assert not robot.closures
     assert robot.loads == (JointForces("hinge", 0.2),)
     assert f"{NOT_IN_FORCE} damping of ball." in robot.notes
+    assert read_mjcf(write(tmp_path, text)).start["ball"].tolist() == [0.0, 0.0, 0.0, 1.0]
     # three hinges have no armature that turns as a ball's does; that of the hinge is another
     same = text.replace('damping="0.2"', 'damping="0.2" armature="0.3"')
     assert rp.load_robot(write(tmp_path, same)).model.armature.tolist() == [0.0, 0.0, 0.0, 0.3]

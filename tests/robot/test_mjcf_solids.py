@@ -166,3 +166,49 @@ def test_a_site_with_the_name_of_a_body_gets_another(tmp_path):
     assert read_mjcf(write(tmp_path, text)).links["body"].mass > 0.0
     with pytest.raises(ModelFileError, match="<flag> is not covered"):
         read_mjcf(write(tmp_path, text.replace(nested, "<flag/>")))
+
+
+NO_BODY = {
+    "negative mass": ('<geom size="0.1" mass="-1"/>', "the mass -1"),
+    "no radius": ('<geom size="0" mass="1"/>', "a sphere with the size"),
+    "negative radius": ('<geom type="capsule" size="-0.1 0.2"/>', "a capsule with the size"),
+    "no length": ('<geom type="cylinder" size="0.1"/>', "a cylinder with the size"),
+    "two edges": ('<geom type="ellipsoid" size="0.1 0.2"/>', "a ellipsoid with the size"),
+    "ends that are one": ('<geom type="capsule" size="0.1" fromto="1 2 3 1 2 3"/>', "a fromto of length zero"),
+    "negative inertial": ('<inertial pos="0 0 0" mass="-0.5"/>', "which no body has"),
+    "shell": ('<geom size="0.1" shellinertia="true"/>', "shellinertia"),
+}
+
+
+@pytest.mark.parametrize("case", NO_BODY)
+def test_solids_that_are_none_are_refused(case, tmp_path):
+    text, message = NO_BODY[case]
+    with pytest.raises(ModelFileError, match=message):
+        body(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("geom", "mass"),
+    [
+        ('type="plane" size="1 1 1"', 0.0),
+        ('type="plane" size="1 1 1" mass="2"', 0.0),
+        ('size="0.1" density="0"', 0.0),
+        ('size="0.1" mass="0"', 0.0),
+        # of no mass, whatever its density
+        ('size="0.1" mass="0" density="500"', 0.0),
+        ('size="0.1" mass="3" density="0"', 3.0),
+        ('type="mesh" mesh="shell" mass="0"', 0.0),
+        ('size="0.1" mass="3" shellinertia="false"', 3.0),
+    ],
+)
+def test_solids_may_have_no_mass(geom, mass, tmp_path):
+    ball = '<geom size="0.2" mass="1.5" pos="1 0 0"/>'
+    found = body(tmp_path, f"<geom {geom}/>{ball}")
+    assert found[0] == 1.5 + mass
+    np.testing.assert_allclose(found[1], [1.5 / (1.5 + mass), 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("group", "counts"), [(0, False), (1, True), (2, True), (3, True), (4, False)])
+def test_groups_of_solids_count_from_the_first_to_the_last(group, counts, tmp_path):
+    geom = f'<geom size="0.1" mass="2" group="{group}"/>'
+    assert body(tmp_path, geom, 'inertiagrouprange="1 3"')[0] == (2.0 if counts else 0.0)

@@ -28,6 +28,7 @@ from redundancy_pin.robot.formats.urdf_tree import (
     MOST_FREEDOMS,
     MOST_LINKS,
     JointEntry,
+    impossible_moments,
     read_tree,
     require_same,
 )
@@ -551,3 +552,54 @@ def test_ranges_of_joints_are_those_of_the_file(kind: str, given: dict[str, floa
     found = range_of(joint)
     assert found["effort"] == 3.0
     assert (found["lower"], found["upper"]) == (expected or (UNLIMITED["lower"], UNLIMITED["upper"]))
+
+
+def of_moments(*moments: float) -> str:
+    """A single link with principal moments of inertia, kg·m²."""
+    values = " ".join(f'{key}="{value!r}"' for key, value in zip(("ixx", "iyy", "izz"), moments, strict=True))
+    return (
+        f'<robot name="r"><link name="body"><inertial><mass value="1"/><inertia {values} ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link></robot>"
+    )
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 1e3])
+def test_moments_may_miss_those_of_a_body_by_what_files_round(size: float) -> None:
+    """A millionth of the largest, or 1e-12 kg·m² where that is more; beyond it a note, and below zero a refusal."""
+    path = Path("r.urdf")
+    for part, noted in ((-1e6, False), (0.0, False), (0.5, False), (2.0, True)):
+        largest = 2.0 * size + part * (2e-6 * size + 1e-12) if part >= 0.0 else 0.5 * size
+        (link,) = read_tree(of_moments(largest, size, size), path).links.values()
+        assert bool(impossible_moments([link])) == noted
+    allowed = 1e-6 * size + 1e-12
+    assert read_tree(of_moments(size, size, -0.5 * allowed), path).root == "body"
+    with pytest.raises(ModelFileError, match="a negative one"):
+        read_tree(of_moments(size, size, -2.0 * allowed), path)
+
+
+@pytest.mark.parametrize("mass", [1e-3, 5.0, 1e6])
+def test_what_differs_by_rounding_alone_is_the_same(mass: float) -> None:
+    """1e-9 of a body's mass, of what that times a metre or two is; about a centre of mass that is at the joint."""
+    moment = 2.0 * mass  # of a ball: each second moment is half of that, which is the mass by a square metre
+    ball = " ".join(f'{key}="{moment!r}"' for key in ("ixx", "iyy", "izz"))
+    urdf = (
+        f'<robot name="r"><link name="base"/><link name="ball"><inertial><mass value="{mass!r}"/>'
+        f'<inertia {ball} ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="turn" type="continuous">'
+        '<parent link="base"/><child link="ball"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    path, tree = Path("r.urdf"), read_tree(urdf, Path("r.urdf"))
+    for part, same in ((0.75, True), (1.25, False)):
+        small = part * 1e-9
+        for changed, what in (
+            # mass, centre, second moments: of the last, mass and moment count together
+            ((mass * (1.0 + small), 0.0, moment), "the mass of the body"),
+            ((mass, small, moment), "mass times centre of mass"),
+            ((mass, 0.0, moment + 2.0 * small * (mass + mass)), "the inertia of the body"),
+        ):
+            model = pin.buildModelFromXML(urdf)
+            model.inertias[1] = pin.Inertia(changed[0], np.array([changed[1], 0.0, 0.0]), changed[2] * np.eye(3))
+            if same:
+                require_same(tree, model, path)
+            else:
+                with pytest.raises(ModelFileError, match=what):
+                    require_same(tree, model, path)
