@@ -14,6 +14,8 @@ from written import J, urdf_of, write_robot
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.build import model_of
+from redundancy_pin.robot.formats.urdf_tree import read_tree
 
 FIVE_BAR = [
     J("base_1", "revolute", "base", "upper_1"),
@@ -236,3 +238,20 @@ def test_rows_are_looked_through_only_where_some_are_redundant(tmp_path: Path, m
     monkeypatch.setattr("scipy.linalg.qr", lambda *_, **__: asked.append(1) or pytest.fail("the rows are independent"))
     assert load(tmp_path, FIVE_BAR).n == 2
     assert not asked
+
+
+@pytest.mark.parametrize(("follower", "numbers"), [("rotor", 1), ("elbow", 2), ("", 2)])
+def test_joints_that_turn_on_count_their_turns_where_one_of_them_follows(follower: str, numbers: int) -> None:
+    """Cosine and sine, which Pinocchio has of a continuous joint, forget them; where none is coupled they stay."""
+    joints = [
+        J("arm", "revolute", "base", "arm"),
+        J("elbow", "revolute", "arm", "fore", (0.3, 0, 0)),
+        J("rotor", "continuous", "base", "rotor", (0, 0.4, 0)),
+    ]
+    urdf, path = urdf_of(joints), Path("geared.urdf")
+    if follower:
+        start = urdf.index(f'<joint name="{follower}"')
+        urdf = urdf[:start] + urdf[start:].replace("</joint>", '<mimic joint="arm" multiplier="2"/></joint>', 1)
+    model = model_of(read_tree(urdf, path), urdf, path)
+    assert model.joints[model.getJointId("rotor")].nq == numbers
+    assert model.nv == 3

@@ -358,3 +358,64 @@ def test_a_model_that_drives_nothing_is_told_how_to_say_it(tmp_path: Path) -> No
         rp.load_robot(path)
     assert "actuators" not in str(caught.value)
     assert rp.load_robot(path, actuated="hinge").actuated == ("hinge",)
+
+
+@pytest.mark.parametrize(("aside", "right"), [(0.0, True), (0.5e-6, True), (2e-6, False), (0.3, False), (1.0, False)])
+def test_arms_of_a_cross_that_closes_a_loop_are_at_right_angles(aside, right, tmp_path):
+    """But for a millionth, which files round; along one another they are none."""
+    arms = f"<axis2><xyz>0 {float(np.sqrt(1.0 - aside**2))!r} {aside!r}</xyz></axis2>"
+    parts = [
+        LINKS[0],
+        link("crank", "0 0 0.1 0 0 0"),
+        link("out", "0.2 0 0.1 0 0 0.4"),
+        joint("in", "revolute", "base", "crank", xyz="1 0 0"),
+        joint("exit", "revolute", "base", "out", xyz="1 0 0"),
+        joint("cross", "universal", "crank", "out", xyz="0 0 1", axis2=arms),
+    ]
+    path = written(tmp_path, sdf(*parts))
+    if right:
+        (closure,) = read_sdf(path).closures
+        assert closure.name == "cross"
+    else:
+        with pytest.raises(ModelFileError, match="'cross' has axes that are not at right angles"):
+            read_sdf(path)
+
+
+@pytest.mark.parametrize(("count", "taken"), [(100, True), (101, False)])
+def test_poses_follow_one_another_a_hundred_times(count, taken, tmp_path):
+    """The last is that of a joint, in the last of the links."""
+    parts = [link("link_0", "0 0 0.01 0 0 0")]
+    for i in range(1, count):
+        place = f'<pose relative_to="link_{i - 1}">0 0 0.01 0 0 0</pose>'
+        parts.append(link(f"link_{i}", "0 0 0 0 0 0").replace("<pose>0 0 0 0 0 0</pose>", place))
+        parts.append(joint(f"joint_{i}", "fixed" if i > 1 else "revolute", f"link_{i - 1}", f"link_{i}"))
+    path = written(tmp_path, sdf(*parts, version="1.9"))
+    if taken:
+        model = read_sdf(path).model("chain")
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, np.zeros(1))
+        last = data.oMf[model.getFrameId(f"link_{count - 1}", pin.FrameType.BODY)].translation
+        np.testing.assert_allclose(last, [0.0, 0.0, 0.01 * count], atol=1e-12)
+    else:
+        with pytest.raises(ModelFileError, match="a pose is relative to"):
+            read_sdf(path)
+
+
+def test_joints_along_an_axis_are_pinocchios_own(tmp_path):
+    """Which compute faster; along no axis, or against one, they are those of any direction."""
+    parts = [link("base", "0 0 0 0 0 0")]
+    wanted = {
+        "1 0 0": ("RX", "PX"),
+        "0 2 0": ("RY", "PY"),
+        "0 0 1": ("RZ", "PZ"),
+        "0 0 -1": ("RevoluteUnaligned", "PrismaticUnaligned"),
+        "1 1 0": ("RevoluteUnaligned", "PrismaticUnaligned"),
+    }
+    names = []
+    for xyz, kinds in wanted.items():
+        for kind, name in zip(("revolute", "prismatic"), kinds, strict=True):
+            child = f"body_{len(names)}"
+            parts += [link(child, "0 0 0 0 0 0"), joint(f"to_{child}", kind, "base", child, xyz=xyz)]
+            names.append(f"JointModel{name}")
+    model = read_sdf(written(tmp_path, sdf(*parts))).model("many")
+    assert [str(each.shortname()) for each in list(model.joints)[1:]] == names
