@@ -10,11 +10,14 @@ import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
+from flat_linkages import row_of_four_bars
 from folding import folding_four_bar
 
-from redundancy_pin.kinematics.assembly import assemble, integrate
-from redundancy_pin.kinematics.chain import tracker
-from redundancy_pin.kinematics.continuation import Point
+import redundancy_pin as rp
+from redundancy_pin.kinematics.assembly import assemble, integrate, project
+from redundancy_pin.kinematics.chain import Tracked, Tracker, tracker
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point
 from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
@@ -34,6 +37,8 @@ def test_a_pose_nearby_is_the_one_that_assembly_closes(shipped: Robot, many: boo
     np.testing.assert_allclose(reached.point.q, expected.q[0], rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(reached.point.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
     assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
+    inverse = expected.projection.inverse[0]
+    np.testing.assert_allclose(reached.inverse, inverse, rtol=0.0, atol=1e-10 * np.abs(inverse).max())
 
 
 @pytest.mark.parametrize("many", [False, True])
@@ -105,3 +110,50 @@ def test_a_step_in_which_rank_may_be_lost_is_left_to_others(tmp_path: Path) -> N
     near = Point(tree.motion.x[0], tree.q[0], tree.gamma[0])
     assert follower.towards(near, np.array([np.pi + 0.015])) is None
     assert follower.towards(near, np.array([np.pi - 0.017])) is not None
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**5])
+def test_the_way_to_a_pose_is_gone_in_steps_of_a_part_of_the_machine(
+    size: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As many as it takes at the anchors' spacing; a way of more than a hundred is left to others at once."""
+    names = ("base_distance", "proximal_length", "distal_length", "tail_length")
+    plain = zoo.robot_of("five_bar").parameters
+    robot = rp.load_robot("five_bar", **{name: size * float(plain[name]) for name in names})
+    follower, targets, step = tracker(robot), [], Tracker._step
+
+    def counted(self: Tracker, here: Point, x: np.ndarray) -> Tracked | None:
+        targets.append(np.array(x))
+        return step(self, here, x)
+
+    monkeypatch.setattr(Tracker, "_step", counted)
+    spacing = ANCHOR_SPACING * robot.characteristic_length
+    home, along = follower.home.x, np.array([0.6, -0.8])
+    for way, steps in ((0.0, 1), (0.5, 1), (0.99, 1), (1.01, 2), (1.99, 2), (2.5, 3)):
+        targets.clear()
+        reached = follower.towards(follower.home, home + way * spacing * along)
+        assert reached is not None
+        expected = home + np.linspace(0.0, way, steps + 1)[1:, None] * spacing * along
+        np.testing.assert_allclose(targets, expected, rtol=1e-12)
+    targets.clear()
+    assert follower.towards(follower.home, home + 101.0 * spacing * along) is None
+    assert not targets
+
+
+@pytest.mark.parametrize("length", [1.0, 2.0**5])
+@pytest.mark.parametrize("beside", [0.02, -0.02])
+def test_a_step_is_shorter_than_the_way_to_a_rank_loss(length: float, beside: float) -> None:
+    """In radians and in scaled units; a longer one may have led over one, and is left to others."""
+    robot = row_of_four_bars(1, crank=length, coupler=length)
+    system, follower = constraint_system(robot), tracker(robot)
+    turn = np.array([1.0 if name.startswith("crank") else -1.0 for name in list(robot.model.names)[1:]])
+    margin = project(system, system.evaluate((beside * turn)[None])).margin[0]
+    assert 0.5 < margin / abs(beside) < 2.0
+    for share, taken in ((0.5, True), (0.95, True), (1.05, False), (1.5, False)):
+        before = beside + np.copysign(share * margin, beside)
+        q = before * turn
+        start = Point(np.array([before]), q, project(system, system.evaluate(q[None])).gamma[0])
+        reached = follower.towards(start, np.array([beside]))
+        assert (reached is not None) == taken
+        if reached is not None:
+            np.testing.assert_allclose(reached.point.q, beside * turn, atol=1e-9)
