@@ -394,3 +394,39 @@ def test_motors_of_no_sense_are_refused(five_bar: rp.Robot, given: object) -> No
             rp.forward_kinematics(five_bar, **wanted)
     with pytest.raises(InputError):
         rp.assembly_modes(five_bar, np.ones(2), most_starts="x")
+
+
+@pytest.mark.parametrize(("most", "attempts"), [(None, 512), (1, 128), (128, 128), (129, 256), (3000, 512)])
+def test_motors_that_no_configuration_has_are_given_up(five_bar: rp.Robot, most: int | None, attempts: int) -> None:
+    """The proximal links point away from each other: 1.5 m are left for two distal links of 0.5 m."""
+    given = {} if most is None else {"most_starts": most}
+    with pytest.raises(UnreachablePoseError, match=f"m in {attempts} attempts") as caught:
+        rp.assembly_modes(five_bar, np.array([np.pi, 0.0]), **given)
+    # along an axis of the frame, which is no less than the whole over root 2
+    assert 0.5 / np.sqrt(2.0) < caught.value.details["gap"] < 0.51
+
+
+def test_modes_are_said_with_their_ranges_margins_and_hits(five_bar: rp.Robot) -> None:
+    """Two points of two circles; a range of an elbow that one of them is out of."""
+    u = np.array([2.0, 1.0])
+    modes = rp.assembly_modes(five_bar, u)
+    motors = [five_bar.model.joints[five_bar.model.getJointId(name)].idx_q for name in five_bar.actuated]
+    np.testing.assert_allclose(modes.q[:, motors], np.tile(u, (2, 1)), atol=1e-9)
+    tips = np.array([[0.5 * np.cos(2.0), 0.5 * np.sin(2.0)], [0.5 + 0.5 * np.cos(1.0), 0.5 * np.sin(1.0)]])
+    for q, x in zip(modes.q, modes.x, strict=True):
+        np.testing.assert_allclose(np.linalg.norm(x - tips, axis=1), 0.5, atol=1e-9)
+        assert (np.abs(q) <= np.pi).all()
+    reference = np.array(five_bar.q_reference)
+    assert np.abs(modes.q[0] - reference).sum() < np.abs(modes.q[1] - reference).sum()
+    assert modes.in_range.all()
+    assert (modes.margin > 0.0).all()
+    # both come from as many starts, within what chance allows: three deviations of a fair coin
+    assert abs(modes.hits[0] - modes.hits[1]) < 3.0 * np.sqrt(modes.hits.sum())
+    assert modes.hits.min() >= 6
+    elbow = next(str(name) for name in five_bar.model.names if str(name).startswith("elbow"))
+    at = five_bar.model.joints[five_bar.model.getJointId(elbow)].idx_q
+    low, high = sorted(modes.q[:, at])
+    narrow = five_bar.with_limits({elbow: {"lower": 0.5 * (low + high), "upper": high + 0.1}})
+    again = rp.assembly_modes(narrow, u)
+    assert again.in_range.tolist() == (again.q[:, at] > 0.5 * (low + high)).tolist()
+    assert sorted(again.in_range) == [False, True]
