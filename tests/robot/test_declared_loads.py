@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import redundancy_pin as rp
 from redundancy_pin.cli import main
-from redundancy_pin.errors import DeclarationError, ModelFileError, UnsupportedRobotError
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, UnsupportedRobotError
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.urdf import declaration_path
 
@@ -155,3 +155,30 @@ def test_info_shows_limits_of_all_joints_and_what_is_outside(tmp_path: Path) -> 
     assert facts["rocker"]["reference"] == pytest.approx(at)
     outside = CliRunner().invoke(main, ["info", "--robot", str(path)], terminal_width=200)
     assert "(outside)" in outside.output
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e4])
+def test_payloads_have_the_moments_of_bodies_but_for_rounding(size: float) -> None:
+    """A flat one has a moment as large as both others; 1e-9 of the largest may be missed, in either direction."""
+
+    def payload(*moments: float, aside: float = 0.0) -> Payload:
+        inertia = np.diag(moments)
+        inertia[0, 1] = aside
+        return Payload("link", 1.0, inertia=inertia)
+
+    for moments in ((size, size, 2.0 * size), (2.0 * size, size, size), (0.0, size, size), (0.0, 0.0, 0.0)):
+        np.testing.assert_array_equal(payload(*moments).inertia, np.diag(moments))
+    small = 2e-9 * size  # 1e-9 of the largest below
+    payload(size, size, 2.0 * size + 0.5 * small)
+    payload(size, size, 2.0 * size, aside=0.5 * small)
+    payload(2.0 * size, 2.0 * size, -0.5 * small)
+    for moments, aside in (
+        ((size, size, 2.0 * size + 2.0 * small), 0.0),
+        ((size, size, 2.0 * size), 2.0 * small),
+        ((2.0 * size, 2.0 * size, -2.0 * small), 0.0),
+        ((size, size, 3.0 * size), 0.0),
+        ((-size, size, size), 0.0),
+    ):
+        with pytest.raises(InputError, match="which no body has"):
+            payload(*moments, aside=aside)
+    np.testing.assert_array_equal(Payload("link", 1.0, inertia=size).inertia, size * np.eye(3))

@@ -419,3 +419,27 @@ def test_loads_act_on_points_of_the_model_and_on_what_joints_carry():
     # the rocker stands on the ground: gear² · inertia at its own rate
     a = rp.lift(robot, motion).a[:, 2]
     np.testing.assert_allclose(rotor - free, 0.1 * a[:, None] * gamma[2], atol=1e-12)
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_a_ball_that_ends_where_it_begins_is_no_rod(long):
+    """Between balls at one place nothing spins about a line; a rod of half a metre about the origin does."""
+    model, body = pin.Model(), pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3))
+    near, far = np.array([0.25, 0.0, 0.0]), np.array([-0.25 if long else 0.25, 0.0, 0.0])
+    for name, parent, kind, place in (
+        ("crank", 0, pin.JointModelRZ(), near - [0.0, 0.2, 0.0]),
+        ("ball", 1, pin.JointModelSpherical(), np.array([0.0, 0.2, 0.0])),
+        ("rocker", 0, pin.JointModelRZ() if long else pin.JointModelRX(), far - [0.0, 0.3, 0.0]),
+    ):
+        joint = model.addJoint(parent, kind, pin.SE3(np.eye(3), place), name)
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    ends = pin.SE3(np.eye(3), far - near), pin.SE3(np.eye(3), np.array([0.0, 0.3, 0.0]))
+    constraint = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, 2, ends[0], 3, ends[1])
+    given = {"closures": [constraint], "actuated": ["crank"], "reference": pin.neutral(model)}
+    if long:
+        robot = rp.Robot.from_model(model, **given)
+        assert robot.independent_joints == ("crank",)
+        assert any("spin of ball" in note for note in robot.notes)
+    else:
+        with pytest.raises(DeclarationError, match="the joint\\(s\\) 'ball' of several freedoms"):
+            rp.Robot.from_model(model, **given)
