@@ -17,7 +17,7 @@ import redundancy_pin as rp
 from redundancy_pin.kinematics.assembly import assemble, integrate, project
 from redundancy_pin.kinematics.chain import Tracked, Tracker, tracker
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point
+from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point, follow
 from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
@@ -157,3 +157,30 @@ def test_a_step_is_shorter_than_the_way_to_a_rank_loss(length: float, beside: fl
         assert (reached is not None) == taken
         if reached is not None:
             np.testing.assert_allclose(reached.point.q, beside * turn, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**5])
+def test_anchors_are_laid_at_one_spacing_whatever_the_samples(size: float) -> None:
+    """Between samples that are far apart in even parts of a step; of samples that are near each other on some."""
+    robot = row_of_four_bars(1, crank=size, coupler=size)
+    system, start = constraint_system(robot), np.array(robot.q_reference)
+    # the crank's angle times the size of the machine, in parts of that size: the spacing is an angle
+    first = float(robot.q_reference[0])
+    for way, parts in ((1.5, 2), (2.5, 3), (9.9, 10)):
+        far = follow(system, first + ANCHOR_SPACING * way * np.array([[0.0], [1.0], [1.25]]), start)
+        between = np.arange(parts + 1) / parts
+        more = max(int(np.ceil(0.25 * way)), 1)
+        expected = [*between, *(1.0 + np.arange(1, more + 1) / more)]
+        np.testing.assert_allclose(far.position, expected, atol=1e-12)
+        np.testing.assert_allclose(
+            far.x[:, 0], first + ANCHOR_SPACING * way * np.interp(expected, range(3), [0, 1, 1.25])
+        )
+        assert far.valid.all()
+    dense = first + ANCHOR_SPACING * np.arange(0.0, 5.01, 0.23)[:, None]
+    anchors = follow(system, dense, start)
+    assert (anchors.position == anchors.position.round()).all()
+    apart = np.diff(anchors.position) * 0.23
+    assert apart.max() < 1.0 + 2.0 * 0.23
+    assert apart[:-1].min() > 1.0 - 2.0 * 0.23
+    every = follow(system, dense, start, every_sample=True)
+    np.testing.assert_array_equal(every.position, np.arange(len(dense)))
