@@ -321,7 +321,7 @@ def _problem(
     turning = np.abs(np.einsum("nim,ni->nm", model.W, motion.xd))
     fastest = (rates / np.maximum(turning, 1e-300)).min(axis=1, initial=1e300)
     length = unit.end
-    place = nodes.t / length
+    place = nodes.t / nodes.t[-1]
     regular = ~near_singular(parked)
     inverse = np.linalg.pinv(model.W[regular])
 
