@@ -55,7 +55,7 @@ def sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayL
                 remedy=f"At most {MOST_SAMPLES} are made at once: use a larger dt, or sample a part with times.",
                 dt=step,
             )
-        grid = step * np.arange(int(np.ceil(duration / step)))
+        grid = step * np.arange(np.ceil(duration / step), dtype=np.float64)
         grid = np.append(grid[grid < duration - slack], duration)
     else:
         grid = inside(checked(np.asarray(times), "times", ("N",)), 0.0, duration, "times", "s")
