@@ -85,7 +85,7 @@ def test_hinges_that_are_opposite_turn_over(tmp_path: Path, kind: str) -> None:
     over = next(name for name in ("turn_z", "turn_y") if name[-1] != kind[-1])
     q[robot.model.joints[robot.model.getJointId(over)].idx_q] = np.pi
     assert apart(robot, q, kind)[1] == pytest.approx(np.pi)
-    reached, steps, left = brought_near(ConstraintSystem(robot), q)
+    reached, steps, _ = brought_near(ConstraintSystem(robot), q)
     assert max(apart(robot, reached, kind)) <= NEAR
     assert steps <= np.pi / LONGEST + LAST
 
