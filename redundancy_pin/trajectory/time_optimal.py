@@ -178,12 +178,12 @@ def _rows(tangent: Array, curvature: Array, groups: list[_Group]) -> tuple[Array
             c += [group.acceleration] * 2
             continue
         # in the plane of both: along the tangent, and across it
-        along = np.einsum("ni,ni->n", first, second) / np.where(size > 0.0, size, 1.0)
+        along = np.einsum("ni,ni->n", first, second) / np.maximum(size, np.finfo(float).tiny)
         across = np.sqrt(np.maximum((second**2).sum(axis=1) - along**2, 0.0))
         inscribed = group.acceleration * np.cos(np.pi / _DIRECTIONS)
-        for cos, sin in _SIDES:
-            A.append(cos * size)
-            B.append(cos * along + sin * across)
+        for side in _SIDES:
+            A.append(side[0] * size)
+            B.append(side @ np.stack([along, across]))
             c.append(inscribed)
     return np.stack(A, axis=1), np.stack(B, axis=1), np.array(c), most
 

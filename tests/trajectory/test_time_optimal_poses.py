@@ -1,4 +1,4 @@
-"""Poses as fast as limits allow: some limit is met all the time, of origin or rotation, and none exceeded."""
+"""As fast as limits allow: some limit of a pose is met all the time, none exceeded; mirrored and turned paths."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.trajectory import from_points
+from redundancy_pin.trajectory import from_points, through_points
+from redundancy_pin.trajectory.time_optimal import least_duration
+
+BENT = np.array([[0.0, 0.0], [0.2, 0.1], [0.3, 0.4], [0.1, 0.5], [0.0, 0.3]])
 
 
 def poses(seed: int, turning: float) -> np.ndarray:
@@ -44,3 +47,18 @@ def test_of_poses_one_limit_is_met_all_the_time(turning, speed, acceleration):
     assert used.max() <= 1.0 + 1e-3
     assert np.quantile(used, 0.1) >= 0.9
     assert np.quantile(used, 0.2) >= 0.975
+
+
+@pytest.mark.parametrize("mirror", [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)])
+@pytest.mark.parametrize(("speed", "acceleration"), [((9.0, 9.0), (2.0, 3.0)), ((0.4, 0.5), (3.0, 2.0))])
+def test_mirrored_paths_take_the_same_time(mirror, speed, acceleration):
+    """Limits are the same in both directions of a coordinate; on the same path, mirrored, only rounding differs."""
+    there = least_duration(through_points(BENT * mirror), speed, acceleration)
+    assert there == pytest.approx(least_duration(through_points(BENT), speed, acceleration), rel=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.3, 1.2, 2.9])
+def test_turned_paths_take_the_same_time_under_a_limit_of_the_norm(angle):
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    there = least_duration(through_points(BENT @ turn.T), 0.5, 2.0)
+    assert there == pytest.approx(least_duration(through_points(BENT), 0.5, 2.0), rel=1e-6)  # steps halved elsewhere
