@@ -16,7 +16,7 @@ from redundancy_pin.planners.base_wrench import BASE, point_of, weights_of
 from redundancy_pin.planners.carrier_return import CarrierState, no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, return_duration
 from redundancy_pin.planners.stepwise.optimiser import AccelerationBox, OptimisedSteps, StepProblems, optimise
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Active = Literal["always", "accelerating"]
@@ -290,10 +290,16 @@ def _require_time(
     raise InfeasiblePlanError(message, remedy=remedy, constraint="rest", carrier=carrier, time=end, amount=late)
 
 
+def track_size(limit: CarrierLimits) -> float:
+    """Return the length of a track, m, that rounding is compared with; a metre of one that does not end."""
+    length = limit.upper - limit.lower
+    return length if math.isfinite(length) else 1.0
+
+
 def _require_on_track(box: AccelerationBox, times: Array, path: Array, sd: Array) -> None:
     for j, limit in enumerate(box.limits):
         beyond = np.maximum(path[:, j] - limit.upper, limit.lower - path[:, j])
-        if not len(beyond) or beyond.max() <= _ON_TRACK * (limit.upper - limit.lower):
+        if not len(beyond) or beyond.max() <= _ON_TRACK * track_size(limit):
             continue
         worst = int(np.argmax(beyond))
         carrier = box.carriers[j]

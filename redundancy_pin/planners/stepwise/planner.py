@@ -36,6 +36,7 @@ from redundancy_pin.planners.stepwise.course import (
     brake,
     checked_settings,
     run_course,
+    track_size,
 )
 from redundancy_pin.planners.stepwise.optimiser import (
     AccelerationBox,
@@ -327,12 +328,11 @@ def _bounds_met(course: Course, limits: AccelerationBox) -> list[dict[str, objec
 
 def _which(stretch: OptimisedSteps, limits: AccelerationBox, j: int, side: str) -> dict[str, BoolArray]:
     """Return for each kind of bound the steps at which it would be the one that binds on a side."""
-    limit, sign = limits.limits[j], 1.0 if side == "upper" else -1.0
-    end = limit.upper if side == "upper" else limit.lower
-    with np.errstate(invalid="ignore"):
-        speed = sign * stretch.sd[:, j] >= limit.speed * (1.0 - _MET)
-        acceleration = sign * stretch.sdd[:, j] >= limit.acceleration * (1.0 - _MET)
-        track = sign * (stretch.s[:, j] - end) >= -_MET * (limit.upper - limit.lower)
+    limit, upper = limits.limits[j], side == "upper"
+    s, sd, sdd = ((part if upper else -part)[:, j] for part in (stretch.s, stretch.sd, stretch.sdd))
+    speed = sd >= limit.speed * (1.0 - _MET)
+    acceleration = sdd >= limit.acceleration * (1.0 - _MET)
+    track = s >= (limit.upper if upper else -limit.lower) - _MET * track_size(limit)
     stop = ~(speed | acceleration | track)
     return {"speed": speed, "acceleration": acceleration, "track": track, "stop": stop}
 
