@@ -137,6 +137,29 @@ def test_steps_balance_too() -> None:
     assert efforts[1] < efforts[0]
 
 
+def test_a_step_depends_on_what_objectives_weigh_beside_each_other() -> None:
+    """All weights four times: the same plan; one of them: more of what it weighs, less of the other."""
+    corner = reference.corner().sample(0.04)
+
+    def made(effort: float, wrench: float) -> Plan:
+        weights = {"effort": effort, "base_wrench": wrench}
+        return plan_stepwise(dynamics(), corner, objective=weights, base_point=CENTRE, **LIMITS)
+
+    once, four, other = made(1.0, 1.0), made(4.0, 4.0), made(4.0, 1.0)
+    np.testing.assert_allclose(four.carriers.s, once.carriers.s, atol=1e-9)
+    ended = (once.phase == 1) & ~once.motion.jumps & (once.t > 0.0)
+
+    def each(plan: Plan) -> tuple[float, float]:
+        wrench = plan.base_wrench(dynamics(), CENTRE)[ended]
+        wrench[:, 3:] /= dynamics().robot.characteristic_length
+        first = np.flatnonzero(ended)[0]  # from where on the courses differ
+        return float((plan.tau[first] ** 2).sum()), float((wrench[0] ** 2).sum())
+
+    (effort, base), (less, more) = each(once), each(other)
+    assert less < effort
+    assert more > base
+
+
 def test_weight_that_the_base_carries_anyway_does_not_count() -> None:
     """Gravity across the plane: its force is constant, and carriers cannot balance it."""
     heavy = VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0, working_mode=MODE, gravity=(0.0, 0.0, -9.81)))

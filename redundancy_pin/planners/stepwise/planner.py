@@ -53,7 +53,7 @@ LEAST_MARGIN = 1e-3
 """Smallest margin of W that is accepted: efforts grow with its inverse."""
 
 ACCELERATING = 1e-9
-"""Of the largest reference acceleration; what is below counts as zero. The straights of a path leave rounding."""
+"""Of the largest reference acceleration or speed; what is below is zero. The straights of a path leave rounding."""
 
 
 _FEWEST_SAMPLES = 10
@@ -192,7 +192,7 @@ def plan_stepwise(
     model, target = _goals(dynamics, along, settings, target)
     at = np.flatnonzero(~motion.jumps)
     problems = step_problems(model, target, at)
-    moving, accelerating = _moving(motion, problems)
+    moving, accelerating = _moving(motion)
     decides = accelerating[at[1:]] if active == "accelerating" else np.ones(len(at) - 1, dtype=bool)
     box = settings.box(float(motion.t[-1]))
     course = run_course(robot, settings, box, problems, decides, ~moving[at[1:]])
@@ -244,14 +244,10 @@ def _goals(
     return replace(model, tau0=tau0, tau_terms=tau_terms), np.pad(root * target, ((0, 0), (0, goal.shape[1])))
 
 
-def _moving(motion: PlatformMotion, problems: StepProblems) -> tuple[BoolArray, BoolArray]:
+def _moving(motion: PlatformMotion) -> tuple[BoolArray, BoolArray]:
     """Return (N,) whether the platform moves, and whether it accelerates."""
-    acceleration = np.abs(motion.xdd).max(axis=1)
-    largest = float(acceleration.max())
-    travelled = largest * float(problems.t[-1] - problems.t[0])
-    speed = np.abs(motion.xd).max(axis=1)
-    size = max(float(speed.max()), travelled)
-    return speed > ACCELERATING * size, acceleration > ACCELERATING * largest
+    speed, acceleration = (np.abs(rate).max(axis=1) for rate in (motion.xd, motion.xdd))
+    return speed > ACCELERATING * speed.max(), acceleration > ACCELERATING * acceleration.max()
 
 
 def _samples(motion: PlatformMotion, course: Course, planned: int) -> tuple[CarrierMotion, IntArray]:
