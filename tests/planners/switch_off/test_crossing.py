@@ -135,12 +135,12 @@ def stopped_at(t: float, s: Any, monkeypatch: pytest.MonkeyPatch) -> dict[str, A
     return {**caught.value.details, "said": str(caught.value)}
 
 
-def lost_by(of_time: Callable[[Any], Any], actuators: Any = W) -> list[LostDirection]:
-    """Instants at which F = diag(1, of_time(t)), in forces, lacks rank."""
+def lost_by(of_time: Callable[[Any], Any], actuators: Any = W, mass: float = 1.0) -> list[LostDirection]:
+    """Instants at which F = diag(1, of_time(t)) by a mass, in forces, lacks rank."""
 
     def at(t: Any) -> Any:
         terms = np.zeros((len(t), 2, 2, 5))
-        terms[:, 0, 0, 4], terms[:, 1, 1, 4] = SCALE[0], SCALE[1] * of_time(t)
+        terms[:, 0, 0, 4], terms[:, 1, 1, 4] = mass * SCALE[0], mass * SCALE[1] * of_time(t)
         return SimpleNamespace(t=t, f_terms=terms, f0=np.tile(F0, (len(t), 1)), W=np.tile(actuators, (len(t), 1, 1)))
 
     model = SimpleNamespace(at=at, interpolant=SimpleNamespace(edges=np.array([0.0, 0.25, 1.0])))
@@ -151,12 +151,13 @@ def test_a_direction_is_lost_where_carriers_have_no_effect_in_it_at_all() -> Non
     (instant,) = lost_by(lambda t: t - 0.4)
     assert instant.t == pytest.approx(0.4, abs=1e-9)
     np.testing.assert_allclose(np.abs(instant.direction), [0.0, 1.0], atol=1e-9)
-    assert lost_by(lambda t: np.hypot(t - 0.4, 1e-6)) == []  # weak, but there
+    for mass in (1e-4, 1e4):
+        assert lost_by(lambda t: np.hypot(t - 0.4, 1e-6), W, mass) == []  # weak, but there
     (instant,) = lost_by(lambda t: t - 0.4, np.array([[2.0, 1.0], [1e-8, 0.0]]))
     assert instant.by_main is False
     for nothing in (lambda t: 0.0 * t, lambda t: 1e-10 * (1.0 + t)):
         with pytest.raises(InfeasiblePlanError, match="no effect") as caught:
-            lost_by(nothing)
+            lost_by(nothing, W, 1e4)
         assert caught.value.details["amount"] == 1.0
         assert caught.value.details["time"] == 0.0
 
@@ -189,7 +190,16 @@ def test_a_window_of_backward_differences_is_that_of_the_samples_inside(
     assert steps <= 3.0 * len(course.samples[0])
 
 
-def crossed(window: tuple[float, float], ramp: float, dt: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, int]:
+def test_what_moments_are_divided_by_changes_no_carrier(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to the tolerance of a sample's balance, and in as many steps."""
+    one, other = (crossed((0.41, 0.57), 0.03, 0.01, monkeypatch, scale) for scale in (np.ones(2), np.array([1.0, 5.0])))
+    np.testing.assert_allclose(other[0].samples[1].s, one[0].samples[1].s, atol=1e-9)
+    assert abs(other[1] - one[1]) <= 0.2 * one[1]
+
+
+def crossed(
+    window: tuple[float, float], ramp: float, dt: float, monkeypatch: pytest.MonkeyPatch, scale: Any = (1.0, 1.0)
+) -> tuple[Any, int]:
     """The carriers of a 2-RPR through a window of its circle, and how many linear equations that took."""
     samples, steps = reference.circle().sample(0.005), []
     true = CarrierModel.slopes
@@ -197,4 +207,6 @@ def crossed(window: tuple[float, float], ramp: float, dt: float, monkeypatch: py
     motion = continuous_motion(PlatformMotion(samples.t + BEGUN, samples.x, samples.xd, samples.xdd))
     off = Interval(*(BEGUN + t for t in window))
     dynamics = VirtualWork(zoo.robot_of("2rpr"))
-    return crossing.cross_stepwise(dynamics, motion, off, ramp, np.zeros(2), np.ones(2), dt), len(steps)
+    course = crossing.cross_stepwise(dynamics, motion, off, ramp, np.zeros(2), np.array(scale), dt)
+    monkeypatch.undo()
+    return course, len(steps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 import zoo
 
 import redundancy_pin as rp
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory import multistart
 from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
@@ -178,3 +180,196 @@ def test_a_platform_at_rest_is_scaled_by_what_its_carriers_do() -> None:
         carriers = rp.CarrierMotion(np.zeros((1, 2)), np.zeros((1, 2)), sdd, check_rates=False)
         pushed.append(np.abs(rp.RneaDynamics(dynamics.robot).reduce(motion[:1], carriers).f).max())
     np.testing.assert_allclose(scales.row, max(pushed), rtol=1e-9)
+
+
+# --- which limits are tried, from solutions made up here ---
+
+NOTHING = 1e-5
+"""Fraction of a limit below which it has not given way."""
+
+
+def elastic(slacks: dict[str, float], iterations: int = 1, **how: Any) -> Any:
+    """A solution in which limits give way by so much, and nothing moves."""
+    made = solution(problem())
+    made.values |= {multistart.slack_name(kind): np.full((1, 1), fraction) for kind, fraction in slacks.items()}
+    usual = {"feasible": True, "optimal": True, "infeasible": False, "message": "said", "violation": 0.0}
+    return SimpleNamespace(values=made.values, iterations=iterations, **{**usual, **how})
+
+
+class Solved:
+    """Stands in for the solver: the answer to each set of kinds that may give way; each takes a second."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, answers: dict[tuple[str, ...], Any], spared: int) -> None:
+        self.now, self.answers, self.tried = 100.0, answers, []
+        monkeypatch.setattr(multistart, "SPARED", spared * len(problem().grid.t))
+        monkeypatch.setattr(multistart, "transcribe", lambda _, kinds: tuple(kinds))
+        monkeypatch.setattr(multistart, "solve_nlp", self)
+        monkeypatch.setattr(multistart, "time", SimpleNamespace(perf_counter=lambda: self.now))
+
+    def __call__(self, kinds: Any, guess: Any, seconds: float, most: Any = None, progress: Any = None) -> Any:
+        self.now += 1.0
+        self.tried.append((kinds[0] if len(kinds) == 1 else "all", seconds, (most or {}).get("ipopt.max_iter")))
+        return self.answers[kinds]
+
+    def refused(self, seconds: float = 60.0) -> InfeasiblePlanError:
+        of = problem()
+        settings = replace(of.settings, solver=replace(of.settings.solver, seconds=seconds))
+        with pytest.raises(InfeasiblePlanError) as caught:
+            multistart.relax(replace(of, settings=settings), robot_record(zoo.robot_of("2rpr")), {}, "said")
+        return caught.value
+
+
+def test_limits_that_hardly_give_way_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = elastic({"speed": 0.9 * NOTHING, "effort": 0.9 * NOTHING})
+    solved = Solved(monkeypatch, {multistart.KINDS: kept}, 100)
+    assert multistart.relax(problem(), robot_record(zoo.robot_of("2rpr")), {}, "said") is kept
+    solved.answers[multistart.KINDS] = elastic({"speed": 1.1 * NOTHING})
+    solved.answers |= {(kind,): elastic({}, optimal=False, infeasible=True) for kind in multistart.KINDS}
+    error = solved.refused()
+    assert (error.details["constraint"], error.details["together"], error.details["untried"]) == ("speed", False, ())
+
+
+def test_each_limit_that_gave_way_is_tried_alone_and_the_least_relaxation_comes_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Efforts first; a bound of an objective counts as touched. Each has what others left of iterations and time."""
+    answers = {
+        multistart.KINDS: elastic({"speed": 0.1, "effort": 0.2, "jerk": 0.3}, 7),
+        ("effort",): elastic({"effort": 0.5}, 30),
+        ("speed",): elastic({"speed": 0.25}, 20),
+        ("jerk",): elastic({}, 10, optimal=False, infeasible=True),
+        ("at_most",): elastic({}, 10, optimal=False),
+    }
+    solved = Solved(monkeypatch, answers, 100)
+    details = solved.refused().details
+    order = [name for name, _, _ in solved.tried]
+    assert order[:2] == ["all", "effort"]
+    spent = {"all": 0, "effort": 30, "speed": 20, "jerk": 10, "at_most": 10}
+    assert sorted(order) == sorted(spent)
+    for number, (_, seconds, most) in enumerate(solved.tried[1:], 1):
+        assert seconds == 60.0 - number
+        assert most == 100 - sum(spent[name] for name in order[:number])
+    assert [event["constraint"] for event in details["relaxations"]] == ["speed", "effort"]
+    assert [event["fraction"] for event in details["relaxations"]] == [0.25, 0.5]
+    assert (details["constraint"], details["together"], details["untried"]) == ("speed", False, ("at_most",))
+
+
+@pytest.mark.parametrize(("spared", "seconds", "tries"), [(30, 60.0, 1), (31, 60.0, 2), (100, 2.0, 1), (100, 2.5, 2)])
+def test_where_iterations_or_time_run_out_the_rest_is_said_to_be_untried(
+    spared: int, seconds: float, tries: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first takes 30 iterations, and it and the elastic programme a second each."""
+    stuck = elastic({}, 30, optimal=False, infeasible=True)
+    answers = {(kind,): stuck for kind in multistart.KINDS} | {
+        multistart.KINDS: elastic({"speed": 0.1, "effort": 0.2}, 7)
+    }
+    solved = Solved(monkeypatch, answers, spared)
+    details = solved.refused(seconds).details
+    assert len(solved.tried) == 1 + tries
+    assert len(details["untried"]) == 3 - tries
+    assert details["together"]
+    assert [event["constraint"] for event in details["relaxations"]] == ["speed", "effort"]
+
+
+def test_the_first_programme_has_at_least_as_many_iterations_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = {(kind,): elastic({}, 1000, optimal=False, infeasible=True) for kind in multistart.KINDS}
+    solved = Solved(monkeypatch, answers | {multistart.KINDS: elastic({"speed": 0.1, "effort": 0.2}, 55)}, 9)
+    solved.refused()
+    assert [most for _, _, most in solved.tried] == [None, 55]
+
+
+@pytest.mark.parametrize(
+    ("least", "named"),
+    [
+        ({"effort": 5.0, "energy": 9.0}, {"effort": (1.0, 5.0, 0.25)}),
+        ({"effort": 3.0, "energy": 13.5}, {"energy": (4.5, 13.5, 0.5)}),
+        ({"effort": 5.0, "energy": 13.5}, {"effort": (1.0, 5.0, 0.25), "energy": (4.5, 13.5, 0.5)}),
+        ({"effort": 4.0 * (1.0 + 0.9 * NOTHING), "energy": 4.0}, {}),
+    ],
+)
+def test_bounds_are_compared_with_the_least_there_is(
+    least: dict[str, float], named: dict[str, tuple[float, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bounds are 4 and 9; of what is no optimum nothing is known."""
+    asked = []
+
+    def solve(of: WholeTrajectoryProblem, *_: Any) -> Any:
+        asked.append((dict(of.settings.objective), dict(of.settings.at_most)))
+        return SimpleNamespace(values={}, optimal=optimal)
+
+    monkeypatch.setattr(multistart, "solve", solve)
+    monkeypatch.setattr(multistart, "objective_values", lambda of, values: least)
+    optimal = False
+    multistart.require_bounds(problem(), {})
+    assert asked == [({"effort": 1.0}, {}), ({"energy": 1.0}, {})]
+    optimal = True
+    if not named:
+        multistart.require_bounds(problem(), {})
+        return
+    with pytest.raises(InfeasiblePlanError, match="What is needed at least: ") as caught:
+        multistart.require_bounds(problem(), {})
+    details = caught.value.details
+    assert details["together"] is (len(named) > 1)
+    for event in details["relaxations"]:
+        numbers = [event[name] for name in ("amount", "limit", "fraction")]
+        np.testing.assert_allclose(numbers, named[event["objective"]], rtol=1e-12)
+    assert [event["objective"] for event in details["relaxations"]] == list(named)
+
+
+# --- several first guesses ---
+
+
+def ended(cost: float, place: float = 0.0, feasible: bool = True, optimal: bool = True) -> multistart.Outcome:
+    values = {"s": np.array([[0.0, 0.1], [0.0, place]])}
+    made: Any = SimpleNamespace(cost=cost, values=values, feasible=feasible, optimal=optimal, message="said")
+    return multistart.Outcome(problem(), made)
+
+
+def test_optima_of_one_cost_and_motion_are_one() -> None:
+    """Costs to 1e-5 of themselves, positions to a hundredth of half the track."""
+    outcomes = (
+        ended(-200.0, 0.5), ended(-200.0 * (1.0 - 0.9e-5), 0.509), ended(-200.0, 0.511),
+        ended(-200.0 * (1.0 + 1.1e-5), 0.5),
+        ended(-900.0, optimal=False), ended(-1e9, feasible=False, optimal=False), ended(-200.001, 0.5),
+    )  # fmt: skip
+    said = multistart.Multistart(outcomes, 9).summary
+    assert said["optima"] == [
+        {"cost": -200.0 * (1.0 + 1.1e-5), "starts": [3]},
+        {"cost": -200.001, "starts": [0, 1, 6]},
+        {"cost": -200.0, "starts": [2]},
+    ]
+    assert (said["asked"], said["tried"], said["converged"], said["won"]) == (9, 7, 5, 3)
+    np.testing.assert_allclose(said["costs"], [one.solution.cost for one in outcomes[:5]] + [np.nan, -200.001])  # type: ignore[arg-type]
+
+
+def test_the_best_is_an_optimum_before_what_keeps_the_limits_before_the_rest() -> None:
+    only, kept, lost = ended(5.0), ended(3.0, optimal=False), ended(1.0, feasible=False, optimal=False)
+    for outcomes, best in (((lost, kept, only), only), ((lost, kept), kept), ((lost,), lost)):
+        several = multistart.Multistart(outcomes, 3)
+        assert several.best is best
+        assert several.feasible is (best is not lost)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "each", "given"),
+    [(5.0, 2.0, [5.0, 3.0, 1.0]), (5.0, 2.5, [5.0, 2.5]), (5.0, 0.5, [5.0, 4.5, 4.0, 3.5]), (1e-6, 1.0, [None])],
+)
+def test_first_guesses_share_the_time_there_is(
+    seconds: float, each: float, given: list[float | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four are asked for; the first is tried however little time there is."""
+    of, clock, asked = problem(), [100.0], []
+    of = replace(of, settings=replace(of.settings, solver=replace(of.settings.solver, starts=4, seconds=seconds)))
+    monkeypatch.setattr(multistart, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+
+    def solve_from(guess: dict[str, Any], left: float) -> multistart.Outcome:
+        asked.append((guess, left))
+        clock[0] += each
+        return ended(1.0)
+
+    made = multistart.multistart(of, None, solve_from)
+    assert (len(made.outcomes), made.requested) == (len(given), 4)
+    assert [left for _, left in asked] == [multistart.LEAST_SECONDS if left is None else left for left in given]
+    assert set(asked[0][0]) == {"s"}
+    for number, (guess, _) in enumerate(asked):
+        np.testing.assert_array_equal(guess["s"], multistart.first_guess(of, None, number)["s"])
