@@ -154,7 +154,7 @@ def steps_around(grid: Grid, times: Array, by: int) -> BoolArray:
 def widened(steps: BoolArray, by: int) -> BoolArray:
     """Return the steps (M − 1,) and so many more on both sides of each."""
     wider: BoolArray = np.convolve(steps, np.ones(2 * by + 1)) > 0.5
-    return wider[by:-by]
+    return wider[by : by + len(steps)]
 
 
 # --- coefficients at the nodes ---
