@@ -147,3 +147,60 @@ def test_where_the_carriers_lose_a_direction_is_found_in_scaled_coordinates():
     assert sign * crossings.parked == pytest.approx(u @ ((f0 - W @ tau) / scale), rel=1e-6)
     assert crossings.by_motion == pytest.approx(np.abs(u / scale @ by_s).max(), rel=1e-6)
     assert crossings.by_main
+
+
+@pytest.mark.parametrize(
+    ("size", "push", "most"),
+    [(1.0, 0.0, 1e-8), (5.0, 0.0, 5e-8), (0.2, 0.0, 2e-9), (1.0, 900.0, 1e-8), (1.0, 2e4, 2e-7), (50.0, 2e4, 5e-7)],
+)
+@pytest.mark.parametrize("scale", [1.0, 5.0])
+def test_a_step_is_accepted_where_what_is_left_is_ten_tolerances_at_most(size, push, most, scale):
+    """Two rows that ask one carrier for accelerations 2 δ apart: δ is left of each, whatever the steps.
+
+    Tolerances of the largest f, or of a thousandth of F s̈ where that is more. The second row is a moment.
+    """
+    for share in (0.98, 1.02):
+        apart = share * most
+        model = Written(
+            2,
+            1,
+            [lambda t: push * one(t), lambda t, apart=apart: scale * (push + 2.0 * apart) * one(t)],
+            {(0, 0, SDD): one, (1, 0, SDD): lambda t: scale * one(t)},
+            tolerance=1e-9,
+        )
+        made = CarrierEquation(model, lambda t: np.zeros((len(t), 1)), np.array([1.0, scale]), size)
+        if share < 1.0:
+            path = made.solve(1.0, 2.0, np.array([0.3]), np.array([-0.2]))
+            expected = 0.3 - 0.2 + 0.5 * (push + apart)
+            assert carriers_at(path, np.array([2.0])).s[0, 0] == pytest.approx(expected, rel=1e-9)
+        else:
+            with pytest.raises(StepGivenUpError) as caught:
+                made.solve(1.0, 2.0, np.array([0.3]), np.array([-0.2]))
+            assert caught.value.t == 1.0
+            assert caught.value.defect == pytest.approx(apart, rel=1e-3)
+
+
+@pytest.mark.parametrize("slower", [1e-3, 1e3])
+def test_where_it_is_given_up_is_as_near_to_the_pole_in_any_unit_of_time(slower):
+    """t s̈ = 1 N on the way to the pole at 0, in seconds and in units of which there are more or fewer."""
+    found = []
+    for unit in (1.0, slower):
+        model = Written(1, 1, [lambda t: 1.0 * one(t)], {(0, 0, SDD): lambda t, unit=unit: t * unit})
+        with pytest.raises(StepGivenUpError) as caught:
+            equation(model).solve(-unit, unit, np.zeros(1), np.zeros(1))
+        found.append((caught.value.t / unit, caught.value.s[0], caught.value.sd[0] * unit))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-3)
+    # the last step tried was a millionth of the 2 s, and the pole is a few such steps ahead
+    assert -1e-4 < found[0][0] < 0.0
+
+
+def test_steps_are_few_where_nothing_happens_and_end_at_breaks():
+    """A polynomial of degree 13 in s̈ is one step, a jump of the load ends one, and a sharp bend is divided."""
+    smooth = Written(1, 1, [lambda t: t**13], {(0, 0, SDD): one}, breaks=np.array([-5.0, 0.0, 0.25, 1.0, 7.0]))
+    path = equation(smooth).solve(0.0, 1.0, np.zeros(1), np.zeros(1))
+    np.testing.assert_allclose(path.edges, [0.0, 0.25, 1.0])
+    assert carriers_at(path, np.array([1.0])).s[0, 0] == pytest.approx(1.0 / (14.0 * 15.0), rel=1e-12)
+    sharp = Written(1, 1, [lambda t: 1.0 / (1.0 + (30.0 * (t - 0.5)) ** 2)], {(0, 0, SDD): one})
+    edges = equation(sharp).solve(0.0, 1.0, np.zeros(1), np.zeros(1)).edges
+    assert 8 < len(edges) <= 40
+    assert np.diff(edges).max() > 4.0 * np.diff(edges).min()
