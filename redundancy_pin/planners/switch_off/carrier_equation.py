@@ -140,7 +140,7 @@ class CarrierEquation:
             pending = [stop]
             while pending:
                 position, defect, force = self._step(t, pending[-1], s, sd)
-                if defect <= DEFECTS * self.model.tolerance * max(self.size, FORCE_SHARE * force):
+                if self._is_satisfied(defect, force):
                     half = 0.5 * (pending[-1] - t)
                     t = pending.pop()
                     edges.append(t)
@@ -151,6 +151,10 @@ class CarrierEquation:
                 else:
                     raise StepGivenUpError(t, s, sd, defect)
         return PiecewisePolynomial.from_series(np.array(edges), np.array(series), legendre.Legendre)
+
+    def _is_satisfied(self, defect: float, force: float) -> bool:
+        """Return whether a defect is within tolerance, ``force`` the largest F s̈, N."""
+        return defect <= DEFECTS * self.model.tolerance * max(self.size, FORCE_SHARE * force)
 
     def _step(self, a: float, b: float, s0: Array, sd0: Array) -> tuple[Array, float, float]:
         """Return the Legendre series (d, k) of s on one step, the largest defect and the largest F s̈, N."""
@@ -170,9 +174,7 @@ class CarrierEquation:
             residual = np.concatenate([residual, -np.einsum("nik,nk->ni", idle, sdd)], axis=1)
             previous, defect = defect, float(np.abs(residual).max())
             force = float(np.abs(np.einsum("nik,nk->ni", inertia, sdd)).max())
-            if not defect < 0.5 * previous and defect <= DEFECTS * self.model.tolerance * max(
-                self.size, FORCE_SHARE * force
-            ):
+            if not defect < 0.5 * previous and self._is_satisfied(defect, force):
                 break
             slopes = zip(model.slopes(s, sd), (second, first, value), strict=True)
             slope = sum(np.einsum("nik,nd->nidk", by / scale, basis_of) for by, basis_of in slopes)
