@@ -17,6 +17,7 @@ from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory import multistart
 from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import Task, WholeTrajectoryProblem, grid_of, read_coefficients
+from redundancy_pin.planners.whole_trajectory.solver import Solution
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
@@ -373,3 +374,106 @@ def test_first_guesses_share_the_time_there_is(
     assert set(asked[0][0]) == {"s"}
     for number, (guess, _) in enumerate(asked):
         np.testing.assert_array_equal(guess["s"], multistart.first_guess(of, None, number)["s"])
+
+
+# --- fit after fit, where f has other terms ---
+
+
+class Fitted:
+    """Stands in for backend and solver: each fit leads to a course and efforts that are one larger, in a second.
+
+    ``left``: of each fit what the true f leaves unbalanced at a part of the step, over its size; ``parts``: the parts
+    of each step that were asked for.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, costs: list[float], left: list[Any]) -> None:
+        self.first, self.now, self.costs, self.left = problem(), 100.0, costs, left
+        self.parts: list[list[float]] = []
+        self.given: list[float] = []
+        self.tau = np.zeros(2)
+        monkeypatch.setattr(multistart, "read_coefficients", self.read)
+        monkeypatch.setattr(multistart, "solve", self.solve)
+        monkeypatch.setattr(multistart, "time", SimpleNamespace(perf_counter=lambda: self.now))
+
+    def read(self, task: Any, grid: Any, course: Any) -> WholeTrajectoryProblem:
+        if self.parts:
+            self.tau = self.tau + self.parts[-1][-1] * (len(self.parts) - self.tau)
+        self.course = np.array(course.s[0])
+        self.parts.append([])
+        return self.first
+
+    def solve(self, of: Any, guess: dict[str, Any], seconds: float) -> Any:
+        number, count = len(self.parts), len(of.grid.t)
+        np.testing.assert_allclose(guess["tau"][0] * of.scales.tau, self.tau, atol=1e-12)
+        np.testing.assert_allclose(guess["s"][0] * of.scales.s, self.course, atol=1e-12)
+        self.given.append(seconds)
+        self.now += 1.0
+        rest = np.zeros((count, 2))
+        values = {"s": rest + number / of.scales.s, "sd": rest, "sdd": rest, "tau": rest + number / of.scales.tau}
+        cost = self.costs[number - 1]
+        return Solution(values, True, True, "said", cost, 0.5e-9, 10 + number, 1.0, (rest,) * 3, {})
+
+    def reduce(self, trial: Any) -> Any:
+        number = len(self.parts)
+        part = float((trial.s[3, 0] - self.course[0]) / (number - self.course[0]))
+        np.testing.assert_allclose(trial.s, np.broadcast_to(self.course + part * (number - self.course), trial.s.shape))
+        self.parts[-1].append(part)
+        f = np.einsum("nim,m->ni", self.first.model.W, self.tau + part * (number - self.tau))
+        f[5, 1] -= self.left[number - 1](part) * self.first.scales.row[1]
+        return SimpleNamespace(f=f)
+
+    def outcome(self, seconds: float = 60.0) -> multistart.Outcome:
+        dynamics = SimpleNamespace(along=lambda motion: self, robot=zoo.robot_of("2rpr"))
+        task: Any = SimpleNamespace(dynamics=dynamics, source=SimpleNamespace(sample_at=lambda t: None))
+        return multistart.fit_and_solve(task, self.first, {}, seconds)
+
+
+def always(value: float) -> Any:
+    return lambda part: value
+
+
+BALANCE, SETTLES = 1e-8, 1e-7
+"""What may be left of f, and how much the cost may change from fit to fit."""
+
+
+@pytest.mark.parametrize(
+    ("change", "left", "fits"),
+    [
+        (0.9 * SETTLES, 0.9 * BALANCE, 3),
+        (-0.9 * SETTLES, -0.9 * BALANCE, 3),
+        (1.1 * SETTLES, 0.9 * BALANCE, 4),
+        (-1.1 * SETTLES, 0.9 * BALANCE, 4),
+        (0.0, 1.1 * BALANCE, 4),
+        (0.0, -1.1 * BALANCE, 4),
+    ],
+)
+def test_fits_go_on_until_the_cost_stays_and_the_true_f_is_balanced(
+    change: float, left: float, fits: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full step that leaves up to twice what the one before it left is taken, else half of it."""
+    costs = [-30.0, -20.0, -20.0 * (1.0 + change), -20.0 * (1.0 + change)]
+    steps = [always(1.0), lambda part: 2.1 if part == 1.0 else -1.9, always(left), always(0.5 * BALANCE)]
+    fitted = Fitted(monkeypatch, costs, steps)
+    outcome = fitted.outcome()
+    assert outcome.fits == fits
+    assert fitted.parts == [[1.0], [1.0, 0.5], [1.0], [1.0]][:fits]
+    solution = outcome.solution
+    assert (solution.optimal, solution.feasible) == (True, True)
+    assert solution.iterations == sum(10 + number for number in range(1, fits + 1))
+    assert solution.violation == pytest.approx(abs(left) if fits == 3 else 0.5 * BALANCE, rel=1e-4)
+    assert fitted.given == [60.0, 59.0, 58.0, 57.0][:fits]
+
+
+def test_a_step_is_taken_by_a_thirtysecond_at_least_and_nothing_settles_by_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Time ends it: with what is known then, which is no optimum."""
+    steps = [always(1.0), always(9.0), lambda part: 0.0 if part == 0.25 else 99.0, always(9.0)]
+    fitted = Fitted(monkeypatch, [5.0] * 4, steps)
+    solution = fitted.outcome(2.5).solution
+    assert fitted.parts == [[1.0], [1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125], [1.0, 0.5, 0.25]]
+    assert (solution.optimal, solution.feasible) == (False, True)
+    assert fitted.given == [2.5, 1.5, 0.5]
+    solution = Fitted(monkeypatch, [5.0] * 4, [always(1.0), always(1.5), always(1.2)]).outcome(2.5).solution
+    assert (solution.optimal, solution.feasible) == (False, False)
+    assert solution.violation == pytest.approx(1.2)
