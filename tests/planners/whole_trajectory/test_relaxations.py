@@ -418,6 +418,7 @@ class Fitted:
         part = float((trial.s[3, 0] - self.course[0]) / (number - self.course[0]))
         np.testing.assert_allclose(trial.s, np.broadcast_to(self.course + part * (number - self.course), trial.s.shape))
         self.parts[-1].append(part)
+        assert len(self.parts[-1]) < 9, "the step is not halved"
         f = np.einsum("nim,m->ni", self.first.model.W, self.tau + part * (number - self.tau))
         f[5, 1] -= self.left[number - 1](part) * self.first.scales.row[1]
         return SimpleNamespace(f=f)
