@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import minimize
 
-from redundancy_pin.dynamics.allocation import AllocationStatus, CarrierForces, allocate
+from redundancy_pin.dynamics.allocation import RESIDUAL_TOLERANCE, AllocationStatus, CarrierForces, allocate
 
 ROUNDING = 1e-8
 """Relative; matrices with entries in [-3, 3] whose smallest singular value is above 1e-3."""
@@ -240,3 +240,37 @@ def test_with_fewer_unknowns_than_coordinates_some_direction_gets_nothing():
     )
     assert allocation.status is AllocationStatus.EXACT
     assert allocation.margin == 0.0
+
+
+@pytest.mark.parametrize("size", [0.0, 3.0, 300.0])
+@pytest.mark.parametrize(("share", "status"), [(0.9, AllocationStatus.EXACT), (1.1, AllocationStatus.UNBALANCED)])
+def test_what_is_missing_counts_from_a_share_of_the_force_and_of_a_newton_on(size, share, status):
+    """In the second direction nobody has an effect; it is told in N of the scaled equations."""
+    missing = share * RESIDUAL_TOLERANCE * (1.0 + size)
+    W, coupling = [[1.0, 0.0], [0.0, 0.0]], np.zeros((2, 2))
+    allocation = shared(W, coupling, [size, 0.25 * missing], row_scale=np.array([1.0, 0.25]))
+    assert allocation.status is status
+    assert allocation.residual == pytest.approx(missing, rel=1e-5, abs=0.0)  # of 300 N rounding is 1e-13
+
+
+@pytest.mark.parametrize(("over", "status"), [(0.5, "saturated"), (1.5, "saturated"), (2.5, "beyond_limits")])
+def test_limits_are_fallen_short_of_from_the_same_share_on(over, status):
+    """A force of 1 N, of which the limit leaves a little; 2e-9 N is the tolerance."""
+    missing = over * RESIDUAL_TOLERANCE
+    allocation = shared(np.eye(2), np.zeros((2, 2)), [1.0 + missing, 0.0], effort_limit=np.ones(2))
+    assert allocation.status.value == status
+    assert allocation.residual == pytest.approx(missing, rel=1e-3)
+    assert allocation.tau.max() == 1.0
+
+
+def test_efforts_and_carrier_forces_may_be_as_large_as_their_limits():
+    """Numbers that are exact in binary: the limits hold to the last digit."""
+    free = shared(np.eye(2), np.zeros((2, 2)), [1.0, -0.5], effort_limit=np.array([1.0, 0.5]))
+    assert free.status is AllocationStatus.EXACT
+    assert free.tau.tolist() == [1.0, -0.5]
+    forces = CarrierForces(np.array([1.0, -0.5]), np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([3.25, 0.5]))
+    assert forces.allow(np.array([1.0, 0.5]))
+    assert not forces.allow(np.array([1.0, 0.5 + 1e-9]))
+    assert not forces.allow(np.array([-2.5, 0.25]))  # −3.875 N
+    assert forces.of(np.array([1.0, 0.5])).tolist() == [3.25, 0.5]
+    assert forces.of(np.array([-2.5, -1.0])).tolist() == [-3.25, -0.5]

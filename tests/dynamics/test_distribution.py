@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute
+from redundancy_pin.dynamics.allocation import BOUND_TOLERANCE
+from redundancy_pin.dynamics.distribution import LARGEST_WEIGHT_RATIO, SampleStatus, distribute
+from redundancy_pin.errors import InputError
 
 N = 40
 SOLUTION = 1e-12
@@ -204,3 +206,53 @@ def test_results_are_read_only():
     for name in ("tau", "status", "rank", "residual", "margin", "condition", "free_direction", "uncontrolled"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(d, name)[0] = 1
+
+
+def test_edges_of_the_tolerances():
+    """A margin at the threshold is enough, a singular value at its tolerance is none, a force at its own is balanced.
+
+    Numbers that are exact in binary, and matrices that are their own singular values.
+    """
+    exact = reduced([np.diag([1.0, 0.25])], [[1.0, 1.0]])
+    assert distribute(exact, near_singular=0.25).status_labels.tolist() == ["regular"]
+    assert distribute(exact, near_singular=0.25 + 1e-12).status_labels.tolist() == ["near_singular"]
+    assert distribute(exact, rank_tolerance=0.25).rank.tolist() == [1]
+    assert distribute(exact, rank_tolerance=0.25 - 1e-12).rank.tolist() == [2]
+    large, small = (reduced([size * np.diag([1.0, 0.25])], [[1.0, 1.0]]) for size in (4.0, 0.5))
+    assert distribute(large, rank_tolerance=0.25).rank.tolist() == [1]  # a fraction of the largest one,
+    assert distribute(large, rank_tolerance=0.25 - 1e-12).rank.tolist() == [2]
+    assert distribute(small, rank_tolerance=0.125).rank.tolist() == [1]  # and a number without unit
+    assert distribute(small, rank_tolerance=0.125 + 1e-12).rank.tolist() == [1]
+    lost = [np.diag([1.0, 0.0])]
+    given = {"consistency_tolerance": 0.5, "force_tolerance": 0.5}  # of 5 N, and half a newton: 3 N
+    assert distribute(reduced(lost, [[4.0, 3.0]]), **given).status_labels.tolist() == ["singular_consistent"]
+    over = distribute(reduced(lost, [[4.0, 3.001]]), **given)
+    assert over.status_labels.tolist() == ["singular_inconsistent"]
+    assert over.residual[0] == pytest.approx(3.001)
+    least = distribute(exact, rank_tolerance=1e-14, near_singular=0.0, consistency_tolerance=0.0, force_tolerance=0.0)
+    assert least.status_labels.tolist() == ["regular"]
+
+
+def test_weights_may_differ_by_the_largest_ratio_and_no_more():
+    """Counted on forces: a torque's weight is times the square of its scale."""
+    dynamics = reduced([[[1.0, 1.0]]], [[2.0]], column_scale=[1.0, 0.5])
+    widest = distribute(dynamics, weights=[LARGEST_WEIGHT_RATIO / 4.0, 1.0])
+    assert widest.tau[0] == pytest.approx([0.0, 2.0], abs=1e-9)
+    distribute(dynamics, weights=[1.0, 4.0 * LARGEST_WEIGHT_RATIO])
+    for weights in ([0.26 * LARGEST_WEIGHT_RATIO, 1.0], [1.0, 4.1 * LARGEST_WEIGHT_RATIO]):
+        with pytest.raises(InputError, match=r"more than 1e\+12") as caught:
+            distribute(dynamics, weights=weights)
+        assert caught.value.details["ratio"] == pytest.approx(LARGEST_WEIGHT_RATIO, rel=0.05)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("share", "label"), [(0.9, "regular"), (1.1, "bound_infeasible")])
+def test_an_effort_may_pass_its_bound_by_a_share_of_the_largest_one(sign, share, label):
+    """Of 1000 N beside it; it is put on the bound, and what is then missing is the residual."""
+    passed = share * BOUND_TOLERANCE * 1000.0
+    bound = {"upper": [np.inf, 1.0 - passed]} if sign > 0.0 else {"lower": [-np.inf, -1.0 + passed]}
+    d = distribute(reduced([np.eye(2)], [[1000.0, sign]]), **bound)
+    assert d.status_labels.tolist() == [label]
+    assert d.residual[0] == pytest.approx(passed, rel=1e-6)
+    if label == "regular":
+        assert d.tau[0].tolist() == [1000.0, sign * (1.0 - passed)]

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear, nnls
 
+from redundancy_pin.arrays import RANK_TOLERANCE
 from redundancy_pin.dynamics.allocation import shortest
 
 ROUNDING = 1e-8
@@ -118,3 +119,12 @@ def test_what_the_equations_leave_open_is_shortest_also_where_bounds_forbid_them
     y, within = shortest(np.array([[1.0, 0.0, 0.0]]), np.array([2.0]), bounded, lower, upper)
     assert within
     np.testing.assert_allclose(y, [1.0, 1.5, 1.5], atol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "regular"), [(0.7, False), (1.4, True)])
+def test_bounds_count_as_singular_by_their_condition_number(size, regular):
+    """Two of them differ in the second unknown by a little, e: their condition number is 2 / e."""
+    bounded = np.array([[1.0, 0.0], [1.0, 2.0 * size * RANK_TOLERANCE]])
+    y, within = shortest(np.array([[1.0, 0.0]]), np.array([3.0]), bounded, np.full(2, -1.0), np.ones(2))
+    assert within == regular
+    assert y[0] == pytest.approx(1.0 if regular else 3.0, abs=1e-6)
