@@ -191,7 +191,6 @@ class _Reader:
             chosen["autolimits"] == "true",
             chosen["inertiafromgeom"],
             (float(groups[0]), float(groups[1])),
-            given.get("meshdir", given.get("assetdir", "")),
         )
 
     def _gravity(self) -> Array:

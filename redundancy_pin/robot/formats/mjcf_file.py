@@ -125,7 +125,6 @@ class CompilerSettings:
     autolimits: bool = True
     inertia_from_geom: str = "auto"
     inertia_groups: tuple[float, float] = (0.0, 5.0)
-    mesh_folder: str = ""
 
 
 @dataclass(frozen=True)
