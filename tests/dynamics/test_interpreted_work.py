@@ -15,6 +15,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
+from redundancy_pin.dynamics.compiled.closing import Loops, lifted
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.robot import Robot
@@ -67,3 +68,12 @@ def test_bad_guesses_are_closed_in_some_dozen_steps(shipped: Robot, rows: Callab
             assert left < CLOSURE_TOLERANCE
 
     assert 0.7 * ASSEMBLED[shipped.name] <= rows(run) <= MORE * ASSEMBLED[shipped.name]
+
+
+def test_margins_are_those_of_the_tree(shipped: Robot) -> None:
+    """In the units of lengths, whatever turns: the distance from a type I singularity that the other backend bounds."""
+    motion = zoo.smooth_motion(shipped, 1).at(np.linspace(0.0, 1.0, 9))
+    kernel = rp.CompiledDynamics(shipped, interpret=True).kernel
+    here, there = lifted(Loops(shipped, kernel, 1), motion, mark=False), rp.RneaDynamics(shipped).along(motion).tree
+    np.testing.assert_allclose(here.margin, there.serial_margin_bound, rtol=1e-8)
+    assert max(here.gap.max(), there.gap.max()) < CLOSURE_TOLERANCE

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled import design
-from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, waypoints
+from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, parts_of, waypoints
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.kinematics.assembly import project
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
@@ -164,3 +164,15 @@ def test_frames_of_all_corners_are_the_other_backends() -> None:
             backend(robot).reduce(motion, carriers, external=push).f for backend in (rp.VirtualWork, rp.RneaDynamics)
         )
         np.testing.assert_allclose(ours, theirs, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("samples", "threads", "count"),
+    [(0, 4, 1), (1, 4, 1), (799, 4, 1), (800, 4, 2), (1199, 4, 2), (1200, 4, 3), (4001, 4, 4), (4001, 1, 1)],
+)
+def test_samples_are_shared_out_evenly_from_four_hundred_a_thread_on(samples: int, threads: int, count: int) -> None:
+    parts = parts_of(samples, threads)
+    assert len(parts) == count
+    assert [k for part in parts for k in range(samples)[part]] == list(range(samples))
+    sizes = [part.stop - part.start for part in parts]
+    assert max(sizes) - min(sizes) <= 1
