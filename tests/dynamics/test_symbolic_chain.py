@@ -176,3 +176,14 @@ def test_samples_are_shared_out_evenly_from_four_hundred_a_thread_on(samples: in
     assert [k for part in parts for k in range(samples)[part]] == list(range(samples))
     sizes = [part.stop - part.start for part in parts]
     assert max(sizes) - min(sizes) <= 1
+
+
+def test_expressions_of_the_carriers_motion_have_the_values_of_rnea(shipped: rp.Robot) -> None:
+    """Of many samples at once, each with its own influence matrix."""
+    t = np.linspace(0.0, 1.0, 4)
+    motion, carriers = zoo.smooth_motion(shipped, 5).at(t), zoo.carriers_at(shipped, t)
+    along = rp.CompiledDynamics(shipped, interpret=True).along(motion)
+    f, force = along.expressions(*(ca.DM(part.T) for part in (carriers.s, carriers.sd, carriers.sdd)))
+    wanted = rp.RneaDynamics(shipped).reduce(motion, carriers)
+    for got, want in ((f, wanted.f), (force, wanted.carrier_force)):
+        np.testing.assert_allclose(np.array(got).T, want, rtol=1e-9, atol=1e-9 * np.abs(wanted.f).max())
