@@ -9,6 +9,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -342,3 +344,19 @@ def test_blocks_compile_nothing_again(tmp_path: Path, monkeypatch: pytest.Monkey
     assert len(made) == 1
     whole = rp.distribute(rp.RneaDynamics("four_bar").reduce(motion)).tau
     np.testing.assert_allclose(together(blocks, "efforts", "tau"), whole, atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("margin", "edge"),
+    [
+        ([0.9] * 18 + [0.2, 0.1], 18),  # of the last tenth the one that is farthest from losing the branch,
+        ([0.9] * 18 + [0.1, 0.2], 19),
+        ([0.9] * 18 + [np.nan, 0.1], 19),  # which is closed,
+        ([0.9] * 18 + [np.nan, np.nan], 19),  # or the last one
+        ([0.1, 0.9, 0.3], 2),  # at least one
+    ],
+)
+def test_a_block_begins_where_the_branch_is_safest(margin: list[float], edge: int) -> None:
+    size = np.array(margin)
+    tree: Any = SimpleNamespace(motion=size, reachable=np.isfinite(size), serial_margin_bound=size)
+    assert edge_of(tree) == edge
