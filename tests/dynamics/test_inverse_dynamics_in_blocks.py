@@ -107,23 +107,6 @@ def test_a_branch_goes_on_through_a_flat_pose_and_the_next_block(tmp_path: Path)
     assert np.ptp(angle) > 0.0
 
 
-@pytest.mark.parametrize("count", [3, 40, 100])
-def test_a_block_goes_on_where_its_last_tenth_is_farthest_from_losing_the_branch(count: int) -> None:
-    """Outwards and back in, as far as out of reach: nearer is farther from it; nothing is closed at the end of some."""
-    dynamics = rp.RneaDynamics(zoo.robot_of("five_bar"))
-    start, tenth = zoo.home_of(dynamics.robot), max(1, count // 10)
-    for reach in (0.1, 3.0):
-        out = reach * np.abs(np.sin(np.linspace(0.0, 3.0 if count > 3 else 0.5 * np.pi, count)))
-        x = start + np.outer(out, [0.0, 1.0])
-        block = PlatformMotion(0.01 * np.arange(count), x, 0.0 * x, 0.0 * x, check_rates=False)
-        tree = dynamics.along(block, unreachable="mark").tree
-        best, edge = -1.0, count - 1
-        for k in range(count - tenth, count):
-            if tree.reachable[k] and tree.serial_margin_bound[k] > max(best, 0.0):
-                best, edge = float(tree.serial_margin_bound[k]), k
-        assert edge_of(tree) == edge
-
-
 @pytest.mark.parametrize(("start", "turns", "leaves"), [(2.0 * np.pi + 0.1, 0.9, False), (0.1, 1.4, True)])
 def test_turns_are_those_of_the_whole_motion(start: float, turns: float, leaves: bool) -> None:
     """Each block alone could be counted from a turn that suits it."""
