@@ -152,7 +152,7 @@ class _Programme:
         if not np.isfinite(most).any():
             return
         model, ca = problem.model, casadi()
-        powers = [1.0, self.pd, self.pd**2, self.pdd]
+        powers = {1: self.pd, 2: self.pd**2, 3: self.pdd}
         force: Any = ca.DM(model.force0[..., 0])
         for q in range(1, POWERS):
             force += model.force0[..., q] * ca.repmat(powers[q], 1, model.k)
@@ -185,7 +185,7 @@ class _Programme:
 def _sum(first: Array, by_term: Array, pd: Any, pdd: Any, s: Any, sd: Any, sdd: Any) -> Any:
     """Return (M, r) the sums of terms that hold unknowns, of coefficients (M, r, 4) and (M, r, k, c, 4)."""
     ca, k = casadi(), by_term.shape[2]
-    powers = [1.0, pd, pd**2, pdd]
+    powers = {1: pd, 2: pd**2, 3: pdd}
     coefficients, values = [], []
     for q in range(1, POWERS):
         if first[..., q].any():

@@ -8,7 +8,7 @@ from scipy.interpolate import BPoly
 import redundancy_pin.planners.whole_trajectory.least_peak as method
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
-from redundancy_pin.planners.carrier_model import Actuation, carrier_model, turning_model
+from redundancy_pin.planners.carrier_model import Actuation, CarrierModel, carrier_model, turning_model
 from redundancy_pin.planners.whole_trajectory.least_peak import least_peak, serves
 from redundancy_pin.planners.whole_trajectory.options import Limits, Mesh, Objective, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import Task, grid_of, read_coefficients, with_middles
@@ -383,3 +383,24 @@ def test_few_iterations_and_refinements_are_enough(systems, monkeypatch):
     assert found.iterations <= 13
     assert len(rounds) <= 46
     np.testing.assert_allclose(np.abs(found.values["sd"]).max(axis=0) * problem.scales.sd, 0.02, rtol=1e-4)
+
+
+@pytest.mark.parametrize("terms", [5, 7, 19])
+def test_loads_and_their_derivatives_are_those_of_the_terms(terms):
+    """Of straight tracks, of a fit to second order, and of carriers that turn: against differences of the model."""
+    count, n, k = 4, 2, 3
+    rng = np.random.default_rng(terms)
+    W, f0, force = rng.normal(size=(count, n, 2)), rng.normal(size=(count, n)), np.zeros((count, k))
+    model = CarrierModel(np.arange(4.0), W, f0, rng.normal(size=(count, n, k, terms)), force, np.zeros((4, k, terms)))
+    at = rng.normal(size=(count, k, 3))
+    f, first, second = Loads(model)(at)
+    np.testing.assert_allclose(f, model.f(*np.moveaxis(at, -1, 0)), rtol=1e-13, atol=1e-13)
+    step = 1e-5  # differences off by its square, and rounding over it
+    for j in range(k):
+        for a in range(3):
+            moved = np.zeros_like(at)
+            moved[:, j, a] = step
+            (more, more_first, _), (less, less_first, _) = Loads(model)(at + moved), Loads(model)(at - moved)
+            np.testing.assert_allclose(first[:, :, j, a], (more - less) / (2.0 * step), atol=1e-7)
+            rates = (more_first - less_first)[:, :, j] / (2.0 * step)
+            np.testing.assert_allclose(second[:, :, j, a], rates, atol=1e-7)
