@@ -385,7 +385,7 @@ def test_few_iterations_and_refinements_are_enough(systems, monkeypatch):
     np.testing.assert_allclose(np.abs(found.values["sd"]).max(axis=0) * problem.scales.sd, 0.02, rtol=1e-4)
 
 
-@pytest.mark.parametrize("terms", [5, 7, 19])
+@pytest.mark.parametrize("terms", [5, 7, 23])
 def test_loads_and_their_derivatives_are_those_of_the_terms(terms):
     """Of straight tracks, of a fit to second order, and of carriers that turn: against differences of the model."""
     count, n, k = 4, 2, 3
