@@ -160,9 +160,8 @@ class _Programme:
             for q in range(POWERS):
                 if model.force_terms[:, :, j, q].any():
                     force += model.force_terms[:, :, j, q] * term * (ca.repmat(powers[q], 1, model.k) if q else 1.0)
-        size = np.broadcast_to(np.where(np.isfinite(most), most, 1.0), force.shape)
         bound = np.where(np.isfinite(most), 1.0 - RESERVE, np.inf)
-        self.nlp.within(force / size, -bound, bound)
+        self.nlp.within(force / np.broadcast_to(most, force.shape), -bound, bound)
 
     def _between(self, steps: BoolArray) -> None:
         """Keep the platform from running back, and track and speed limits inside steps, by inner Bézier points."""
