@@ -205,7 +205,7 @@ def _largest(A: Array, B: Array, c: Array, step: float, after: float, most: floa
         above, below = upper[0] - upper[1] * w, lower[0] - lower[1] * w
         i, j = int(above.argmin()), int(below.argmax())
         room = above[i] - below[j]
-        if room >= -1e-14 * (abs(above[i]) + abs(below[j])):
+        if room >= -2e-14 * max(abs(above[i]), abs(below[j])):
             return w
         slope = lower[1][j] - upper[1][i]
         nearer = w - room / slope if slope < 0.0 else 0.0

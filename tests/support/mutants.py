@@ -83,6 +83,11 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "<",
     ): "which of two ways to the same products, of which each is tried",
     (
+        "kinematics/tree.py",
+        "kinds = _grouped(ends, lambda e: (place[e[1]][0] if e[1] else -1, e[4], bool((e[2] == np.eye(3)).all())))",
+        "==",
+    ): "which frames are placed by one product",
+    (
         "kinematics/continuation.py",
         "lost = np.flatnonzero((sign[0] * sign[1] <= 0.0) | (size.min(axis=0) <= ROUNDING))",
         "*",
