@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
-from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declaration
+from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
 from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, Tree, impossible_moments, read_tree, require_same
 from redundancy_pin.robot.loads import JointForces
@@ -238,10 +238,19 @@ def _require_closed_form(declaration: Declaration, parameters: Mapping[str, Argu
 def _closed_form(
     declaration: Declaration, parameters: Mapping[str, Argument], model: pin.Model, carriers: tuple[str, ...]
 ) -> Literal["2rpr", "3rrr"] | None:
-    """Return the closed form that covers the robot: it has a sliding carrier on each leg or none, and no others."""
-    legs = len(declaration.modes.joints) if declaration.modes and parameters.get("carriers") else 0
-    sliding = all(slides(_joint(model, name)) for name in carriers)
-    return declaration.closed_form if len(carriers) == legs and sliding else None
+    """Return the closed form that covers the robot: motors, modes and axes are its own, in its order.
+
+    So are carriers: each leg has a sliding one, or none has, and there are no others.
+    """
+    modes = declaration.modes
+    if declaration.closed_form is None or modes is None:
+        return None
+    roles = (declaration.actuated, modes.joints, modes.signs, declaration.independent.axes)
+    if tuple(map(tuple, roles)) != CLOSED_FORM_ROLES[declaration.closed_form]:
+        return None
+    legs = len(modes.joints) if parameters.get("carriers") else 0
+    own = carriers == tuple(f"carrier_{leg + 1}" for leg in range(legs))
+    return declaration.closed_form if own and all(slides(_joint(model, name)) for name in carriers) else None
 
 
 def _body_of(model: pin.Model, frame: str) -> int:

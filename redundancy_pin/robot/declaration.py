@@ -34,6 +34,12 @@ CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
 }
 """The closed forms there are, and the xacro arguments that each is written out in."""
 
+CLOSED_FORM_ROLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...], tuple[int, ...], tuple[str, ...]]] = {
+    "2rpr": (("slide_1", "slide_2"), ("slide_1", "slide_2"), (1, 1), ("x", "y")),
+    "3rrr": (("base_1", "base_2", "base_3"), ("elbow_1", "elbow_2", "elbow_3"), (-1, -1, -1), ("x", "y", "rz")),
+}
+"""Motors, joints of the modes and their signs, and independent axes of each: in another order its numbers are others'."""
+
 
 class Evaluator:
     """Evaluates the expressions of one declaration."""

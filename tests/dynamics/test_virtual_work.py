@@ -16,6 +16,7 @@ from redundancy_pin.errors import (
     UnreachablePoseError,
     UnsupportedRobotError,
 )
+from redundancy_pin.robot.urdf import models_root
 
 START = {"2rpr": [0.25, 0.4], "3rrr": [0.9, 0.5, 0.1]}
 UP = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
@@ -252,6 +253,33 @@ def test_bad_input_is_refused(robot):
 def test_robots_without_a_closed_form_are_refused(robot, change):
     with pytest.raises(UnsupportedRobotError, match="RneaDynamics"):
         VirtualWork(replace(robot, **change))
+
+
+@pytest.mark.parametrize(
+    ("model", "old", "new"),
+    [
+        ("2rpr", "actuated: [slide_1, slide_2]", "actuated: [slide_2, slide_1]"),
+        ("2rpr", "actuated: [slide_1, slide_2]", "actuated: [swivel_1, slide_2]"),
+        ("2rpr", "signs: [1, 1]", "signs: [1, -1]"),
+        ("3rrr", "actuated: [base_1, base_2, base_3]", "actuated: [elbow_1, base_2, base_3]"),
+        ("3rrr", "actuated: [base_1, base_2, base_3]", "actuated: [base_1, base_2, base_3, elbow_1]"),
+        ("3rrr", "joints: [elbow_1, elbow_2, elbow_3]", "joints: [elbow_2, elbow_1, elbow_3]"),
+        ("3rrr", "carrier_1, acceleration", "carrier_2, acceleration"),
+    ],
+)
+def test_motors_modes_and_carriers_in_another_order_have_no_closed_form(model, old, new, tmp_path):
+    """Its numbers would be those of other motors; all other backends take them."""
+    for file in (models_root() / model).iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    path = tmp_path / "robot.yaml"
+    text = path.read_text()
+    assert text.count(old) == 1
+    text = text.replace(new, "@") if old.startswith("carrier") else text  # the two change places
+    path.write_text(text.replace(old, new).replace("@", old))
+    robot = rp.load_robot(path)
+    assert robot.closed_form is None
+    with pytest.raises(UnsupportedRobotError, match="other motors, modes or carriers"):
+        VirtualWork(robot)
 
 
 @pytest.mark.parametrize(("name", "mode"), [("2rpr", (1, -1)), ("3rrr", (1, -1, 1))])

@@ -218,10 +218,9 @@ def _mechanism_of(robot: Robot) -> Mechanism:
     kind = kinds.get((robot.closed_form, len(robot.working_mode)))
     if kind is not None:
         return kind(robot.parameters, tuple(float(component) for component in robot.gravity), robot.working_mode)
-    declared = f"{robot.closed_form!r} and {len(robot.working_mode)} legs" if robot.closed_form else "neither"
     raise UnsupportedRobotError(
-        f"Virtual work is written out for the 2-RPR (closed form '2rpr', two legs) and the 3-RRR ('3rrr', three legs); "
-        f"{robot.name} declares {declared}.",
+        "Virtual work is written out for the 2-RPR and the 3-RRR, with their motors, modes and carriers in their order; "
+        f"{robot.name} does not declare one of these closed forms, or has other motors, modes or carriers.",
         remedy="Use RneaDynamics, which covers every robot.",
         robot=robot.name,
         closed_form=robot.closed_form,
