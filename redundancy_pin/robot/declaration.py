@@ -38,7 +38,7 @@ CLOSED_FORM_ROLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...], tuple[in
     "2rpr": (("slide_1", "slide_2"), ("slide_1", "slide_2"), (1, 1), ("x", "y")),
     "3rrr": (("base_1", "base_2", "base_3"), ("elbow_1", "elbow_2", "elbow_3"), (-1, -1, -1), ("x", "y", "rz")),
 }
-"""Motors, joints of the modes and their signs, and independent axes of each: in another order its numbers are others'."""
+"""Motors, joints of the modes and their signs, and independent axes of each; of others its numbers are not."""
 
 
 class Evaluator:

@@ -219,7 +219,7 @@ def _mechanism_of(robot: Robot) -> Mechanism:
     if kind is not None:
         return kind(robot.parameters, tuple(float(component) for component in robot.gravity), robot.working_mode)
     raise UnsupportedRobotError(
-        "Virtual work is written out for the 2-RPR and the 3-RRR, with their motors, modes and carriers in their order; "
+        "Virtual work is written out for the 2-RPR and the 3-RRR, their motors, modes and carriers in their order; "
         f"{robot.name} does not declare one of these closed forms, or has other motors, modes or carriers.",
         remedy="Use RneaDynamics, which covers every robot.",
         robot=robot.name,
