@@ -391,6 +391,17 @@ def test_a_motion_is_reacquired_from_the_reference_behind_a_gap() -> None:
     assert_equal(mine.f[mine.reachable], theirs.f[mine.reachable], "f")
 
 
+def test_a_sample_far_from_the_one_before_is_reached_from_the_reference() -> None:
+    robot = zoo.robot_of("2rpr")
+    compiled, xd, xdd = CompiledDynamics(robot), [0.3, -0.2], [1.0, 2.0]
+    # through zero length: the way from each to the next is barred
+    for x in ([0.2, 0.1], [-0.2, -0.1], [0.2, 0.1]):
+        theirs = RneaDynamics(robot).reduce(PlatformMotion([0.0], [x], [xd], [xdd]))
+        sample = compiled.sample(x, xd, xdd)
+        assert_equal(sample.W, theirs.W[0], "W")
+        assert_equal(sample.f, theirs.f[0], "f")
+
+
 def test_rates_that_overflow_are_no_singularity() -> None:
     robot = zoo.robot_of("3rrr")
     with pytest.raises(InputError, match="beyond 1e"):

@@ -15,7 +15,7 @@ from promises import Keep
 PROGRAM = Path(__file__).resolve().parents[1] / "support" / "mutants.py"
 
 MUTANTS, BATCHES = 60, 60
-BLOCK = 1400
+BLOCK = 1700
 """The first number: a block whose survivors have been given tests says nothing any more; add 100 then."""
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")]
