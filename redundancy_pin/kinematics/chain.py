@@ -240,7 +240,7 @@ class Tracker:
         reached = None
         for piece in range(1, pieces + 1):
             target = x if piece == pieces else self._moved(start.x, increment * (piece / pieces))
-            reached = self._step(start if reached is None else reached.point, target)
+            reached = self.step(start if reached is None else reached.point, target)
             if reached is None:
                 return None
         return reached
@@ -256,7 +256,8 @@ class Tracker:
         a[self._columns] = tracked.inverse.dot(rest)
         return v, a
 
-    def _step(self, here: Point, x: Array) -> Tracked | None:
+    def step(self, here: Point, x: Array) -> Tracked | None:
+        """Return the point at a pose nearby by Newton's method, or None where it is not plainly on the branch."""
         chain, columns, r = self.chain, self._columns, self._closures
         increment = self._difference(x, here.x)
         q = self._integrate(here.q, here.gamma.dot(increment))

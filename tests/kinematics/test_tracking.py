@@ -120,13 +120,13 @@ def test_the_way_to_a_pose_is_gone_in_steps_of_a_part_of_the_machine(
     names = ("base_distance", "proximal_length", "distal_length", "tail_length")
     plain = zoo.robot_of("five_bar").parameters
     robot = rp.load_robot("five_bar", **{name: size * float(plain[name]) for name in names})
-    follower, targets, step = tracker(robot), [], Tracker._step
+    follower, targets, step = tracker(robot), [], Tracker.step
 
     def counted(self: Tracker, here: Point, x: np.ndarray) -> Tracked | None:
         targets.append(np.array(x))
         return step(self, here, x)
 
-    monkeypatch.setattr(Tracker, "_step", counted)
+    monkeypatch.setattr(Tracker, "step", counted)
     spacing = ANCHOR_SPACING * robot.characteristic_length
     home, along = follower.home.x, np.array([0.6, -0.8])
     for way, steps in ((0.0, 1), (0.5, 1), (0.99, 1), (1.01, 2), (1.99, 2), (2.5, 3)):

@@ -406,11 +406,11 @@ def test_a_solution_is_put_back_into_units(numbers):
         units = {"pd": u.speed, "pdd": u.acceleration, "s": u.s, "sd": u.sd, "sdd": u.sdd, "tau": u.tau}
         scaled = {name: v[name] / unit for name, unit in units.items()} | {"h": v["h"] / u.h[:, None]}
         solution = SimpleNamespace(values=scaled)
-        back = planner._physical(problem, solution)
+        back = planner.in_units(problem, solution)
         for name in (*units, "h"):
             np.testing.assert_allclose(back[name], v[name], rtol=1e-12)
         np.testing.assert_array_equal(back["place"], grid.t)
-        motion = planner._Motion.of(of.path, problem, solution)
+        motion = planner.PlannedMotion.of(of.path, problem, solution)
         t = np.append(0.0, np.cumsum(v["h"]))
         np.testing.assert_allclose(motion.t, t, rtol=1e-12)
         np.testing.assert_allclose(motion.tau, v["tau"], rtol=1e-12)
@@ -451,7 +451,7 @@ def test_singular_nodes_on_a_jump_of_the_curvature_have_a_side_each(monkeypatch)
     monkeypatch.setattr(planner, "singular_node", lambda *asked: seen.append((*asked[2:4], asked[5])))
     unit = continuous_motion(Trajectory(of.path, uniform_law(of.path.length, of.path.length)))
     given = {name: getattr(of.problem, name) for name in ("begin", "end", "datum", "lap", "limits")}
-    planner._problem(rp.VirtualWork(of.other.robot), unit, nodes, np.full(3, np.inf), given)
+    planner.path_problem(rp.VirtualWork(of.other.robot), unit, nodes, np.full(3, np.inf), given)
     places = grid.t[[1, jump, jump + 1, last]].tolist()
     assert seen == list(zip([1, jump, jump + 1, last], places, ["right", "left", "right", "right"], strict=True))
 
@@ -484,23 +484,23 @@ class Solved:
 
 def test_each_way_to_solve_is_tried_in_turn_while_there_is_time(monkeypatch):
     solver = Solved(monkeypatch)
-    found = planner._solve(solver.problem, {}, 60.0)
+    found = planner.solved_programme(solver.problem, {}, 60.0)
     assert [(left, options) for _, _, left, options in solver.asked] == [(60.0, planner.STRATEGIES[0])]
     assert (found.iterations, found.seconds) == (10, 1.0)
     # the second one where the first one does not end; the time is that of both
     solver = Solved(monkeypatch, optimal=lambda count: count == 2, takes=7.0)
-    found = planner._solve(solver.problem, {}, 60.0)
+    found = planner.solved_programme(solver.problem, {}, 60.0)
     assert [(left, options) for _, _, left, options in solver.asked] == list(
         zip([60.0, 53.0], planner.STRATEGIES, strict=True)
     )
     assert (found.iterations, found.seconds) == (30, 14.0)
     # from a solution on fewer nodes, in one more way
     solver = Solved(monkeypatch, optimal=False, takes=7.0)
-    planner._solve(solver.problem, {"tau": 0.0}, 60.0)
+    planner.solved_programme(solver.problem, {"tau": 0.0}, 60.0)
     assert [options for *_, options in solver.asked] == [planner.WARM, *planner.STRATEGIES]
     # and none when the time is over
     solver = Solved(monkeypatch, optimal=False, takes=61.0)
-    planner._solve(solver.problem, {"tau": 0.0}, 60.0)
+    planner.solved_programme(solver.problem, {"tau": 0.0}, 60.0)
     assert len(solver.asked) == 1
 
 
@@ -508,7 +508,7 @@ def test_rows_between_the_nodes_are_added_where_limits_are_left_four_times_at_mo
     count = len(case("corner").problem.grid.h)
     steps = [count - 1, 0, 0, 0, 6, 7]
     solver = Solved(monkeypatch, leaves=lambda asked: [steps[asked - 1]])
-    planner._solve(solver.problem, {"first": 0}, 60.0)
+    planner.solved_programme(solver.problem, {"first": 0}, 60.0)
     # that of a step that has its rows already ends it
     assert len(solver.asked) == 3
     between = [np.flatnonzero(each).tolist() for each, *_ in solver.asked]
@@ -516,7 +516,7 @@ def test_rows_between_the_nodes_are_added_where_limits_are_left_four_times_at_mo
     assert [guess for _, guess, *_ in solver.asked] == [{"first": 0}, {"solution": 1}, {"solution": 2}]
     solver = Solved(monkeypatch, leaves=lambda asked: [count - 1, 0] if asked % 2 else [count // 2])
     monkeypatch.setattr(planner, "widened", lambda leaves, by: np.zeros_like(leaves))
-    planner._solve(solver.problem, {}, 60.0)
+    planner.solved_programme(solver.problem, {}, 60.0)
     assert len(solver.asked) == 5
 
 
@@ -528,6 +528,6 @@ def test_what_has_no_timing_is_told_from_what_had_no_time(monkeypatch, message, 
     message = planner.OUT_OF_TIME if constraint == "seconds" else message
     solver = Solved(monkeypatch, feasible=False, optimal=False, message=message, leaves=lambda asked: [0])
     with pytest.raises(rp.errors.InfeasiblePlanError, match=words) as caught:
-        planner._solve(solver.problem, {}, 60.0)
+        planner.solved_programme(solver.problem, {}, 60.0)
     assert len(solver.asked) == len(planner.STRATEGIES)
     assert (caught.value.details["constraint"], caught.value.details["amount"]) == (constraint, 0.25)

@@ -13,7 +13,7 @@ from redundancy_pin.errors import DeclarationError, ModelFileError, UnsupportedR
 from redundancy_pin.robot.formats import mjcf_file
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.mjcf import read_mjcf
-from redundancy_pin.robot.formats.mjcf_file import _MOST_INCLUDED
+from redundancy_pin.robot.formats.mjcf_file import MOST_INCLUDED
 from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS
 
 mujoco = pytest.importorskip("mujoco")
@@ -357,13 +357,13 @@ def test_general_muscles_are_refused(law, tmp_path):
 
 def test_included_files_are_counted_and_weighed(tmp_path, monkeypatch):
     """A hundred beside the model itself, and no more bytes of them than three models may have."""
-    parts = [f'<include file="part_{i}.xml"/>' for i in range(_MOST_INCLUDED + 1)]
+    parts = [f'<include file="part_{i}.xml"/>' for i in range(MOST_INCLUDED + 1)]
     for i in range(len(parts)):
         (tmp_path / f"part_{i}.xml").write_text(f'<mujoco><site name="at_{i}"/></mujoco>')
     text = FOUR_BAR.replace("<worldbody>", "<worldbody>{}")
     most = read_mjcf(write(tmp_path, text.replace("{}", "".join(parts[:-1]))))
-    assert {f"at_{i}" for i in range(_MOST_INCLUDED)} <= set(most.links)
-    with pytest.raises(ModelFileError, match=f"more than {_MOST_INCLUDED} files"):
+    assert {f"at_{i}" for i in range(MOST_INCLUDED)} <= set(most.links)
+    with pytest.raises(ModelFileError, match=f"more than {MOST_INCLUDED} files"):
         read_mjcf(write(tmp_path, text.replace("{}", "".join(parts))))
     path = write(tmp_path, text.replace("{}", "".join(parts[:2])))
     total = sum(file.stat().st_size for file in (path, tmp_path / "part_0.xml", tmp_path / "part_1.xml"))

@@ -130,6 +130,7 @@ class Ahead:
         known: what has been evaluated, in order of time.
         row_scale: (n,) see ``ReducedDynamics``.
         roots: singular instants, s.
+        edges: instants between which they have been looked for, s.
     """
 
     def __init__(self, dynamics: Dynamics, preview: Preview, step: float) -> None:
@@ -141,7 +142,7 @@ class Ahead:
 
     def _clear(self) -> None:
         self.known = Coefficients(np.empty(0), np.empty(0, dtype=bool), *(np.empty(0) for _ in range(3)))
-        self.roots, self._edges = np.empty(0), np.empty(0)
+        self.roots, self.edges = np.empty(0), np.empty(0)
 
     def look(self, start: float, end: float) -> Array:
         """Go on to a time, s, from a first one; return the singular instants from the first one on, s.
@@ -150,13 +151,13 @@ class Ahead:
         """
         preview, spacing = self.preview, self.spacing
         start, end = max(start, preview.start), min(end, preview.end)
-        if preview.changing or (len(self._edges) and not self._edges[0] <= start <= self._edges[-1] + SAME):
+        if preview.changing or (len(self.edges) and not self.edges[0] <= start <= self.edges[-1] + SAME):
             self._clear()
-        seen = self._edges
+        seen = self.edges
         past = start - KEPT * PARTS * spacing
         if len(self.known.t) > 2.0 * (end - start) / spacing + 100:
             self.known = self.known.at(self.known.t >= past)
-            self._edges = seen = seen[seen >= past]
+            self.edges = seen = seen[seen >= past]
             self.roots = self.roots[self.roots >= past]
         first = start if not len(seen) else seen[-1]
         grid = spacing * np.arange(np.floor(first / spacing), np.floor(end / spacing + 1e-6) + 1.0)
@@ -167,7 +168,7 @@ class Ahead:
             new = np.append(new, end)  # nothing more will be known
         if len(new):
             places = self.at(new)
-            self._edges = np.append(seen, new)
+            self.edges = np.append(seen, new)
             if self.dynamics.robot.n == self.dynamics.robot.m:
                 self._scan(len(new), places)
         return self.roots[self.roots >= start]
@@ -212,7 +213,7 @@ class Ahead:
 
     def _scan(self, count: int, places: IntArray) -> None:
         """Look for singular instants among the last ``count`` edges and the two before."""
-        edges = self._edges[-count - 2 :]
+        edges = self.edges[-count - 2 :]
         if len(edges) > count:
             places = self.at(edges)
         value = np.linalg.det(self.known.W[places])

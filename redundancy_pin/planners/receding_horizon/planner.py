@@ -14,7 +14,7 @@ from redundancy_pin.arrays import Array, each, frozen, one_of, positive, require
 from redundancy_pin.dynamics.base import Dynamics, require_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.limits import Limits, grouped
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, grouped
 from redundancy_pin.planners.receding_horizon.ahead import FIRST, Ahead, Linearised, nodes_from
 from redundancy_pin.planners.receding_horizon.ahead import NEAR as NEAR_STEPS
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, PlanningStatus, Weights, extended
@@ -378,7 +378,7 @@ class RecedingHorizon:
         """
         lin, (s, sd, _) = problem.lin, problem.first
         began, status, reason = time.perf_counter(), PlanningStatus.PLANNED, ""
-        solution = None if self._is_beyond(s, sd) else self.programme(False).solve(problem)
+        solution = None if is_beyond(self.resolved, s, sd) else self.programme(False).solve(problem)
         if solution is None:
             solution = self.programme(True).solve(problem)
             status, reason = PlanningStatus.ELASTIC, "no plan keeps every limit"
@@ -398,7 +398,7 @@ class RecedingHorizon:
         speeds = sd + np.concatenate([none, np.cumsum(0.5 * h * (a[:-1] + a[1:]), axis=0)])
         moved = np.cumsum(h * speeds[:-1] + h**2 / 6.0 * (2.0 * a[:-1] + a[1:]), axis=0)
         places = s + np.concatenate([none, moved])
-        carriers = self._with_stop(lin.nodes, places, speeds, a)
+        carriers = with_stop(self.resolved.acceleration, lin.nodes, places, speeds, a)
         tau, counts = x[programme.tau] * problem.sizes.tau, problem.counts
         efforts, forces, residual, peak = self._efforts(problem, carriers, tau)
         f = self._ahead.known.values(self._ahead.at(lin.nodes[counts]), places[counts], speeds[counts], a[counts])
@@ -416,25 +416,6 @@ class RecedingHorizon:
             t, status, reason, carriers, efforts, forces, residual, peak, frozen(roots), known_until, 0.0, seconds
         )
         return _Round(command, lin.nodes, (places, speeds, a), multipliers, left)
-
-    def _is_beyond(self, s: Array, sd: Array) -> bool:
-        """Return whether a start is beyond the limits by more than rounding: then no plan keeps them."""
-        limits = self.resolved
-        outside = (s < limits.track[:, 0] - BEYOND) | (s > limits.track[:, 1] + BEYOND)
-        return bool((outside | (np.abs(sd) > limits.speed + BEYOND)).any())
-
-    def _with_stop(self, nodes: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
-        """Return the carriers' motion, and a stop behind it: every carrier slows down as fast as it can."""
-        durations = np.abs(sd[-1]) / self.resolved.acceleration
-        durations[durations < SHORTEST_STOP] = 0.0
-        after = np.unique(np.append(0.0, durations))
-        past = np.minimum(after[:, None], durations)
-        a = -np.divide(sd[-1], durations, out=np.zeros_like(sd[-1]), where=durations > 0.0)
-        slowing = after[:, None] < durations
-        stop = s[-1] + past * sd[-1] + 0.5 * past**2 * a, (sd[-1] + past * a) * slowing, a * slowing
-        jerk = np.append(np.diff(sdd, axis=0) / np.diff(nodes)[:, None], np.zeros_like(past), axis=0)
-        whole = (np.append(own[:-1], behind, axis=0) for own, behind in zip((s, sd, sdd), stop, strict=True))
-        return PiecewisePolynomial.taylor(np.append(nodes[:-1], nodes[-1] + after), *whole, jerk)
 
     def _efforts(
         self, problem: TickProblem, carriers: PiecewisePolynomial, tau: Array
@@ -473,6 +454,26 @@ class RecedingHorizon:
             times, values = np.append(times, times + self.step), np.repeat(values, 2, axis=0)
         most = self.resolved.effort
         return PiecewisePolynomial.linear(times, np.clip(values, -most, most)), forces, residual, peak
+
+
+def is_beyond(limits: ResolvedLimits, s: Array, sd: Array) -> bool:
+    """Return whether a start is beyond the limits by more than rounding: then no plan keeps them."""
+    outside = (s < limits.track[:, 0] - BEYOND) | (s > limits.track[:, 1] + BEYOND)
+    return bool((outside | (np.abs(sd) > limits.speed + BEYOND)).any())
+
+
+def with_stop(acceleration: Array, nodes: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
+    """Return the carriers' motion, and a stop behind it: every carrier slows down as fast as it can, (k,) m/s²."""
+    durations = np.abs(sd[-1]) / acceleration
+    durations[durations < SHORTEST_STOP] = 0.0
+    after = np.unique(np.append(0.0, durations))
+    past = np.minimum(after[:, None], durations)
+    a = -np.divide(sd[-1], durations, out=np.zeros_like(sd[-1]), where=durations > 0.0)
+    slowing = after[:, None] < durations
+    stop = s[-1] + past * sd[-1] + 0.5 * past**2 * a, (sd[-1] + past * a) * slowing, a * slowing
+    jerk = np.append(np.diff(sdd, axis=0) / np.diff(nodes)[:, None], np.zeros_like(past), axis=0)
+    whole = (np.append(own[:-1], behind, axis=0) for own, behind in zip((s, sd, sdd), stop, strict=True))
+    return PiecewisePolynomial.taylor(np.append(nodes[:-1], nodes[-1] + after), *whole, jerk)
 
 
 def begun_with(last: PiecewisePolynomial, new: PiecewisePolynomial, t: float, start: float) -> PiecewisePolynomial:

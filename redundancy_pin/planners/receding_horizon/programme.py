@@ -203,7 +203,7 @@ class Programme:
         values = self.numbers_of(problem)
         for relative in RELATIVE:
             if self._solver is None:
-                self._solver = self._new_solver(relative)
+                self._solver = self.new_solver(relative)
                 self._solver.setup(*values)
             else:
                 self._solver.update(*values)
@@ -216,7 +216,8 @@ class Programme:
             self._solver = None
         return None
 
-    def _new_solver(self, relative: float) -> Any:
+    def new_solver(self, relative: float) -> Any:
+        """Return a solver with its settings; ``relative`` as of ``RELATIVE``."""
         solver = self._piqp.SparseSolver()
         settings = solver.settings
         settings.kkt_solver = self._piqp.KKTSolver.sparse_ldlt_ineq_cond

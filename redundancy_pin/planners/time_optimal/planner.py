@@ -175,9 +175,11 @@ def plan_time_optimal(
     ratios: list[float] = []
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
-        problem = _problem(dynamics, unit, nodes, rates, given)
-        solution = _solve(problem, first_guess(problem) if guess is None else moved_guess(guess, problem), bound)
-        motion = _Motion.of(path, problem, solution)
+        problem = path_problem(dynamics, unit, nodes, rates, given)
+        solution = solved_programme(
+            problem, first_guess(problem) if guess is None else moved_guess(guess, problem), bound
+        )
+        motion = PlannedMotion.of(path, problem, solution)
         report(f"{motion.t[-1]:.6g} s")
         functions = PlanFunctions(
             motion.platform, motion.carriers, preferred=PiecewisePolynomial.linear(motion.t, motion.tau)
@@ -194,7 +196,7 @@ def plan_time_optimal(
         ratios.append(max(check.ratio, float(fastest.max(initial=1.0))))
         if (ratios[-1] <= ALLOWED and not broken) or len(ratios) > often or not solution.optimal:
             break
-        guess = _physical(problem, solution)
+        guess = in_units(problem, solution)
         nodes = finer_nodes(nodes, motion, np.concatenate([exceeding, times[fastest > MARKED]]))
     prescribed = motion.tau.copy()
     if robot.m <= robot.n:
@@ -241,7 +243,7 @@ def plan_time_optimal(
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion:
+class PlannedMotion:
     """A solution in units.
 
     ``t`` (M,) times of the nodes, s; the ``law`` p(t) and the ``carriers``' positions, m; the ``platform``'s motion;
@@ -256,7 +258,8 @@ class _Motion:
     tau: Array
 
     @staticmethod
-    def of(path: Path, problem: TimeOptimalProblem, solution: Solution) -> _Motion:
+    def of(path: Path, problem: TimeOptimalProblem, solution: Solution) -> PlannedMotion:
+        """Return that of a solution."""
         u, values, grid = problem.sizes, solution.values, problem.grid
         t = np.concatenate([[0.0], np.cumsum(values["h"][:, 0] * u.h)])
         samples = CarrierMotion(*(values[name] * getattr(u, name) for name in ("s", "sd", "sdd")), check_rates=False)
@@ -266,10 +269,10 @@ class _Motion:
         knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
         timed = TimedPath(path, law, frozen(breaks))
         platform = ContinuousMotion(timed, law.start, law.end, law.end, timed.breaks, knots, True)
-        return _Motion(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
+        return PlannedMotion(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
 
 
-def finer_nodes(grid: Grid, motion: _Motion, exceeding: Array) -> Grid:
+def finer_nodes(grid: Grid, motion: PlannedMotion, exceeding: Array) -> Grid:
     """Return a grid with a node halfway in time in each step around the times that exceed, s, and in long ones.
 
     But in the long ones the jerk is continuous there: the efforts are seen, and no more is free.
@@ -300,7 +303,7 @@ def _require_closed(unit: ContinuousMotion) -> None:
         )
 
 
-def _problem(
+def path_problem(
     dynamics: Dynamics, unit: ContinuousMotion, nodes: Grid, rates: Array, given: Mapping[str, Any]
 ) -> TimeOptimalProblem:
     """Read the coefficients, and choose sizes by the speed that the parked robot may take."""
@@ -376,7 +379,7 @@ _MOVED = ("pd", "pdd", "s", "sd", "sdd", "tau")
 _SIZE = {"pd": "speed", "pdd": "acceleration"}
 
 
-def _physical(problem: TimeOptimalProblem, solution: Solution) -> dict[str, Array]:
+def in_units(problem: TimeOptimalProblem, solution: Solution) -> dict[str, Array]:
     """Return the variables in units, and under "place" and "h" the nodes and the durations of the steps."""
     u = problem.sizes
     values = {name: solution.values[name] * getattr(u, _SIZE.get(name, name)) for name in _MOVED}
@@ -400,7 +403,7 @@ def moved_guess(values: dict[str, Array], problem: TimeOptimalProblem) -> dict[s
     return {**scaled_ones, "h": np.diff(t, axis=0) / u.h[:, None]}
 
 
-def _solve(problem: TimeOptimalProblem, guess: dict[str, Array], seconds: float) -> Solution:
+def solved_programme(problem: TimeOptimalProblem, guess: dict[str, Array], seconds: float) -> Solution:
     """Solve with rows between the nodes where they are needed.
 
     Raises:

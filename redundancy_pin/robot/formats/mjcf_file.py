@@ -21,7 +21,7 @@ from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.xacro_engine import is_within, own_folders
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES, Element, parsed
 
-_MOST_INCLUDED = 100
+MOST_INCLUDED = 100
 
 ORIENTATION = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 
@@ -109,8 +109,8 @@ class Included:
             self.refuse(element, f"the included file {shown(name)} is outside the folder of the model")
         if target.resolve() in self._seen:
             self.refuse(element, f"{shown(name)} is included twice, or by itself")
-        if len(self._seen) > _MOST_INCLUDED or self._size + target.stat().st_size > 3 * MOST_BYTES:
-            self.refuse(element, f"more than {_MOST_INCLUDED} files, or {3 * MOST_BYTES} bytes of them")
+        if len(self._seen) > MOST_INCLUDED or self._size + target.stat().st_size > 3 * MOST_BYTES:
+            self.refuse(element, f"more than {MOST_INCLUDED} files, or {3 * MOST_BYTES} bytes of them")
         for child in self._read(target):
             if isinstance(child, Element):
                 yield child

@@ -465,7 +465,7 @@ def test_an_answer_counts_where_the_solver_says_so_or_comes_near(
         tried.append(relative)
         return Solver({**EXACT, **answer}, solved, x, y)
 
-    monkeypatch.setattr(programme, "_new_solver", new)
+    monkeypatch.setattr(programme, "new_solver", new)
     monkeypatch.setattr(Solver, "asked", [])
     found = programme.solve(tick)
     assert (found is not None) == taken
@@ -487,5 +487,5 @@ def test_an_answer_that_is_no_number_is_none(monkeypatch: pytest.MonkeyPatch) ->
     tick = random_tick(Kind(), 1)
     programme = Programme(2, 2, 2, NODES - 1, tick.limits, False)
     x, y = np.full(programme.variables, np.nan), np.zeros(programme.equal.matrix.shape[0])
-    monkeypatch.setattr(programme, "_new_solver", lambda relative: Solver(EXACT, True, x, y))
+    monkeypatch.setattr(programme, "new_solver", lambda relative: Solver(EXACT, True, x, y))
     assert programme.solve(tick) is None

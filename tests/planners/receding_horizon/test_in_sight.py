@@ -106,7 +106,7 @@ def test_the_end_of_a_preview_is_in_sight_too(end: float) -> None:
         expected = np.append(0.0, grid(0.0, up_to))
         if up_to == end and end - expected[-1] > SAME:
             expected = np.append(expected, end)
-        for found in (ahead.known.t, ahead._edges):
+        for found in (ahead.known.t, ahead.edges):
             np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(np.sort(motion.asked), ahead.known.t, rtol=0.0, atol=1e-12)
 
