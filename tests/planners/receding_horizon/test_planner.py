@@ -1,20 +1,16 @@
-"""What a tick does step by step: where plans begin, how many programmes they take, what is made of a solution."""
+"""The stop behind a plan, what a plan begins with, which starts are beyond limits, and settings of the planner."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import make_interp_spline
 
 import redundancy_pin as rp
-from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon
@@ -30,42 +26,11 @@ ACROSS = Trajectory(_ARC, SpeedProfile(_ARC.length, 0.45, 0.2))
 """Over the singular line and back."""
 
 STEP = 0.02
-NEAR, SETTLED, CONVERGED = 0.25, 2.0, 2.5
-"""Steps before a singular instant in which a plan begins there, goes on from the last one, has several rounds."""
-
-FINER = 1e-4
-"""s, between samples of what is integrated by trapezia."""
 
 
-CORNER = rp.trajectory.reference.corner(radius=0.025)
-MOTIONS = {"2rpr": ACROSS, "3rrr": CORNER, "driven elbow": CORNER}
-
-
-@cache
-def backends(name: str = "2rpr") -> tuple[Dynamics, Dynamics]:
-    """What plans, and what judges.
-
-    Of platforms that turn moments count over a characteristic length; with one more motor than coordinates many
-    efforts do as well.
-    """
-    if name == "2rpr":
-        robot = rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
-        return rp.CompiledDynamics(robot), rp.VirtualWork(robot)
-    robot = replace(rp.load_robot("3rrr"), characteristic_length=0.2)
-    if name == "3rrr":
-        return rp.CompiledDynamics(robot), rp.VirtualWork(robot)
-    elbow = robot.model.joints[robot.model.getJointId("elbow_1")].idx_v
-    driven = replace(
-        robot, actuated=(*robot.actuated, "elbow_1"), actuated_velocity=np.append(robot.actuated_velocity, elbow)
-    )
-    return rp.RneaDynamics(driven), rp.RneaDynamics(driven)
-
-
-def planner_of(name: str = "2rpr", **settings: Any) -> RecedingHorizon:
-    return RecedingHorizon(backends(name)[0], step=STEP, **settings)
-
-
-# a stop behind the plan, and motions to begin with
+def planner_of(**settings: Any) -> RecedingHorizon:
+    robot = rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
+    return RecedingHorizon(rp.CompiledDynamics(robot), step=STEP, **settings)
 
 
 @pytest.mark.parametrize(
@@ -118,33 +83,6 @@ def test_behind_a_plan_every_carrier_slows_down_as_fast_as_it_can(
                 )
 
 
-# rounds
-
-
-PLANNED, ELASTIC, FALLBACK = PlanningStatus.PLANNED, PlanningStatus.ELASTIC, PlanningStatus.FALLBACK
-FINE = (1e-4, PLANNED)
-
-
-# ticks of a machine, all of what they ask and answer
-
-
-every_machine = pytest.mark.parametrize("name", MOTIONS)
-
-
-def integrated(nodes: Array, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
-    """Places and speeds at nodes of an acceleration that is linear in between, by many trapezia."""
-    t = np.unique(np.concatenate([np.arange(nodes[0], nodes[-1], FINER), nodes]))
-    a = np.stack([np.interp(t, nodes, column) for column in sdd.T], axis=1)
-    speed = sd + cumulative_trapezoid(a, t, axis=0, initial=0.0)
-    # of speeds the trapezia are off by the square of the step
-    place = s + cumulative_trapezoid(speed, t, axis=0, initial=0.0)
-    at = np.searchsorted(t, nodes)
-    return place[at], speed[at]
-
-
-# the efforts up to the next node
-
-
 def test_functions_begin_with_the_last_ones_up_to_where_they_begin() -> None:
     old = PiecewisePolynomial.linear(np.array([0.0, 1.0, 3.0]), np.array([[0.0], [2.0], [-4.0]]))
     new = PiecewisePolynomial.linear(np.array([1.5, 2.0]), np.array([[7.0], [8.0]]))
@@ -175,7 +113,8 @@ def test_a_horizon_has_two_to_two_hundred_steps(horizon: float, fits: bool) -> N
 @pytest.mark.parametrize("steps", [2, 7, 10, 12, 25, 60])
 def test_nodes_reach_beyond_the_horizon_by_those_kept_for_singular_instants(steps: int) -> None:
     """Steps apart, from ten on two; where there is no singular instant eight nodes are left over."""
-    command = planner_of("3rrr", horizon=steps * STEP).update(0.0, CORNER)
+    planner = RecedingHorizon(rp.CompiledDynamics(rp.load_robot("3rrr")), step=STEP, horizon=steps * STEP)
+    command = planner.update(0.0, rp.trajectory.reference.corner(radius=0.025))
     edges = command.carriers.edges
     near = min(steps, 10)
     expected = near + (steps - near) // 2 + 8
