@@ -83,6 +83,11 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "<",
     ): "which of two ways to the same products, of which each is tried",
     (
+        "kinematics/chain.py",
+        "if not (math.sin(new_side) * math.sin(old_side) if turns else new_side * old_side) > 0.0:",
+        "*",
+    ): "the sign of a product is that of a quotient",
+    (
         "kinematics/tree.py",
         "kinds = _grouped(ends, lambda e: (place[e[1]][0] if e[1] else -1, e[4], bool((e[2] == np.eye(3)).all())))",
         "==",
