@@ -97,10 +97,10 @@ def moving(trajectory: Trajectory, units: Units) -> Any:
     return replace(sampled, t=max(units.origin, 0.0) + t)
 
 
-def switch_off(units: Units) -> Plan:
+def switch_off(units: Units, **scheme: Any) -> Plan:
     return rp.plan_switch_off(
         dynamics_in(units, "carrier_mass"), moving(circle(units), units), threshold=10.0, dt=0.01 * units.time,
-        return_time=0.5 * units.time, ramp_down=0.05 * units.time,
+        return_time=0.5 * units.time, ramp_down=0.05 * units.time, **scheme,
     )  # fmt: skip
 
 
@@ -133,6 +133,7 @@ def online(units: Units) -> Plan:
 
 PLANNERS: Mapping[str, tuple[Callable[[Units], Plan], float]] = {
     "switch_off": (switch_off, ROUNDED),
+    "differences": (functools.partial(switch_off, scheme="backward_differences"), ROUNDED),
     "stepwise": (stepwise, ROUNDED),
     "effort": (functools.partial(whole, "effort"), ROUNDED),
     "peak": (functools.partial(whole, "peak"), ROUNDED),
@@ -170,6 +171,7 @@ def require_same(plan: Plan, expected: Plan, units: Units, share: float) -> None
 WHAT = "reduce", "samples of reduce", "derivatives", "samples of derivatives", "nodes", "pieces", "iterations"
 WORK = {
     "switch_off": (23, 2022, 8, 416, 293, 10, 0),
+    "differences": (24, 2297, 8, 416, 288, 56, 0),
     "stepwise": (5, 1342, 2, 204, 148, 148, 181),
     "effort": (15, 1243, 4, 186, 77, 77, 8),
     "peak": (19, 2467, 4, 186, 77, 77, 39),
