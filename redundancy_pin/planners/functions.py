@@ -342,7 +342,9 @@ def _extremes(ends: Array, series: Array, values: Array, finite: BoolArray) -> t
     place, value = _FINE[best], np.take_along_axis(fine, best[:, None], axis=1)[:, 0]
     for j in range(value.shape[1]):
         top = np.abs(value[:, j]).max(initial=0.0)
-        for p in np.flatnonzero(finite & (np.abs(value[:, j]) > NEAR_BEST * top)).tolist():
+        for p in np.flatnonzero(
+            finite & (np.abs(value[:, j]) > NEAR_BEST * top) & (np.abs(place[:, j]) < 1.0)
+        ).tolist():
             roots = chebyshev.chebroots(chebyshev.chebtrim(chebyshev.chebder(series[p, :, j]), 1e-300))
             roots = roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1.0)]
             there = chebyshev.chebval(roots, series[p, :, j])

@@ -155,7 +155,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
     (
         "kinematics/chain.py",
         "if places != (96 * i, 96 * i + 72) or rotation.strides != (8, 24) or translation.strides != (8,):",
-        "!= * +",
+        "!= +",
     ): "what need not be copied is copied",
     (
         "kinematics/lift.py",

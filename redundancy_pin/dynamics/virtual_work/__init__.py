@@ -22,6 +22,7 @@ from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMecha
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
 from redundancy_pin.robot.joint_ranges import ROUNDING, joint_ranges
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.named import require_matching
@@ -224,6 +225,7 @@ def _mechanism_of(robot: Robot) -> Mechanism:
         remedy="Use RneaDynamics, which covers every robot.",
         robot=robot.name,
         closed_form=robot.closed_form,
+        roles={name: (motors, modes) for name, (motors, modes, _, _) in CLOSED_FORM_ROLES.items()},
     )
 
 
