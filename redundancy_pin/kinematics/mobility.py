@@ -23,7 +23,7 @@ def check_mobility(system: ConstraintSystem) -> None:
     robot = system.robot
     rows, velocities = len(system.rows), len(system.pose_columns)
     freedoms = velocities - rows
-    if not robot.n:  # chosen: the rows have the rank of all columns
+    if not robot.n and freedoms <= 0:
         raise DeclarationError(
             f"{robot.name} does not move: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
             "freedoms.",

@@ -255,3 +255,9 @@ def test_joints_that_turn_on_count_their_turns_where_one_of_them_follows(followe
     model = model_of(read_tree(urdf, path), urdf, path)
     assert model.joints[model.getJointId("rotor")].nq == numbers
     assert model.nv == 3
+
+
+def test_a_platform_without_axes_leaves_freedoms_and_does_move(tmp_path: Path) -> None:
+    with pytest.raises(DeclarationError, match="under-constrained") as caught:
+        load(tmp_path, FIVE_BAR, independent={"platform": "tip_1"})
+    assert "does not move" not in str(caught.value)
