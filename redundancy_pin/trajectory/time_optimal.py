@@ -180,10 +180,11 @@ def _rows(tangent: Array, curvature: Array, groups: list[_Group]) -> tuple[Array
         # in the plane of both: along the tangent, and across it
         along = np.einsum("ni,ni->n", first, second) / np.maximum(size, np.finfo(float).tiny)
         across = np.sqrt(np.maximum((second**2).sum(axis=1) - along**2, 0.0))
+        both = np.stack([along, across])
         inscribed = group.acceleration * np.cos(np.pi / _DIRECTIONS)
         for side in _SIDES:
             A.append(side[0] * size)
-            B.append(side @ np.stack([along, across]))
+            B.append(side @ both)
             c.append(inscribed)
     return np.stack(A, axis=1), np.stack(B, axis=1), np.array(c), most
 

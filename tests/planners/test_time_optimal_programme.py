@@ -42,6 +42,21 @@ class Case:
     options: dict
 
 
+def problem_of(dynamics, path, **settings):
+    """The first programme of a plan, which is not solved."""
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+
+        def stop(problem, between):
+            seen.append(problem)
+            raise _EnoughError
+
+        patch.setattr(planner, "transcribe", stop)
+        with pytest.raises(_EnoughError):
+            rp.plan_time_optimal(dynamics, path, **settings)
+    return seen[0]
+
+
 @cache
 def case(name: str) -> Case:
     """The numbers of a planning problem, which is not solved."""
@@ -72,17 +87,9 @@ def case(name: str) -> Case:
         limits["effort"] = [60.0 + i for i in range(robot.m)]
     if name == "rates alone":
         limits |= dict.fromkeys(("effort", "speed", "acceleration"), np.inf)
-    seen, rate = [], None if name in ("efforts alone", "straight", "heavy") else 0.5
-    with pytest.MonkeyPatch.context() as patch:
-
-        def stop(problem, between):
-            seen.append(problem)
-            raise _EnoughError
-
-        patch.setattr(planner, "transcribe", stop)
-        with pytest.raises(_EnoughError):
-            rp.plan_time_optimal(rp.VirtualWork(robot), path, steps=6, actuator_speed=rate, **limits, **options)
-    return Case(path, seen[0], rp.RneaDynamics(robot), limits, options)
+    rate = None if name in ("efforts alone", "straight", "heavy") else 0.5
+    problem = problem_of(rp.VirtualWork(robot), path, steps=6, actuator_speed=rate, **limits, **options)
+    return Case(path, problem, rp.RneaDynamics(robot), limits, options)
 
 
 class Numbers:
@@ -383,19 +390,8 @@ def test_there_are_as_many_steps_as_asked_for_at_least(steps):
 
 
 def planned_nodes(steps):
-    seen = []
-    with pytest.MonkeyPatch.context() as patch:
-
-        def stop(problem, between):
-            seen.append(problem)
-            raise _EnoughError
-
-        patch.setattr(planner, "transcribe", stop)
-        with pytest.raises(_EnoughError):
-            rp.plan_time_optimal(
-                rp.VirtualWork(zoo.robot_of("3rrr", carriers=False)), reference.corner().path, steps=steps, effort=4.0
-            )
-    return seen[0].grid.t
+    dynamics = rp.VirtualWork(zoo.robot_of("3rrr", carriers=False))
+    return problem_of(dynamics, reference.corner().path, steps=steps, effort=4.0).grid.t
 
 
 def test_a_solution_is_put_back_into_units(numbers):
