@@ -15,7 +15,7 @@ import zoo
 from examples import FACTOR
 from hypothesis import settings
 
-from redundancy_pin.dynamics.compiled.build import CACHE, find_compiler
+from redundancy_pin.machine_code import CACHE, find_compiler
 from redundancy_pin.robot import Robot
 
 # the same examples every time, so that a change is judged and not the draw; `HYPOTHESIS_PROFILE=explore` looks further

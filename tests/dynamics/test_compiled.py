@@ -6,16 +6,12 @@ Neither judge shares code with it: not its kinematics, not its Newton-Euler recu
 from __future__ import annotations
 
 import copy
-import errno
 import importlib.metadata
 import os
 import pickle
-import stat
 import subprocess
 import sys
-import tempfile
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -41,7 +37,7 @@ from redundancy_pin import (
     plan_stepwise,
     trajectory,
 )
-from redundancy_pin.dynamics.compiled import CompiledDynamics, build
+from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.errors import (
     InputError,
@@ -49,6 +45,7 @@ from redundancy_pin.errors import (
     SingularPoseError,
     UnreachablePoseError,
 )
+from redundancy_pin.machine_code import CACHE
 from redundancy_pin.robot import Robot
 
 EQUAL = 1e-11
@@ -447,7 +444,7 @@ def four_bar() -> Robot:
 def test_the_second_one_is_loaded_and_a_broken_one_built_again(
     four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(build.CACHE, str(tmp_path / "kept"))
+    monkeypatch.setenv(CACHE, str(tmp_path / "kept"))
     assert works(four_bar)
     (library,) = (tmp_path / "kept").iterdir()
     size, kept = library.stat().st_size, copy.copy(library.stat().st_ino)
@@ -463,7 +460,7 @@ def test_the_second_one_is_loaded_and_a_broken_one_built_again(
 def test_another_robots_library_under_the_right_name_is_built_again(
     four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(build.CACHE, str(tmp_path / "kept"))
+    monkeypatch.setenv(CACHE, str(tmp_path / "kept"))
     longer = load_robot("four_bar", coupler_length=0.36)
     assert works(longer)
     (other,) = (tmp_path / "kept").iterdir()
@@ -474,48 +471,6 @@ def test_another_robots_library_under_the_right_name_is_built_again(
     assert right.read_bytes() != changed
     motion = zoo.smooth_motion(four_bar, 0).at(np.linspace(0.0, 1.0, 5))
     assert_equal(CompiledDynamics(four_bar).reduce(motion).f, RneaDynamics(four_bar).reduce(motion).f, "f")
-
-
-@pytest.mark.long_for("folder")
-@pytest.mark.parametrize("what", ["compiler", "folder"])
-def test_on_a_full_disk_it_is_compiled_elsewhere(
-    what: str, four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kept = tmp_path / "kept"
-    monkeypatch.setenv(build.CACHE, str(kept))
-    if what == "compiler":
-        full = f'case "$*" in *{kept}*) echo "No space left on device" >&2; exit 1;; esac; exec cc "$@"'
-        monkeypatch.setenv("CC", script(tmp_path, full))
-        monkeypatch.setattr(build.shutil, "disk_usage", lambda folder: SimpleNamespace(free=4096))
-    else:
-        make = tempfile.TemporaryDirectory
-
-        def refused(prefix: str, dir: Path | None) -> tempfile.TemporaryDirectory[str]:
-            if dir is not None:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return make(prefix=prefix)
-
-        monkeypatch.setattr(build.tempfile, "TemporaryDirectory", refused)
-    assert works(four_bar)
-    assert list(kept.iterdir()) == []
-
-
-def test_a_compiler_may_be_named_with_its_arguments(
-    four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(build.CACHE, "")
-    told = tmp_path / "told"
-    wrapper = script(tmp_path, f'echo "$1" > {told}; shift; exec "$@"')
-    monkeypatch.setenv("CC", f"{wrapper} 'two words' cc")
-    assert works(four_bar)
-    assert told.read_text() == "two words\n"
-    compiler = build.find_compiler()
-    assert compiler is not None
-    assert compiler.command == (wrapper, "two words", "cc")
-    for unusable in ("'no end", "   ", "nothing-of-this-name -O2"):  # the usual ones serve
-        monkeypatch.setenv("CC", unusable)
-        assert (other := build.find_compiler()) is not None
-        assert len(other.command) == 1
 
 
 def test_a_motion_through_a_rank_loss_of_the_closures_is_refused_by_name() -> None:
@@ -537,42 +492,10 @@ def built(folder: Path) -> str:
         "import redundancy_pin as rp; from redundancy_pin.dynamics.compiled import CompiledDynamics\n"
         "c = CompiledDynamics(rp.load_robot('four_bar')); print(c.compiled and c.kernel.path.name)"
     )
-    environment = {**os.environ, build.CACHE: str(folder)}
+    environment = {**os.environ, CACHE: str(folder)}
     return subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
     ).stdout.strip()
-
-
-@pytest.mark.long
-def test_two_processes_build_at_once(four_bar: Robot, tmp_path: Path) -> None:
-    with ThreadPoolExecutor(2) as pool:
-        names = set(pool.map(built, [tmp_path / "shared"] * 2))
-    assert {path.name for path in (tmp_path / "shared").iterdir()} == names
-    assert len(names) == 1
-
-
-def script(folder: Path, text: str) -> str:
-    path = folder / "compiler"
-    path.write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    return str(path)
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("echo out of luck >&2; exit 1", "out of luck"),
-        ("exit 0", "cannot be loaded"),
-        ("sleep 60; exit 0", "did not end"),
-    ],
-)
-def test_a_compiler_that_fails_is_done_without(
-    text: str, reason: str, four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CC", script(tmp_path, text))
-    monkeypatch.setattr(build, "PATIENCE", 0.3)
-    with pytest.warns(RuntimeWarning, match=reason):
-        assert not works(four_bar)
 
 
 def test_no_compiler_at_all(four_bar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -580,25 +503,6 @@ def test_no_compiler_at_all(four_bar: Robot, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.delenv("CC", raising=False)
     with pytest.warns(RuntimeWarning, match="no C compiler"):
         assert not works(four_bar)
-
-
-@pytest.mark.long_for("file")
-@pytest.mark.parametrize("home", ["/proc/nothing", "file"])
-def test_a_home_that_cannot_be_written_to(
-    home: str, four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").touch()
-    monkeypatch.setenv(build.CACHE, home if home.startswith("/") else str(tmp_path / home))
-    assert works(four_bar)
-
-
-def test_a_folder_that_others_may_write_to_is_not_trusted(
-    four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tmp_path.chmod(0o777)
-    monkeypatch.setenv(build.CACHE, str(tmp_path))
-    assert works(four_bar)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_copies_and_pickles_compute_the_same(four_bar: Robot) -> None:
@@ -622,6 +526,7 @@ def test_without_casadi_there_is_one_clear_error(
     monkeypatch.setitem(sys.modules, "casadi", None)
     monkeypatch.setattr(importlib.metadata, "version", version)
     if not has_compiler:
-        monkeypatch.setattr(build, "find_compiler", lambda: None)
+        monkeypatch.setenv("PATH", "")
+        monkeypatch.delenv("CC", raising=False)
     with pytest.raises(RedundancyPinError, match="casadi"):
         CompiledDynamics(four_bar)

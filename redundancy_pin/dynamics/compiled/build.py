@@ -1,26 +1,17 @@
-"""From a robot to machine code: C by casadi and the driver beside it, compiled once and kept on disk.
+"""From a robot to machine code: C by casadi and the driver beside it, compiled and kept by ``machine_code``.
 
 A library's name is a hash of all that goes into it: the tree, closures and roles of the robot, the versions of casadi,
-Pinocchio and this package, the compiler and its flags. It is built in a folder of its own and renamed, so that two
-processes may build at once; what cannot be loaded is built again.
+Pinocchio and this package, the compiler and its flags.
 
 Where there is no C compiler, or it fails, casadi interprets the same functions (``interpreted``).
 """
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import functools
-import hashlib
 import importlib.metadata
 import importlib.resources
-import os
-import shlex
-import shutil
-import signal
-import subprocess
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,21 +24,14 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.load_symbols import shape_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
-from redundancy_pin.errors import shortened
+from redundancy_pin.machine_code import FLAGS, built, digest, loaded
 from redundancy_pin.robot import Robot
 
 LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
 one that is closed to within the tolerance is known no better than this."""
 
-FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-fPIC", "-shared")
-"""No -ffast-math: NaN and infinities mean something here."""
-
-PATIENCE = 120.0
-"""Seconds after which a compiler counts as hanging."""
-
-CACHE = "REDUNDANCY_PIN_CACHE"
-"""Environment variable: the folder for compiled libraries; empty for none that is kept."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +198,7 @@ def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Seq
         compiler,
         *flags,
     ]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+    return digest(parts)
 
 
 class Library:
@@ -275,23 +259,6 @@ class Library:
         return sample
 
 
-def loaded(path: Path) -> ctypes.CDLL:
-    """Return a shared library that says itself that it is the one of its name.
-
-    Raises:
-        OSError, AttributeError, ValueError: it is half a file, another machine's, or another robot's.
-    """
-    library = ctypes.CDLL(str(path))
-    own = (ctypes.c_char * (len(path.stem) + 1)).in_dll(library, _KEY).value.decode(errors="replace")
-    if own != path.stem:
-        raise ValueError(f"{path} is the library {own}.")
-    return library
-
-
-_KEY = "rp_key"
-"""In every library: the name that it was compiled under."""
-
-
 def _as_c(value: object) -> object:
     return ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value
 
@@ -300,149 +267,25 @@ def _pointers(arrays: Sequence[Array]) -> Any:
     return (ctypes.c_void_p * max(len(arrays), 1))(*(array.ctypes.data for array in arrays))
 
 
-@dataclass(frozen=True)
-class Compiler:
-    """A C compiler: the words of its command, and what tells it from an older one of the same path."""
-
-    command: tuple[str, ...]
-    identity: str
-
-
-def find_compiler() -> Compiler | None:
-    """Return the compiler that ``$CC`` names, with its arguments, or the first of cc, gcc and clang; None without."""
-    for named in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        try:
-            program, *arguments = [named] if shutil.which(named) else shlex.split(named)
-        except ValueError:  # a quotation without end, or nothing but spaces
-            continue
-        path = shutil.which(program)
-        if path is not None:
-            file = os.stat(path)
-            return Compiler((path, *arguments), " ".join([path, *arguments, str(file.st_size), str(file.st_mtime_ns)]))
-    return None
-
-
-T = TypeVar("T")
-
-
 def build_library(robot: Robot) -> tuple[Library | None, str]:
     """Return the compiled robot, from disk or new; or None and the reason why there is none."""
-    return built(robot, _WRITTEN, lambda: source(define(robot)), Library)
+    return built_for(robot, _WRITTEN, lambda: source(define(robot)), Library)
 
 
-def built(
+def built_for(
     robot: Robot,
     files: Sequence[str],
     write: Callable[[], str],
     load: Callable[[Path], T],
     flags: Sequence[str] = FLAGS,
 ) -> tuple[T | None, str]:
-    """Return a library of a robot, from disk or new; or None and the reason why there is none.
+    """Return a library of a robot, as ``machine_code.built`` does.
 
     Args:
         robot: the robot.
         files: those of this package that decide what is compiled.
         write: returns the C.
-        load: opens a library; raises what ``loaded`` raises where it is another one.
+        load: opens a library.
         flags: of the compiler.
     """
-    compiler = find_compiler()
-    if compiler is None:
-        return None, "there is no C compiler (cc, gcc or clang; $CC names another)"
-    digest = key(robot, compiler.identity, files, flags)
-    name = f"{digest}.so"
-    folder = cache_folder()
-    if folder is not None:
-        library = _opened(folder / name, load)
-        if library is not None:
-            return library, ""
-    text = f'{write()}\nconst char {_KEY}[] = "{digest}";\n'
-    reason = ""
-    for place in [None] if folder is None else [folder, None]:
-        try:
-            with tempfile.TemporaryDirectory(prefix="redundancy_pin-", dir=place) as work:
-                made = Path(work) / name
-                reason = _compile(compiler, flags, text, made)
-                # opened where it was made: under its final name this process may have another one open, which it would
-                # get again; what is open stays in memory when its file has gone
-                library = None if reason else _opened(made, load)
-                if library is not None and place is not None:
-                    with contextlib.suppress(OSError):
-                        os.replace(made, place / name)
-        except OSError as error:  # a full disk, or one that no longer is what it was
-            reason = f"there is no place to compile in: {error}"
-            continue
-        if library is not None:
-            return library, ""
-        if place is None or not _is_full(place):
-            return None, reason or "what the compiler made cannot be loaded"
-    return None, reason
-
-
-_ROOM = 16 << 20
-"""Bytes that must be free for a compiler's failure not to be put down to a full disk; a library takes one of them."""
-
-
-def _is_full(folder: Path) -> bool:
-    try:
-        return shutil.disk_usage(folder).free < _ROOM
-    except OSError:
-        return False
-
-
-def cache_folder() -> Path | None:
-    """Return the folder of compiled libraries, made where it is missing; None where none can be kept."""
-    named = os.environ.get(CACHE)
-    if named == "":
-        return None
-    try:
-        root = (
-            Path(named)
-            if named
-            else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "redundancy_pin"
-        )
-        root.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except (OSError, RuntimeError):  # read-only, or no home
-        return None
-    # code is loaded from here: whoever else may write here may run code as this user
-    status = root.stat()
-    shared = hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o022)
-    return root if not shared and os.access(root, os.W_OK | os.X_OK) else None
-
-
-def _opened(path: Path, load: Callable[[Path], T]) -> T | None:
-    try:
-        return load(path) if path.is_file() else None
-    except (OSError, AttributeError, ValueError):  # half a file, another machine's, or another robot's
-        return None
-
-
-def _compile(compiler: Compiler, flags: Sequence[str], text: str, target: Path) -> str:
-    """Compile a library; return what went wrong, or nothing."""
-    try:
-        written = target.with_suffix(".c")
-        written.write_text(text, encoding="utf-8")
-        command = [*compiler.command, *flags, str(written), "-o", str(target), "-lm"]
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
-        )
-        with process:
-            try:
-                _, complaints = process.communicate(timeout=PATIENCE)
-            except subprocess.TimeoutExpired:
-                _end(process)
-                return f"{compiler.command[0]} did not end within {PATIENCE:g} s"
-            except BaseException:  # an interrupt
-                _end(process)
-                raise
-    except OSError as error:
-        return f"{compiler.command[0]} cannot be used: {error}"
-    message = complaints.decode(errors="replace").strip() or "no message"
-    return "" if process.returncode == 0 else f"{compiler.command[0]} failed: {shortened(message)}"
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a compiler with the programs that it has started: one of them alive would keep us waiting for its output."""
-    with contextlib.suppress(OSError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.kill()
+    return built(lambda compiler: key(robot, compiler, files, flags), write, load, flags)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.dynamics.compiled.build import FLAGS, built, loaded, tables, text_of
+from redundancy_pin.dynamics.compiled.build import built_for, tables, text_of
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
@@ -31,6 +31,7 @@ from redundancy_pin.dynamics.forward import (
     Rules,
 )
 from redundancy_pin.errors import UnsupportedRobotError
+from redundancy_pin.machine_code import FLAGS, loaded
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import AXES, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
@@ -405,4 +406,4 @@ def _address(array: Array) -> ctypes.c_void_p:
 def forward_of(robot: Robot) -> tuple[CompiledForward | None, str]:
     """Return the compiled forward dynamics of a robot, from disk or new; or None and the reason why there are none."""
     flags = ["-O2" if flag == "-O3" else flag for flag in FLAGS]  # as fast here, in half the time
-    return built(robot, _WRITTEN, lambda: source(robot), lambda path: CompiledForward(path, robot), flags)
+    return built_for(robot, _WRITTEN, lambda: source(robot), lambda path: CompiledForward(path, robot), flags)
