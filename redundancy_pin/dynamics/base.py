@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeGuard, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, peak
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, peak, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import (
@@ -112,6 +112,21 @@ class CarrierDerivatives(Frozen):
     force_s: Array
     force_sd: Array
     force_sdd: Array
+
+
+class CarrierTerms(NamedTuple):
+    """W τ = f at N instants for every motion of carriers on straight tracks: they enter by s, s², ṡ, s ṡ and s̈.
+
+    N samples, n independent coordinates, m main actuators, k carriers; NaN where no configuration closes the chains.
+
+    ``W`` (N, n, m) actuation matrix; ``constant`` (N, n + k) f and the carriers' forces with the carriers at rest at
+    s = 0, N and N·m; ``terms`` (N, k, 5, n + k) what is added to them for each unit of s, s², ṡ, s ṡ and s̈ of each
+    carrier. A carrier adds nothing to the force of another one.
+    """
+
+    W: Array
+    constant: Array
+    terms: Array
 
 
 class DynamicsAlongMotion(Protocol):
@@ -276,9 +291,50 @@ class Dynamics(Protocol):
         one = self.along(motion).reduce(carriers)
         return Sample(one.W[0], one.f[0], one.carrier_force[0])
 
+    def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
+        """Return W, and f as terms of the carriers' motion, at a few instants: those of a motion call by call.
+
+        Tracks are taken as straight; ``planners.carrier_model`` says whether they are. The branch may be followed from
+        what this thread asked for before, where that is near, in place of the reference.
+
+        Args:
+            t: (N,) increasing times, s.
+            x: (N, n) platform coordinates in the base frame, m and rad; (N, 4, 4) for a pose.
+            xd: (N, n) their rates.
+            xdd: (N, n) their second rates.
+
+        Raises:
+            InputError, WorkingModeError: as in ``along``, unreachable samples marked.
+        """
+        motion = PlatformMotion(t, x, xd, xdd, check_rates=False)
+        return terms_along(self.along(motion, unreachable="mark"))
+
     def forward(self) -> ForwardKernel | None:
         """Return forward dynamics as machine code, where the backend has them; None where it does not."""
         return None
+
+
+def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:
+    """Read the terms off a backend along a motion, from its exact derivatives at two motions of the carriers."""
+    robot, samples = along.robot, len(along.motion)
+    n, k = robot.n, robot.k
+    rest, one = np.zeros((samples, k)), np.ones((samples, k))
+    parked = CarrierMotion(rest, rest, rest, check_rates=False)
+    at_one = CarrierMotion(one, one, rest, check_rates=False)
+    reduced = along.reduce(parked)
+    first, second = along.carrier_derivatives(parked), along.carrier_derivatives(at_one)
+
+    def by_term(name: str) -> Array:
+        by_s, by_sd, by_sdd = (np.asarray(getattr(first, f"{name}_{rate}")) for rate in ("s", "sd", "sdd"))
+        both = np.asarray(getattr(second, f"{name}_sd")) - by_sd
+        square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s - both)
+        return np.stack([by_s, square, by_sd, both, by_sdd], axis=-1)  # (N, n or k, k, 5)
+
+    own, terms = np.arange(k), np.zeros((samples, k, 5, n + k))
+    terms[..., :n] = by_term("f").transpose(0, 2, 3, 1)
+    terms[:, own, :, n + own] = by_term("force")[:, own, own].transpose(1, 0, 2)
+    constant = np.concatenate([reduced.f, reduced.carrier_force], axis=1)
+    return CarrierTerms(reduced.W, read_only(constant), read_only(terms))
 
 
 def one_sample(

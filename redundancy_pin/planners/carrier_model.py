@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, checked, read_only
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics, terms_along
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.coordinates import turning_velocities
@@ -245,30 +245,18 @@ def require_carriers(robot: Robot) -> None:
 
 
 def carrier_model(along: DynamicsAlongMotion, *, check: bool = True) -> CarrierModel:
-    """Read the coefficients off a backend along a platform motion, from its exact derivatives at two carrier motions.
+    """Read the coefficients off a backend along a platform motion (``terms_along``).
 
     Without ``check`` nobody looks whether there are carriers, and whether f has other terms too.
     """
-    robot, samples = along.robot, len(along.motion)
+    robot = along.robot
     if check:
         require_carriers(robot)
-    rest, one = np.zeros((samples, robot.k)), np.ones((samples, robot.k))
-    parked, at_one = (
-        CarrierMotion(rest, rest, rest, check_rates=False),
-        CarrierMotion(one, one, rest, check_rates=False),
-    )
-    reduced = along.reduce(parked)
-    first, second = along.carrier_derivatives(parked), along.carrier_derivatives(at_one)
-
-    def by_term(name: str) -> Array:
-        by_s, by_sd, by_sdd = (np.asarray(getattr(first, f"{name}_{rate}")) for rate in ("s", "sd", "sdd"))
-        both = np.asarray(getattr(second, f"{name}_sd")) - by_sd
-        square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s - both)
-        return np.stack([by_s, square, by_sd, both, by_sdd], axis=-1)
-
-    own = np.arange(robot.k)
-    parts = (reduced.f, by_term("f"), reduced.carrier_force, by_term("force")[:, own, own])
-    model = CarrierModel(along.motion.t, reduced.W, *(read_only(np.asarray(part)) for part in parts))
+    W, constant, by_carrier = terms_along(along)
+    n, own = robot.n, np.arange(robot.k)
+    f_terms, force_terms = by_carrier[..., :n].transpose(0, 3, 1, 2), by_carrier[:, own, :, n + own].transpose(1, 0, 2)
+    parts = (constant[:, :n], f_terms, constant[:, n:], force_terms)
+    model = CarrierModel(along.motion.t, W, *(read_only(np.ascontiguousarray(part)) for part in parts))
     if check:
         _require_polynomial(along, model)
     return model

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, read_only
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
+    CarrierTerms,
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
@@ -28,6 +29,7 @@ from redundancy_pin.dynamics.base import (
     require_matching_carriers,
 )
 from redundancy_pin.dynamics.compiled.build import Library, build_library, define, key
+from redundancy_pin.dynamics.compiled.carrier_terms import Continued
 from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
@@ -148,6 +150,16 @@ class CompiledDynamics(Dynamics):
         if one is None:
             one = self._local.one = _OneSample(self)
         return one((x, xd, xdd, s, sd, sdd), t)
+
+    def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
+        """Return W, and f as terms of the carriers' motion, at a few instants; see ``Dynamics.carrier_terms``.
+
+        Newton's method starts from the instants that this thread asked for before, where they are near.
+        """
+        continued = getattr(self._local, "continued", None)
+        if continued is None:
+            continued = self._local.continued = Continued(self)
+        return continued(t, x, xd, xdd)
 
     def forward(self) -> CompiledForward | None:
         """Return forward dynamics, compiled when they are first asked for; None where this is interpreted."""
@@ -276,6 +288,16 @@ class CompiledAlongMotion(Frozen):
     def motion(self) -> PlatformMotion:
         """The platform motion."""
         return self._lifted.motion
+
+    @property
+    def q(self) -> Array:
+        """(N, nq) configurations, carriers at s = 0."""
+        return self._lifted.q
+
+    @property
+    def reachable(self) -> BoolArray:
+        """(N,) whether a configuration closes the chains."""
+        return self._lifted.reachable
 
     @property
     def gamma(self) -> Array:

@@ -49,6 +49,96 @@ int rp_lift(int samples, const double *t, const double *x, const double *xd, con
   return samples;
 }
 
+static double distance(const double *a, const double *b, int size) {
+  double result = 0.0;
+  for (int i = 0; i < size; ++i) result = fmax(result, fabs(a[i] - b[i]));
+  return result;
+}
+
+/* f and forces as terms of the carriers' motion, at a configuration and motion of the tree: constant (N + NK) with the
+   carriers at rest at s = 0, and terms (NK, 5, N + NK), what a carrier adds by unit of s, s^2, sd, s sd and sdd. These
+   are read off the derivatives by s, sd and sdd at rest, and at s = sd = 1. */
+static void terms_of(const Pose *pose, const double *v, const double *a, const double *gamma, const double *wrenches,
+                     double *constant, double *terms) {
+  enum { OF_F = N * NK + 1, OF_FORCE = NK * NK + 1 };
+  double rest[NK + 1] = {0.0}, one[NK + 1], force[NK + 1], of_f[6][OF_F], of_force[6][OF_FORCE];
+  for (int c = 0; c < NK; ++c) one[c] = 1.0;
+  const double *const at_rest[] = {pose->q, pose->trig, v, a, gamma, rest, rest, rest, wrenches};
+  const double *const at_one[] = {pose->q, pose->trig, v, a, gamma, one, one, rest, wrenches};
+  double *const value[] = {constant, force};
+  double *const first[] = {of_f[0], of_f[1], of_f[2], of_force[0], of_force[1], of_force[2]};
+  double *const second[] = {of_f[3], of_f[4], of_f[5], of_force[3], of_force[4], of_force[5]};
+  rp_project(at_rest, value);
+  copy(constant + N, force, NK);
+  rp_derivatives(at_rest, first);
+  rp_derivatives(at_one, second);
+  clear(terms, NK * 5 * (N + NK));
+  for (int c = 0; c < NK; ++c)
+    for (int i = 0; i <= N; ++i) {
+      int last = i == N, place = last ? c * NK + c : i * NK + c; /* the last row is the carrier's own force */
+      double d[6], *to = terms + (long)c * 5 * (N + NK) + (last ? N + c : i);
+      for (int j = 0; j < 6; ++j) d[j] = last ? of_force[j][place] : of_f[j][place];
+      double both = d[4] - d[1];
+      to[0] = d[0];
+      to[N + NK] = 0.5 * (d[3] - d[0] - both);
+      to[2 * (N + NK)] = d[1];
+      to[3 * (N + NK)] = both;
+      to[4 * (N + NK)] = d[2];
+    }
+}
+
+/* The same, and W, at samples of a motion: `width` numbers each, t, x, xd, xdd and wrenches. It goes on from one of two
+   configurations near[] with their coordinates (NaN: none), by Newton's method alone and from sample to sample; on the
+   other side of a type I singularity, or where Newton's method does not contract, it ends with LOST and says nothing:
+   the way there is for rp_lift. out: W, constant and terms, those of all samples side by side. sizes: three numbers a
+   sample of memory. Afterwards near[] holds the first and the last sample. */
+int rp_terms(int samples, const double *in, int width, double *near, double *out, double *sizes) {
+  enum { SUM = N + NK };
+  double *W = out, *constant = W + (long)samples * N * M, *terms = constant + (long)samples * SUM;
+  double v[NV], a[NV], gamma[NV * N + 1], ends[2][NQ + NX], step[NP + 1], guess[NQ], usual = 0.0;
+  const double *x0 = in + 1, *start = near;
+  Pose pose, next;
+  if (distance(near + NQ + NX + NQ, x0, NX) < distance(near + NQ, x0, NX) || isnan(near[0])) start = near + NQ + NX;
+  if (isnan(start[0]) || !start_at(&pose, start, start + NQ)) return LOST;
+  for (long k = 0; k < samples; ++k) {
+    const double *at = in + k * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
+    double dt = k ? at[0] - at[-width] : 0.0, fastest, squared;
+    copy(guess, pose.q, NQ);
+    if (k) {
+      for (int i = 0; i < NP; ++i) step[i] = dt * (v[COLUMNS[i]] + 0.5 * dt * a[COLUMNS[i]]);
+      move(guess, step);
+    }
+    if (!newton(guess, x, 0, &next) || next.sign != pose.sign) {
+      if (!k || !newton(pose.q, x, 0, &next) || next.sign != pose.sign) return LOST;
+    }
+    pose = next;
+    double margin = rates(&pose, xd, xdd, v, a, gamma, W + k * N * M);
+    if (margin < LEAST_MARGIN) return SINGULAR;
+    if (!in_mode(&pose)) return OTHER_MODE;
+    terms_of(&pose, v, a, gamma, xdd + N, constant + k * SUM, terms + k * NK * 5 * SUM);
+    fastest = largest(v, NV);
+    squared = fastest * fastest;
+    sizes[3 * k] = margin;
+    sizes[3 * k + 1] = fmax(largest(a, NV), squared);
+    sizes[3 * k + 2] = squared;
+    if (isfinite(margin)) usual = fmax(usual, margin);
+    if (!k || k == samples - 1) {
+      copy(ends[k > 0], pose.q, NQ);
+      copy(ends[k > 0] + NQ, x, NX);
+    }
+  }
+  for (long k = 0; k < samples; ++k) { /* see _blurred of closing.py */
+    double margin = sizes[3 * k];
+    if (margin < 0.1 * usual && margin * margin * margin * sizes[3 * k + 1] < 1e-16 / 1e-5 * sizes[3 * k + 2])
+      return SINGULAR;
+  }
+  for (long i = 0; i < (long)samples * (N * M + SUM + NK * 5 * SUM); ++i)
+    if (!isfinite(out[i])) return NOT_FINITE;
+  copy(near, ends[0], NQ + NX);
+  copy(near + NQ + NX, ends[samples > 1], NQ + NX);
+  return CLOSED;
+}
+
 /* From one configuration to other coordinates; q is replaced. */
 int rp_follow(double *q, const double *x0, const double *x) {
   Pose pose;

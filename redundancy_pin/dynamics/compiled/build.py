@@ -213,7 +213,7 @@ class Library:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.library = loaded(path)
-        for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project"):
+        for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project", "rp_terms"):
             getattr(self.library, name)  # AttributeError where the file is another one
         self.library.rp_assemble.restype = ctypes.c_double
         self.alignments, turning = (

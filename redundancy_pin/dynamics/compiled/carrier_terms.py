@@ -1,0 +1,83 @@
+"""W τ = f as terms of the carriers' motion at a few instants at a time, each batch followed from the one before it.
+
+What comes into sight of a planner on line is a continuation of what it has seen: Newton's method starts there, and all
+of it is one call of machine code (``rp_terms`` of ``batch.c``). Where that does not close, is singular or in another
+working mode, the motion is followed from the reference by ``along``, which marks what cannot be reached.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import CarrierTerms, terms_along
+from redundancy_pin.dynamics.compiled.build import Library
+from redundancy_pin.dynamics.compiled.closing import CLOSED
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Wrench
+from redundancy_pin.robot.loads import of_kind, wrench_values
+from redundancy_pin.robot.named import is_pose
+
+if TYPE_CHECKING:
+    from redundancy_pin.dynamics.compiled import CompiledDynamics
+
+TERMS = 5
+"""s, s², ṡ, s ṡ, s̈."""
+
+
+class Continued:
+    """Terms of one robot, batch after batch; one for each thread."""
+
+    def __init__(self, dynamics: CompiledDynamics) -> None:
+        robot = dynamics.robot
+        self._dynamics, self._n, self._m, self._k = dynamics, robot.n, robot.m, robot.k
+        self._x: tuple[int, ...] = (4, 4) if is_pose(robot) else (robot.n,)
+        self._places, self._nq = 16 if is_pose(robot) else robot.n, robot.model.nq
+        self._loads = of_kind(robot.loads, Wrench)
+        self._width = 1 + self._places + 2 * robot.n + 6 * len(self._loads)
+        # first and last configuration of the batch before, each with its coordinates
+        self._near = np.full((2, self._nq + self._places), np.nan)
+        kernel = dynamics.kernel
+        self._function = kernel.library.rp_terms if isinstance(kernel, Library) else None
+        self._make_room(8)
+
+    def _make_room(self, samples: int) -> None:
+        """Make memory for so many samples, whose addresses are looked up once."""
+        self._room = samples
+        self._given, self._sizes = np.empty((samples, self._width)), np.empty((samples, 3))
+        self._addresses = [ctypes.c_void_p(part.ctypes.data) for part in (self._given, self._near, self._sizes)]
+
+    def __call__(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
+        """Return W, f and forces by terms; arguments as of ``Dynamics.carrier_terms``."""
+        n, m, k, samples = self._n, self._m, self._k, len(t)
+        fits = samples and x.shape[1:] == self._x and x.shape[0] == samples and xd.shape == xdd.shape == (samples, n)
+        if self._function is None or not fits:
+            return self._followed(t, x, xd, xdd)
+        if samples > self._room:
+            self._make_room(2 * samples)
+        wrenches = wrench_values(self._loads, t, x, xd) if self._loads else ()
+        flat = x.reshape(samples, -1)
+        np.concatenate((t[:, None], flat, xd, xdd, *wrenches), axis=1, out=self._given[:samples])
+        a = samples * n * m
+        b = a + samples * (n + k)
+        out = np.empty(b + samples * k * TERMS * (n + k))
+        given, near, sizes = self._addresses
+        if self._function(samples, given, self._width, near, ctypes.c_void_p(out.ctypes.data), sizes) != CLOSED:
+            return self._followed(t, x, xd, xdd)
+        return CarrierTerms(
+            out[:a].reshape(samples, n, m),
+            out[a:b].reshape(samples, n + k),
+            out[b:].reshape(samples, k, TERMS, n + k),
+        )
+
+    def _followed(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
+        """Follow the motion from the reference, and remember where that led."""
+        along = self._dynamics.along(PlatformMotion(t, x, xd, xdd, check_rates=False), unreachable="mark")
+        closed = np.flatnonzero(along.reachable)
+        if len(closed):
+            ends = closed[[0, -1]]
+            self._near[:, : self._nq], self._near[:, self._nq :] = along.q[ends], x[ends].reshape(2, -1)
+        return terms_along(along)
