@@ -13,12 +13,15 @@ that continues s̄ without jerk,
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from math import floor, isnan
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev
+from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.base import CarrierTerms, Dynamics
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.planners.carrier_model import carrier_model, terms, turning_model
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview
@@ -60,6 +63,9 @@ TINY = 1e-30
 BEND = 1e-3
 """Central differences of these, m and m/s, for second derivatives: exact but for carriers that turn."""
 
+ROOM = 512
+"""Instants for which there is memory at first."""
+
 KEPT = 3
 """Steps that are past and still kept, for the nodes around a singular instant that is past."""
 
@@ -81,13 +87,6 @@ class Coefficients:
     def at(self, places: IntArray | BoolArray) -> Coefficients:
         """Return those of some instants."""
         return Coefficients(*(getattr(self, name)[places] for name in _NAMES))
-
-    def merged(self, other: Coefficients) -> Coefficients:
-        """Return these and others, in order of time."""
-        if not len(self.t):
-            return other
-        order = np.argsort(np.append(self.t, other.t), kind="stable")
-        return Coefficients(*(np.concatenate([getattr(self, name), getattr(other, name)])[order] for name in _NAMES))
 
     def values(self, places: IntArray, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f and forces (N, n + k) of carriers (N, k) at some of the instants."""
@@ -118,6 +117,55 @@ class Coefficients:
 _NAMES = tuple(field.name for field in fields(Coefficients))
 
 
+class _Memory:
+    """Coefficients of instants in order of time, in arrays with room behind them.
+
+    What has been handed out stays as it is: places are written once, and what does not fit gets other arrays.
+    """
+
+    def __init__(self) -> None:
+        self.known = Coefficients(np.empty(0), np.empty(0, dtype=bool), *(np.empty(0) for _ in range(3)))
+        self._arrays: list[NDArray[Any]] = []
+        self._first = self._last = 0
+
+    def add(self, parts: tuple[NDArray[Any], ...]) -> Coefficients:
+        """Return what is known with further instants, as arrays in the order of ``Coefficients``."""
+        times, old = parts[0], self.known
+        end = self._last + len(times)
+        if not self._arrays or end > len(self._arrays[0]):
+            self._move(parts, max(ROOM, 2 * (len(old.t) + len(times))))
+            end = self._last + len(times)
+        if len(old.t) and times[0] < old.t[-1]:  # seldom: between those that are known
+            order = np.argsort(np.append(old.t, times), kind="stable")
+            parts = tuple(
+                np.concatenate([getattr(old, name), part])[order] for name, part in zip(_NAMES, parts, strict=True)
+            )
+            self._move(parts, len(self._arrays[0]), empty=True)
+            end = len(order)
+        for array, part in zip(self._arrays, parts, strict=True):
+            array[self._last : end] = part
+        self._last = end
+        return self._seen()
+
+    def drop_before(self, time: float) -> Coefficients:
+        """Return what is known without the instants before a time, s."""
+        self._first += int(self.known.t.searchsorted(time))
+        return self._seen()
+
+    def _move(self, like: tuple[NDArray[Any], ...], room: int, empty: bool = False) -> None:
+        """Go on in other arrays, empty or with what is known in them."""
+        count = 0 if empty else len(self.known.t)
+        arrays = [np.empty((room, *part.shape[1:]), dtype=part.dtype) for part in like]
+        if count:
+            for array, name in zip(arrays, _NAMES, strict=True):
+                array[:count] = getattr(self.known, name)
+        self._arrays, self._first, self._last = arrays, 0, count
+
+    def _seen(self) -> Coefficients:
+        self.known = Coefficients(*(array[self._first : self._last] for array in self._arrays))
+        return self.known
+
+
 class Ahead:
     """Coefficients and singular instants along a preview, as far as it is in sight.
 
@@ -137,12 +185,16 @@ class Ahead:
         self.dynamics, self.preview, self.spacing = dynamics, preview, step / PARTS
         self.row_scale = np.ones(dynamics.robot.n)
         self._turning = bool(turning_velocities(dynamics.robot)[dynamics.robot.carrier_velocity].any())
+        self._square = dynamics.robot.n == dynamics.robot.m
+        self._checked = False
         self._largest = 0.0
         self._clear()
 
     def _clear(self) -> None:
-        self.known = Coefficients(np.empty(0), np.empty(0, dtype=bool), *(np.empty(0) for _ in range(3)))
+        self._memory = _Memory()
+        self.known = self._memory.known
         self.roots, self.edges = np.empty(0), np.empty(0)
+        self._determinants: list[float] = []  # at the last two edges
 
     def look(self, start: float, end: float) -> Array:
         """Go on to a time, s, from a first one; return the singular instants from the first one on, s.
@@ -150,28 +202,36 @@ class Ahead:
         Where the preview may change its mind, all of it is read anew.
         """
         preview, spacing = self.preview, self.spacing
-        start, end = max(start, preview.start), min(end, preview.end)
+        start, end = max(float(start), preview.start), min(float(end), preview.end)
         if preview.changing or (len(self.edges) and not self.edges[0] <= start <= self.edges[-1] + SAME):
             self._clear()
         seen = self.edges
         past = start - KEPT * PARTS * spacing
         if len(self.known.t) > 2.0 * (end - start) / spacing + 100:
-            self.known = self.known.at(self.known.t >= past)
+            self.known = self._memory.drop_before(past)
             self.edges = seen = seen[seen >= past]
             self.roots = self.roots[self.roots >= past]
-        first = start if not len(seen) else seen[-1]
-        grid = spacing * np.arange(np.floor(first / spacing), np.floor(end / spacing + 1e-6) + 1.0)
-        new = grid[grid > first + 0.1 * spacing]
+        first = float(seen[-1]) if len(seen) else start
+        new = spacing * np.arange(floor(first / spacing), floor(end / spacing + 1e-6) + 1.0)
+        new = new[new > first + 0.1 * spacing]
         if not len(seen):
             new = np.append(first, new)
         if preview.end - end <= SAME and (not len(new) or new[-1] < end - SAME) and end > first + SAME:
             new = np.append(new, end)  # nothing more will be known
         if len(new):
-            places = self.at(new)
-            self.edges = np.append(seen, new)
-            if self.dynamics.robot.n == self.dynamics.robot.m:
-                self._scan(len(new), places)
+            places = self._new(new)
+            self.edges = np.concatenate((seen, new))
+            if self._square:
+                self._scan(places)
         return self.roots[self.roots >= start]
+
+    def _new(self, times: Array) -> IntArray | slice:
+        """Return the places of instants in ``known`` that mostly are behind all that is there."""
+        t = self.known.t
+        if len(t) and times[0] <= t[-1] + SAME:
+            return self.at(times)
+        self._add(times)
+        return slice(len(t), None)
 
     def at(self, times: Array) -> IntArray:
         """Return the places (N,) of instants in ``known``, s; what is missing there is evaluated."""
@@ -194,38 +254,51 @@ class Ahead:
         return np.unique(np.concatenate([nodes, grid[away], breaks - BESIDE, breaks + BESIDE]))
 
     def _add(self, times: Array) -> None:
+        if self._turning or not self._checked:
+            read = self._modelled(times)
+        else:
+            read = self.dynamics.carrier_terms(times, *self.preview.states(times))
+        reachable: BoolArray = np.asarray(np.isfinite(read.constant).all(axis=1))
+        if not reachable.all():
+            read = CarrierTerms(*map(np.nan_to_num, read))
+        self.known = self._memory.add((times, reachable, *read))
+
+    def _modelled(self, times: Array) -> CarrierTerms:
+        """Return what ``carrier_terms`` does, of carriers of any kind; the first time, look whether it is all."""
         along = self.dynamics.along(self.preview.motion(times), unreachable="mark")
-        first = not len(self.known.t)
-        model = turning_model(along) if self._turning else carrier_model(along, check=first)
-        if first:
-            self.row_scale = along.reduce().row_scale
+        model = turning_model(along) if self._turning else carrier_model(along, check=True)
+        if not self._checked:
+            self.row_scale, self._checked = along.reduce().row_scale, True
         own = np.arange(model.k)
         of_f = model.f_terms.transpose(0, 2, 3, 1)
         of_force = np.zeros((*of_f.shape[:3], model.k))
         of_force[:, own, :, own] = model.force_terms.transpose(1, 0, 2)
-        read = (
-            model.W,
-            np.concatenate([model.f0, model.force0], axis=1),
-            np.concatenate([of_f, of_force], axis=3),
-        )
-        reachable: BoolArray = np.asarray(np.isfinite(model.f0).all(axis=1))
-        self.known = self.known.merged(Coefficients(times, reachable, *map(np.nan_to_num, read)))
+        constant = np.concatenate([model.f0, model.force0], axis=1)
+        return CarrierTerms(model.W, constant, np.concatenate([of_f, of_force], axis=3))
 
-    def _scan(self, count: int, places: IntArray) -> None:
-        """Look for singular instants among the last ``count`` edges and the two before."""
-        edges = self.edges[-count - 2 :]
-        if len(edges) > count:
-            places = self.at(edges)
-        value = np.linalg.det(self.known.W[places])
-        value[~self.known.known[places]] = np.nan
-        self._largest = largest = max(self._largest, float(np.nanmax(np.abs(value), initial=0.0)))
-        size, sign, zero = np.abs(value), np.sign(value), np.abs(value) <= AT_REST * largest
-        brackets = [(a, a + 1) for a in np.flatnonzero((sign[:-1] + sign[1:] == 0.0) & ~zero[:-1] & ~zero[1:])]
-        inner = np.arange(1, len(edges) - 1)
-        dips = inner[(size[inner] <= size[inner - 1]) & (size[inner] < size[inner + 1]) & (size[inner] < 0.3 * largest)]
-        brackets += [(j - 1, j + 1) for j in dips if sign[j - 1] == sign[j + 1]]
-        brackets += [(j - 1, j + 1) for j in inner[zero[inner] & ~zero[inner - 1] & ~zero[inner + 1]]]
-        for first, last in sorted(set(brackets)):
+    def _scan(self, places: IntArray | slice) -> None:
+        """Look for singular instants among the last edges, which are at these places, and the two before."""
+        new = np.linalg.det(self.known.W[places])
+        reachable = self.known.known[places]
+        if not reachable.all():
+            new[~reachable] = np.nan
+        value = self._determinants + new.tolist()
+        self._determinants = value[-2:]
+        self._largest = largest = max([self._largest, *(abs(v) for v in value if not isnan(v))])
+        # of few numbers sooner known than by arrays; what is compared with NaN is false
+        size = [abs(v) for v in value]
+        zero = [v <= AT_REST * largest for v in size]
+        brackets = {
+            (j, j + 1)
+            for j in range(len(value) - 1)
+            if value[j] * value[j + 1] < 0.0 and not zero[j] and not zero[j + 1]
+        }
+        for j in range(1, len(value) - 1):
+            dip = size[j] <= size[j - 1] and size[j] < size[j + 1] and size[j] < 0.3 * largest
+            if (dip and value[j - 1] * value[j + 1] > 0.0) or (zero[j] and not zero[j - 1] and not zero[j + 1]):
+                brackets.add((j - 1, j + 1))
+        edges = self.edges[-len(value) :]
+        for first, last in sorted(brackets):
             roots = self._within(float(edges[first]), float(edges[last]), largest)
             new = roots[~(np.abs(roots[:, None] - self.roots) < 1e-3 * PARTS * self.spacing).any(axis=1)]
             self.roots = np.sort(np.append(self.roots, new))

@@ -35,6 +35,7 @@ class Preview(Frozen):
         start, end: between which it is known, s; a trajectory that ends at rest is held after its end.
         changing: whether ``motion`` may answer otherwise when asked again.
         breaks: (b,) times at which its acceleration jumps, s, as far as that is known.
+        continuous: the same motion where it is one of polynomials, whose values nobody need look at again.
     """
 
     motion: Callable[[Array], PlatformMotion]
@@ -42,6 +43,14 @@ class Preview(Frozen):
     end: float
     changing: bool = False
     breaks: Array = field(default_factory=lambda: np.empty(0))
+    continuous: ContinuousMotion | None = None
+
+    def states(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return x (N, n), or (N, 4, 4), ẋ and ẍ (N, n) at (N,) increasing times, s."""
+        if self.continuous is not None:
+            return self.continuous.states_at(times)
+        motion = self.motion(times)
+        return motion.x, motion.xd, motion.xdd
 
     @staticmethod
     def of(source: Source) -> Preview:
@@ -58,7 +67,9 @@ class Preview(Frozen):
             rests = np.abs(ends[-1]).max() <= STILL * np.abs(ends).max()
             polynomials = replace(known, source=known.polynomials)
             prolonged = polynomials.prolonged_until(known.end + FOR_EVER) if rests else polynomials
-            return Preview(prolonged.sample_at, known.start, prolonged.end, breaks=prolonged.breaks)
+            return Preview(
+                prolonged.sample_at, known.start, prolonged.end, breaks=prolonged.breaks, continuous=prolonged
+            )
         if callable(source):
             return Preview(_answers(source), -np.inf, np.inf, changing=True)
         raise InputError(
