@@ -103,18 +103,22 @@ class ContinuousMotion(Frozen):
         )
 
     def states_at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return x (N, n), or (N, 4, 4), ẋ and ẍ (N, n) at (N,) increasing times, s: the values of ``sample_at``.
+        """Return x (N, n), or (N, 4, 4), ẋ and ẍ (N, n) at (N,) times, s, no two alike: the values of ``sample_at``.
 
         Nobody looks at them again, as a ``PlatformMotion`` does: for those who ask for a few instants again and again.
         """
         source = self.source
-        if isinstance(source, PiecewisePolynomial) and times[-1] < self.moves_until and (times[1:] > times[:-1]).all():
-            n, is_pose = _coordinates(source.coefficients.shape[2])
-            values = source(times)
-            x, xd, xdd = values[:, : -2 * n], values[:, -2 * n : -n], values[:, -n:]
-            return x.reshape(-1, 4, 4) if is_pose else x, xd, xdd
-        motion = self.sample_at(times)
-        return motion.x, motion.xd, motion.xdd
+        if not isinstance(source, PiecewisePolynomial):
+            motion = self.sample_at(times)
+            return motion.x, motion.xd, motion.xdd
+        n, is_pose = _coordinates(source.coefficients.shape[2])
+        values = source(times)
+        if self.moves_until != self.end and times[-1] >= self.moves_until:
+            held = times >= self.moves_until
+            values[held, : -2 * n] = source([self.moves_until], "left")[:, : -2 * n]
+            values[held, -2 * n :] = 0.0
+        x, xd, xdd = values[:, : -2 * n], values[:, -2 * n : -n], values[:, -n:]
+        return x.reshape(-1, 4, 4) if is_pose else x, xd, xdd
 
     def _moving(self, times: Array, before: BoolArray) -> PlatformMotion:
         if not isinstance(self.source, PiecewisePolynomial):

@@ -13,7 +13,7 @@ that continues s̄ without jerk,
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from math import floor, isnan
+from math import floor, isfinite, isnan, nan
 from typing import Any
 
 import numpy as np
@@ -212,8 +212,10 @@ class Ahead:
             self.edges = seen = seen[seen >= past]
             self.roots = self.roots[self.roots >= past]
         first = float(seen[-1]) if len(seen) else start
-        new = spacing * np.arange(floor(first / spacing), floor(end / spacing + 1e-6) + 1.0)
-        new = new[new > first + 0.1 * spacing]
+        begin = floor(first / spacing)
+        while begin * spacing <= first + 0.1 * spacing:
+            begin += 1
+        new = spacing * np.arange(begin, floor(end / spacing + 1e-6) + 1.0)
         if not len(seen):
             new = np.append(first, new)
         if preview.end - end <= SAME and (not len(new) or new[-1] < end - SAME) and end > first + SAME:
@@ -258,8 +260,10 @@ class Ahead:
             read = self._modelled(times)
         else:
             read = self.dynamics.carrier_terms(times, *self.preview.states(times))
-        reachable: BoolArray = np.asarray(np.isfinite(read.constant).all(axis=1))
-        if not reachable.all():
+        if isfinite(read.constant.sum()):
+            reachable: BoolArray = np.ones(len(times), dtype=bool)
+        else:
+            reachable = np.asarray(np.isfinite(read.constant).all(axis=1))
             read = CarrierTerms(*map(np.nan_to_num, read))
         self.known = self._memory.add((times, reachable, *read))
 
@@ -278,11 +282,8 @@ class Ahead:
 
     def _scan(self, places: IntArray | slice) -> None:
         """Look for singular instants among the last edges, which are at these places, and the two before."""
-        new = np.linalg.det(self.known.W[places])
-        reachable = self.known.known[places]
-        if not reachable.all():
-            new[~reachable] = np.nan
-        value = self._determinants + new.tolist()
+        new, reachable = np.linalg.det(self.known.W[places]).tolist(), self.known.known[places].tolist()
+        value = self._determinants + [v if there else nan for v, there in zip(new, reachable, strict=True)]
         self._determinants = value[-2:]
         self._largest = largest = max([self._largest, *(abs(v) for v in value if not isnan(v))])
         # of few numbers sooner known than by arrays; what is compared with NaN is false
@@ -300,8 +301,8 @@ class Ahead:
         edges = self.edges[-len(value) :]
         for first, last in sorted(brackets):
             roots = self._within(float(edges[first]), float(edges[last]), largest)
-            new = roots[~(np.abs(roots[:, None] - self.roots) < 1e-3 * PARTS * self.spacing).any(axis=1)]
-            self.roots = np.sort(np.append(self.roots, new))
+            others = roots[~(np.abs(roots[:, None] - self.roots) < 1e-3 * PARTS * self.spacing).any(axis=1)]
+            self.roots = np.sort(np.append(self.roots, others))
 
     def _within(self, start: float, end: float, largest: float) -> Array:
         """Return the instants between two times at which det W is zero, or next to it at a dip, s."""
