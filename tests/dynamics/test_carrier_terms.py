@@ -1,0 +1,228 @@
+"""Terms of the carriers' motion, batch after batch: against efforts of the other backend, and what begins anew where.
+
+The judge of numbers is ``RneaDynamics.reduce`` at random motions of the carriers, which knows no terms. That compiled
+code and ``along`` agree to rounding is compared at what neither can judge: next to a singularity, after jumps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import moving
+import numpy as np
+import pytest
+import zoo
+from generated_c import actuated_by
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import CarrierTerms, terms_along
+from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import JointForces, Payload, Robot, Wrench
+
+OTHER = 1e-10
+"""Relative to the largest value of the motion: of two backends."""
+
+SAME = 1e-12
+"""Of the same functions at configurations that two ways of Newton's method have found."""
+
+APART = 0.0025
+"""s; an eighth of a planner's step."""
+
+BATCH = 4
+
+
+def pulling(t: Array, x: Array, xd: Array) -> Array:
+    force = np.zeros((len(t), 6))
+    force[:, 0], force[:, 1], force[:, 5] = np.sin(7.0 * t), 2.0 * x[:, 1] - xd[:, 0], 0.3
+    return force
+
+
+def robots(name: str, folder: Path) -> Robot:
+    kinds: dict[str, Callable[[], Robot]] = {
+        "2rpr": lambda: zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3, gravity=(0.0, -9.81, 0.0)),
+        "3rrr": lambda: zoo.robot_of("3rrr", gravity=(0.5, -9.81, 0.0)),
+        "five_bar": lambda: zoo.robot_of("five_bar"),
+        "no carriers, in space": lambda: zoo.robot_of("gough", payload_mass=2.0),
+        "in space": lambda: rp.load_robot(moving.floating(folder).source, gravity=(0.3, -0.5, -9.81)),
+        "loads": lambda: zoo.robot_of("2rpr", end_effector_mass=0.5).loaded(
+            Wrench("end_effector", pulling), Payload("end_effector", 0.2), JointForces("slide_1", 2.0)
+        ),
+        "more actuators": lambda: actuated_by("five_bar", "base_1", "base_2", "elbow_1"),
+        "fewer actuators": lambda: actuated_by("five_bar", "base_1"),
+    }
+    return kinds[name]()
+
+
+ROBOTS = [
+    "2rpr",
+    "3rrr",
+    "five_bar",
+    "no carriers, in space",
+    "in space",
+    "loads",
+    "more actuators",
+    "fewer actuators",
+]
+
+
+class Counted:
+    """Compiled dynamics that count how often a motion is followed from the reference."""
+
+    def __init__(self, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.dynamics, self.followed = rp.CompiledDynamics(robot), 0
+        along = self.dynamics.along
+
+        def counted(motion: PlatformMotion, **options: Any) -> Any:
+            self.followed += 1
+            return along(motion, **options)
+
+        monkeypatch.setattr(self.dynamics, "along", counted)
+
+    def terms(self, motion: PlatformMotion) -> CarrierTerms:
+        return self.dynamics.carrier_terms(motion.t, motion.x, motion.xd, motion.xdd)
+
+
+def assert_near(got: CarrierTerms, want: CarrierTerms, tolerance: float) -> None:
+    for name in CarrierTerms._fields:
+        theirs = getattr(want, name)
+        size = max(float(np.abs(theirs[np.isfinite(theirs)]).max(initial=0.0)), 1e-3)
+        np.testing.assert_allclose(getattr(got, name), theirs, rtol=0.0, atol=tolerance * size, err_msg=name)
+
+
+def motion_of(robot: Robot, seed: int = 0, samples: int = 40, start: float = 0.0) -> PlatformMotion:
+    return zoo.smooth_motion(robot, seed).at(start + APART * np.arange(samples))
+
+
+def batches(motion: PlatformMotion, size: int = BATCH) -> list[PlatformMotion]:
+    return [motion[i : i + size] for i in range(0, len(motion), size)]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_any_motion_of_the_carriers_is_a_sum_of_terms(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = robots(name, tmp_path)
+    counted, motion = Counted(robot, monkeypatch), motion_of(robot)
+    rng = np.random.default_rng(1)
+    s, sd, sdd = rng.uniform(-0.2, 0.2, (3, len(motion), robot.k))
+    carriers = CarrierMotion(s, sd, sdd, check_rates=False)
+    want = rp.RneaDynamics(robot).along(motion).reduce(carriers)
+    parts = [counted.terms(part) for part in batches(motion)]
+    W, constant, terms = (np.concatenate(part) for part in zip(*parts, strict=True))
+    by_term = np.stack([s, s * s, sd, s * sd, sdd], axis=-1)
+    got = constant + np.einsum("nkj,nkji->ni", by_term, terms)
+    for ours, theirs in (
+        (W, want.W),
+        (got[:, : robot.n], want.f),
+        (got[:, robot.n :], want.carrier_force),
+    ):
+        size = np.abs(theirs).max(initial=1e-3)
+        np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=OTHER * size)
+    assert counted.followed == 1
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "in space", "loads"])
+def test_all_backends_say_the_same(name: str, tmp_path: Path) -> None:
+    robot = robots(name, tmp_path)
+    motion = motion_of(robot, seed=3, samples=6)
+    given = (motion.t, motion.x, motion.xd, motion.xdd)
+    want = rp.RneaDynamics(robot).carrier_terms(*given)
+    assert_near(rp.CompiledDynamics(robot).carrier_terms(*given), want, OTHER)
+    assert_near(rp.CompiledDynamics(robot, interpret=True).carrier_terms(*given), want, OTHER)
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "loads"])
+@pytest.mark.parametrize("seed", range(3))
+def test_batches_of_any_size_are_those_of_one_motion(
+    name: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = robots(name, tmp_path)
+    counted, rng, motion = Counted(robot, monkeypatch), np.random.default_rng(seed), motion_of(robot, seed, 120)
+    whole = terms_along(rp.CompiledDynamics(robot).along(motion))
+    at = 0
+    while at < len(motion):
+        size = int(rng.integers(1, 30))
+        part = slice(at, at + size)
+        assert_near(counted.terms(motion[part]), CarrierTerms(*(values[part] for values in whole)), SAME)
+        at += size
+    assert counted.followed == 1
+
+
+def test_the_start_of_the_batch_before_is_near_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A preview that may change its mind is read anew at every tick: a horizon long, from about where it was."""
+    robot = zoo.robot_of("3rrr")
+    counted = Counted(robot, monkeypatch)
+    for start in (0.0, 0.005, 0.01):
+        motion = motion_of(robot, samples=200, start=start)
+        assert_near(counted.terms(motion), terms_along(rp.CompiledDynamics(robot).along(motion)), SAME)
+    assert counted.followed == 1
+
+
+def test_after_a_jump_it_is_followed_from_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = zoo.robot_of("five_bar")
+    counted, plain = Counted(robot, monkeypatch), rp.CompiledDynamics(robot)
+    motion, home = motion_of(robot, samples=8), zoo.home_of(robot)
+    away = PlatformMotion(motion.t, motion.x - home + (-0.1, 0.35), motion.xd, motion.xdd)
+    for i, part in enumerate((motion[:4], away[:4], away[4:], motion[4:])):
+        assert_near(counted.terms(part), terms_along(plain.along(part)), SAME)
+        assert counted.followed == (1, 2, 2, 3)[i]
+
+
+def over_the_edge(robot: Robot, farthest: float, samples: int = 241) -> PlatformMotion:
+    """The five-bar straight up its axis and back, as far as a height; both legs are stretched at 0.968 m."""
+    t = APART * np.arange(samples)
+    rate = np.pi / t[-1]
+    low = 0.76
+    swing = farthest - low
+    y = low + swing * np.sin(rate * t)
+    zero = np.zeros_like(t)
+    parts = (y, swing * rate * np.cos(rate * t), -swing * rate**2 * np.sin(rate * t))
+    x, xd, xdd = (np.stack([first, part], axis=1) for first, part in zip((zero + 0.25, zero, zero), parts, strict=True))
+    return PlatformMotion(t, x, xd, xdd)
+
+
+@pytest.mark.parametrize("beyond", [-1e-2, -1e-4, -1e-7, 1e-7, 1e-3, 0.2])
+def test_beside_and_beyond_the_edge_of_the_workspace_it_is_marked_as_ever(
+    beyond: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Batches of one instant are marked by themselves, others as motions are."""
+    robot = zoo.robot_of("five_bar")
+    counted, plain = Counted(robot, monkeypatch), rp.CompiledDynamics(robot)
+    edge = float(np.sqrt(1.0 - 0.25**2))
+    motion = over_the_edge(robot, edge + beyond)
+    lost = 0
+    for size in (1, BATCH):
+        for part in batches(motion, size):
+            want = terms_along(plain.along(part, unreachable="mark"))
+            got = counted.terms(part)
+            missing = np.isnan(want.constant).any(axis=1)
+            np.testing.assert_array_equal(np.isnan(got.constant).any(axis=1), missing)
+            # W and f grow with the inverse of the margin, and so does what rounding makes of them
+            tolerance = SAME * max(1.0, float(np.nanmax(np.abs(want.W), initial=0.0)) ** 3)
+            assert_near(got, want, tolerance)
+            lost += int(missing.sum())
+    assert (lost > 0) == (beyond > 0.0)
+    assert counted.followed < len(motion)
+
+
+def test_another_working_mode_and_numbers_that_are_none_are_refused_as_ever() -> None:
+    robot = zoo.robot_of("2rpr")
+    dynamics, motion = rp.CompiledDynamics(robot), motion_of(robot, samples=4)
+    given = (motion.t, motion.x, motion.xd, motion.xdd)
+    dynamics.carrier_terms(*given)
+    for i in range(4):
+        broken = [np.array(part) for part in given]
+        broken[i][2] = np.nan
+        with pytest.raises(RedundancyPinError):
+            dynamics.carrier_terms(*broken)
+    with pytest.raises(RedundancyPinError):
+        dynamics.carrier_terms(motion.t, motion.x[:, :1], motion.xd, motion.xdd)
+    with pytest.raises(RedundancyPinError):
+        dynamics.carrier_terms(motion.t, motion.x, motion.xd[:, :1], motion.xdd[:, :1])
+    mirrored = PlatformMotion(motion.t, motion.x * (1.0, -1.0), motion.xd, motion.xdd, check_rates=False)
+    want = terms_along(dynamics.along(mirrored, unreachable="mark"))
+    assert_near(dynamics.carrier_terms(mirrored.t, mirrored.x, mirrored.xd, mirrored.xdd), want, SAME)
