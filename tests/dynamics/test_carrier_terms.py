@@ -172,7 +172,7 @@ def test_after_a_jump_it_is_followed_from_the_reference(monkeypatch: pytest.Monk
         assert counted.followed == (1, 2, 2, 3)[i]
 
 
-def over_the_edge(robot: Robot, farthest: float, samples: int = 241) -> PlatformMotion:
+def over_the_edge(robot: Robot, farthest: float, samples: int = 81) -> PlatformMotion:
     """The five-bar straight up its axis and back, as far as a height; both legs are stretched at 0.968 m."""
     t = APART * np.arange(samples)
     rate = np.pi / t[-1]

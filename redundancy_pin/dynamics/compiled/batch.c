@@ -103,6 +103,7 @@ int rp_terms(int samples, const double *in, int width, double *near, double *out
   for (long k = 0; k < samples; ++k) {
     const double *at = in + k * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
     double dt = k ? at[0] - at[-width] : 0.0, fastest, squared;
+    if (!isfinite(at[0]) || dt < 0.0) return NOT_FINITE;
     copy(guess, pose.q, NQ);
     if (k) {
       for (int i = 0; i < NP; ++i) step[i] = dt * (v[COLUMNS[i]] + 0.5 * dt * a[COLUMNS[i]]);
