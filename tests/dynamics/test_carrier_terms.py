@@ -14,6 +14,7 @@ import moving
 import numpy as np
 import pytest
 import zoo
+from flat_linkages import parallelogram
 from generated_c import actuated_by
 
 import redundancy_pin as rp
@@ -160,6 +161,33 @@ def test_the_start_of_the_batch_before_is_near_too(monkeypatch: pytest.MonkeyPat
         motion = motion_of(robot, samples=200, start=start)
         assert_near(counted.terms(motion), terms_along(rp.CompiledDynamics(robot).along(motion)), SAME)
     assert counted.followed == 1
+
+
+def test_it_goes_on_from_the_end_of_a_long_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From its beginning Newton's method would not get there."""
+    robot = zoo.robot_of("3rrr")
+    counted, motion = Counted(robot, monkeypatch), motion_of(robot, samples=260)
+    whole = terms_along(rp.CompiledDynamics(robot).along(motion))
+    for part in (slice(0, 4), slice(4, 190), slice(190, 194), slice(194, 260)):
+        assert_near(counted.terms(motion[part]), CarrierTerms(*(values[part] for values in whole)), SAME)
+    assert counted.followed == 1
+
+
+@pytest.mark.parametrize("samples", [100, 101])
+@pytest.mark.parametrize("size", [4, 7, 50])
+def test_nothing_is_followed_across_a_rank_loss_of_the_closures(
+    samples: int, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A parallelogram is flat half way: at a sample, or between two."""
+    robot = parallelogram()
+    counted, plain = Counted(robot, monkeypatch), rp.CompiledDynamics(robot)
+    t = np.linspace(0.0, 1.0, samples)
+    through = PlatformMotion(t, 1.2 - 2.4 * t[:, None], np.full((samples, 1), -2.4), np.zeros((samples, 1)))
+    for part in batches(through, size):
+        want = terms_along(plain.along(part, unreachable="mark"))
+        got = counted.terms(part)
+        np.testing.assert_array_equal(np.isnan(got.constant), np.isnan(want.constant))
+        assert_near(got, want, SAME / 0.012)  # beside the flat pose K is that much nearer to singular
 
 
 def test_after_a_jump_it_is_followed_from_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
