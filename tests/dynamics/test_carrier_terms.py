@@ -153,41 +153,52 @@ def test_batches_of_any_size_are_those_of_one_motion(
     assert counted.followed == 1
 
 
+def sweep(start: float = 0.0, samples: int = 240) -> PlatformMotion:
+    """Of the five-bar up its axis, from 0.35 to 0.93 m: Newton's method does not get from one end to the other."""
+    t = start + APART * np.arange(samples)
+    rate = np.pi / 0.62
+    y, yd, ydd = 0.64 - 0.29 * np.cos(rate * t), 0.29 * rate * np.sin(rate * t), 0.29 * rate**2 * np.cos(rate * t)
+    x, xd, xdd = (np.stack([0.0 * t + part[0], part[1]], axis=1) for part in ((0.25, y), (0.0, yd), (0.0, ydd)))
+    return PlatformMotion(t, x, xd, xdd)
+
+
 def test_the_start_of_the_batch_before_is_near_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """A preview that may change its mind is read anew at every tick: a horizon long, from about where it was."""
-    robot = zoo.robot_of("3rrr")
+    robot = zoo.robot_of("five_bar")
     counted = Counted(robot, monkeypatch)
     for start in (0.0, 0.005, 0.01):
-        motion = motion_of(robot, samples=200, start=start)
+        motion = sweep(start)
         assert_near(counted.terms(motion), terms_along(rp.CompiledDynamics(robot).along(motion)), SAME)
     assert counted.followed == 1
 
 
 def test_it_goes_on_from_the_end_of_a_long_batch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From its beginning Newton's method would not get there."""
-    robot = zoo.robot_of("3rrr")
-    counted, motion = Counted(robot, monkeypatch), motion_of(robot, samples=260)
+    robot = zoo.robot_of("five_bar")
+    counted, motion = Counted(robot, monkeypatch), sweep()
     whole = terms_along(rp.CompiledDynamics(robot).along(motion))
-    for part in (slice(0, 4), slice(4, 190), slice(190, 194), slice(194, 260)):
+    for part in (slice(0, 4), slice(4, 220), slice(220, 224), slice(224, 240)):
         assert_near(counted.terms(motion[part]), CarrierTerms(*(values[part] for values in whole)), SAME)
     assert counted.followed == 1
 
 
-@pytest.mark.parametrize("samples", [100, 101])
+@pytest.mark.parametrize(("samples", "shift"), [(100, 0.0), (101, 0.0), (101, 5e-5)])
 @pytest.mark.parametrize("size", [4, 7, 50])
 def test_nothing_is_followed_across_a_rank_loss_of_the_closures(
-    samples: int, size: int, monkeypatch: pytest.MonkeyPatch
+    samples: int, shift: float, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A parallelogram is flat half way: at a sample, or between two."""
+    """A parallelogram is flat half way: at a sample, between two, or so near to one that its rates are lost."""
     robot = parallelogram()
     counted, plain = Counted(robot, monkeypatch), rp.CompiledDynamics(robot)
     t = np.linspace(0.0, 1.0, samples)
-    through = PlatformMotion(t, 1.2 - 2.4 * t[:, None], np.full((samples, 1), -2.4), np.zeros((samples, 1)))
+    through = PlatformMotion(t, 1.2 + shift - 2.4 * t[:, None], np.full((samples, 1), -2.4), np.zeros((samples, 1)))
+    lost = 0
     for part in batches(through, size):
         want = terms_along(plain.along(part, unreachable="mark"))
         got = counted.terms(part)
         np.testing.assert_array_equal(np.isnan(got.constant), np.isnan(want.constant))
         assert_near(got, want, SAME / 0.012)  # beside the flat pose K is that much nearer to singular
+        lost += int(np.isnan(got.constant).any(axis=1).sum())
+    assert lost >= samples - 100
 
 
 def test_after_a_jump_it_is_followed_from_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,7 +224,7 @@ def over_the_edge(robot: Robot, farthest: float, samples: int = 81) -> PlatformM
     return PlatformMotion(t, x, xd, xdd)
 
 
-@pytest.mark.parametrize("beyond", [-1e-2, -1e-4, -1e-7, 1e-7, 1e-3, 0.2])
+@pytest.mark.parametrize("beyond", [-1e-2, -1e-4, -1e-7, -1e-12, 1e-7, 1e-3, 0.2])
 def test_beside_and_beyond_the_edge_of_the_workspace_it_is_marked_as_ever(
     beyond: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -233,7 +244,7 @@ def test_beside_and_beyond_the_edge_of_the_workspace_it_is_marked_as_ever(
             tolerance = SAME * max(1.0, float(np.nanmax(np.abs(want.W), initial=0.0)) ** 3)
             assert_near(got, want, tolerance)
             lost += int(missing.sum())
-    assert (lost > 0) == (beyond > 0.0)
+    assert (lost > 0) == (beyond > -1e-11)  # within it legs count as stretched
     assert counted.followed < len(motion)
 
 
