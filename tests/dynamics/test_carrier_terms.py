@@ -181,8 +181,8 @@ def test_it_goes_on_from_the_end_of_a_long_batch(monkeypatch: pytest.MonkeyPatch
     assert counted.followed == 1
 
 
-@pytest.mark.parametrize(("samples", "shift"), [(100, 0.0), (101, 0.0), (101, 5e-5)])
-@pytest.mark.parametrize("size", [4, 7, 50])
+@pytest.mark.parametrize(("samples", "shift"), [(100, 0.0), (101, 0.0), (101, 5e-5), (101, 1e-6)])
+@pytest.mark.parametrize("size", [4, 7, 51])
 def test_nothing_is_followed_across_a_rank_loss_of_the_closures(
     samples: int, shift: float, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
