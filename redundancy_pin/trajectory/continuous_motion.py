@@ -112,11 +112,10 @@ class ContinuousMotion(Frozen):
             motion = self.sample_at(times)
             return motion.x, motion.xd, motion.xdd
         n, is_pose = _coordinates(source.coefficients.shape[2])
-        values = source(times)
-        if self.moves_until != self.end and times[-1] >= self.moves_until:
-            held = times >= self.moves_until
-            values[held, : -2 * n] = source([self.moves_until], "left")[:, : -2 * n]
-            values[held, -2 * n :] = 0.0
+        held = self.moves_until != self.end and times[-1] >= self.moves_until
+        values = source(np.minimum(times, self.moves_until) if held else times)
+        if held:
+            values[times >= self.moves_until, -2 * n :] = 0.0
         x, xd, xdd = values[:, : -2 * n], values[:, -2 * n : -n], values[:, -n:]
         return x.reshape(-1, 4, 4) if is_pose else x, xd, xdd
 

@@ -110,6 +110,28 @@ def test_a_held_platform_stays_where_it_is():
     assert not samples.xdd[2:].any()
 
 
+@pytest.mark.parametrize("make", [reference.corner, turning])
+def test_states_are_the_values_of_the_samples(make):
+    exact = continuous_motion(make())
+    polynomials = type(exact)(
+        exact.polynomials, exact.start, exact.end, exact.moves_until, exact.breaks, exact.knots, True
+    )
+    for motion in (exact, polynomials, polynomials.prolonged_until(exact.end + 1.0)):
+        for times in (
+            [0.5, 0.7],
+            [motion.end - 0.2, motion.end],
+            [exact.end],
+            exact.breaks,
+            [exact.end - 1e-9, exact.end],
+        ):
+            t = np.asarray(times)
+            if not len(t):
+                continue
+            samples = motion.sample_at(t)
+            for got, name in zip(motion.states_at(t), ("x", "xd", "xdd"), strict=True):
+                np.testing.assert_array_equal(got, getattr(samples, name))
+
+
 def test_quintics_have_the_given_values_and_derivatives_at_both_ends():
     random = np.random.default_rng(5)
     edges = np.array([0.3, 0.5, 1.3, 1.4])

@@ -273,6 +273,71 @@ def test_places_are_those_of_the_instants_and_what_is_missing_is_evaluated() -> 
     np.testing.assert_allclose(ahead.known.constant[:, 2:], reduced.carrier_force, atol=1e-9)
 
 
+def test_what_has_been_handed_out_stays_as_it_is_and_lies_in_one_piece() -> None:
+    """Instants behind the others, between them, and more than there was memory for; those that are past are dropped."""
+    ahead = Ahead(dynamics(), Preview(AWAY, -np.inf, np.inf), STEP)
+    handed: list[tuple[Any, list[Array]]] = []
+    names = ("t", "known", "W", "constant", "terms")
+    for i in range(30):
+        start = 0.31 * i * STEP
+        end = start + (3.0 if i == 20 else 0.3)
+        ahead.look(start, end)
+        if i % 7 == 3:
+            ahead.at(start + np.array([0.00071, 0.00333, 0.2222]))
+        known = ahead.known
+        parts = [getattr(known, name) for name in names]
+        assert all(part.flags.c_contiguous and len(part) == len(known.t) for part in parts)
+        assert [part.dtype for part in parts] == [np.float64, bool, np.float64, np.float64, np.float64]
+        assert (np.diff(known.t) > 0.0).all()
+        handed.append((known, [part.copy() for part in parts]))
+    assert len(ahead.known.t) > 1000
+    for known, before in handed:
+        for name, part in zip(names, before, strict=True):
+            np.testing.assert_array_equal(getattr(known, name), part)
+    reduced = rp.VirtualWork(dynamics().robot).reduce(AWAY(ahead.known.t))
+    np.testing.assert_allclose(ahead.known.W, reduced.W, atol=1e-12)
+    np.testing.assert_allclose(ahead.known.constant[:, :2], reduced.f, atol=1e-9)
+
+
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+def test_what_cannot_be_reached_is_zero_and_not_known(backend: Callable[[Any], Any]) -> None:
+    """Up until the legs are stretched, and beyond: first between instants that are known, then from the start."""
+    robot = rp.load_robot("five_bar")
+    edge = np.sqrt(1.0 - 0.25**2)
+
+    def up(t: Array) -> rp.PlatformMotion:
+        x = np.stack([0.25 + 0.0 * t, edge - 0.1 + 2.0 * t], axis=1)
+        return rp.PlatformMotion(t, x, np.tile([0.0, 2.0], (len(t), 1)), np.zeros((len(t), 2)))
+
+    ahead = Ahead(backend(robot), Preview(up, -np.inf, np.inf), STEP)
+    for start in (0.0, 0.004, 0.013, 0.03):
+        ahead.look(start, start + 0.03)
+    known = ahead.known
+    np.testing.assert_array_equal(known.known, known.t < 0.05)
+    assert not known.known.all()
+    for part in (known.W, known.constant, known.terms):
+        assert (part[~known.known] == 0.0).all()
+        assert (part[known.known] != 0.0).any(axis=(1, 2) if part.ndim == 3 else None).all()
+
+
+@pytest.mark.parametrize("what", ["trajectory", "samples", "function"])
+def test_states_are_those_of_the_motion(what: str) -> None:
+    """Of a trajectory while the platform is held at its end, too."""
+    sources: dict[str, tuple[Any, float]] = {
+        "trajectory": (rp.trajectory.reference.circle(), np.inf),
+        "samples": (zoo.smooth_motion(dynamics().robot, 0).at(np.linspace(0.0, 1.0, 201)), 1.0),
+        "function": (AWAY, np.inf),
+    }
+    source, last = sources[what]
+    preview, end = Preview.of(source), getattr(source, "duration", 1.0)
+    for times in ([0.0, 0.1], [0.3], [end - 1e-3, end], [end], [end - 0.1, end, end + 0.1, end + 5.0], [end + 1.0]):
+        t = np.array(times)
+        if t[-1] <= last:
+            motion = preview.motion(t)
+            for got, want in zip(preview.states(t), (motion.x, motion.xd, motion.xdd), strict=True):
+                np.testing.assert_allclose(got, want, rtol=0.0, atol=1e-14 * np.abs(want).max())
+
+
 # nodes
 
 
