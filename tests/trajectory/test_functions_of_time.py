@@ -117,16 +117,9 @@ def test_states_are_the_values_of_the_samples(make):
         exact.polynomials, exact.start, exact.end, exact.moves_until, exact.breaks, exact.knots, True
     )
     for motion in (exact, polynomials, polynomials.prolonged_until(exact.end + 1.0)):
-        for times in (
-            [0.5, 0.7],
-            [motion.end - 0.2, motion.end],
-            [exact.end],
-            exact.breaks,
-            [exact.end - 1e-9, exact.end],
-        ):
-            t = np.asarray(times)
-            if not len(t):
-                continue
+        end = exact.end
+        for times in ([0.5, 0.7], [end - 0.2, motion.end], [end], [0.1, *exact.breaks], [end - 1e-9, end]):
+            t = np.array(times)
             samples = motion.sample_at(t)
             for got, name in zip(motion.states_at(t), ("x", "xd", "xdd"), strict=True):
                 np.testing.assert_array_equal(got, getattr(samples, name))

@@ -2,7 +2,8 @@
 
 The equations are those of ``dynamics.rnea``, written a second time and from the model alone: symbols (``symbols.py``),
 C from them and its cache (``build.py``), and a driver that closes the loops by Newton's method along a motion
-(``closing.py``, ``driver.c``; ``interpreted.py`` is the same in Python).
+(``closing.py``, ``driver.c``; ``interpreted.py`` is the same in Python). A planner on line asks for a few instants at a
+time (``carrier_terms.py``).
 """
 
 from __future__ import annotations
