@@ -1,7 +1,8 @@
 """W τ = f at the instants ahead: where it is singular, and at the nodes of a plan linear in the carriers' motion.
 
 Instants are fixed in time, an eighth of a step apart, so that each is evaluated once, when it comes into sight: there f
-is a sum of terms of the carriers' motion (``Dynamics.carrier_terms``), and its values and slopes at any plan need no backend.
+is a sum of terms of the carriers' motion (``Dynamics.carrier_terms``), and its values and slopes at any plan need no
+backend.
 
 At a singular instant uᵀ W = 0, and τ is what W⁻¹ f tends to: uᵀ Ẇ τ = uᵀ ḟ, with the jerk of the step before and with
 that of the step after. With f linear, f = f̄ + F_s δs + F_ṡ δṡ + F_s̈ δs̈, and ′ the derivative by time along the motion
