@@ -211,6 +211,7 @@ class Ahead:
         if len(self.known.t) > 2.0 * (end - start) / spacing + 100:
             self.known = self._memory.drop_before(past)
             self.edges = seen = seen[seen >= past]
+            self._determinants = self._determinants[-len(seen) :]
             self.roots = self.roots[self.roots >= past]
         first = float(seen[-1]) if len(seen) else start
         begin = floor(first / spacing)
@@ -229,7 +230,7 @@ class Ahead:
         return self.roots[self.roots >= start]
 
     def _new(self, times: Array) -> IntArray | slice:
-        """Return the places of instants in ``known`` that mostly are behind all that is there."""
+        """Return the places in ``known`` of instants that mostly are after all that is there; they are evaluated."""
         t = self.known.t
         if len(t) and times[0] <= t[-1] + SAME:
             return self.at(times)
@@ -238,11 +239,13 @@ class Ahead:
 
     def at(self, times: Array) -> IntArray:
         """Return the places (N,) of instants in ``known``, s; what is missing there is evaluated."""
+        if not len(self.known.t):
+            self._add(np.unique(times))
         while True:
             t = self.known.t
-            places = np.searchsorted(t, times - SAME)
+            places = t.searchsorted(times - SAME)
             inside = np.minimum(places, len(t) - 1)
-            missing = (places >= len(t)) | (t[inside] > times + SAME) if len(t) else np.ones(len(times), dtype=bool)
+            missing = (places > inside) | (t[inside] > times + SAME)
             if not missing.any():
                 return inside
             self._add(np.unique(times[missing]))
