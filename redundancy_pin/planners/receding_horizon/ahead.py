@@ -26,7 +26,7 @@ from redundancy_pin.dynamics.base import CarrierTerms, Dynamics
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.planners.carrier_model import carrier_model, terms, turning_model
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview
-from redundancy_pin.trajectory.functions_of_time import chebyshev_points
+from redundancy_pin.trajectory.functions_of_time import chebyshev_points, chebyshev_series
 
 PARTS = 8
 """Instants a step at which W τ = f is known: two crossings closer than that show as a dip of det W."""
@@ -260,16 +260,18 @@ class Ahead:
         return np.unique(np.concatenate([nodes, grid[away], breaks - BESIDE, breaks + BESIDE]))
 
     def _add(self, times: Array) -> None:
-        if self._turning or not self._checked:
-            read = self._modelled(times)
-        else:
-            read = self.dynamics.carrier_terms(times, *self.preview.states(times))
+        read = self._read(times)
         if isfinite(read.constant.sum()):
             reachable: BoolArray = np.ones(len(times), dtype=bool)
         else:
             reachable = np.asarray(np.isfinite(read.constant).all(axis=1))
             read = CarrierTerms(*map(np.nan_to_num, read))
         self.known = self._memory.add((times, reachable, *read))
+
+    def _read(self, times: Array) -> CarrierTerms:
+        if self._turning or not self._checked:
+            return self._modelled(times)
+        return self.dynamics.carrier_terms(times, *self.preview.states(times))
 
     def _modelled(self, times: Array) -> CarrierTerms:
         """Return what ``carrier_terms`` does, of carriers of any kind; the first time, look whether it is all."""
@@ -311,10 +313,10 @@ class Ahead:
     def _within(self, start: float, end: float, largest: float) -> Array:
         """Return the instants between two times at which det W is zero, or next to it at a dip, s."""
         times, width = chebyshev_points(np.array([start]), np.array([end]), POINTS - 1), end - start
-        W = self.dynamics.along(self.preview.motion(times), unreachable="mark").reduce().W
+        W = self._read(times).W
         if not np.isfinite(W).all():
             return np.empty(0)
-        series = Chebyshev.fit(times, np.linalg.det(W) / largest, POINTS - 1, domain=[start, end])
+        series = Chebyshev(chebyshev_series(np.linalg.det(W)[None, :, None] / largest)[0, :, 0], domain=[start, end])
         zeros = series.roots()
         inside = (zeros.real >= start - 1e-9 * width) & (zeros.real <= end + 1e-9 * width)
         crossing = zeros.real[inside & (np.abs(zeros.imag) < 1e-7 * width)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import Literal
 
@@ -13,6 +13,9 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Goal = Literal["effort", "peak"]
+
+STUCK = 0.1
+"""Fraction of f that a plan may miss, f being linear in its programme, and still be preferred to an elastic one."""
 
 
 def extended(position: PiecewisePolynomial, times: Array) -> tuple[Array, Array, Array]:
@@ -130,3 +133,29 @@ class Command(Frozen):
     def tau(self) -> Array:
         """(m,) main efforts at the tick, N or N·m."""
         return self.efforts.at(self.t)
+
+
+@dataclass(frozen=True, eq=False)
+class TickPlan:
+    """A plan of a tick, and what the next one begins with.
+
+    ``nodes`` (N,) s; ``at``: s, ṡ and s̈ (N, k) there; ``multipliers`` (N, n) of W τ = f there; ``left``: by which
+    fraction of f that is missed at most; ``largest``: |τ| of the command in the step from the tick on, N or N·m.
+    """
+
+    command: Command
+    nodes: Array
+    at: tuple[Array, ...]
+    multipliers: Array
+    left: float
+    largest: float
+
+    @property
+    def doubt(self) -> float:
+        """What is left; not less than a bit where a limit kept the programme from an answer: it may come no nearer."""
+        return self.left if self.command.status is PlanningStatus.PLANNED else max(self.left, STUCK)
+
+    def halfway(self, other: TickPlan) -> TickPlan:
+        """Return another of the same nodes, of which the next one begins with the mean of both."""
+        at = tuple(0.5 * (own + their) for own, their in zip(self.at, other.at, strict=True))
+        return replace(other, at=at, multipliers=0.5 * (self.multipliers + other.multipliers))

@@ -14,7 +14,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon
-from redundancy_pin.planners.receding_horizon.planner import begun_with, is_beyond, with_stop
+from redundancy_pin.planners.receding_horizon.tick import begun_with, is_beyond, with_stop
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path
@@ -129,9 +129,9 @@ def test_nodes_reach_beyond_the_horizon_by_those_kept_for_singular_instants(step
 
 def test_programmes_are_put_together_anew_where_other_limits_are_set() -> None:
     planner = planner_of()
-    before = planner.programme(False)
+    before = planner.ticks.programme(False)
     planner.limits = Limits(speed=0.5)
-    assert planner.programme(False) is before
+    assert planner.ticks.programme(False) is before
     free = Limits(carrier_force=np.inf)
     for limits, blocks in (
         (replace(free, jerk=300.0), {"jerk"}),
@@ -140,8 +140,8 @@ def test_programmes_are_put_together_anew_where_other_limits_are_set() -> None:
         (free, set()),
     ):
         planner.limits = limits
-        assert {"jerk", "force"} & set(planner.programme(False).within.blocks) == blocks
-        assert planner.programme(False) is planner.programme(False)
+        assert {"jerk", "force"} & set(planner.ticks.programme(False).within.blocks) == blocks
+        assert planner.ticks.programme(False) is planner.ticks.programme(False)
 
 
 def test_a_start_counts_as_beyond_the_limits_by_more_than_a_millionth() -> None:

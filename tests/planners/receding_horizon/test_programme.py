@@ -57,7 +57,7 @@ def updates() -> tuple[RecedingHorizon, list[TickProblem], list[tuple[float, int
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Programme, "solve", lambda self, problem: seen.append(problem) or solve(self, problem))
         dynamics = rp.CompiledDynamics(rp.load_robot("2rpr", **ROBOT))
-        planner = RecedingHorizon(dynamics, objective=WEIGHTS, limits=LIMITS)
+        planner = RecedingHorizon(dynamics, objective=WEIGHTS, limits=LIMITS, interpret=True)
         crossing = rp.find_crossings(dynamics.robot, ACROSS)[0].t
         for t in (*np.arange(0.0, crossing - 0.01, 0.02), crossing - 0.003):
             before = len(seen)
@@ -93,7 +93,7 @@ class Rows:
     """The numbers of a tick's programme, dense, and the blocks of its rows."""
 
     def __init__(self, planner: RecedingHorizon, tick: TickProblem, elastic: bool = False) -> None:
-        self.tick, self.lin, self.programme = tick, tick.lin, planner.programme(elastic)
+        self.tick, self.lin, self.programme = tick, tick.lin, planner.ticks.programme(elastic)
         values = self.programme.numbers_of(tick)
         self.P, self.q, self.A, self.b, self.G, self.low, self.high, self.lower, self.upper = (
             np.array(part.todense() if hasattr(part, "todense") else part) for part in values

@@ -20,8 +20,8 @@ from redundancy_pin.planners.receding_horizon import (
     run_online,
 )
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from
-from redundancy_pin.planners.receding_horizon.planner import SHORTEST_STOP
 from redundancy_pin.planners.receding_horizon.run import pieces_of
+from redundancy_pin.planners.receding_horizon.tick import SHORTEST_STOP
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -121,7 +121,7 @@ def test_a_track_far_from_zero_is_kept(track):
 
 def test_the_peak_is_that_of_efforts_of_either_sign(monkeypatch):
     planner, solutions = RecedingHorizon(machine()[0]), []
-    programme = planner.programme(False)
+    programme = planner.ticks.programme(False)
     solve = programme.solve
     monkeypatch.setattr(programme, "solve", lambda values: solutions.append(solve(values)) or solutions[-1])
     planner.update(0.2, ACROSS)

@@ -1,0 +1,228 @@
+"""A tick as machine code: ``tick.c`` for a robot's sizes, what it is given and what it gives back.
+
+It is compiled once for each set of sizes and kept on disk (``machine_code``). Without a C compiler there is none, and
+every tick is planned in Python. So are those that it leaves: the first, and those without a plan that keeps every
+limit.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.resources
+import time
+from collections.abc import Mapping
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, frozen
+from redundancy_pin.machine_code import FLAGS, built, digest, loaded
+from redundancy_pin.planners.limits import ResolvedLimits
+from redundancy_pin.planners.receding_horizon.ahead import Ahead, Coefficients
+from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus, TickPlan, Weights
+from redundancy_pin.planners.receding_horizon.preview import SAME
+from redundancy_pin.planners.receding_horizon.programme import TickScales, units_of
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+SOURCE = "tick.c"
+DONE, MISSING = 0, 5
+"""What the function of ``tick.c`` returns: a plan that keeps every limit; instants that are not evaluated yet."""
+
+SETTINGS = {
+    "PRECISION": 1e-9,  # of what bounds, and rows of singular instants, are missed by, in units
+    "BARRIER": 1e-9,  # mean of slacks times duals, of a cost of size one
+    "STATIONARY": 1e-5,  # gradient over the largest in it: multipliers of singular instants are large, and rounded
+    "ITERATIONS": 40,
+    "CLOSE": 0.995,  # of the way to the nearest bound
+    "ROOM": 0.05,  # least slack of a first point, in units
+    "FIRST_BARRIER": 1e-2,
+    "DAMPING": 1e-3,  # of a first point: it is as near to the last plan as its accelerations may be
+    "SAME_ROW": 1e-8,  # share of the jerk in a row of a singular instant below which it has none
+}
+"""Of the interior point method; found by trial on random paths: half the iterations that PIQP has there."""
+
+INSTANTS, BORDER = 160, 10
+"""Most instants at which the efforts of a plan are evaluated, and rows of singular instants, as in ``tick.c``."""
+
+_COUNTS = ("instants", "edges", "nodes", "roots", "breaks", "same_time")
+_SIGHT = ("t", "W", "constant", "terms", "known")
+_POINTERS = ("edge", "piece", "node", "at", "multiplier", "root", "broken", "row_scale", "row", "track", "speed")
+_LIMITS = ("acceleration", "jerk", "carrier_force", "effort")
+_NUMBERS = ("now", "until", "step", "horizon", "spacing", "tau", "largest", "peak")
+
+
+class _Given(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_long) for name in _COUNTS),
+        *((name, ctypes.c_void_p) for name in (*_SIGHT, *_POINTERS, *_LIMITS, "unit", "weight", "s", "sd")),
+        *((name, ctypes.c_double) for name in _NUMBERS),
+    ]
+
+
+class CompiledTick:
+    """The planner's ticks in fixed memory; one for each planner.
+
+    Args:
+        library: as of ``tick_library``.
+        n, m, k: coordinates, main actuators, carriers; ``count``: nodes.
+        step, horizon: s.
+        weights: of the objective.
+    """
+
+    def __init__(
+        self, library: ctypes.CDLL, n: int, m: int, k: int, count: int, step: float, horizon: float, weights: Weights
+    ) -> None:
+        self._call, self._shape = library.rp_tick, (n, m, k, count)
+        sizes = {
+            "pieces": 1, "efforts": 1, "forces": 1, "missing": 1, "programmes": 1, "iterations": 1, "known": 1,
+            "residual": 1, "peak": 1, "left": 1, "largest": 1,
+            "node": count, "at": 3 * count * k, "multiplier": count * n,
+            "edge": count + k + 1, "piece": 4 * (count + k) * k,
+            "effort_edge": INSTANTS, "effort": 2 * INSTANTS * m, "force_edge": INSTANTS, "force": 2 * INSTANTS * k,
+            "missing_time": count + 2 * BORDER + INSTANTS,
+        }  # fmt: skip
+        ends = np.cumsum([0, *sizes.values()]).tolist()
+        self._places = {name: slice(a, b) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)}
+        self._result = np.zeros(ends[-1])
+        library.rp_tick_work.restype = ctypes.c_long
+        self._work = np.zeros(library.rp_tick_work() // 8 + 1)
+        self._given = _Given(step=step, horizon=horizon)
+        self._kept: dict[str, tuple[Array, Array]] = {}
+        self._known: Coefficients | None = None
+        self._own: tuple[Array | None, Array | None] = None, None
+        self._nowhere = np.full(k, np.nan)
+        self._arguments = ctypes.byref(self._given), *map(_address, (self._result, self._work))
+        self._point("weight", np.array(astuple(weights)))
+
+    def _point(self, name: str, array: Array) -> None:
+        """Have an argument point to an array, which is kept as long."""
+        if name not in self._kept or self._kept[name][0] is not array:
+            laid_out = np.ascontiguousarray(array)
+            self._kept[name] = array, laid_out
+            setattr(self._given, name, laid_out.ctypes.data)
+
+    def _point_to_sight(self, known: Coefficients) -> None:
+        """Have the arguments point to what is in sight, of which more may be known in the same memory."""
+        self._given.instants, self._known = len(known.t), known
+        for name in _SIGHT:
+            setattr(self._given, name, getattr(known, name).ctypes.data)
+
+    def _point_to_last(self, last: TickPlan) -> None:
+        """Have the arguments point to the last plan; this one's own it is in its memory already."""
+        own, carriers = self._given, last.command.carriers
+        own.edges, own.nodes = len(carriers.edges), len(last.nodes)
+        if last.nodes is not self._own[0]:
+            self._point("node", last.nodes)
+            self._point("multiplier", last.multipliers)
+        if carriers.edges is not self._own[1]:
+            self._point("edge", carriers.edges)
+            self._point("piece", carriers.coefficients)
+        if own.same_time:  # else it is not looked at
+            self._point("at", np.array(last.at))
+
+    def set_limits(self, limits: ResolvedLimits) -> None:
+        """Use limits from now on."""
+        for name in ("track", "speed", *_LIMITS):
+            self._point(name, getattr(limits, name))
+        self._point("unit", np.array(units_of(limits)))
+
+    def plan(
+        self,
+        ahead: Ahead,
+        t: float,
+        until: float,
+        given: tuple[Array | None, ...],
+        last: TickPlan,
+        sizes: TickScales,
+        largest: float,
+    ) -> TickPlan | None:
+        """Return a plan about the last one; None where there is none that keeps every limit.
+
+        Args:
+            ahead: what is in sight.
+            t: the tick, s.
+            until: until when the motion is known, s.
+            given: (k,) s and ṡ of the carriers; None where those of the last plan are to be believed.
+            last: the last plan, of cubic motions.
+            sizes: what is divided by.
+            largest: |τ| so far, N or N·m.
+        """
+        own, command = self._given, last.command
+        own.now, own.until, own.spacing, own.largest = t, until, ahead.spacing, largest
+        own.tau, own.peak = sizes.tau, command.peak
+        own.same_time, own.roots, own.breaks = bool(command.t == t), len(ahead.roots), len(ahead.preview.breaks)
+        self._point_to_last(last)
+        self._point("root", ahead.roots)
+        self._point("broken", ahead.preview.breaks)
+        self._point("row", sizes.row)
+        self._point("row_scale", ahead.row_scale)
+        for name, array in zip(("s", "sd"), given, strict=True):
+            self._point(name, self._nowhere if array is None else array)
+        began = time.perf_counter()
+        while True:
+            self._point_to_sight(ahead.known)
+            status = self._call(*self._arguments)
+            if status != MISSING:
+                break
+            places = self._places["missing_time"]
+            ahead.at(np.unique(self._result[places][: self._whole("missing")]))
+        return self._made(t, ahead.roots, time.perf_counter() - began) if status == DONE else None
+
+    def _whole(self, name: str) -> int:
+        return int(self._result[self._places[name]].view(np.int64)[0])
+
+    def _made(self, t: float, roots: Array, seconds: float) -> TickPlan:
+        result = self._result.copy()
+        result.flags.writeable = False
+        (n, m, k, count), places = self._shape, self._places
+        pieces, efforts, forces, _, _, _, known = result[:7].view(np.int64).tolist()
+        residual, peak, left, largest = result[7:11].tolist()
+
+        def function(edges: str, coefficients: str, order: int, pieces: int, width: int) -> PiecewisePolynomial:
+            first, start = places[edges].start, places[coefficients].start
+            used = result[start : start + order * pieces * width].reshape(order, pieces, width)
+            return PiecewisePolynomial(result[first : first + pieces + 1], used)
+
+        at, nodes = result[places["at"]].reshape(3, count, k), result[places["node"]]
+        carriers = function("edge", "piece", 4, pieces, k)
+        command = Command(
+            t, PlanningStatus.PLANNED, "", carriers,
+            function("effort_edge", "effort", 2, efforts, m), function("force_edge", "force", 2, forces, k),
+            residual, peak, frozen(roots[roots > t - SAME]), float(nodes[max(known - 1, 0)]), 0.0, seconds,
+        )  # fmt: skip
+        base, own = result.ctypes.data, self._given
+        for name in ("node", "multiplier", "edge", "piece"):
+            setattr(own, name, base + 8 * places[name].start)
+            self._kept.pop(name, None)
+        self._own = nodes, carriers.edges
+        return TickPlan(
+            command, nodes, (at[0], at[1], at[2]), result[places["multiplier"]].reshape(count, n), left, largest
+        )
+
+
+def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> ctypes.CDLL | None:
+    """Return the library of robots of some sizes, from disk or new; None where there is no C compiler.
+
+    Args:
+        sizes: N, M, K, TERMS, COUNT.
+        constants: of the planner, by the names that ``tick.c`` has.
+    """
+    named = {**sizes, **constants, **SETTINGS}
+    head = [f"#define {name} {value!r}" for name, value in named.items()]
+    text = "\n".join(
+        ["#define EXPORTED", *head, importlib.resources.files(__package__).joinpath(SOURCE).read_text("utf-8")]
+    )
+
+    def load(path: Path) -> ctypes.CDLL:
+        library = loaded(path)
+        _ = library.rp_tick, library.rp_tick_work  # AttributeError where the file is another one
+        return library
+
+    library, _reason = built(lambda compiler: digest([text, compiler, *FLAGS]), lambda: text, load)
+    return library
+
+
+def _address(array: Array) -> Any:
+    return ctypes.c_void_p(array.ctypes.data)
