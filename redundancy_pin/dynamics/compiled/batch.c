@@ -92,13 +92,19 @@ static void terms_of(const Pose *pose, const double *v, const double *a, const d
    other side of a type I singularity, or where Newton's method does not contract, it ends with LOST and says nothing:
    the way there is for rp_lift. out: W, constant and terms, those of all samples side by side. sizes: three numbers a
    sample of memory. Afterwards near[] holds the first and the last sample. */
+enum { NEIGHBOURS = 8 }; /* as in carrier_terms.py */
+
 int rp_terms(int samples, const double *in, int width, double *near, double *out, double *sizes) {
   enum { SUM = N + NK };
   double *W = out, *constant = W + (long)samples * N * M, *terms = constant + (long)samples * SUM;
   double v[NV], a[NV], gamma[NV * N + 1], ends[2][NQ + NX], step[NP + 1], guess[NQ], usual = 0.0;
   const double *x0 = in + 1, *start = near;
   Pose pose, next;
-  if (distance(near + NQ + NX + NQ, x0, NX) < distance(near + NQ, x0, NX) || isnan(near[0])) start = near + NQ + NX;
+  for (int r = 1; r < NEIGHBOURS; ++r) {
+    const double *other = near + r * (NQ + NX);
+    if (isnan(other[0])) continue; /* none yet */
+    if (isnan(start[0]) || distance(other + NQ, x0, NX) < distance(start + NQ, x0, NX)) start = other;
+  }
   if (isnan(start[0]) || !start_at(&pose, start, start + NQ)) return LOST;
   for (long k = 0; k < samples; ++k) {
     const double *at = in + k * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
@@ -135,6 +141,7 @@ int rp_terms(int samples, const double *in, int width, double *near, double *out
   }
   for (long i = 0; i < (long)samples * (N * M + SUM + NK * 5 * SUM); ++i)
     if (!isfinite(out[i])) return NOT_FINITE;
+  for (int r = NEIGHBOURS - 1; r > 1; --r) copy(near + r * (NQ + NX), near + (r - 2) * (NQ + NX), NQ + NX);
   copy(near, ends[0], NQ + NX);
   copy(near + NQ + NX, ends[samples > 1], NQ + NX);
   return CLOSED;

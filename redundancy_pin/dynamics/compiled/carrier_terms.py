@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 TERMS = 5
 """s, s², ṡ, s ṡ, s̈."""
 
+NEIGHBOURS = 8
+"""Configurations from the nearest of which a batch begins: two of each of four batches; a tick has two or three."""
+
 
 class Continued:
     """Terms of one robot, batch after batch; one for each thread."""
@@ -38,8 +41,8 @@ class Continued:
         self._places, self._nq = 16 if is_pose(robot) else robot.n, robot.model.nq
         self._loads = of_kind(robot.loads, Wrench)
         self._width = 1 + self._places + 2 * robot.n + 6 * len(self._loads)
-        # first and last configuration of the batch before, each with its coordinates
-        self._near = np.full((2, self._nq + self._places), np.nan)
+        # first and last configurations of the batches before, each with its coordinates
+        self._near = np.full((NEIGHBOURS, self._nq + self._places), np.nan)
         kernel = dynamics.kernel
         self._function = kernel.library.rp_terms if isinstance(kernel, Library) else None
         self._make_room(8)
@@ -79,5 +82,6 @@ class Continued:
         closed = np.flatnonzero(along.reachable)
         if len(closed):
             ends = closed[[0, -1]]
-            self._near[:, : self._nq], self._near[:, self._nq :] = along.q[ends], x[ends].reshape(2, -1)
+            self._near[2:] = self._near[:-2].copy()
+            self._near[:2, : self._nq], self._near[:2, self._nq :] = along.q[ends], x[ends].reshape(2, -1)
         return terms_along(along)

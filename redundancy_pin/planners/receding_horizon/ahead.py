@@ -50,7 +50,11 @@ NEAR = 10
 """Steps from which on the nodes are twice as far apart."""
 
 APART = 0.05, 0.2
-"""Least distances, in steps, of singular instants and of other nodes from those and the start."""
+"""Least distances, in steps, of singular instants from each other and the start, and of other nodes from them."""
+
+SOON = 0.01
+"""Least distance of a node from the start, in steps: a node of the last plan that goes is a bend that this one lacks,
+as at the end of a track."""
 
 FIRST = 3
 """Steps in which the efforts of a plan are evaluated exactly, at every instant that is known."""
@@ -343,9 +347,10 @@ def nodes_from(start: float, step: float, count: int, roots: Array) -> tuple[Arr
     apart = np.abs(grid[:, None] - roots).min(axis=1, initial=np.inf)
     far = grid > start + (NEAR + 1e-6) * step
     unit = np.where(far, 2.0, 1.0) * np.where(apart < np.where(far, 2.0, 1.0) * ZONE * step, 1.0, 2.0)
-    fixed = np.array([start, *chosen])
-    kept = (half % unit == 0.0) & (np.abs(grid[:, None] - fixed).min(axis=1) > APART[1] * step) & (grid > start)
-    nodes = np.sort(np.append(fixed, grid[kept]))[:count]
+    fixed = np.array([start, *chosen] if start in roots else chosen)
+    near = np.abs(grid[:, None] - fixed).min(axis=1, initial=np.inf) <= APART[1] * step
+    kept = (half % unit == 0.0) & ~near & (grid > start + SOON * step)
+    nodes = np.sort(np.concatenate([[start], chosen, grid[kept]]))[:count]
     return nodes, np.flatnonzero(np.isin(nodes, roots))
 
 

@@ -243,10 +243,11 @@ static int solved(int n, int c, double *A, double *B) {
 /* The nodes of a plan (``nodes_from``). */
 static void set_nodes(const Given *g, Work *w) {
     double step = g->step, start = w->start, chosen[BORDER * 4 + COUNT];
-    int many = 0;
+    int many = 0, begins = 1;
     chosen[many++] = start;
     for (long r = 0; r < g->roots; r++) {
         double root = g->root[r];
+        if (root == start) begins = 0;   /* at a singular instant */
         int kept = root >= start && root <= start + 2.0 * step * COUNT && root > start + APART_SINGULAR * step;
         for (int c = 1; c < many && kept; c++) kept = root - chosen[c] > APART_SINGULAR * step;
         if (kept && many < BORDER * 4) chosen[many++] = root;
@@ -258,10 +259,10 @@ static void set_nodes(const Given *g, Work *w) {
         while (next < many && chosen[next] <= grid && count < COUNT) w->node[count++] = chosen[next++];
         if (count >= COUNT) break;
         for (long r = 0; r < g->roots; r++) apart = smaller(apart, fabs(grid - g->root[r]));
-        for (int c = 0; c < many; c++) nearest = smaller(nearest, fabs(grid - chosen[c]));
+        for (int c = begins; c < many; c++) nearest = smaller(nearest, fabs(grid - chosen[c]));
         double far = grid > start + (NEAR + 1e-6) * step ? 2.0 : 1.0;
         int unit = (int)far * (apart < far * ZONE * step ? 1 : 2);
-        if (half % unit == 0 && nearest > APART_OTHER * step && grid > start) w->node[count++] = grid;
+        if (half % unit == 0 && nearest > APART_OTHER * step && grid > start + SOON * step) w->node[count++] = grid;
     }
     w->singulars = 0;
     for (int i = 0; i < COUNT; i++) {

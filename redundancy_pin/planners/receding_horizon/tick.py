@@ -67,7 +67,7 @@ FIRST_ROUNDS = 3
 """Programmes of the first tick, each about the plan of the one before."""
 
 CONSTANTS = {
-    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "NEAR")},
+    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "NEAR", "SOON")},
     **{name: getattr(programmes, name) for name in ("CLOSER", "IN_HAND", "FORCE_KEPT", "BEYOND")},
     "APART_SINGULAR": sight.APART[0],
     "APART_OTHER": sight.APART[1],
