@@ -55,6 +55,10 @@ def is_timed(motion: object) -> TypeGuard[TimedTrajectory]:
     return all(hasattr(motion, name) for name in ("duration", "breaks", "sample_at"))
 
 
+FEW = 4
+"""Times up to which a function of time is evaluated one by one."""
+
+
 @dataclass(frozen=True, eq=False)
 class ContinuousMotion(Frozen):
     """A platform motion over an interval, from a trajectory or from polynomials.
@@ -113,7 +117,9 @@ class ContinuousMotion(Frozen):
             return motion.x, motion.xd, motion.xdd
         n, is_pose = _coordinates(source.coefficients.shape[2])
         held = self.moves_until != self.end and times[-1] >= self.moves_until
-        values = source(np.minimum(times, self.moves_until) if held else times)
+        inside = np.minimum(times, self.moves_until) if held else times
+        # of few times one by one is sooner done than all at once
+        values = np.stack([source.at(t) for t in inside.tolist()]) if len(times) <= FEW else source(inside)
         if held:
             values[times >= self.moves_until, -2 * n :] = 0.0
         x, xd, xdd = values[:, : -2 * n], values[:, -2 * n : -n], values[:, -n:]

@@ -32,16 +32,22 @@ DONE, MISSING = 0, 5
 
 SETTINGS = {
     "PRECISION": 1e-9,  # of what bounds, and rows of singular instants, are missed by, in units
-    "BARRIER": 1e-9,  # mean of slacks times duals, of a cost of size one
+    "BARRIER": 1e-8,  # mean of slacks times duals, of a cost of size one
     "STATIONARY": 1e-5,  # gradient over the largest in it: multipliers of singular instants are large, and rounded
     "ITERATIONS": 40,
     "CLOSE": 0.995,  # of the way to the nearest bound
     "ROOM": 0.05,  # least slack of a first point, in units
     "FIRST_BARRIER": 1e-2,
+    "GOOD": 0.05,  # what a first point misses bounds by at most, in units, for the next to be its barrier
+    "GOOD_BARRIER": 1e-3,
+    "WITHIN": 0.9,  # share of the limits of acceleration that a first point has at most
     "DAMPING": 1e-3,  # of a first point: it is as near to the last plan as its accelerations may be
     "SAME_ROW": 1e-8,  # share of the jerk in a row of a singular instant below which it has none
 }
 """Of the interior point method; found by trial on random paths: half the iterations that PIQP has there."""
+
+NONE = frozen([])
+"""No singular instants."""
 
 INSTANTS, BORDER = 160, 10
 """Most instants at which the efforts of a plan are evaluated, and rows of singular instants, as in ``tick.c``."""
@@ -91,6 +97,7 @@ class CompiledTick:
         self._given = _Given(step=step, horizon=horizon)
         self._kept: dict[str, tuple[Array, Array]] = {}
         self._known: Coefficients | None = None
+        self._sight: object = None
         self._own: tuple[Array | None, Array | None] = None, None
         self._nowhere = np.full(k, np.nan)
         self._arguments = ctypes.byref(self._given), *map(_address, (self._result, self._work))
@@ -106,8 +113,11 @@ class CompiledTick:
     def _point_to_sight(self, known: Coefficients) -> None:
         """Have the arguments point to what is in sight, of which more may be known in the same memory."""
         self._given.instants, self._known = len(known.t), known
-        for name in _SIGHT:
-            setattr(self._given, name, getattr(known, name).ctypes.data)
+        place = known.t.ctypes.data
+        if place != self._given.t or known.t.base is not self._sight:
+            self._sight = known.t.base
+            for name in _SIGHT:
+                setattr(self._given, name, getattr(known, name).ctypes.data)
 
     def _point_to_last(self, last: TickPlan) -> None:
         """Have the arguments point to the last plan; this one's own it is in its memory already."""
@@ -187,10 +197,11 @@ class CompiledTick:
 
         at, nodes = result[places["at"]].reshape(3, count, k), result[places["node"]]
         carriers = function("edge", "piece", 4, pieces, k)
+        coming = frozen(roots[roots > t - SAME]) if len(roots) else NONE
         command = Command(
             t, PlanningStatus.PLANNED, "", carriers,
             function("effort_edge", "effort", 2, efforts, m), function("force_edge", "force", 2, forces, k),
-            residual, peak, frozen(roots[roots > t - SAME]), float(nodes[max(known - 1, 0)]), 0.0, seconds,
+            residual, peak, coming, float(nodes[max(known - 1, 0)]), 0.0, seconds,
         )  # fmt: skip
         base, own = result.ctypes.data, self._given
         for name in ("node", "multiplier", "edge", "piece"):
@@ -202,8 +213,8 @@ class CompiledTick:
         )
 
 
-def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> ctypes.CDLL | None:
-    """Return the library of robots of some sizes, from disk or new; None where there is no C compiler.
+def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> tuple[ctypes.CDLL | None, str]:
+    """Return the library of robots of some sizes, from disk or new; or None and the reason why there is none.
 
     Args:
         sizes: N, M, K, TERMS, COUNT.
@@ -220,8 +231,7 @@ def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> ct
         _ = library.rp_tick, library.rp_tick_work  # AttributeError where the file is another one
         return library
 
-    library, _reason = built(lambda compiler: digest([text, compiler, *FLAGS]), lambda: text, load)
-    return library
+    return built(lambda compiler: digest([text, compiler, *FLAGS]), lambda: text, load)
 
 
 def _address(array: Array) -> Any:

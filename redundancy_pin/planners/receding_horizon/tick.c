@@ -944,7 +944,10 @@ static void begin(const Given *g, Work *w) {
             if (p >= w->directions[i] || !i) continue;
             for (int j = 0; j < K; j++) {
                 double own = w->motion[i][j][NX + p];
-                rhs[p] += own * (w->at[2][i * K + j] / ua[j] - free[j]);
+                int limit = block_at(ACCELERATION) + i * K + j;
+                double aim = w->at[2][i * K + j] / ua[j], most = WITHIN * w->bound[limit];
+                if (w->active[limit] > 0.0) aim = larger(-most, smaller(aim, most));   /* past its end it was to stop */
+                rhs[p] += own * (aim - free[j]);
                 for (int o = 0; o < w->directions[i]; o++) A[p * NZ + o] += own * w->motion[i][j][NX + o];
             }
         }
@@ -966,9 +969,12 @@ static void begin(const Given *g, Work *w) {
     w->peak += ROOM;
     memset(w->nu, 0, sizeof w->nu);
     apply(w, w->x, w->tau, w->peak, w->g);
+    double beyond = 0.0, barrier;
+    for (int c = 0; c < w->bounds; c++) beyond = larger(beyond, w->active[c] * (w->g[c] - w->bound[c]));
+    barrier = beyond < GOOD ? GOOD_BARRIER : FIRST_BARRIER;
     for (int c = 0; c < w->bounds; c++) {
         w->slack[c] = w->active[c] > 0.0 ? larger(w->bound[c] - w->g[c], ROOM) : 1.0;
-        w->dual[c] = w->active[c] > 0.0 ? FIRST_BARRIER / w->slack[c] : 1.0;
+        w->dual[c] = w->active[c] > 0.0 ? barrier / w->slack[c] : 1.0;
     }
 }
 

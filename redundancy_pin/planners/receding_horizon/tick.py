@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from dataclasses import replace
 from itertools import product
 
@@ -125,8 +126,11 @@ class TickPlanner:
             turning = bool(turning_velocities(robot)[robot.carrier_velocity].any())
             terms = (TURNING_TERMS if turning else SLIDING_TERMS)[-1] + 1
             sizes = {"N": robot.n, "M": robot.m, "K": robot.k, "TERMS": terms, "COUNT": self.count + 1}
-            library = tick_library(sizes, CONSTANTS)
-            if library is not None:
+            library, reason = tick_library(sizes, CONSTANTS)
+            if library is None:
+                told = f"Ticks of {robot.name} are planned in Python, not in machine code: {reason}."
+                warnings.warn(told, RuntimeWarning, stacklevel=3)
+            else:
                 shape = robot.n, robot.m, robot.k, self.count + 1
                 self.compiled = CompiledTick(library, *shape, step, horizon, weights)
         self.set_limits(limits)
