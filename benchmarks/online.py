@@ -8,6 +8,7 @@ first paths and for those that are not planned at every tick. Times are those of
     python benchmarks/online.py compare [machine] [paths]   off line, switched off and on line, on the same paths
     python benchmarks/online.py sight [machine] [paths]     the least peak from when a singular pose comes into sight
     python benchmarks/online.py preview [paths]             which preview the 2-RPR needs, by masses and acceleration
+    python benchmarks/online.py ticks [paths] [period]      how long a tick takes, in machine code and in Python
     python benchmarks/online.py endless [ticks]             one planner along a path without end: statuses and memory
     python benchmarks/online.py loop [machines] [times]     in closed loop, imperfections of docs/robustness.md by times
 
@@ -290,6 +291,36 @@ def preview(count=8):
         print(f"| {heavier:g} | {most:g} | {off} | {' | '.join(cells)} |", flush=True)
 
 
+def milliseconds(dynamics, paths, period, **settings):
+    """Return what each tick but the first took of the processor, ms, and how many were not planned."""
+    spent, unplanned = [], 0
+    for path in paths:
+        planner = RecedingHorizon(dynamics, **settings)
+        planner.update(0.0, path, 0.0, 0.0)
+        for t in np.arange(period, path.duration, period).tolist():
+            before = time.thread_time()
+            command = planner.update(t, path)
+            spent.append(1e3 * (time.thread_time() - before))
+            unplanned += command.status.value != "planned"
+    return np.array(spent), unplanned
+
+
+def ticks(count=6, period=0.005):
+    """Print a row a machine: ticks, median and 99th percentile, that over the period; Python's on the first path."""
+    for name in MACHINES:
+        dynamics, period = machine(name), float(period)
+        paths = [*islice(random_paths(name, dynamics), int(count))]
+        spent, unplanned = milliseconds(dynamics, paths, period)
+        slow, _ = milliseconds(dynamics, paths[:1], period, interpret=True)
+        figures = [
+            *np.percentile(spent, [50, 99]),
+            1e-3 * np.percentile(spent, 99) / period,
+            *np.percentile(slow, [50, 99]),
+        ]
+        told = " | ".join(f"{figure:.2f}" for figure in figures)
+        print(f"| {name} | {len(spent)}, {unplanned} of them not planned | {told} |", flush=True)
+
+
 def without_end(times):
     """A motion of the 2-RPR that never repeats itself, over the singular line once a second: up to 0.6 m/s."""
     rates, sizes = np.array([[1.3, 2.1], [1.9, 3.1]]), np.array([[0.08, 0.03], [0.12, 0.05]])  # rad/s and m, of x and y
@@ -391,7 +422,14 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
 
 
 if __name__ == "__main__":
-    commands = {"compare": compare, "sight": sight, "preview": preview, "endless": endless, "loop": loop}
+    commands = {
+        "compare": compare,
+        "sight": sight,
+        "preview": preview,
+        "ticks": ticks,
+        "endless": endless,
+        "loop": loop,
+    }
     if sys.argv[1:2] and sys.argv[1] in commands:
         commands[sys.argv[1]](*sys.argv[2:])
     else:
