@@ -11,6 +11,7 @@ import ctypes
 import hashlib
 import importlib.resources
 import os
+import platform
 import shlex
 import shutil
 import signal
@@ -25,6 +26,9 @@ from redundancy_pin.errors import shortened
 
 FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-fPIC", "-shared")
 """No -ffast-math: NaN and infinities mean something here."""
+
+NATIVE = "-march=native"
+"""Flag for what no other machine is to run; its library's name has to tell what this one can (``processor``)."""
 
 PATIENCE = 120.0
 """Seconds after which a compiler counts as hanging."""
@@ -55,6 +59,17 @@ def find_compiler() -> Compiler | None:
             file = os.stat(path)
             return Compiler((path, *arguments), " ".join([path, *arguments, str(file.st_size), str(file.st_mtime_ns)]))
     return None
+
+
+def processor() -> str:
+    """Return what tells machines apart that ``NATIVE`` makes other code for."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:  # not on Linux
+        lines = []
+    kinds = ("model name", "flags", "Features", "CPU part")
+    found = {line.partition(":")[0].strip(): line for line in reversed(lines) if line.startswith(kinds)}
+    return "\n".join([platform.machine(), platform.processor(), *(found[name] for name in sorted(found))])
 
 
 def digest(parts: Iterable[str]) -> str:

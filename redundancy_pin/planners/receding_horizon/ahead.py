@@ -34,6 +34,10 @@ PARTS = 8
 POINTS = 13
 """At which det W is evaluated around a change of its sign, for its polynomial."""
 
+SHALLOW = 0.1
+"""Least over largest |det W| of these at which there is none between them: of a parabola that touches zero between the
+middle two it would be a seventieth."""
+
 TOUCH = 1e-3
 """|det W| at a dip, relative to the largest, below which the motion counts as touching the singularity."""
 
@@ -320,7 +324,11 @@ class Ahead:
         W = self._read(times).W
         if not np.isfinite(W).all():
             return np.empty(0)
-        series = Chebyshev(chebyshev_series(np.linalg.det(W)[None, :, None] / largest)[0, :, 0], domain=[start, end])
+        value = np.linalg.det(W) / largest
+        size = np.abs(value)
+        if size.min() > SHALLOW * size.max() and (value.min() > 0.0 or value.max() < 0.0):
+            return np.empty(0)
+        series = Chebyshev(chebyshev_series(value[None, :, None])[0, :, 0], domain=[start, end])
         zeros = series.roots()
         inside = (zeros.real >= start - 1e-9 * width) & (zeros.real <= end + 1e-9 * width)
         crossing = zeros.real[inside & (np.abs(zeros.imag) < 1e-7 * width)]

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, frozen
-from redundancy_pin.machine_code import FLAGS, built, digest, loaded
+from redundancy_pin.machine_code import FLAGS, NATIVE, built, digest, loaded, processor
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Coefficients
 from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus, TickPlan, Weights
@@ -225,13 +225,18 @@ def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> tu
     text = "\n".join(
         ["#define EXPORTED", *head, importlib.resources.files(__package__).joinpath(SOURCE).read_text("utf-8")]
     )
+    # a sixth less time with it; not every compiler has it
+    library, reason = _built(text, (*FLAGS, NATIVE), processor())
+    return (library, reason) if library is not None else _built(text, FLAGS, "")
 
+
+def _built(text: str, flags: tuple[str, ...], machine: str) -> tuple[ctypes.CDLL | None, str]:
     def load(path: Path) -> ctypes.CDLL:
         library = loaded(path)
         _ = library.rp_tick, library.rp_tick_work  # AttributeError where the file is another one
         return library
 
-    return built(lambda compiler: digest([text, compiler, *FLAGS]), lambda: text, load)
+    return built(lambda compiler: digest([text, compiler, *flags, machine]), lambda: text, load, flags)
 
 
 def _address(array: Array) -> Any:

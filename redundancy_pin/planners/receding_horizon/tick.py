@@ -137,7 +137,7 @@ class TickPlanner:
 
     def set_limits(self, limits: ResolvedLimits) -> None:
         """Keep limits from the next tick on."""
-        self.limits = limits
+        self.limits, self._cuts = limits, bool(np.isfinite(limits.effort).any())
         jerk, force = (bool(np.isfinite(part).any()) for part in (limits.jerk, limits.carrier_force))
         if self._bounded != (jerk, force):
             self._bounded = (jerk, force)
@@ -154,7 +154,7 @@ class TickPlanner:
         plan = self._compiled(t, until, given)
         if plan is None:
             plan = self.interpreted(t, until, given)
-        if plan.command.status is PlanningStatus.PLANNED:
+        if self._cuts and plan.command.status is PlanningStatus.PLANNED:
             plan = replace(plan, command=self.checked_between(t, plan.command))
         self.last, self.largest = plan, max(self.largest, plan.largest)
         return plan
