@@ -1,0 +1,245 @@
+"""Ticks by machine code against those by numpy and PIQP: each from the same last plan, on the same programme."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import online
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon, Weights
+from redundancy_pin.planners.receding_horizon.ahead import FIRST
+from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
+from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
+from redundancy_pin.planners.receding_horizon.tick import REGULAR
+from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory.paths import circle_path
+
+pytest.importorskip("piqp")
+
+STEP, TICK = 0.02, 0.02
+MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
+
+_ARC = circle_path((0.25, 0.05), 0.09, start_angle=np.pi, sweep=np.pi)
+ACROSS = Trajectory(_ARC, SpeedProfile(_ARC.length, 0.45, 0.2))
+"""Over the singular line of the 2-RPR and back."""
+
+
+@cache
+def dynamics_of(name: str) -> Dynamics:
+    """``arms``: carriers that turn; ``driven elbow``: a motor more than there are coordinates."""
+    if name == "2rpr":
+        return rp.CompiledDynamics(rp.load_robot("2rpr", **MASSES))
+    if name == "arms":
+        return rp.CompiledDynamics(rp.load_robot("2rpr", arm_length=0.15, **MASSES))
+    if name == "driven elbow":
+        robot = rp.load_robot("3rrr")
+        elbow = robot.model.joints[robot.model.getJointId("elbow_1")].idx_v
+        velocity = np.append(robot.actuated_velocity, elbow)
+        return rp.RneaDynamics(replace(robot, actuated=(*robot.actuated, "elbow_1"), actuated_velocity=velocity))
+    return rp.CompiledDynamics(rp.load_robot(name))
+
+
+@cache
+def random_path(name: str, number: int) -> Trajectory:
+    """Return a path through type II poses, as ``benchmarks/online.py`` numbers them."""
+    return next(itertools.islice(online.random_paths(name, dynamics_of(name)), number, None))
+
+
+HORIZON = 0.5
+NO_TRACK = [(-np.inf, np.inf)] * 2
+
+PLACE, RATE, ACCELERATION = 2e-4, 2e-3, 0.1
+"""m, m/s and m/s², or rad: within their tolerances the cost is flat that far."""
+
+EFFORT, FORCE, MULTIPLIER = 5e-3, 0.02, 3e-2
+"""Of the peak; N; of the largest: as follows from these motions. Multipliers are those of limits about to be met, too."""
+
+RESIDUAL = 1e-5
+"""N, and fraction of f: what f has beside its linear part is of second order."""
+
+COST = 1e-5
+"""By which fraction machine code may be dearer: the gap that PIQP may leave is a tenth of that."""
+
+MISSED = 1e-6
+"""Of rows and bounds, which are all of size one: that of PIQP is 1e-8, and by its second try 1e-6."""
+
+LOOSE = 5e-3
+"""m: where several programmes follow one another they are each about another plan, and may be one more or less."""
+
+LOOSE_COST, LOOSE_ROWS = 1e-2, 1e-2
+"""Then f is linear about another plan than the one that is looked at, by the fraction that counts as linear."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A tick by both, from the same last plan: plans, the programmes of the one of numpy and the last solution."""
+
+    last: TickPlan
+    compiled: TickPlan
+    interpreted: TickPlan
+    problems: list[TickProblem]
+    solution: Array
+    programme: Programme
+
+    @property
+    def once(self) -> bool:
+        """Whether there was one programme, the same for both."""
+        return len(self.problems) == 1
+
+
+def ticks_of(
+    dynamics: Dynamics,
+    motion: Any,
+    times: Any,
+    measured: Callable[[Command, float], tuple[Any, Any]] = lambda last, t: (None, None),
+    **settings: Any,
+) -> Iterator[Tick]:
+    """Give the ticks after the first; all are by machine code, or this fails."""
+    compiled = RecedingHorizon(dynamics, step=STEP, horizon=HORIZON, **settings)
+    interpreted = RecedingHorizon(dynamics, step=STEP, horizon=HORIZON, interpret=True, **settings)
+    assert compiled.compiled
+    assert not interpreted.compiled
+    ours, theirs = compiled.ticks, interpreted.ticks
+    seen: list[tuple[TickProblem, Any]] = []
+    solve = Programme.solve
+
+    def solved(self: Programme, problem: TickProblem) -> Any:
+        seen.append((problem, solve(self, problem)))
+        return seen[-1][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Programme, "solve", solved)
+        for planner in (compiled, interpreted):
+            planner.update(float(times[0]), motion)
+        theirs.ahead = ours.ahead  # singular instants to the last bit
+        for t in times[1:]:
+            last = ours.last
+            assert last is not None
+            theirs.last, theirs.sizes, theirs.largest = last, ours.sizes, ours.largest
+            given = measured(last.command, float(t))
+            seen.clear()
+            compiled.update(float(t), motion, *given)
+            assert not seen, f"the tick at {t:.6g} s was left to Python"
+            interpreted.update(float(t), motion, *given)
+            assert ours.last is not None
+            assert theirs.last is not None
+            problems = [problem for problem, _ in seen]
+            yield Tick(last, ours.last, theirs.last, problems, seen[-1][1][0], theirs.programme(False))
+            assert compiled.largest == pytest.approx(interpreted.largest, rel=EFFORT)
+
+
+def unknowns_of(tick: Tick) -> Array:
+    """Return the variables of the last programme at the plan by machine code."""
+    problem, programme, plan = tick.problems[-1], tick.programme, tick.compiled
+    lin, x = problem.lin, np.zeros(programme.variables)
+    places = programme.s, programme.sd, programme.sdd
+    for place, part, unit in zip(places, plan.at, units_of(problem.limits), strict=True):
+        x[place] = part / unit
+    changes = (own - their for own, their in zip(plan.at, lin.at, strict=True))
+    f = lin.f + sum(np.einsum("nik,nk->ni", slope, own) for slope, own in zip(lin.slopes, changes, strict=True))
+    tau = plan.command.efforts(lin.nodes)
+    W, right = lin.W / lin.row_scale[:, None], f / lin.row_scale
+    size = np.linalg.svd(W, compute_uv=False)
+    first = (np.arange(len(tau)) < FIRST + 1) & (size[:, -1] > REGULAR * size[:, 0])
+    # in the first steps efforts are those of f as it is, and a programme has those of f as it is linear
+    missing = right[first] - np.einsum("nij,nj->ni", W[first], tau[first])
+    tau[first] += np.einsum("nij,nj->ni", np.linalg.pinv(W[first]), missing)
+    tau[~problem.counts] = 0.0
+    x[programme.tau] = tau / problem.sizes.tau
+    x[programme.peak] = max(
+        np.abs(x[programme.tau]).max(), problem.weights.memory * problem.largest / problem.sizes.tau
+    )
+    return x
+
+
+def judged(tick: Tick, x: Array) -> tuple[float, float, float]:
+    """Return the cost of variables, and by how much they miss equations and bounds of the last programme."""
+    P, q, A, b, G, low, high, lower, upper = tick.programme.numbers_of(tick.problems[-1])
+    bounds = np.concatenate([G @ x - high, low - G @ x, x - upper, lower - x])
+    return float(0.5 * x @ (P @ x) + q @ x), float(np.abs(A @ x - b).max()), float(bounds.max())
+
+
+def assert_the_same(tick: Tick) -> None:
+    own, their = tick.compiled, tick.interpreted
+    command, expected = own.command, their.command
+    assert command.status is expected.status is PlanningStatus.PLANNED
+    np.testing.assert_array_equal(own.nodes, their.nodes)
+    np.testing.assert_array_equal(command.singular, expected.singular)
+    assert command.known_until == expected.known_until
+    for found, wanted, near in zip(own.at, their.at, (PLACE, RATE, ACCELERATION), strict=True):
+        np.testing.assert_allclose(found, wanted, atol=near if tick.once else near / PLACE * LOOSE)
+    end = command.carriers.end
+    t = np.linspace(command.t, end, 201)
+    np.testing.assert_allclose(command.carriers(t), expected.carriers(t), atol=PLACE if tick.once else LOOSE)
+    (cost, rows, bounds), (least, _, _) = judged(tick, unknowns_of(tick)), judged(tick, tick.solution)
+    assert cost <= least + (COST if tick.once else LOOSE_COST) * abs(least)
+    assert rows <= (MISSED if tick.once else LOOSE_ROWS)
+    assert bounds <= MISSED
+    if not tick.once:
+        return
+    assert command.residual == pytest.approx(expected.residual, abs=RESIDUAL)
+    assert own.left == pytest.approx(their.left, abs=RESIDUAL)
+    assert command.peak == pytest.approx(expected.peak, rel=EFFORT)
+    assert own.largest == pytest.approx(their.largest, abs=EFFORT * expected.peak)
+    t = np.linspace(command.t, command.t + STEP * FIRST, 61)
+    np.testing.assert_allclose(command.efforts(t), expected.efforts(t), atol=EFFORT * expected.peak)
+    np.testing.assert_allclose(command.forces(t), expected.forces(t), atol=FORCE)
+    largest = np.abs(their.multipliers).max()
+    np.testing.assert_allclose(own.multipliers, their.multipliers, atol=MULTIPLIER * largest)
+
+
+def grid(count: int) -> Array:
+    return TICK * np.arange(count)
+
+
+def beside(last: Command, t: float) -> tuple[Array, Array]:
+    """Return a state a little beside the plan, another one at each tick."""
+    s, sd, _ = last.motion_at(t)
+    rng = np.random.default_rng(round(1e6 * t))
+    return s + rng.uniform(-1e-4, 1e-4, s.shape), sd + rng.uniform(-2e-3, 2e-3, s.shape)
+
+
+IRREGULAR = np.cumsum(np.append(0.003, np.random.default_rng(2).uniform(0.003, 0.03, 30)))
+ENDS = np.linspace(0.0, 0.4, 300)
+CENTRED = Weights(centre=0.0, end=0.0, end_speed=0.0)
+
+CASES: dict[str, tuple[str, Callable[[], Any], Array, dict[str, Any]]] = {
+    "2rpr": ("2rpr", lambda: ACROSS, grid(30), {}),
+    "2rpr, random path": ("2rpr", lambda: random_path("2rpr", 3), grid(40), {}),
+    "3rrr, random path": ("3rrr", lambda: random_path("3rrr", 0), grid(30), {}),
+    "five_bar, random path": ("five_bar", lambda: random_path("five_bar", 0), grid(40), {}),
+    "redundant motor": ("driven elbow", lambda: random_path("3rrr", 0), grid(30), {}),
+    "redundant motor, effort": ("driven elbow", lambda: random_path("3rrr", 0), grid(15), {"effort": 3.0}),
+    "arms that turn": ("arms", lambda: ACROSS, grid(30), {}),
+    "jerk": ("2rpr", lambda: ACROSS, grid(30), {"jerk": 150.0}),
+    "force": ("2rpr", lambda: ACROSS, grid(30), {"carrier_force": 6.0}),
+    "effort": ("2rpr", lambda: ACROSS, grid(30), {"effort": 6.0}),
+    "narrow": ("2rpr", lambda: ACROSS, grid(30), {"track": (-0.03, 0.03), "objective": CENTRED}),
+    "slow": ("2rpr", lambda: ACROSS, grid(30), {"speed": 0.15}),
+    "no track": ("2rpr", lambda: ACROSS, grid(30), {"track": NO_TRACK}),
+    "no track, no speed": ("2rpr", lambda: ACROSS, grid(30), {"track": NO_TRACK, "speed": np.inf}),
+    "mean square": ("2rpr", lambda: ACROSS, grid(30), {"objective": "effort"}),
+    "irregular": ("2rpr", lambda: ACROSS, IRREGULAR, {}),
+    "measured": ("2rpr", lambda: ACROSS, grid(30), {"measured": beside}),
+    "measured, five_bar": ("five_bar", lambda: random_path("five_bar", 0), grid(30), {"measured": beside}),
+    "an end on the way": ("2rpr", lambda: ACROSS.sample_at(ENDS), grid(19), {}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_machine_code_plans_as_numpy_does_and_no_dearer(case: str) -> None:
+    name, motion, times, settings = CASES[case]
+    once = []
+    for tick in ticks_of(dynamics_of(name), motion(), times, **settings):
+        assert_the_same(tick)
+        once.append(tick.once)
+    assert np.mean(once) > 0.5  # elsewhere less is asked
