@@ -32,7 +32,7 @@ DONE, MISSING = 0, 5
 
 SETTINGS = {
     "PRECISION": 1e-9,  # of what bounds, and rows of singular instants, are missed by, in units
-    "BARRIER": 1e-8,  # mean of slacks times duals, of a cost of size one
+    "BARRIER": 1e-9,  # mean of slacks times duals, of a cost of size one
     "STATIONARY": 1e-5,  # gradient over the largest in it: multipliers of singular instants are large, and rounded
     "ITERATIONS": 40,
     "CLOSE": 0.995,  # of the way to the nearest bound

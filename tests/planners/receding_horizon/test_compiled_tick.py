@@ -231,7 +231,12 @@ CASES: dict[str, tuple[str, Callable[[], Any], Array, dict[str, Any]]] = {
     "3rrr, random path": ("3rrr", lambda: random_path("3rrr"), 1.94 + grid(30), {}),
     "five_bar, random path": ("five_bar", lambda: random_path("five_bar"), 1.2 + grid(40), {}),
     "redundant motor": ("driven elbow", lambda: random_path("3rrr"), 1.94 + grid(30), {}),
-    "redundant motor, effort": ("driven elbow", lambda: random_path("3rrr"), 1.94 + grid(15), {"effort": 8.9, "objective": "effort"}),
+    "redundant motor, effort": (
+        "driven elbow",
+        lambda: random_path("3rrr"),
+        1.94 + grid(15),
+        {"effort": 8.9, "objective": "effort"},
+    ),
     "arms that turn": ("arms", lambda: ACROSS, grid(30), {}),
     "jerk": ("2rpr", lambda: ACROSS, grid(30), {"jerk": 150.0}),
     "force": ("2rpr", lambda: ACROSS, grid(30), {"carrier_force": 6.0}),
@@ -350,7 +355,8 @@ def test_without_a_compiler_plans_are_those_of_numpy(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
     assert find_compiler() is None
-    without = RecedingHorizon(dynamics, step=STEP)
+    with pytest.warns(RuntimeWarning, match="not in machine code: there is no C compiler"):
+        without = RecedingHorizon(dynamics, step=STEP)
     assert not without.compiled
     found, _ = statuses_of(without, ACROSS, grid(16))
     expected, _ = statuses_of(RecedingHorizon(dynamics, step=STEP, interpret=True), ACROSS, grid(16))
