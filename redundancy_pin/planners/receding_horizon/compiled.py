@@ -86,7 +86,8 @@ class CompiledTick:
             "residual": 1, "peak": 1, "left": 1, "largest": 1,
             "node": count, "at": 3 * count * k, "multiplier": count * n,
             "edge": count + k + 1, "piece": 4 * (count + k) * k,
-            "effort_edge": INSTANTS, "effort": 2 * INSTANTS * m, "force_edge": INSTANTS, "force": 2 * INSTANTS * k,
+            "effort_edge": INSTANTS + count, "effort": 2 * (INSTANTS + count) * m,
+            "force_edge": INSTANTS, "force": 2 * INSTANTS * k,
             "missing_time": count + 2 * BORDER + INSTANTS,
         }  # fmt: skip
         ends = np.cumsum([0, *sizes.values()]).tolist()

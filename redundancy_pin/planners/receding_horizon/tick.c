@@ -14,6 +14,7 @@
 
 enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF - N, NV = NX + NZ, LANES = COUNT * K, EFFORTS = COUNT * M };
 enum { BORDER = 10, SIDES = BORDER + 1, EARLY = FIRST + 1, INSTANTS = 160, MOST_SINGULAR = (BORDER - 2) / 2 };
+enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
 enum { DONE = 0, UNSOLVED = 1, ELASTIC = 2, REFUSED = 3, TOO_MANY = 4, MISSING = 5 };
 
 typedef struct {
@@ -33,7 +34,7 @@ typedef struct {
     double residual, peak, left, largest;
     double node[COUNT], at[3 * LANES], multiplier[COUNT * N];
     double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];       /* carriers, as (4, pieces, K) */
-    double effort_edge[INSTANTS], effort[2 * INSTANTS * M];       /* efforts, as (2, efforts, M) */
+    double effort_edge[TIMES], effort[2 * TIMES * M];       /* efforts, as (2, efforts, M) */
     double force_edge[INSTANTS], force[2 * INSTANTS * K];
     double missing_time[COUNT + 2 * BORDER + INSTANTS];
 } Result;
@@ -82,7 +83,7 @@ typedef struct {
     double residual, peak;
     long pieces, efforts, forces;
     double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];
-    double effort_time[INSTANTS], effort[INSTANTS * M], force_time[INSTANTS], force[INSTANTS * K];
+    double effort_time[TIMES], effort[TIMES * M], force_time[INSTANTS], force[INSTANTS * K];
 } Plan;
 
 /* fmax and fmin are calls, for the sake of NaN */
