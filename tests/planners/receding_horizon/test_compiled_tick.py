@@ -23,9 +23,8 @@ from redundancy_pin.planners.receding_horizon.ahead import FIRST
 from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
 from redundancy_pin.planners.receding_horizon.tick import REGULAR
-from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
 from redundancy_pin.trajectory.paths import circle_path
-from redundancy_pin.trajectory.waypoints import through_points
 
 pytest.importorskip("piqp")
 
