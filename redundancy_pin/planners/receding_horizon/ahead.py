@@ -326,7 +326,7 @@ class Ahead:
             return np.empty(0)
         value = np.linalg.det(W) / largest
         size = np.abs(value)
-        if size.min() > SHALLOW * size.max() and (value.min() > 0.0 or value.max() < 0.0):
+        if size.min() > max(SHALLOW * size.max(), 10.0 * TOUCH) and (value.min() > 0.0 or value.max() < 0.0):
             return np.empty(0)
         series = Chebyshev(chebyshev_series(value[None, :, None])[0, :, 0], domain=[start, end])
         zeros = series.roots()
