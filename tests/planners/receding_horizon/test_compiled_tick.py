@@ -239,7 +239,7 @@ CASES: dict[str, tuple[str, Callable[[], Any], Array, dict[str, Any]]] = {
     "arms that turn": ("arms", lambda: ACROSS, grid(30), {}),
     "jerk": ("2rpr", lambda: ACROSS, grid(30), {"jerk": 150.0}),
     "force": ("2rpr", lambda: ACROSS, grid(30), {"carrier_force": 6.0}),
-    "effort": ("2rpr", lambda: ACROSS, grid(30), {"effort": 2.6, "objective": "effort"}),
+    "effort": ("3rrr", lambda: random_path("3rrr"), 1.94 + grid(15), {"effort": 9.0, "objective": "effort"}),
     "narrow": ("2rpr", lambda: ACROSS, grid(30), {"track": (-0.03, 0.03), "objective": CENTRED}),
     "slow": ("2rpr", lambda: ACROSS, grid(30), {"speed": 0.15}),
     "no track": ("2rpr", lambda: ACROSS, grid(30), {"track": NO_TRACK}),
