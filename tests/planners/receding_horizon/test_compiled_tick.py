@@ -252,7 +252,7 @@ CASES: dict[str, tuple[str, Callable[[], Any], Array, dict[str, Any]]] = {
         "2rpr",
         lambda: ACROSS,
         grid(30),
-        {"track": (-0.03, 0.03), "acceleration": 60.0, "objective": CENTRED},
+        {"track": (-0.03, 0.03), "acceleration": 60.0, "objective": replace(CENTRED, end_speed=0.1)},
     ),
     "slow": ("2rpr", lambda: ACROSS, grid(30), {"speed": 0.15}),
     "no track": ("2rpr", lambda: ACROSS, grid(30), {"track": NO_TRACK}),
