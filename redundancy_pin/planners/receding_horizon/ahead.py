@@ -164,7 +164,9 @@ class _Memory:
     def _move(self, like: tuple[NDArray[Any], ...], room: int, empty: bool = False) -> None:
         """Go on in other arrays, empty or with what is known in them."""
         count = 0 if empty else len(self.known.t)
-        arrays = [np.empty((room, *part.shape[1:]), dtype=part.dtype) for part in like]
+        # float64 whatever a backend has: machine code reads them
+        kinds = (np.bool_ if part.dtype == np.bool_ else np.float64 for part in like)
+        arrays = [np.empty((room, *part.shape[1:]), dtype=kind) for part, kind in zip(like, kinds, strict=True)]
         if count:
             for array, name in zip(arrays, _NAMES, strict=True):
                 array[:count] = getattr(self.known, name)

@@ -12,13 +12,23 @@ import importlib.resources
 import time
 from collections.abc import Mapping
 from dataclasses import astuple
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, frozen
-from redundancy_pin.machine_code import FLAGS, NATIVE, built, digest, loaded, processor
+from redundancy_pin.machine_code import (
+    FLAGS,
+    NATIVE,
+    built,
+    cache_folder,
+    digest,
+    find_compiler,
+    loaded,
+    processor,
+)
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Coefficients
 from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus, TickPlan, Weights
@@ -26,7 +36,7 @@ from redundancy_pin.planners.receding_horizon.preview import SAME
 from redundancy_pin.planners.receding_horizon.programme import TickScales, units_of
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
-SOURCE = "tick.c"
+SOURCES = "tick_sight.c", "tick_programme.c", "tick_solver.c", "tick.c"
 DONE, MISSING = 0, 5
 """What the function of ``tick.c`` returns: a plan that keeps every limit; instants that are not evaluated yet."""
 
@@ -72,17 +82,27 @@ class CompiledTick:
 
     Args:
         library: as of ``tick_library``.
-        n, m, k: coordinates, main actuators, carriers; ``count``: nodes.
+        sizes, constants: which that was made of.
         step, horizon: s.
         weights: of the objective.
+        limits: in force; ``set_limits`` changes them.
     """
 
     def __init__(
-        self, library: ctypes.CDLL, n: int, m: int, k: int, count: int, step: float, horizon: float, weights: Weights
+        self,
+        library: ctypes.CDLL,
+        sizes: Mapping[str, int],
+        constants: Mapping[str, float],
+        step: float,
+        horizon: float,
+        weights: Weights,
+        limits: ResolvedLimits,
     ) -> None:
+        self._made_of = dict(sizes), dict(constants), step, horizon, weights
+        n, m, k, count = (sizes[name] for name in ("N", "M", "K", "COUNT"))
         self._call, self._shape = library.rp_tick, (n, m, k, count)
-        sizes = {
-            "pieces": 1, "efforts": 1, "forces": 1, "missing": 1, "programmes": 1, "iterations": 1, "known": 1,
+        parts = {
+            "pieces": 1, "efforts": 1, "forces": 1, "missing": 1, "known": 1,
             "residual": 1, "peak": 1, "left": 1, "largest": 1,
             "node": count, "at": 3 * count * k, "multiplier": count * n,
             "edge": count + k + 1, "piece": 4 * (count + k) * k,
@@ -90,8 +110,8 @@ class CompiledTick:
             "force_edge": INSTANTS, "force": 2 * INSTANTS * k,
             "missing_time": count + 2 * BORDER + INSTANTS,
         }  # fmt: skip
-        ends = np.cumsum([0, *sizes.values()]).tolist()
-        self._places = {name: slice(a, b) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)}
+        ends = np.cumsum([0, *parts.values()]).tolist()
+        self._places = {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
         self._result = np.zeros(ends[-1])
         library.rp_tick_work.restype = ctypes.c_long
         self._work = np.zeros(library.rp_tick_work() // 8 + 1)
@@ -103,11 +123,16 @@ class CompiledTick:
         self._nowhere = np.full(k, np.nan)
         self._arguments = ctypes.byref(self._given), *map(_address, (self._result, self._work))
         self._point("weight", np.array(astuple(weights)))
+        self.set_limits(limits)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make it again, in memory of its own, where it is copied or sent to; None where that has no compiler."""
+        return _again, (*self._made_of, self._limits)
 
     def _point(self, name: str, array: Array) -> None:
         """Have an argument point to an array, which is kept as long."""
         if name not in self._kept or self._kept[name][0] is not array:
-            laid_out = np.ascontiguousarray(array)
+            laid_out = np.ascontiguousarray(array, dtype=np.float64)
             self._kept[name] = array, laid_out
             setattr(self._given, name, laid_out.ctypes.data)
 
@@ -125,9 +150,11 @@ class CompiledTick:
         own, carriers = self._given, last.command.carriers
         own.edges, own.nodes = len(carriers.edges), len(last.nodes)
         if last.nodes is not self._own[0]:
+            self._own = None, self._own[1]
             self._point("node", last.nodes)
             self._point("multiplier", last.multipliers)
         if carriers.edges is not self._own[1]:
+            self._own = self._own[0], None
             self._point("edge", carriers.edges)
             self._point("piece", carriers.coefficients)
         if own.same_time:  # else it is not looked at
@@ -135,6 +162,7 @@ class CompiledTick:
 
     def set_limits(self, limits: ResolvedLimits) -> None:
         """Use limits from now on."""
+        self._limits = limits
         for name in ("track", "speed", *_LIMITS):
             self._point(name, getattr(limits, name))
         self._point("unit", np.array(units_of(limits)))
@@ -171,15 +199,17 @@ class CompiledTick:
         self._point("row_scale", ahead.row_scale)
         for name, array in zip(("s", "sd"), given, strict=True):
             self._point(name, self._nowhere if array is None else array)
-        began = time.perf_counter()
+        seconds = 0.0
         while True:
             self._point_to_sight(ahead.known)
+            began = time.perf_counter()
             status = self._call(*self._arguments)
+            seconds += time.perf_counter() - began
             if status != MISSING:
                 break
             places = self._places["missing_time"]
             ahead.at(np.unique(self._result[places][: self._whole("missing")]))
-        return self._made(t, ahead.roots, time.perf_counter() - began) if status == DONE else None
+        return self._made(t, ahead.roots, seconds) if status == DONE else None
 
     def _whole(self, name: str) -> int:
         return int(self._result[self._places[name]].view(np.int64)[0])
@@ -188,8 +218,8 @@ class CompiledTick:
         result = self._result.copy()
         result.flags.writeable = False
         (n, m, k, count), places = self._shape, self._places
-        pieces, efforts, forces, _, _, _, known = result[:7].view(np.int64).tolist()
-        residual, peak, left, largest = result[7:11].tolist()
+        pieces, efforts, forces, _, known = result[:5].view(np.int64).tolist()
+        residual, peak, left, largest = result[5:9].tolist()
 
         def function(edges: str, coefficients: str, order: int, pieces: int, width: int) -> PiecewisePolynomial:
             first, start = places[edges].start, places[coefficients].start
@@ -223,21 +253,37 @@ def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> tu
     """
     named = {**sizes, **constants, **SETTINGS}
     head = [f"#define {name} {value!r}" for name, value in named.items()]
-    text = "\n".join(
-        ["#define EXPORTED", *head, importlib.resources.files(__package__).joinpath(SOURCE).read_text("utf-8")]
-    )
+    folder = importlib.resources.files(__package__)
+    text = "\n".join(["#define EXPORTED", *head, *(folder.joinpath(name).read_text("utf-8") for name in SOURCES)])
+    compiler = find_compiler()
+    where = "" if compiler is None else compiler.identity, str(cache_folder())
     # a sixth less time with it; not every compiler has it
-    library, reason = _built(text, (*FLAGS, NATIVE), processor())
-    return (library, reason) if library is not None else _built(text, FLAGS, "")
+    library, reason = _built(text, (*FLAGS, NATIVE), processor(), *where)
+    return (library, reason) if library is not None else _built(text, FLAGS, "", *where)
 
 
-def _built(text: str, flags: tuple[str, ...], machine: str) -> tuple[ctypes.CDLL | None, str]:
+@lru_cache(maxsize=16)  # where nothing is kept on disk too, it is compiled once, and what cannot be is tried once
+def _built(
+    text: str, flags: tuple[str, ...], machine: str, compiler: str, folder: str
+) -> tuple[ctypes.CDLL | None, str]:
     def load(path: Path) -> ctypes.CDLL:
         library = loaded(path)
         _ = library.rp_tick, library.rp_tick_work  # AttributeError where the file is another one
         return library
 
-    return built(lambda compiler: digest([text, compiler, *flags, machine]), lambda: text, load, flags)
+    return built(lambda identity: digest([text, identity, *flags, machine]), lambda: text, load, flags)
+
+
+def _again(
+    sizes: Mapping[str, int],
+    constants: Mapping[str, float],
+    step: float,
+    horizon: float,
+    weights: Weights,
+    limits: ResolvedLimits,
+) -> CompiledTick | None:
+    library, _ = tick_library(sizes, constants)
+    return None if library is None else CompiledTick(library, sizes, constants, step, horizon, weights, limits)
 
 
 def _address(array: Array) -> Any:

@@ -35,7 +35,6 @@ class Preview(Frozen):
         start, end: between which it is known, s; a trajectory that ends at rest is held after its end.
         changing: whether ``motion`` may answer otherwise when asked again.
         breaks: (b,) times at which its acceleration jumps, s, as far as that is known.
-        continuous: the same motion where it is one of polynomials, whose values nobody need look at again.
     """
 
     motion: Callable[[Array], PlatformMotion]
@@ -43,12 +42,12 @@ class Preview(Frozen):
     end: float
     changing: bool = False
     breaks: Array = field(default_factory=lambda: np.empty(0))
-    continuous: ContinuousMotion | None = None
 
     def states(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x (N, n), or (N, 4, 4), ẋ and ẍ (N, n) at (N,) increasing times, s."""
-        if self.continuous is not None:
-            return self.continuous.states_at(times)
+        continuous = getattr(self.motion, "__self__", None)
+        if isinstance(continuous, ContinuousMotion) and self.motion == continuous.sample_at:
+            return continuous.states_at(times)  # whose values nobody need look at again
         motion = self.motion(times)
         return motion.x, motion.xd, motion.xdd
 
@@ -67,9 +66,7 @@ class Preview(Frozen):
             rests = np.abs(ends[-1]).max() <= STILL * np.abs(ends).max()
             polynomials = replace(known, source=known.polynomials)
             prolonged = polynomials.prolonged_until(known.end + FOR_EVER) if rests else polynomials
-            return Preview(
-                prolonged.sample_at, known.start, prolonged.end, breaks=prolonged.breaks, continuous=prolonged
-            )
+            return Preview(prolonged.sample_at, known.start, prolonged.end, breaks=prolonged.breaks)
         if callable(source):
             return Preview(_answers(source), -np.inf, np.inf, changing=True)
         raise InputError(

@@ -150,9 +150,7 @@ class Programme:
     def __init__(self, n: int, m: int, k: int, steps: int, limits: ResolvedLimits, elastic: bool) -> None:
         from scipy import sparse
 
-        self._piqp = optional(
-            "piqp", "On-line planning needs", "Install it with `pip install 'redundancy_pin[optimal]'`."
-        )
+        _piqp()
         self.elastic, spare = elastic, n + 2 if elastic else 0
         width = 3 * k + m + spare
         self.variables = (steps + 1) * width + 1
@@ -198,6 +196,10 @@ class Programme:
         self._cost = sparse.csc_matrix((np.zeros(len(down)), down[self._order], starts), shape=shape)
         self._solver: Any = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what travels: the solver is set up again."""
+        return {**self.__dict__, "_solver": None}
+
     def solve(self, problem: TickProblem) -> tuple[Array, Array] | None:
         """Return the variables and the multipliers (N, n) of W τ = f, or None where no optimum is found."""
         values = self.numbers_of(problem)
@@ -207,7 +209,7 @@ class Programme:
                 self._solver.setup(*values)
             else:
                 self._solver.update(*values)
-            solved = self._solver.solve() == self._piqp.PIQP_SOLVED
+            solved = self._solver.solve() == _piqp().PIQP_SOLVED
             info = self._solver.result.info
             near = info.primal_res < ENOUGH and max(info.dual_res, info.duality_gap_rel) < 100.0 * ENOUGH
             x, y = np.array(self._solver.result.x), np.array(self._solver.result.y)
@@ -218,9 +220,10 @@ class Programme:
 
     def new_solver(self, relative: float) -> Any:
         """Return a solver with its settings; ``relative`` as of ``RELATIVE``."""
-        solver = self._piqp.SparseSolver()
+        piqp = _piqp()
+        solver = piqp.SparseSolver()
         settings = solver.settings
-        settings.kkt_solver = self._piqp.KKTSolver.sparse_ldlt_ineq_cond
+        settings.kkt_solver = piqp.KKTSolver.sparse_ldlt_ineq_cond
         settings.eps_abs, settings.eps_rel = PRECISION, relative
         settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = GAP
         settings.eps_primal_inf = settings.eps_dual_inf = PRECISION  # of what is nearly infeasible more is asked
@@ -382,6 +385,10 @@ class Programme:
             most, base = np.where(counting, FORCE_KEPT - closer, np.inf), base * counting
             rows["force"] = (wide, -most - base, most - base)
         return rows
+
+
+def _piqp() -> Any:
+    return optional("piqp", "On-line planning needs", "Install it with `pip install 'redundancy_pin[optimal]'`.")
 
 
 def units_of(limits: ResolvedLimits) -> tuple[Array, Array, Array]:

@@ -131,8 +131,7 @@ class TickPlanner:
                 told = f"Ticks of {robot.name} are planned in Python, not in machine code: {reason}."
                 warnings.warn(told, RuntimeWarning, stacklevel=3)
             else:
-                shape = robot.n, robot.m, robot.k, self.count + 1
-                self.compiled = CompiledTick(library, *shape, step, horizon, weights)
+                self.compiled = CompiledTick(library, sizes, CONSTANTS, step, horizon, weights, limits)
         self.set_limits(limits)
 
     def set_limits(self, limits: ResolvedLimits) -> None:
@@ -154,8 +153,9 @@ class TickPlanner:
         plan = self._compiled(t, until, given)
         if plan is None:
             plan = self.interpreted(t, until, given)
-        if self._cuts and plan.command.status is PlanningStatus.PLANNED:
-            plan = replace(plan, command=self.checked_between(t, plan.command))
+        command = self.checked_between(t, plan.command)
+        if command is not plan.command:
+            plan = replace(plan, command=command)
         self.last, self.largest = plan, max(self.largest, plan.largest)
         return plan
 
@@ -224,7 +224,8 @@ class TickPlanner:
         """Return a motion to begin with, each time another one: to rest nearby, in the middle, towards a corner."""
         s, sd, sdd = last.command.motion_at(t)
         track, bound = self.limits.track, np.isfinite(self.limits.track).all(axis=1)
-        middle, half = np.where(bound, track.mean(axis=1), s), np.where(bound, 0.5 * np.diff(track)[:, 0], 0.0)
+        track = np.where(np.expand_dims(bound, 1), track, s[:, None])
+        middle, half = track.mean(axis=1), 0.5 * np.diff(track)[:, 0]
         nearby = s + 0.5 * sd * np.abs(sd) / self.limits.acceleration
         corners = [middle + np.copysign(ASIDE * half, side) for side in product((-1, 1), repeat=self.robot.k)]
         targets = [nearby, middle, *corners]
@@ -240,7 +241,7 @@ class TickPlanner:
 
         Between nodes f may be larger than at them, above all where ẍ jumps.
         """
-        if not (self.sizes and np.isfinite(self.limits.effort).any()):
+        if not (self.sizes and self._cuts and command.status is PlanningStatus.PLANNED):
             return command
         ahead, end = self.ahead, command.known_until
         times = ahead.instants(np.array([t, end]), end) if end > t else np.array([t])
@@ -377,7 +378,11 @@ class TickPlanner:
         places = ahead.at(np.minimum(t, lin.until))
         coefficients = ahead.known
         value = coefficients.values(places, *extended(carriers, t))
-        W, f, forces = coefficients.W[places], value[:, :n], PiecewisePolynomial.linear(t, value[:, n:])
+        W, f, force = coefficients.W[places], value[:, :n], value[:, n:]
+        if len(t) == 1:  # nothing more is known
+            forces = PiecewisePolynomial.linear(np.append(t, t + self.step), np.repeat(force, 2, axis=0))
+        else:
+            forces = PiecewisePolynomial.linear(t, force)
         at_node = np.searchsorted(t, lin.nodes[:early] - SAME).clip(0, len(t) - 1)
         left = np.einsum("nij,nj->ni", lin.W[:early], tau[:early]) - f[at_node]
         residual = float(np.abs(left[counts[:early]] / lin.row_scale).max(initial=0.0))

@@ -1,0 +1,339 @@
+/* What a tick is given and what it works with; its nodes and instants, and f at them. In front of this stand sizes and
+   constants, see ``compiled.py``; behind it tick_programme.c, tick_solver.c and tick.c. */
+
+#include <math.h>
+#include <string.h>
+
+enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF - N, NV = NX + NZ, LANES = COUNT * K, EFFORTS = COUNT * M };
+enum { BORDER = 10, SIDES = BORDER + 1, EARLY = FIRST + 1, INSTANTS = 160, MOST_SINGULAR = (BORDER - 2) / 2 };
+enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
+enum { DONE = 0, UNSOLVED = 1, ELASTIC = 2, REFUSED = 3, TOO_MANY = 4, MISSING = 5 };
+
+typedef struct {
+    long instants, edges, nodes, roots, breaks, same_time;
+    const double *t, *W, *constant, *terms;         /* of the instants in sight */
+    const unsigned char *reachable;
+    const double *edge, *piece;                     /* carriers of the last plan: (edges), (4, edges - 1, K) */
+    const double *node, *at, *multiplier;           /* its nodes, (3, nodes, K) and (nodes, N) there */
+    const double *root, *broken;                    /* singular instants, jumps of the platform's acceleration */
+    const double *row_scale, *row, *track, *speed, *acceleration, *jerk, *carrier_force, *effort, *unit, *weight;
+    const double *s, *sd;                           /* where the carriers are; NaN where the last plan is to be believed */
+    double now, until, step, horizon, spacing, tau, largest, peak;
+} Given;
+
+typedef struct {
+    long pieces, efforts, forces, missing, known;
+    double residual, peak, left, largest;
+    double node[COUNT], at[3 * LANES], multiplier[COUNT * N];
+    double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];       /* carriers, as (4, pieces, K) */
+    double effort_edge[TIMES], effort[2 * TIMES * M];       /* efforts, as (2, efforts, M) */
+    double force_edge[INSTANTS], force[2 * INSTANTS * K];
+    double missing_time[COUNT + 2 * BORDER + INSTANTS];
+} Result;
+
+typedef struct { int node, other; double row[NW], beside[K], value; } Row;   /* of a singular instant */
+
+/* Bounds from above: of rows of one carrier at one node, and of their opposites, in blocks; what few programmes have
+   stands at the end. */
+enum { ACCELERATION, TRACK, SPEED, FORCE, BLOCKS };
+enum { PEAK_AT = 2 * FORCE * LANES, STOP_AT = PEAK_AT + 2 * EFFORTS, LEAST_AT = STOP_AT + 4 * K, OCTET = 8 };
+enum { FORCE_AT = (LEAST_AT + OCTET) / OCTET * OCTET, JERK_AT = FORCE_AT + 2 * LANES, EFFORT_AT = JERK_AT + 2 * LANES };
+enum { BOUNDS = (EFFORT_AT + 2 * EFFORTS + OCTET - 1) / OCTET * OCTET };
+
+static inline __attribute__((always_inline)) int block_at(int block) { return block < FORCE ? 2 * block * LANES : FORCE_AT; }
+
+typedef struct {
+    /* nodes */
+    double node[COUNT], h[COUNT];
+    int known[COUNT], counts[COUNT], singular[COUNT], is_singular[COUNT], singulars, place[COUNT], beside[2 * COUNT];
+    double start, given[3][K], tau_unit;
+    /* linear about a plan, in units */
+    double at[3][LANES], multiplier[COUNT * N];
+    double W[COUNT][N * M], f[COUNT][N], by[COUNT][3][N * K], force[COUNT][K], by_force[COUNT][3][K];
+    Row rows[BORDER];
+    int borders;
+    /* free[i] = M sigma + N z + c of node i, sigma of the one before: rows of sdd, then of tau */
+    double motion[COUNT][NF][NV], constant[COUNT][NF], orthonormal[COUNT][N][NF], triangle[COUNT][N][N];
+    int directions[COUNT];
+    double alpha[COUNT][K], gamma[COUNT][K], delta[COUNT][K];
+    /* cost and bounds */
+    double cost[LANES][3][3], linear[3][LANES], tau_cost[COUNT], cross[LANES], peak_cost;
+    double a[3][BLOCKS][LANES], after[K];
+    int bounds, blocks;
+    double bound[BOUNDS], active[BOUNDS];
+    /* interior point method */
+    double x[3][LANES], tau[EFFORTS], peak, nu[BORDER], row_missing[BORDER];
+    double slack[BOUNDS], dual[BOUNDS], g[BOUNDS], weight[BOUNDS], missing[BOUNDS], change[BOUNDS], push[BOUNDS];
+    double dslack[BOUNDS], ddual[BOUNDS], centre[BOUNDS], dx[3][LANES], dtau[EFFORTS], base[COUNT][NW];
+    double H[LANES][3][3], tau_H[EFFORTS], crossing[LANES], peak_tau[EFFORTS];
+    double feed[COUNT][SIDES][NZ], Qzz[COUNT][NZ][NZ], Qsz[COUNT][NX][NZ], inverse[COUNT][NZ];
+    double gradient[SIDES][COUNT][NW], direction[SIDES][COUNT][NW];
+} Work;
+
+typedef struct {
+    double at[3 * LANES], tau[EFFORTS], multiplier[COUNT * N], left;
+    double residual, peak;
+    long pieces, efforts, forces;
+    double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];
+    double effort_time[TIMES], effort[TIMES * M], force_time[INSTANTS], force[INSTANTS * K];
+} Plan;
+
+/* fmax and fmin are calls, for the sake of NaN */
+static inline __attribute__((always_inline)) double larger(double a, double b) { return a > b ? a : b; }
+
+static inline __attribute__((always_inline)) double smaller(double a, double b) { return a < b ? a : b; }
+
+static int found(const Given *g, double time) {
+    long low = 0, high = g->instants;
+    while (low < high) {
+        long middle = (low + high) / 2;
+        if (g->t[middle] < time - SAME) low = middle + 1; else high = middle;
+    }
+    return low < g->instants && g->t[low] <= time + SAME ? (int)low : -1;
+}
+
+/* s, sd, sdd of piecewise cubics at a time; held after their end. */
+static void extended(const double *edge, const double *piece, long pieces, double time, double *s, double *sd, double *sdd) {
+    long low = 0, high = pieces;
+    while (low < high) {
+        long middle = (low + high) / 2;
+        if (edge[middle] <= time) low = middle + 1; else high = middle;
+    }
+    long i = low > 0 ? low - 1 : 0;
+    double inside = time < edge[0] ? edge[0] : time > edge[pieces] ? edge[pieces] : time, x = inside - edge[i];
+    double moving = time <= edge[pieces];
+    for (int j = 0; j < K; j++) {
+        double c[4];
+        for (int d = 0; d < 4; d++) c[d] = piece[(d * pieces + i) * K + j];
+        s[j] = ((c[0] * x + c[1]) * x + c[2]) * x + c[3];
+        sd[j] = moving * ((3.0 * c[0] * x + 2.0 * c[1]) * x + c[2]);
+        sdd[j] = moving * (6.0 * c[0] * x + 2.0 * c[1]);
+    }
+}
+
+/* The terms of a carrier's motion, as ``carrier_model.terms``, with first derivatives and the second ones ss, sv, sa, vv. */
+static void terms_of(double s, double v, double a, double *value, double (*first)[3], double (*second)[4]) {
+    const double own[7] = {s, s * s, v, s * v, a, v * v, s * a};
+    const double slope[7][3] = {{1, 0, 0}, {2 * s, 0, 0}, {0, 1, 0}, {v, s, 0}, {0, 0, 1}, {0, 2 * v, 0}, {a, 0, s}};
+    const double bend[7][4] = {{0}, {2, 0, 0, 0}, {0}, {0, 1, 0, 0}, {0}, {0, 0, 0, 2}, {0, 0, 1, 0}};
+    int count = TERMS < 7 ? TERMS : 7;
+    memcpy(value, own, count * sizeof *own);
+    memcpy(first, slope, count * sizeof *slope);
+    memcpy(second, bend, count * sizeof *bend);
+#if TERMS > 7
+    for (int i = 1; i < 3; i++) {
+        double c = cos(i * s), b = sin(i * s);
+        const double wave[2][3] = {{c - 1.0, -i * b, -i * i * c}, {b, i * c, -i * i * b}};
+        for (int which = 0; which < 2; which++) {
+            const double *w = wave[which];
+            int j = 7 + 2 * (i - 1) + which;
+            const double values[4] = {w[0], v * w[0], v * v * w[0], a * w[0]};
+            const double slopes[4][3] = {
+                {w[1], 0, 0}, {v * w[1], w[0], 0}, {v * v * w[1], 2 * v * w[0], 0}, {a * w[1], 0, w[0]}};
+            const double bends[4][4] = {
+                {w[2], 0, 0, 0}, {v * w[2], w[1], 0, 0}, {v * v * w[2], 2 * v * w[1], 0, 2 * w[0]}, {a * w[2], 0, w[1], 0}};
+            for (int kind = 0; kind < 4; kind++, j += 4) {
+                value[j] = values[kind];
+                memcpy(first[j], slopes[kind], sizeof *slopes);
+                memcpy(second[j], bends[kind], sizeof *bends);
+            }
+        }
+    }
+#endif
+}
+
+static void value_at(const Given *g, int place, const double *s, const double *sd, const double *sdd, double *value) {
+    memcpy(value, g->constant + place * (N + K), (N + K) * sizeof *value);
+    for (int j = 0; j < K; j++) {
+        double phi[TERMS], first[TERMS][3], second[TERMS][4];
+        const double *by_term = g->terms + ((long)place * K + j) * TERMS * (N + K);
+        terms_of(s[j], sd[j], sdd[j], phi, first, second);
+        for (int term = 0; term < TERMS; term++)
+            for (int i = 0; i < N + K; i++) value[i] += phi[term] * by_term[term * (N + K) + i];
+    }
+}
+
+/* Value, slopes (3, N + K, K) and, along y, second derivatives (K, 4). */
+static void slopes_at(const Given *g, int place, const double *s, const double *sd, const double *sdd, const double *y,
+                      double *value, double (*slope)[(N + K) * K], double (*bend)[4]) {
+    memcpy(value, g->constant + place * (N + K), (N + K) * sizeof *value);
+    memset(slope, 0, 3 * sizeof *slope);
+    if (bend) memset(bend, 0, K * sizeof *bend);
+    for (int j = 0; j < K; j++) {
+        double phi[TERMS], first[TERMS][3], second[TERMS][4];
+        const double *by_term = g->terms + ((long)place * K + j) * TERMS * (N + K);
+        terms_of(s[j], sd[j], sdd[j], phi, first, second);
+        for (int term = 0; term < TERMS; term++) {
+            const double *c = by_term + term * (N + K);
+            for (int i = 0; i < N + K; i++) {
+                value[i] += phi[term] * c[i];
+                for (int d = 0; d < 3; d++) slope[d][i * K + j] += first[term][d] * c[i];
+            }
+            if (!bend) continue;
+            double along = 0.0;
+            for (int i = 0; i < N; i++) along += y[i] * c[i];
+            for (int d = 0; d < 4; d++) bend[j][d] += second[term][d] * along;
+        }
+    }
+}
+
+/* Eigenvalues and, as columns of V, eigenvectors of a symmetric matrix, by Jacobi's rotations. */
+static void eigen(int n, double *A, double *V) {
+    for (int i = 0; i < n * n; i++) V[i] = i % (n + 1) == 0;
+    for (int sweep = 0; sweep < 30; sweep++) {
+        double off = 0.0, on = 0.0;
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++) *(i == j ? &on : &off) += A[i * n + j] * A[i * n + j];
+        if (off <= 1e-30 * on) return;
+        for (int p = 0; p < n; p++)
+            for (int q = p + 1; q < n; q++) {
+                double apq = A[p * n + q];
+                if (apq == 0.0) continue;
+                double theta = 0.5 * (A[q * n + q] - A[p * n + p]) / apq;
+                double t = (theta >= 0.0 ? 1.0 : -1.0) / (fabs(theta) + sqrt(theta * theta + 1.0));
+                double c = 1.0 / sqrt(t * t + 1.0), s = t * c;
+                for (int i = 0; i < n; i++) {
+                    double x = A[i * n + p], y = A[i * n + q];
+                    A[i * n + p] = c * x - s * y, A[i * n + q] = s * x + c * y;
+                }
+                for (int i = 0; i < n; i++) {
+                    double x = A[p * n + i], y = A[q * n + i];
+                    A[p * n + i] = c * x - s * y, A[q * n + i] = s * x + c * y;
+                    x = V[i * n + p], y = V[i * n + q];
+                    V[i * n + p] = c * x - s * y, V[i * n + q] = s * x + c * y;
+                }
+            }
+    }
+}
+
+/* Solve A X = B with rows of B (n, c), by elimination with pivots; 0 where A is singular. */
+static int solved(int n, int c, double *A, double *B) {
+    for (int p = 0; p < n; p++) {
+        int best = p;
+        for (int i = p + 1; i < n; i++)
+            if (fabs(A[i * n + p]) > fabs(A[best * n + p])) best = i;
+        if (!(fabs(A[best * n + p]) > 0.0)) return 0;
+        if (best != p) {
+            for (int j = 0; j < n; j++) { double x = A[p * n + j]; A[p * n + j] = A[best * n + j]; A[best * n + j] = x; }
+            for (int j = 0; j < c; j++) { double x = B[p * c + j]; B[p * c + j] = B[best * c + j]; B[best * c + j] = x; }
+        }
+        for (int i = p + 1; i < n; i++) {
+            double by = A[i * n + p] / A[p * n + p];
+            if (by == 0.0) continue;
+            for (int j = p; j < n; j++) A[i * n + j] -= by * A[p * n + j];
+            for (int j = 0; j < c; j++) B[i * c + j] -= by * B[p * c + j];
+        }
+    }
+    for (int p = n - 1; p >= 0; p--)
+        for (int j = 0; j < c; j++) {
+            double x = B[p * c + j];
+            for (int i = p + 1; i < n; i++) x -= A[p * n + i] * B[i * c + j];
+            B[p * c + j] = x / A[p * n + p];
+        }
+    return 1;
+}
+
+/* The nodes of a plan (``nodes_from``). */
+static void set_nodes(const Given *g, Work *w) {
+    double step = g->step, start = w->start, chosen[BORDER * 4 + COUNT];
+    int many = 0, begins = 1;
+    chosen[many++] = start;
+    for (long r = 0; r < g->roots; r++) {
+        double root = g->root[r];
+        if (root == start) begins = 0;   /* at a singular instant */
+        int kept = root >= start && root <= start + 2.0 * step * COUNT && root > start + APART_SINGULAR * step;
+        for (int c = 1; c < many && kept; c++) kept = root - chosen[c] > APART_SINGULAR * step;
+        if (kept && many < BORDER * 4) chosen[many++] = root;
+    }
+    long long first = (long long)floor(2.0 * start / step);
+    int count = 0, next = 0;
+    for (long long half = first; count < COUNT; half++) {
+        double grid = 0.5 * step * (double)half, apart = INFINITY, nearest = INFINITY;
+        while (next < many && chosen[next] <= grid && count < COUNT) w->node[count++] = chosen[next++];
+        if (count >= COUNT) break;
+        for (long r = 0; r < g->roots; r++) apart = smaller(apart, fabs(grid - g->root[r]));
+        for (int c = begins; c < many; c++) nearest = smaller(nearest, fabs(grid - chosen[c]));
+        double far = grid > start + (NEAR + 1e-6) * step ? 2.0 : 1.0;
+        int unit = (int)far * (apart < far * ZONE * step ? 1 : 2);
+        if (half % unit == 0 && nearest > APART_OTHER * step && grid > start + SOON * step) w->node[count++] = grid;
+    }
+    w->singulars = 0;
+    for (int i = 0; i < COUNT; i++) {
+        w->is_singular[i] = 0;
+        for (long r = 0; r < g->roots; r++) w->is_singular[i] |= w->node[i] == g->root[r];
+        if (w->is_singular[i]) w->singular[w->singulars++] = i;
+        w->h[i] = i + 1 < COUNT ? w->node[i + 1] - w->node[i] : 0.0;
+    }
+}
+
+/* The instants at which efforts are evaluated (``Ahead.instants``); their number, or -1 where there are too many. */
+static int set_instants(const Given *g, const Work *w, double *t) {
+    int nodes = 0, count = 0;
+    while (nodes < EARLY && w->node[nodes] <= g->until + SAME) nodes++;
+    if (!nodes) nodes = 1;
+    double first = w->node[0], last = w->node[nodes - 1], broken[INSTANTS / 4];
+    int breaks = 0;
+    for (long b = 0; b < g->breaks; b++) {
+        if (!(g->broken[b] > first + 2.0 * BESIDE && g->broken[b] < last - 2.0 * BESIDE)) continue;
+        if (breaks >= INSTANTS / 4) return -1;
+        broken[breaks++] = g->broken[b];
+    }
+    double from = ceil(first / g->spacing), end = ceil(last / g->spacing);
+    if (nodes + 2 * breaks + (end - from) > INSTANTS - EARLY - 2) return -1;
+    for (int i = 0; i < nodes; i++) t[count++] = w->node[i];
+    for (int b = 0; b < breaks; b++) t[count++] = broken[b] - BESIDE, t[count++] = broken[b] + BESIDE;
+    for (double i = from; i < end; i++) {
+        double grid = g->spacing * i, nearest = INFINITY;
+        for (int j = 0; j < nodes; j++) nearest = smaller(nearest, fabs(grid - w->node[j]));
+        for (int b = 0; b < breaks; b++) nearest = smaller(nearest, fabs(grid - broken[b]));
+        if (nearest > 0.1 * g->spacing) t[count++] = grid;
+    }
+    for (int i = 1; i < count; i++) {   /* few, and all but the nodes in order */
+        double x = t[i];
+        int j = i;
+        for (; j > 0 && t[j - 1] > x; j--) t[j] = t[j - 1];
+        t[j] = x;
+    }
+    int kept = 0;
+    for (int i = 0; i < count; i++)
+        if (!i || t[i] != t[kept - 1]) t[kept++] = t[i];
+    return kept;
+}
+
+/* Where all instants are that a tick needs; those that are not known yet are listed. */
+static void look_up(const Given *g, Work *w, Result *result, const double *instants, int count) {
+    result->missing = 0;
+    for (int i = 0; i < COUNT; i++) {
+        double time = smaller(w->node[i], g->until);
+        if ((w->place[i] = found(g, time)) < 0) result->missing_time[result->missing++] = time;
+    }
+    for (int r = 0; r < w->singulars; r++)
+        for (int side = 0; side < 2; side++) {
+            double time = smaller(w->node[w->singular[r]] + (side ? DIFFERENCE : -DIFFERENCE), g->until);
+            if ((w->beside[2 * r + side] = found(g, time)) < 0) result->missing_time[result->missing++] = time;
+        }
+    for (int i = 0; i < count; i++) {
+        double time = smaller(instants[i], g->until);
+        if (found(g, time) < 0) result->missing_time[result->missing++] = time;
+    }
+}
+
+static const double *W_at(const Given *g, int place) { return g->W + (long)place * N * M; }
+
+/* The direction u that W loses, and the square of its smallest over that of its largest singular value. */
+static double spectrum(const Given *g, const double *W, double *u) {
+    double A[N * N], V[N * N];
+    int least = 0, most = 0;
+    for (int i = 0; i < N; i++)
+        for (int j = 0; j < N; j++) {
+            A[i * N + j] = 0.0;
+            for (int c = 0; c < M; c++) A[i * N + j] += W[i * M + c] / g->row_scale[i] * W[j * M + c] / g->row_scale[j];
+        }
+    eigen(N, A, V);
+    for (int i = 1; i < N; i++) {
+        if (A[i * (N + 1)] < A[least * (N + 1)]) least = i;
+        if (A[i * (N + 1)] > A[most * (N + 1)]) most = i;
+    }
+    for (int i = 0; i < N; i++) u[i] = V[i * N + least] / g->row_scale[i];
+    return A[least * (N + 1)] / A[most * (N + 1)];
+}

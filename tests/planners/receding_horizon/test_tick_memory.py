@@ -1,0 +1,168 @@
+"""What machine code reads of Python's memory, and when: types of numbers, copies, plans that are given back."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import shlex
+import warnings
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.machine_code import CACHE, find_compiler
+from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.receding_horizon import PlanningStatus, Preview, RecedingHorizon, Weights
+
+pytest.importorskip("piqp")
+
+STEP = 0.02
+
+ROUNDING = 1e-7
+"""m, m/s and m/s²: Newton's method closes the loops from what was asked for last, so that no two planners have the same
+rounding; the solver stops at 1e-9 in units of up to 10, and W⁻¹ magnifies both."""
+
+CIRCLE = rp.trajectory.reference.circle(speed=0.3)
+
+
+@cache
+def dynamics() -> Dynamics:
+    return rp.CompiledDynamics(rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3))
+
+
+def after(planner: RecedingHorizon, motion: object, ticks: int) -> RecedingHorizon:
+    for i in range(ticks):
+        planner.update(STEP * i, motion)
+    return planner
+
+
+def assert_same(own: RecedingHorizon, other: RecedingHorizon, tolerance: float = ROUNDING) -> None:
+    for one, two in zip(own.ticks.last.at, other.ticks.last.at, strict=True):
+        np.testing.assert_allclose(one, two, rtol=0.0, atol=tolerance)
+
+
+def test_whole_numbers_as_weights_are_the_same_weights() -> None:
+    whole = (1, 1, 0, 1, 1, 1, 1, 1, 10000)
+    planners = [
+        after(RecedingHorizon(dynamics(), objective=w), CIRCLE, 12)
+        for w in (Weights(*whole), Weights(*map(float, whole)))
+    ]
+    assert all(planner.compiled for planner in planners)
+    assert_same(*planners)
+    # 0.64 N by numpy, and 6.7 where all weights were read as zero
+    numpy = after(RecedingHorizon(dynamics(), objective=Weights(*whole), interpret=True), CIRCLE, 12)
+    assert planners[0].ticks.last.command.peak == pytest.approx(numpy.ticks.last.command.peak, rel=1e-2)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int64])
+def test_jumps_ahead_in_other_numbers_are_the_same_jumps(kind: type) -> None:
+    base = Preview.of(CIRCLE)
+    at = np.arange(0.03125, 1.0, 0.015625) if kind is np.float32 else np.arange(3)
+    first, second = (
+        after(RecedingHorizon(dynamics()), replace(base, breaks=at.astype(as_kind)), 3)
+        for as_kind in (kind, np.float64)
+    )
+    np.testing.assert_array_equal(first.ticks.last.command.efforts.edges, second.ticks.last.command.efforts.edges)
+
+
+def test_a_backend_in_single_precision_is_read_as_such() -> None:
+    class Single(type(dynamics())):
+        def carrier_terms(self, *motion: Array):
+            return type(terms := super().carrier_terms(*motion))(*(part.astype(np.float32) for part in terms))
+
+    robot = dynamics().robot
+    single, double = after(RecedingHorizon(Single(robot)), CIRCLE, 6), after(RecedingHorizon(dynamics()), CIRCLE, 6)
+    assert single.compiled
+    assert_same(single, double, 1e-2)  # sums of 1e-7
+
+
+@pytest.mark.parametrize("ticks", [0, 3])
+@pytest.mark.parametrize("interpret", [False, True])
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda planner: pickle.loads(pickle.dumps(planner))])
+def test_a_copy_of_a_planner_goes_on_by_itself(again, interpret: bool, ticks: int) -> None:
+    planner = after(RecedingHorizon(dynamics(), interpret=interpret), CIRCLE, ticks)
+    other = again(planner)
+    assert other.compiled == planner.compiled != interpret
+    planner.update(STEP * ticks, CIRCLE)
+    kept = [part.copy() for part in planner.ticks.last.at]
+    for i in range(ticks, ticks + 2):
+        other.update(STEP * i, CIRCLE)
+    for own, before in zip(planner.ticks.last.at, kept, strict=True):
+        np.testing.assert_array_equal(own, before)
+    planner.update(STEP * (ticks + 1), CIRCLE)
+    assert_same(planner, other)
+
+
+def test_another_motion_in_a_preview_is_that_motion() -> None:
+    base = Preview.of(CIRCLE)
+
+    def resting(t: Array) -> rp.PlatformMotion:
+        there = base.motion(t)
+        still = np.zeros_like(there.xd)
+        return rp.PlatformMotion(t, np.repeat(there.x[:1], len(t), axis=0), still, still)
+
+    other = replace(base, motion=resting)
+    for got, want in zip(other.states(np.array([0.3, 0.4])), base.states(np.array([0.3, 0.4])), strict=True):
+        assert np.abs(got - want).max() > 1e-3
+    x, xd, xdd = other.states(np.array([0.3, 0.4]))
+    np.testing.assert_array_equal(x[0], x[1])
+    assert not xd.any()
+    assert not xdd.any()
+
+
+def test_an_older_plan_that_is_given_back_is_gone_on_from() -> None:
+    planner = after(RecedingHorizon(dynamics()), CIRCLE, 5)
+    older = planner.ticks.last
+    planner.limits = Limits(speed=0.001)
+    for t in (5 * STEP, 6 * STEP):
+        assert planner.update(t, CIRCLE).status is PlanningStatus.ELASTIC  # of numpy
+    planner.limits = Limits()
+    copied = copy.deepcopy(planner)
+    planner.ticks.last = older
+    carriers = older.command.carriers
+    own = replace(carriers, edges=carriers.edges.copy(), coefficients=carriers.coefficients.copy())
+    copied.ticks.last = replace(older, nodes=older.nodes.copy(), command=replace(older.command, carriers=own))
+    for one in (planner, copied):
+        one.update(7 * STEP, CIRCLE)
+    np.testing.assert_array_equal(planner.ticks.last.nodes, copied.ticks.last.nodes)
+    assert_same(planner, copied)
+
+
+@pytest.mark.parametrize("interpret", [False, True])
+def test_forces_are_known_where_the_preview_ends_at_once(interpret: bool) -> None:
+    short = replace(Preview.of(CIRCLE), end=0.1005)
+    planner = after(RecedingHorizon(dynamics(), interpret=interpret), short, 6)
+    command = planner.ticks.last.command
+    reduced = dynamics().along(CIRCLE.sample_at(np.array([0.1, 0.1005])))
+    s, sd, sdd = (np.tile(part, (2, 1)) for part in command.motion_at(0.1))
+    force = reduced.reduce(rp.CarrierMotion(s, sd, sdd, check_rates=False)).carrier_force[0]
+    np.testing.assert_allclose(command.forces.at(0.1), force, atol=1e-9)
+
+
+def test_motions_to_begin_with_on_a_track_without_end_are_numbers() -> None:
+    planner = after(RecedingHorizon(dynamics(), track=[(-np.inf, np.inf), (-0.1, np.inf)]), CIRCLE, 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(6):
+            guess = planner.ticks.guess(STEP, 0.5, planner.ticks.last)
+            assert np.isfinite(guess.command.carriers.coefficients).all()
+
+
+def test_without_a_folder_a_library_is_compiled_once_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    compiler = find_compiler()
+    assert compiler is not None
+    robot_dynamics, script, log = dynamics(), tmp_path / "cc", tmp_path / "log"
+    command = " ".join(shlex.quote(word) for word in compiler.command)
+    script.write_text(f'#!/bin/sh\necho compiled >> {log}\nexec {command} "$@" -O0\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    monkeypatch.setenv(CACHE, "")
+    for _ in range(2):
+        assert RecedingHorizon(robot_dynamics, horizon=0.1).compiled
+        assert len(log.read_text().split()) == 1
