@@ -50,8 +50,11 @@ SETTINGS = {
     "FIRST_BARRIER": 1e-2,
     "GOOD": 0.05,  # what a first point misses bounds by at most, in units, for the next to be its barrier
     "GOOD_BARRIER": 1e-3,
+    "WARM_SLACK": 1e-2,
+    "WARM_BARRIER": 1e-4,
+    "WARM_MOST": 1e-1,
     "WITHIN": 0.9,  # share of the limits of acceleration that a first point has at most
-    "DAMPING": 1e-3,  # of a first point: it is as near to the last plan as its accelerations may be
+    "DAMPING": 1e-2,  # of a first point: it is as near to the last plan as its accelerations may be
     "SAME_ROW": 1e-8,  # share of the jerk in a row of a singular instant below which it has none
 }
 """Of the interior point method; found by trial on random paths: half the iterations that PIQP has there."""

@@ -145,7 +145,7 @@ static int planned(const Given *g, Work *w, const double *t, int count, Plan *pl
         for (int j = 0; j < K; j++) w->x[d][j] = w->given[d][j] / g->unit[d * K + j];
     linearise(g, w);
     if (w->borders > BORDER - 2 || !condense(g, w) || !set_programme(g, w)) return 0;
-    if (!interior_point(g, w)) return 0;
+    if (!(w->old && interior_point(g, w, 1)) && !interior_point(g, w, 0)) return 0;
     double *s = plan->at, *sd = s + LANES, *sdd = sd + LANES;
     for (int j = 0; j < K; j++) s[j] = w->given[0][j], sd[j] = w->given[1][j];
     for (int l = 0; l < LANES; l++) sdd[l] = w->x[2][l] * ua[l % K];

@@ -62,6 +62,8 @@ typedef struct {
     int bounds, blocks;
     double bound[BOUNDS], active[BOUNDS];
     /* interior point method */
+    int old;
+    double old_node[COUNT], old_dual[BOUNDS], old_tau[EFFORTS];
     double x[3][LANES], tau[EFFORTS], peak, nu[BORDER], row_missing[BORDER];
     double slack[BOUNDS], dual[BOUNDS], g[BOUNDS], weight[BOUNDS], missing[BOUNDS], change[BOUNDS], push[BOUNDS];
     double dslack[BOUNDS], ddual[BOUNDS], centre[BOUNDS], dx[3][LANES], dtau[EFFORTS], base[COUNT][NW];

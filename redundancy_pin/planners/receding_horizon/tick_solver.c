@@ -240,9 +240,20 @@ static double along_row(const Row *row, const double (*v)[NW]) {
     return x;
 }
 
+/* The duals of the last programme at the nodes that both have, by bounds of a node: ``width`` of them from ``place`` on. */
+static void remember(Work *w, const int *old, int place, int width) {
+    for (int i = 0; i < COUNT; i++)
+        for (int l = 0; l < width; l++) w->dual[place + i * width + l] = old[i] < 0 ? 0.0 : w->old_dual[place + old[i] * width + l];
+}
+
 /* A first point: sdd as near as it may be to those of the plan that all is linear about. */
-static void begin(const Given *g, Work *w) {
+static void begin(const Given *g, Work *w, int warm) {
     const double *ua = g->unit + 2 * K;
+    int old[COUNT];
+    for (int i = 0, o = 0; i < COUNT; i++) {
+        while (o < COUNT && w->old_node[o] < w->node[i] - SAME) o++;
+        old[i] = warm && o < COUNT && w->old_node[o] <= w->node[i] + SAME ? o : -1;
+    }
     for (int i = 0; i < COUNT; i++) {
         double z[NV], free[NF], A[NZ * NZ], rhs[NZ];
         memset(z, 0, sizeof z);
@@ -265,6 +276,9 @@ static void begin(const Given *g, Work *w) {
                 rhs[p] += own * (aim - free[j]);
                 for (int o = 0; o < w->directions[i]; o++) A[p * NZ + o] += own * w->motion[i][j][NX + o];
             }
+            if (old[i] >= 0)
+                for (int c = 0; c < M; c++)
+                    rhs[p] += DAMPING * w->motion[i][K + c][NX + p] * (w->old_tau[old[i] * M + c] / w->tau_unit - free[K + c]);
         }
         solved(NZ, 1, A, rhs);
         for (int e = 0; e < NF; e++)
@@ -287,6 +301,19 @@ static void begin(const Given *g, Work *w) {
     double beyond = 0.0, barrier;
     for (int c = 0; c < w->bounds; c++) beyond = larger(beyond, w->active[c] * (w->g[c] - w->bound[c]));
     barrier = beyond < GOOD ? GOOD_BARRIER : FIRST_BARRIER;
+    if (warm) {
+        memcpy(w->dual, w->old_dual, sizeof w->dual);
+        for (int b = 0; b < w->blocks; b++)
+            for (int side = 0; side < 2; side++) remember(w, old, block_at(b) + side * LANES, K);
+        for (int side = 0; side < 2; side++) remember(w, old, PEAK_AT + side * EFFORTS, M);
+        if (w->blocks == BLOCKS)
+            for (int side = 0; side < 2; side++) remember(w, old, JERK_AT + side * LANES, K), remember(w, old, EFFORT_AT + side * EFFORTS, M);
+        for (int c = 0; c < w->bounds; c++) {
+            w->slack[c] = w->active[c] > 0.0 ? larger(w->bound[c] - w->g[c], WARM_SLACK) : 1.0;
+            w->dual[c] = w->active[c] > 0.0 ? smaller(larger(w->dual[c], WARM_BARRIER / w->slack[c]), WARM_MOST / w->slack[c]) : 1.0;
+        }
+        return;
+    }
     for (int c = 0; c < w->bounds; c++) {
         w->slack[c] = w->active[c] > 0.0 ? larger(w->bound[c] - w->g[c], ROOM) : 1.0;
         w->dual[c] = w->active[c] > 0.0 ? barrier / w->slack[c] : 1.0;
@@ -364,8 +391,8 @@ static int is_stationary(Work *w, double base_peak) {
 }
 
 /* Mehrotra's predictor and corrector; whether an optimum is found. */
-static int interior_point(const Given *g, Work *w) {
-    begin(g, w);
+static int interior_point(const Given *g, Work *w, int warm) {
+    begin(g, w, warm);
     double count = 0.0, inverse[BOUNDS];
     for (int c = 0; c < w->bounds; c++) count += w->active[c];
     for (int iteration = 0; iteration < ITERATIONS; iteration++) {
@@ -430,7 +457,13 @@ static int interior_point(const Given *g, Work *w) {
         }
         memcpy(w->base, w->gradient[0], sizeof w->base);
         double base_peak = peak_gradient;
-        if (barrier < BARRIER && most < PRECISION && rows < PRECISION && is_stationary(w, base_peak)) return 1;
+        if (barrier < BARRIER && most < PRECISION && rows < PRECISION && is_stationary(w, base_peak)) {
+            memcpy(w->old_node, w->node, sizeof w->node);
+            memcpy(w->old_dual, w->dual, sizeof w->dual);
+            for (int l = 0; l < EFFORTS; l++) w->old_tau[l] = w->tau[l] * w->tau_unit;
+            w->old = 1;
+            return 1;
+        }
         peak_gradient = base_peak + add_transposed(w, w->push, w->gradient[0]);
         int sides = 2 + w->borders;
         for (int s = 1; s < sides; s++) memset(w->gradient[s], 0, sizeof w->gradient[s]);
