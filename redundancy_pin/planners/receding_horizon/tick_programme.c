@@ -21,8 +21,7 @@ static void linearise(const Given *g, Work *w) {
             double C[9] = {b[0] * u[0] * u[0], b[1] * u[0] * u[1], b[2] * u[0] * u[2],
                            b[1] * u[0] * u[1], b[3] * u[1] * u[1], 0.0,
                            b[2] * u[0] * u[2], 0.0, 0.0};
-            double(*cost)[3] = w->cost[i * K + j];
-            memset(cost, 0, sizeof w->cost[0]);
+            double cost[3][3] = {{0}};
             if (C[2] == 0.0) {   /* two by two */
                 double mean = 0.5 * (C[0] + C[4]), half = 0.5 * (C[0] - C[4]), root = hypot(half, C[1]);
                 double most = mean + root, least = mean - root;
@@ -40,7 +39,10 @@ static void linearise(const Given *g, Work *w) {
             }
             for (int p = 0; p < 3; p++) {
                 w->linear[p][i * K + j] = 0.0;
-                for (int q = 0; q < 3; q++) w->linear[p][i * K + j] -= cost[p][q] * at[q][j] / u[q];
+                for (int q = 0; q < 3; q++) {
+                    w->cost[p][q][i * K + j] = cost[p][q];
+                    w->linear[p][i * K + j] -= cost[p][q] * at[q][j] / u[q];
+                }
             }
         }
     }
@@ -108,6 +110,27 @@ static void linearise(const Given *g, Work *w) {
                 row->beside[j] = rate;
             }
         }
+    }
+}
+
+/* The motion of each node and its efforts, [s, sd, sdd, tau], by the motion sigma before it and what is free, z:
+
+       s' = s + alpha sd + 2 gamma sdd + gamma sdd',    sd' = sd + delta (sdd + sdd'). */
+static void set_by_free(Work *w) {
+    memset(w->by_free, 0, sizeof w->by_free);
+    memset(w->by_free_turned, 0, sizeof w->by_free_turned);
+    for (int i = 0; i < COUNT; i++) {
+        double(*by)[LONG * WIDE] = w->by_free[i], (*free)[NV] = w->motion[i];
+        for (int j = 0; j < K && i; j++) {   /* the motion of the start is given */
+            double alpha = w->alpha[i][j], gamma = w->gamma[i][j], delta = w->delta[i][j];
+            for (int c = 0; c < NV; c++) by[j][c] = gamma * free[j][c], by[K + j][c] = delta * free[j][c], by[2 * K + j][c] = free[j][c];
+            by[j][j] += 1.0, by[j][K + j] += alpha, by[j][2 * K + j] += 2.0 * gamma;
+            by[K + j][K + j] += 1.0, by[K + j][2 * K + j] += delta;
+        }
+        for (int t = 0; t < M; t++)
+            for (int c = i ? 0 : NX; c < NV; c++) by[NX + t][c] = free[K + t][c];
+        for (int r = 0; r < NW; r++)
+            for (int c = 0; c < NV; c++) w->by_free_turned[i][c][r] = by[r][c];
     }
 }
 
@@ -235,6 +258,7 @@ static int condense(const Given *g, Work *w) {
         }
         w->directions[i] = free;
     }
+    set_by_free(w);
     return 1;
 }
 
@@ -277,13 +301,13 @@ static int set_programme(const Given *g, Work *w) {
         w->tau_cost[i] = weight[EFFORT] * share;
         for (int j = 0; j < K; j++) {
             int lane = i * K + j;
-            double(*cost)[3] = w->cost[lane], h = w->h[i], before = i ? w->h[i - 1] : 0.0;
-            cost[0][0] += 1e-8 + weight[CENTRE] * share + (last ? 2.0 * weight[END] : 0.0);
-            cost[1][1] += 1e-8 + (last ? 2.0 * weight[END_SPEED] : 0.0);
-            cost[2][2] += weight[ACCELERATED] * share;
+            double h = w->h[i], before = i ? w->h[i - 1] : 0.0;
+            w->cost[0][0][lane] += 1e-8 + weight[CENTRE] * share + (last ? 2.0 * weight[END] : 0.0);
+            w->cost[1][1][lane] += 1e-8 + (last ? 2.0 * weight[END_SPEED] : 0.0);
+            w->cost[2][2][lane] += weight[ACCELERATED] * share;
             double by = weight[JERKED] * g->step / g->horizon * g->step;
-            if (i) cost[2][2] += 2.0 * by / before;
-            if (!last) cost[2][2] += 2.0 * by / h, w->cross[lane] = -2.0 * by / h;
+            if (i) w->cost[2][2][lane] += 2.0 * by / before;
+            if (!last) w->cost[2][2][lane] += 2.0 * by / h, w->cross[lane] = -2.0 * by / h;
             if (!i) {
                 if (w->known[0] && isfinite(g->carrier_force[j])) {   /* all is given */
                     double most = FORCE_KEPT, now = w->force[0][j] / g->carrier_force[j];

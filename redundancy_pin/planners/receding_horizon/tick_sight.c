@@ -5,9 +5,13 @@
 #include <string.h>
 
 enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF - N, NV = NX + NZ, LANES = COUNT * K, EFFORTS = COUNT * M };
+enum { LONG = 4, WIDE = (NV + LONG - 1) / LONG, TALL = (NW + LONG - 1) / LONG };   /* vectors for NV and NW numbers */
 enum { BORDER = 10, SIDES = BORDER + 1, EARLY = FIRST + 1, INSTANTS = 160, MOST_SINGULAR = (BORDER - 2) / 2 };
 enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
 enum { DONE = 0, UNSOLVED = 1, ELASTIC = 2, REFUSED = 3, TOO_MANY = 4, MISSING = 5 };
+
+/* As of GCC and Clang, wherever it lies; where a processor has none as long, they make it of shorter ones. */
+typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double))));
 
 typedef struct {
     long instants, edges, nodes, roots, breaks, same_time;
@@ -53,11 +57,12 @@ typedef struct {
     Row rows[BORDER];
     int borders;
     /* free[i] = M sigma + N z + c of node i, sigma of the one before: rows of sdd, then of tau */
-    double motion[COUNT][NF][NV], constant[COUNT][NF], orthonormal[COUNT][N][NF], triangle[COUNT][N][N];
+    double motion[COUNT][NF][NV], constant[COUNT][NF], by_free[COUNT][NW][LONG * WIDE], by_free_turned[COUNT][NV][LONG * TALL];
+    double orthonormal[COUNT][N][NF], triangle[COUNT][N][N];
     int directions[COUNT];
     double alpha[COUNT][K], gamma[COUNT][K], delta[COUNT][K];
     /* cost and bounds */
-    double cost[LANES][3][3], linear[3][LANES], tau_cost[COUNT], cross[LANES], peak_cost;
+    double cost[3][3][LANES], linear[3][LANES], tau_cost[COUNT], cross[LANES], peak_cost;
     double a[3][BLOCKS][LANES], after[K];
     int bounds, blocks;
     double bound[BOUNDS], active[BOUNDS];
@@ -67,8 +72,8 @@ typedef struct {
     double x[3][LANES], tau[EFFORTS], peak, nu[BORDER], row_missing[BORDER];
     double slack[BOUNDS], dual[BOUNDS], g[BOUNDS], weight[BOUNDS], missing[BOUNDS], change[BOUNDS], push[BOUNDS];
     double dslack[BOUNDS], ddual[BOUNDS], centre[BOUNDS], dx[3][LANES], dtau[EFFORTS], base[COUNT][NW];
-    double H[LANES][3][3], tau_H[EFFORTS], crossing[LANES], peak_tau[EFFORTS];
-    double feed[COUNT][SIDES][NZ], Qzz[COUNT][NZ][NZ], Qsz[COUNT][NX][NZ], inverse[COUNT][NZ];
+    double H[3][3][LANES], tau_H[EFFORTS], crossing[LANES], peak_tau[EFFORTS];
+    double feed[COUNT][SIDES][NZ], lower[COUNT][NZ][NZ], across[COUNT][NZ][LONG * WIDE], inverse[COUNT][NZ];
     double gradient[SIDES][COUNT][NW], direction[SIDES][COUNT][NW];
 } Work;
 

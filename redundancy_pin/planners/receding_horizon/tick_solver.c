@@ -61,7 +61,7 @@ static double set_gradient(const Work *w, double (*gradient)[NW]) {
             int l = i * K + j;
             for (int p = 0; p < 3; p++) {
                 double y = w->linear[p][l];
-                for (int q = 0; q < 3; q++) y += w->cost[l][p][q] * w->x[q][l];
+                for (int q = 0; q < 3; q++) y += w->cost[p][q][l] * w->x[q][l];
                 gradient[i][p * K + j] = y;
             }
             if (i + 1 < COUNT) gradient[i][2 * K + j] += w->cross[l] * w->x[2][l + K];
@@ -77,160 +77,114 @@ static double set_gradient(const Work *w, double (*gradient)[NW]) {
     return w->peak_cost * w->peak;
 }
 
-/* s and sd of a node follow from the motion sigma before it and from its own sdd y, all in units:
-
-       s' = s + alpha sd + 2 gamma sdd + gamma y,    sd' = sd + delta (sdd + y).
-
-   Of a gradient by the motion of the node, x, these are the parts by sigma (added) and by y. */
-static inline __attribute__((always_inline)) void bring_back(const Work *w, int i, const double *x, double *sigma, double *y) {
-    for (int j = 0; j < K; j++) {
-        double a = w->alpha[i][j], c = w->gamma[i][j], d = w->delta[i][j];
-        y[j] = c * x[j] + d * x[K + j] + x[2 * K + j];
-        sigma[j] += x[j];
-        sigma[K + j] += a * x[j] + x[K + j];
-        sigma[2 * K + j] += 2.0 * c * x[j] + d * x[K + j];
-    }
+/* a += x b, of vectors. */
+static inline __attribute__((always_inline)) void add(int count, Vector *a, double x, const double *b) {
+    for (int v = 0; v < count; v++) a[v] += x * ((const Vector *)b)[v];
 }
 
 /* The Riccati recursion; 0 where a step of it is not positive. */
 static int factorise(Work *w) {
-    double P[NX][NX];
+    double P[NX][LONG * WIDE], H_by[NW][LONG * WIDE], Q[NV][LONG * WIDE];
     memset(P, 0, sizeof P);
     for (int i = COUNT - 1; i >= 0; i--) {
-        const double(*free)[NV] = w->motion[i], *tau_H = w->tau_H + i * M;
-        double by_sigma[NX][NX], by_y[NX][K], both[NX][K], own[K][K], R[NF][NV], Q[NV][NV];
+        const double(*by)[LONG * WIDE] = w->by_free[i];
         for (int d = 0; d < 3; d++)
             for (int e = 0; e < 3; e++)
-                for (int j = 0; j < K; j++) P[d * K + j][e * K + j] += w->H[i * K + j][d][e];
-        memset(Q, 0, sizeof Q);
-        if (i) {
-            double turned[NX][NX], corner[K][NX];
-            memset(by_sigma, 0, sizeof by_sigma);
-            for (int r = 0; r < NX; r++) bring_back(w, i, P[r], by_sigma[r], by_y[r]);
-            for (int r = 0; r < NX; r++)
-                for (int c = 0; c < NX; c++) turned[c][r] = by_sigma[r][c];
-            for (int r = 0; r < NX; r++) {
-                double y[K], sigma[NX];
-                memset(sigma, 0, sizeof sigma);
-                bring_back(w, i, turned[r], sigma, y);
-                for (int c = 0; c < NX; c++) Q[r][c] = sigma[c];
-                for (int j = 0; j < K; j++) both[r][j] = y[j];
-            }
-            for (int c = 0; c < K; c++)
-                for (int r = 0; r < NX; r++) corner[c][r] = by_y[r][c];
-            for (int c = 0; c < K; c++) {
-                double unused[NX];
-                memset(unused, 0, sizeof unused);
-                bring_back(w, i, corner[c], unused, own[c]);
-            }
-            for (int j = 0; j < K; j++) both[2 * K + j][j] += w->crossing[(i - 1) * K + j];   /* with sdd before it */
-            for (int j = 0; j < K; j++)
-                for (int c = 0; c < NV; c++) {
-                    double x = 0.0;
-                    for (int l = 0; l < K; l++) x += own[j][l] * free[l][c];
-                    R[j][c] = 0.5 * x;
-                }
-            for (int j = 0; j < K; j++)
-                for (int c = 0; c < NX; c++) R[j][c] += both[c][j];
-        } else
-            memset(R, 0, sizeof R);   /* its motion is given */
-        for (int t = 0; t < M; t++)
-            for (int c = 0; c < NV; c++) R[K + t][c] = 0.5 * tau_H[t] * free[K + t][c];
-        double half[NV][NV];
-        for (int r = 0; r < NV; r++)
-            for (int c = 0; c < NV; c++) half[r][c] = free[0][r] * R[0][c];
-        for (int e = 1; e < NF; e++)
-            for (int r = 0; r < NV; r++)
-                for (int c = 0; c < NV; c++) half[r][c] += free[e][r] * R[e][c];
-        for (int r = 0; r < NV; r++)
-            for (int c = 0; c < NV; c++) Q[r][c] += half[r][c] + half[c][r];
-        double(*L)[NZ] = w->Qzz[i], (*S)[NZ] = w->Qsz[i];
-        for (int p = 0; p < NZ; p++)
-            for (int c = 0; c < NZ; c++)
-                L[p][c] = p < w->directions[i] && c < w->directions[i] ? Q[NX + p][NX + c] : p == c;
-        for (int p = 0; p < NZ; p++) {
-            for (int o = 0; o < p; o++) L[p][p] -= L[p][o] * L[p][o];
-            if (!(L[p][p] > 0.0)) return 0;
-            L[p][p] = sqrt(L[p][p]), w->inverse[i][p] = 1.0 / L[p][p];
-            for (int r = p + 1; r < NZ; r++) {
-                for (int o = 0; o < p; o++) L[r][p] -= L[r][o] * L[p][o];
-                L[r][p] *= w->inverse[i][p];
-            }
+                for (int j = 0; j < K; j++) P[d * K + j][e * K + j] += w->H[d][e][i * K + j];
+        int from = i ? 0 : NX;
+        for (int r = from; r < NX; r++) {
+            Vector row[WIDE] = {{0}};
+            for (int k = 0; k < NX; k++) add(WIDE, row, P[r][k], by[k]);
+            memcpy(H_by[r], row, sizeof row);
         }
-        for (int c = 0; c < NX; c++)   /* S = Qsz L⁻ᵀ */
-            for (int p = 0; p < NZ; p++) {
-                double x = p < w->directions[i] ? Q[c][NX + p] : 0.0;
-                for (int o = 0; o < p; o++) x -= L[p][o] * S[c][o];
-                S[c][p] = x * w->inverse[i][p];
+        for (int t = 0; t < M; t++) {
+            Vector row[WIDE] = {{0}};
+            add(WIDE, row, w->tau_H[i * M + t], by[NX + t]);
+            memcpy(H_by[NX + t], row, sizeof row);
+        }
+        for (int r = 0; r < NV; r++) {
+            Vector row[WIDE] = {{0}};
+            for (int e = from; e < NW; e++) add(WIDE, row, by[e][r], H_by[e]);
+            memcpy(Q[r], row, sizeof row);
+        }
+        for (int j = 0; j < K && i; j++) {   /* sdd with that before it */
+            double x = w->crossing[(i - 1) * K + j];
+            int before = 2 * K + j;
+            for (int c = 0; c < NV; c++) Q[before][c] += x * by[before][c];
+            for (int c = 0; c < NV; c++) Q[c][before] += x * by[before][c];
+        }
+        /* Qzz = L D L', U = 1/L Qzs */
+        double(*L)[NZ] = w->lower[i], (*U)[LONG * WIDE] = w->across[i], *inverse = w->inverse[i], D[NZ];
+        for (int p = 0; p < NZ; p++) {
+            int free = p < w->directions[i];
+            Vector row[WIDE] = {{0}};
+            D[p] = free ? Q[NX + p][NX + p] : 1.0;
+            if (free) memcpy(row, Q[NX + p], sizeof row);
+            for (int o = 0; o < p; o++) {
+                double x = free ? Q[NX + p][NX + o] : 0.0;
+                for (int l = 0; l < o; l++) x -= L[p][l] * D[l] * L[o][l];
+                L[p][o] = x * inverse[o];
+                D[p] -= L[p][o] * x;
+                add(WIDE, row, -L[p][o], U[o]);
             }
-        for (int r = 0; r < NX; r++)
-            for (int c = 0; c < NX; c++) {
-                double x = Q[r][c];
-                for (int p = 0; p < NZ; p++) x -= S[r][p] * S[c][p];
-                P[r][c] = x;
-            }
+            memcpy(U[p], row, sizeof row);
+            if (!(D[p] > 0.0)) return 0;
+            inverse[p] = 1.0 / D[p];
+        }
+        for (int r = 0; r < NX; r++) {
+            Vector row[WIDE];
+            memcpy(row, Q[r], sizeof row);
+            for (int p = 0; p < NZ; p++) add(WIDE, row, -U[p][r] * inverse[p], U[p]);
+            memcpy(P[r], row, sizeof row);
+        }
     }
     return 1;
 }
 
 /* A gradient by nodes (`own`, and what the nodes after it add) by what is free at one: [sigma, z]. */
-static inline __attribute__((always_inline)) void gather(const Work *w, int i, const double *own, const double *carried, double *q) {
-    double x[NX], free[NF], sigma[NX];
-    memset(sigma, 0, sizeof sigma);
-    memset(q, 0, NV * sizeof *q);
-    for (int c = 0; c < NX; c++) x[c] = own[c] + carried[c];
-    bring_back(w, i, x, sigma, free);
-    for (int c = 0; c < NX && i; c++) q[c] = sigma[c];
-    for (int c = 0; c < M; c++) free[K + c] = own[NX + c];
-    for (int e = i ? 0 : K; e < NF; e++)
-        for (int c = 0; c < NV; c++) q[c] += free[e] * w->motion[i][e][c];
+static inline __attribute__((always_inline)) void gather(const Work *w, int i, const double *own, const double *carried, Vector *q) {
+    const double(*by)[LONG * WIDE] = w->by_free[i];
+    for (int v = 0; v < WIDE; v++) q[v] = (Vector){0};
+    for (int r = i ? 0 : NX; r < NX; r++) add(WIDE, q, own[r] + carried[r], by[r]);
+    for (int r = NX; r < NW; r++) add(WIDE, q, own[r], by[r]);
 }
 
 /* Steps against gradients, of ``sides`` right sides. */
 static void step_against(Work *w, int sides) {
-    double carried[SIDES][NX];
+    double carried[SIDES][LONG * WIDE], z[SIDES][NV];
     memset(carried, 0, sizeof carried);
     for (int i = COUNT - 1; i >= 0; i--)
         for (int s = 0; s < sides; s++) {
-            double q[NV], *k = w->feed[i][s];
+            Vector q[WIDE];
+            double *k = w->feed[i][s], own[LONG * WIDE];
+            const double(*L)[NZ] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
             gather(w, i, w->gradient[s][i], carried[s], q);
-            for (int p = 0; p < NZ; p++) {   /* L⁻¹ q */
-                double x = p < w->directions[i] ? q[NX + p] : 0.0;
-                for (int o = 0; o < p; o++) x -= w->Qzz[i][p][o] * k[o];
-                k[p] = x * w->inverse[i][p];
+            memcpy(own, q, sizeof own);
+            for (int p = 0; p < NZ; p++) {   /* 1/L q */
+                double x = p < w->directions[i] ? own[NX + p] : 0.0;
+                for (int o = 0; o < p; o++) x -= L[p][o] * k[o];
+                k[p] = x;
+                add(WIDE, q, -x * w->inverse[i][p], U[p]);
             }
-            for (int c = 0; c < NX; c++) {
-                double x = q[c];
-                for (int p = 0; p < NZ; p++) x -= w->Qsz[i][c][p] * k[p];
-                carried[s][c] = x;
-            }
+            memcpy(carried[s], q, sizeof q);
         }
-    for (int s = 0; s < sides; s++) {
-        double z[NV];
-        memset(z, 0, sizeof z);
-        for (int i = 0; i < COUNT; i++) {
-            double *out = w->direction[s][i];
-            for (int p = NZ - 1; p >= 0; p--) {   /* L⁻ᵀ (-k - Sᵀ sigma) */
-                double x = -w->feed[i][s][p];
-                for (int c = 0; c < NX; c++) x -= w->Qsz[i][c][p] * z[c];
-                for (int o = p + 1; o < NZ; o++) x -= w->Qzz[i][o][p] * z[NX + o];
-                z[NX + p] = x * w->inverse[i][p];
+    memset(z, 0, sizeof z);
+    for (int i = 0; i < COUNT; i++)
+        for (int s = 0; s < sides; s++) {
+            const double(*L)[NZ] = w->lower[i], (*U)[LONG * WIDE] = w->across[i];
+            double *own = z[s];
+            Vector out[TALL] = {{0}};
+            for (int p = NZ - 1; p >= 0; p--) {   /* -1/L' 1/D (k + U sigma) */
+                double x = w->feed[i][s][p];
+                for (int c = 0; c < NX; c++) x += U[p][c] * own[c];
+                x *= -w->inverse[i][p];
+                for (int o = p + 1; o < NZ; o++) x -= L[o][p] * own[NX + o];
+                own[NX + p] = p < w->directions[i] ? x : 0.0;
             }
-            for (int p = w->directions[i]; p < NZ; p++) z[NX + p] = 0.0;
-            for (int e = 0; e < NF; e++) {
-                double x = 0.0;
-                for (int c = 0; c < NV; c++) x += w->motion[i][e][c] * z[c];
-                out[2 * K + e] = x;
-            }
-            for (int j = 0; j < K; j++) {
-                double y = i ? out[2 * K + j] : 0.0, a = w->alpha[i][j], c = w->gamma[i][j], d = w->delta[i][j];
-                out[j] = i ? z[j] + a * z[K + j] + c * (2.0 * z[2 * K + j] + y) : 0.0;
-                out[K + j] = i ? z[K + j] + d * (z[2 * K + j] + y) : 0.0;
-                out[2 * K + j] = y;
-            }
-            memcpy(z, out, NX * sizeof *z);
+            for (int c = 0; c < NV; c++) add(TALL, out, own[c], w->by_free_turned[i][c]);
+            memcpy(w->direction[s][i], out, NW * sizeof(double));
+            memcpy(own, out, NX * sizeof *own);
         }
-    }
 }
 
 static double along_row(const Row *row, const double (*v)[NW]) {
@@ -376,7 +330,8 @@ static int direct(Work *w, double peak_gradient, double peak_H, double *dpeak, d
 
 /* Whether the gradient with the duals, brought back along the motion, is rounding; ``base`` has it without them. */
 static int is_stationary(Work *w, double base_peak) {
-    double carried[NX], q[NV], size = 1.0, left;
+    double carried[LONG * WIDE], own[LONG * WIDE], size = 1.0, left;
+    Vector q[WIDE];
     for (int c = 0; c < w->bounds; c++) w->centre[c] = w->active[c] * w->dual[c];
     memcpy(w->gradient[1], w->base, sizeof w->base);
     left = fabs(base_peak + add_transposed(w, w->centre, w->gradient[1]));
@@ -384,7 +339,8 @@ static int is_stationary(Work *w, double base_peak) {
     for (int i = COUNT - 1; i >= 0; i--) {
         for (int r = 0; r < NW; r++) size = larger(size, fabs(w->gradient[1][i][r] + (r < NX ? carried[r] : 0.0)));
         gather(w, i, w->gradient[1][i], carried, q);
-        for (int z = 0; z < w->directions[i]; z++) left = larger(left, fabs(q[NX + z]));
+        memcpy(own, q, sizeof own);
+        for (int z = 0; z < w->directions[i]; z++) left = larger(left, fabs(own[NX + z]));
         memcpy(carried, q, sizeof carried);
     }
     return left < STATIONARY * size;
@@ -412,28 +368,25 @@ static int interior_point(const Given *g, Work *w, int warm) {
             }
         for (int o = 0; o < OCTET; o++) barrier += sum[o] / count, most = larger(most, worst[o]);
         if (!(barrier < 1e12)) return 0;
-        for (int l = 0; l < LANES; l++) {
-            memcpy(w->H[l], w->cost[l], sizeof w->H[l]);
-            w->crossing[l] = w->cross[l];
-        }
+        memcpy(w->H, w->cost, sizeof w->H);
+        memcpy(w->crossing, w->cross, sizeof w->crossing);
         for (int b = 0; b < w->blocks; b++) {
             const double *up = w->weight + block_at(b), *down = up + LANES;
-            for (int l = 0; l < LANES; l++) {
-                double both = up[l] + down[l];
-                for (int p = 0; p < 3; p++)
-                    for (int q = 0; q < 3; q++) w->H[l][p][q] += both * w->a[p][b][l] * w->a[q][b][l];
-            }
+            for (int p = 0; p < 3; p++)
+                for (int q = 0; q < 3; q++)
+                    for (int l = 0; l < LANES; l++) w->H[p][q][l] += (up[l] + down[l]) * w->a[p][b][l] * w->a[q][b][l];
         }
         for (int j = 0; j < K; j++) {
             const double *stop = w->weight + STOP_AT + j, out = stop[0] + stop[K], back = stop[2 * K] + stop[3 * K];
-            double(*H)[3] = w->H[LANES - K + j], after = w->after[j];
-            H[0][0] += out + back, H[1][1] += after * after * (out + back);
-            H[0][1] += after * (out - back), H[1][0] += after * (out - back);
+            double after = w->after[j];
+            int l = LANES - K + j;
+            w->H[0][0][l] += out + back, w->H[1][1][l] += after * after * (out + back);
+            w->H[0][1][l] += after * (out - back), w->H[1][0][l] += after * (out - back);
         }
         int many = w->blocks == BLOCKS;
         for (int l = 0; l < LANES - K && many; l++) {
             double both = w->weight[JERK_AT + l] + w->weight[JERK_AT + LANES + l];
-            w->H[l][2][2] += both, w->H[l + K][2][2] += both, w->crossing[l] -= both;
+            w->H[2][2][l] += both, w->H[2][2][l + K] += both, w->crossing[l] -= both;
         }
         for (int l = 0; l < EFFORTS; l++) {
             double up = w->weight[PEAK_AT + l], down = w->weight[PEAK_AT + EFFORTS + l];
@@ -516,17 +469,17 @@ static int interior_point(const Given *g, Work *w, int warm) {
 
 /* The multipliers of W tau = f. */
 static void set_multipliers(const Given *g, Work *w, double *multiplier) {
-    double(*gradient)[NW] = w->gradient[0], carried[NX];
+    double(*gradient)[NW] = w->gradient[0], carried[LONG * WIDE];
     set_gradient(w, gradient);
     for (int c = 0; c < w->bounds; c++) w->push[c] = w->active[c] * w->dual[c];
     add_transposed(w, w->push, gradient);
     memset(carried, 0, sizeof carried);
     memset(multiplier, 0, COUNT * N * sizeof *multiplier);
     for (int i = COUNT - 1; i > 0; i--) {
-        double x[NX], free[NF], sigma[NX], q[NV], A[N * N], y[N];
-        memset(sigma, 0, sizeof sigma);
+        double x[NX], free[NF], A[N * N], y[N];
+        Vector q[WIDE];
         for (int c = 0; c < NX; c++) x[c] = gradient[i][c] + carried[c];
-        bring_back(w, i, x, sigma, free);
+        for (int j = 0; j < K; j++) free[j] = w->gamma[i][j] * x[j] + w->delta[i][j] * x[K + j] + x[2 * K + j];
         memcpy(free + K, gradient[i] + NX, M * sizeof *free);
         gather(w, i, gradient[i], carried, q);
         memcpy(carried, q, sizeof carried);
