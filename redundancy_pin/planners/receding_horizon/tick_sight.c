@@ -10,8 +10,9 @@ enum { BORDER = 10, SIDES = BORDER + 1, EARLY = FIRST + 1, INSTANTS = 160, MOST_
 enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
 enum { DONE = 0, UNSOLVED = 1, ELASTIC = 2, REFUSED = 3, TOO_MANY = 4, MISSING = 5 };
 
-/* As of GCC and Clang, wherever it lies; where a processor has none as long, they make it of shorter ones. */
-typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double))));
+/* As of GCC and Clang, anywhere in arrays of numbers; for processors that have none as long they make it of shorter ones. */
+typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
+typedef long long Mask __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
 
 typedef struct {
     long instants, edges, nodes, roots, breaks, same_time;
@@ -40,9 +41,9 @@ typedef struct { int node, other; double row[NW], beside[K], value; } Row;   /* 
 /* Bounds from above: of rows of one carrier at one node, and of their opposites, in blocks; what few programmes have
    stands at the end. */
 enum { ACCELERATION, TRACK, SPEED, FORCE, BLOCKS };
-enum { PEAK_AT = 2 * FORCE * LANES, STOP_AT = PEAK_AT + 2 * EFFORTS, LEAST_AT = STOP_AT + 4 * K, OCTET = 8 };
-enum { FORCE_AT = (LEAST_AT + OCTET) / OCTET * OCTET, JERK_AT = FORCE_AT + 2 * LANES, EFFORT_AT = JERK_AT + 2 * LANES };
-enum { BOUNDS = (EFFORT_AT + 2 * EFFORTS + OCTET - 1) / OCTET * OCTET };
+enum { PEAK_AT = 2 * FORCE * LANES, STOP_AT = PEAK_AT + 2 * EFFORTS, LEAST_AT = STOP_AT + 4 * K };
+enum { FORCE_AT = (LEAST_AT + LONG) / LONG * LONG, JERK_AT = FORCE_AT + 2 * LANES, EFFORT_AT = JERK_AT + 2 * LANES };
+enum { BOUNDS = (EFFORT_AT + 2 * EFFORTS + LONG - 1) / LONG * LONG };
 
 static inline __attribute__((always_inline)) int block_at(int block) { return block < FORCE ? 2 * block * LANES : FORCE_AT; }
 
@@ -71,10 +72,10 @@ typedef struct {
     double old_node[COUNT], old_dual[BOUNDS], old_tau[EFFORTS];
     double x[3][LANES], tau[EFFORTS], peak, nu[BORDER], row_missing[BORDER];
     double slack[BOUNDS], dual[BOUNDS], g[BOUNDS], weight[BOUNDS], missing[BOUNDS], change[BOUNDS], push[BOUNDS];
-    double dslack[BOUNDS], ddual[BOUNDS], centre[BOUNDS], dx[3][LANES], dtau[EFFORTS], base[COUNT][NW];
+    double inverse_slack[BOUNDS], dslack[BOUNDS], ddual[BOUNDS], centre[BOUNDS], dx[3][LANES], dtau[EFFORTS], base[COUNT][NW];
     double H[3][3][LANES], tau_H[EFFORTS], crossing[LANES], peak_tau[EFFORTS];
     double feed[COUNT][SIDES][NZ], lower[COUNT][NZ][NZ], across[COUNT][NZ][LONG * WIDE], inverse[COUNT][NZ];
-    double gradient[SIDES][COUNT][NW], direction[SIDES][COUNT][NW];
+    double border[SIDES * SIDES], gradient[SIDES][COUNT][NW], direction[SIDES][COUNT][NW];
 } Work;
 
 typedef struct {
@@ -89,6 +90,11 @@ typedef struct {
 static inline __attribute__((always_inline)) double larger(double a, double b) { return a > b ? a : b; }
 
 static inline __attribute__((always_inline)) double smaller(double a, double b) { return a < b ? a : b; }
+
+static inline __attribute__((always_inline)) Vector largest_of(Vector a, Vector b) {
+    Mask first = (Mask)(a > b);
+    return (Vector)((first & (Mask)a) | (~first & (Mask)b));
+}
 
 static int found(const Given *g, double time) {
     long low = 0, high = g->instants;

@@ -274,42 +274,31 @@ static void begin(const Given *g, Work *w, int warm) {
     }
 }
 
-/* The largest step, up to 1, that keeps slacks and duals positive. */
-static double longest(const Work *w, const double *inverse) {
-    double most[OCTET], longest = 1.0;
-    for (int o = 0; o < OCTET; o++) most[o] = 1.0;
-    for (int c = 0; c < w->bounds; c += OCTET)   /* lanes, as of vectors */
-        for (int o = 0; o < OCTET; o++) {
-            double slack = -w->dslack[c + o] * inverse[c + o], dual = -w->ddual[c + o] / w->dual[c + o];
-            most[o] = larger(most[o], larger(slack, dual));
-        }
-    for (int o = 0; o < OCTET; o++) longest = larger(longest, most[o]);
-    return 1.0 / longest;
+/* What the peak and the rows of singular instants do to each other: their parts of the steps against them. */
+static void set_border(Work *w, double peak_H) {
+    int size = 1 + w->borders;
+    for (int s = 0; s < size; s++) {
+        const double(*v)[NW] = w->direction[1 + s];
+        double part[M] = {0};
+        for (int i = 0; i < COUNT; i++)
+            for (int c = 0; c < M; c++) part[c] += w->peak_tau[i * M + c] * v[i][NX + c];
+        w->border[s] = s ? 0.0 : peak_H;
+        for (int c = 0; c < M; c++) w->border[s] += part[c];
+        for (int b = 0; b < w->borders; b++) w->border[(b + 1) * size + s] = along_row(&w->rows[b], v) - (b + 1 == s ? 1e-13 : 0.0);
+    }
 }
 
 /* The direction against gradient 0 and the missing rows; its change of every bound. */
-static int direct(Work *w, double peak_gradient, double peak_H, double *dpeak, double *dnu) {
+static int direct(Work *w, double peak_gradient, double *dpeak, double *dnu) {
     int size = 1 + w->borders;
-    double S[SIDES * SIDES], right[SIDES];
+    double S[SIDES * SIDES], right[SIDES], part[M] = {0};
     const double(*first)[NW] = w->direction[0];
-    for (int r = 0; r < size; r++) {
-        for (int s = 0; s <= size; s++) {   /* the last: gradient 0 */
-            const double(*v)[NW] = s < size ? w->direction[1 + s] : first;
-            double x = 0.0;
-            if (!r) {
-                for (int i = 0; i < COUNT; i++)
-                    for (int c = 0; c < M; c++) x += w->peak_tau[i * M + c] * v[i][NX + c];
-            } else
-                x = along_row(&w->rows[r - 1], v);
-            if (s < size) S[r * size + s] = x; else right[r] = -x;
-        }
-    }
-    S[0] += peak_H;
-    right[0] -= peak_gradient;
-    for (int b = 0; b < w->borders; b++) {
-        S[(b + 1) * (size + 1)] -= 1e-13;
-        right[b + 1] += w->row_missing[b];
-    }
+    memcpy(S, w->border, size * size * sizeof *S);
+    for (int i = 0; i < COUNT; i++)
+        for (int c = 0; c < M; c++) part[c] += w->peak_tau[i * M + c] * first[i][NX + c];
+    right[0] = -peak_gradient;
+    for (int c = 0; c < M; c++) right[0] -= part[c];
+    for (int b = 0; b < w->borders; b++) right[b + 1] = w->row_missing[b] - along_row(&w->rows[b], first);
     if (!solved(size, 1, S, right)) return 0;
     *dpeak = right[0];
     memcpy(dnu, right + 1, w->borders * sizeof *dnu);
@@ -346,70 +335,153 @@ static int is_stationary(Work *w, double base_peak) {
     return left < STATIONARY * size;
 }
 
+#define OF(name) *name = (Vector *)w->name
+
+static double sum_of(Vector v) {
+    double sum = 0.0;
+    for (int l = 0; l < LONG; l++) sum += v[l];
+    return sum;
+}
+
+static double most_of(Vector v) {
+    double most = v[0];
+    for (int l = 1; l < LONG; l++) most = larger(most, v[l]);
+    return most;
+}
+
+/* Slacks, duals and what is missing, and how far from the centre they are: the mean of slacks times duals, and the most
+   that is missing. */
+static double weigh(Work *w, double count, double *most) {
+    Vector OF(active), OF(slack), OF(dual), OF(g), OF(bound);
+    Vector OF(missing), OF(weight), OF(push), OF(inverse_slack);
+    Vector sum = {0}, worst = {0};
+    for (int v = 0; v < w->bounds / LONG; v++) {
+        Vector lacks = active[v] * (g[v] - bound[v] + slack[v]), inverse = 1.0 / slack[v], own = active[v] * dual[v];
+        inverse_slack[v] = inverse, missing[v] = lacks;
+        weight[v] = own * inverse, push[v] = own * inverse * lacks;
+        sum += own * slack[v];
+        worst = largest_of(worst, largest_of(lacks, -lacks));
+    }
+    *most = most_of(worst);
+    return sum_of(sum) / count;
+}
+
+/* How far the direction without centring may be gone; ``after``: the mean of slacks times duals there. Its products of
+   second order are left in ``centre``. */
+static double predict(Work *w, double barrier, double count, double *after) {
+    Vector OF(active), OF(dual), OF(missing), OF(weight), OF(change), OF(inverse_slack), OF(centre);
+    Vector worst = {1.0, 1.0, 1.0, 1.0}, second = {0};
+    for (int v = 0; v < w->bounds / LONG; v++) {
+        Vector dslack = -missing[v] - active[v] * change[v], ddual = -active[v] * dual[v] - weight[v] * dslack;
+        Vector share = dslack * inverse_slack[v];   /* of the slack; of the dual it is -1 - that */
+        worst = largest_of(worst, largest_of(-share, 1.0 + share));
+        centre[v] = dslack * ddual;
+        second += centre[v];
+    }
+    double alpha = 1.0 / most_of(worst);
+    *after = larger((1.0 - alpha) * barrier + alpha * alpha * sum_of(second) / count, 0.0);
+    return alpha;
+}
+
+/* Centring that brings them to ``aim``, with the terms of second order of a step of ``alpha`` without it. */
+static void set_centre(Work *w, double aim, double alpha) {
+    Vector OF(active), OF(inverse_slack), OF(centre), OF(push);
+    for (int v = 0; v < w->bounds / LONG; v++) {
+        centre[v] = active[v] * (aim - alpha * centre[v]) * inverse_slack[v];
+        push[v] += centre[v];
+    }
+}
+
+/* The change of slacks and duals; how far it may be gone. */
+static double correct(Work *w) {
+    Vector OF(active), OF(dual), OF(missing), OF(weight), OF(change), OF(inverse_slack), OF(centre);
+    Vector OF(dslack), OF(ddual);
+    Vector worst = {1.0, 1.0, 1.0, 1.0};
+    for (int v = 0; v < w->bounds / LONG; v++) {
+        dslack[v] = -missing[v] - active[v] * change[v];
+        ddual[v] = centre[v] - active[v] * dual[v] - weight[v] * dslack[v];
+        worst = largest_of(worst, largest_of(-dslack[v] * inverse_slack[v], -ddual[v] / dual[v]));
+    }
+    return 1.0 / most_of(worst);
+}
+
+/* Second derivatives of the cost with the bounds; return that by the peak. */
+static double set_hessian(Work *w) {
+    double peak_H = w->peak_cost + w->weight[LEAST_AT], part[M] = {0};
+    memcpy(w->H, w->cost, sizeof w->H);
+    memcpy(w->crossing, w->cross, sizeof w->crossing);
+    for (int b = 0; b < w->blocks; b++) {
+        const double *up = w->weight + block_at(b), *down = up + LANES;
+        for (int p = 0; p < 3; p++)
+            for (int q = 0; q < 3; q++) {
+                if (b == ACCELERATION ? p < 2 || q < 2 : b == SPEED && (!p || !q)) continue;
+                for (int l = 0; l < LANES; l++) w->H[p][q][l] += (up[l] + down[l]) * w->a[p][b][l] * w->a[q][b][l];
+            }
+    }
+    for (int j = 0; j < K; j++) {
+        const double *stop = w->weight + STOP_AT + j, out = stop[0] + stop[K], back = stop[2 * K] + stop[3 * K];
+        double after = w->after[j];
+        int l = LANES - K + j;
+        w->H[0][0][l] += out + back, w->H[1][1][l] += after * after * (out + back);
+        w->H[0][1][l] += after * (out - back), w->H[1][0][l] += after * (out - back);
+    }
+    int many = w->blocks == BLOCKS;
+    for (int l = 0; l < LANES - K && many; l++) {
+        double both = w->weight[JERK_AT + l] + w->weight[JERK_AT + LANES + l];
+        w->H[2][2][l] += both, w->H[2][2][l + K] += both, w->crossing[l] -= both;
+    }
+    for (int i = 0; i < COUNT; i++)
+        for (int c = 0; c < M; c++) {
+            int l = i * M + c;
+            double up = w->weight[PEAK_AT + l], down = w->weight[PEAK_AT + EFFORTS + l];
+            w->tau_H[l] = w->tau_cost[i] + up + down;
+            if (many) w->tau_H[l] += w->weight[EFFORT_AT + l] + w->weight[EFFORT_AT + EFFORTS + l];
+            w->peak_tau[l] = down - up;
+            part[c] += up + down;
+        }
+    for (int c = 0; c < M; c++) peak_H += part[c];
+    return peak_H;
+}
+
+/* What the rows of singular instants miss; the most. */
+static double set_row_missing(Work *w) {
+    double most = 0.0;
+    for (int b = 0; b < w->borders; b++) {
+        const Row *row = &w->rows[b];
+        double x = row->value;
+        for (int j = 0; j < K; j++) {
+            for (int d = 0; d < 3; d++) x -= row->row[d * K + j] * w->x[d][row->node * K + j];
+            x -= row->beside[j] * w->x[2][row->other * K + j];
+        }
+        for (int c = 0; c < M; c++) x -= row->row[NX + c] * w->tau[row->node * M + c];
+        w->row_missing[b] = x, most = larger(most, fabs(x));
+    }
+    return most;
+}
+
+/* The gradients of the peak and of the rows of singular instants: right sides beside the first one. */
+static void set_sides(Work *w) {
+    for (int s = 1; s < 2 + w->borders; s++) memset(w->gradient[s], 0, sizeof w->gradient[s]);
+    for (int i = 0; i < COUNT; i++)
+        for (int c = 0; c < M; c++) w->gradient[1][i][NX + c] = w->peak_tau[i * M + c];
+    for (int b = 0; b < w->borders; b++) {
+        const Row *row = &w->rows[b];
+        memcpy(w->gradient[2 + b][row->node], row->row, sizeof row->row);
+        for (int j = 0; j < K; j++) w->gradient[2 + b][row->other][2 * K + j] += row->beside[j];
+    }
+}
+
 /* Mehrotra's predictor and corrector; whether an optimum is found. */
 static int interior_point(const Given *g, Work *w, int warm) {
     begin(g, w, warm);
-    double count = 0.0, inverse[BOUNDS];
+    double count = 0.0, most, after, dpeak, dnu[BORDER];
     for (int c = 0; c < w->bounds; c++) count += w->active[c];
     for (int iteration = 0; iteration < ITERATIONS; iteration++) {
-        double barrier = 0.0, most = 0.0, peak_H = w->peak_cost, rows = 0.0, sum[OCTET], worst[OCTET];
-        memset(sum, 0, sizeof sum);
-        memset(worst, 0, sizeof worst);
         apply(w, w->x, w->tau, w->peak, w->g);
-        for (int at = 0; at < w->bounds; at += OCTET)
-            for (int o = 0; o < OCTET; o++) {
-                int c = at + o;
-                double missing = w->active[c] * (w->g[c] - w->bound[c] + w->slack[c]);
-                inverse[c] = 1.0 / w->slack[c];
-                w->weight[c] = w->active[c] * w->dual[c] * inverse[c];
-                w->missing[c] = missing, w->push[c] = w->weight[c] * missing;
-                sum[o] += w->active[c] * w->slack[c] * w->dual[c];
-                worst[o] = larger(worst[o], fabs(missing));
-            }
-        for (int o = 0; o < OCTET; o++) barrier += sum[o] / count, most = larger(most, worst[o]);
+        double barrier = weigh(w, count, &most), rows = set_row_missing(w);
         if (!(barrier < 1e12)) return 0;
-        memcpy(w->H, w->cost, sizeof w->H);
-        memcpy(w->crossing, w->cross, sizeof w->crossing);
-        for (int b = 0; b < w->blocks; b++) {
-            const double *up = w->weight + block_at(b), *down = up + LANES;
-            for (int p = 0; p < 3; p++)
-                for (int q = 0; q < 3; q++)
-                    for (int l = 0; l < LANES; l++) w->H[p][q][l] += (up[l] + down[l]) * w->a[p][b][l] * w->a[q][b][l];
-        }
-        for (int j = 0; j < K; j++) {
-            const double *stop = w->weight + STOP_AT + j, out = stop[0] + stop[K], back = stop[2 * K] + stop[3 * K];
-            double after = w->after[j];
-            int l = LANES - K + j;
-            w->H[0][0][l] += out + back, w->H[1][1][l] += after * after * (out + back);
-            w->H[0][1][l] += after * (out - back), w->H[1][0][l] += after * (out - back);
-        }
-        int many = w->blocks == BLOCKS;
-        for (int l = 0; l < LANES - K && many; l++) {
-            double both = w->weight[JERK_AT + l] + w->weight[JERK_AT + LANES + l];
-            w->H[2][2][l] += both, w->H[2][2][l + K] += both, w->crossing[l] -= both;
-        }
-        for (int l = 0; l < EFFORTS; l++) {
-            double up = w->weight[PEAK_AT + l], down = w->weight[PEAK_AT + EFFORTS + l];
-            w->tau_H[l] = w->tau_cost[l / M] + up + down;
-            if (many) w->tau_H[l] += w->weight[EFFORT_AT + l] + w->weight[EFFORT_AT + EFFORTS + l];
-            w->peak_tau[l] = down - up;
-            peak_H += up + down;
-        }
-        peak_H += w->weight[LEAST_AT];
-        if (!factorise(w)) return 0;
-        double peak_gradient = set_gradient(w, w->gradient[0]), dpeak = 0.0, dnu[BORDER];
-        for (int b = 0; b < w->borders; b++) {
-            const Row *row = &w->rows[b];
-            double x = row->value;
-            for (int j = 0; j < K; j++) {
-                for (int d = 0; d < 3; d++) x -= row->row[d * K + j] * w->x[d][row->node * K + j];
-                x -= row->beside[j] * w->x[2][row->other * K + j];
-            }
-            for (int c = 0; c < M; c++) x -= row->row[NX + c] * w->tau[row->node * M + c];
-            w->row_missing[b] = x, rows = larger(rows, fabs(x));
-        }
+        double base_peak = set_gradient(w, w->gradient[0]);
         memcpy(w->base, w->gradient[0], sizeof w->base);
-        double base_peak = peak_gradient;
         if (barrier < BARRIER && most < PRECISION && rows < PRECISION && is_stationary(w, base_peak)) {
             memcpy(w->old_node, w->node, sizeof w->node);
             memcpy(w->old_dual, w->dual, sizeof w->dual);
@@ -417,44 +489,20 @@ static int interior_point(const Given *g, Work *w, int warm) {
             w->old = 1;
             return 1;
         }
-        peak_gradient = base_peak + add_transposed(w, w->push, w->gradient[0]);
-        int sides = 2 + w->borders;
-        for (int s = 1; s < sides; s++) memset(w->gradient[s], 0, sizeof w->gradient[s]);
-        for (int i = 0; i < COUNT; i++)
-            for (int c = 0; c < M; c++) w->gradient[1][i][NX + c] = w->peak_tau[i * M + c];
-        for (int b = 0; b < w->borders; b++) {
-            const Row *row = &w->rows[b];
-            memcpy(w->gradient[2 + b][row->node], row->row, sizeof row->row);
-            for (int j = 0; j < K; j++) w->gradient[2 + b][row->other][2 * K + j] += row->beside[j];
-        }
-        step_against(w, sides);
-        if (!direct(w, peak_gradient, peak_H, &dpeak, dnu)) return 0;
-        for (int c = 0; c < w->bounds; c++) {
-            w->dslack[c] = -w->missing[c] - w->active[c] * w->change[c];
-            w->ddual[c] = w->active[c] * (-w->dual[c] - w->weight[c] * w->dslack[c]);
-        }
-        double alpha = longest(w, inverse), after = 0.0;
-        memset(sum, 0, sizeof sum);
-        for (int at = 0; at < w->bounds; at += OCTET)
-            for (int o = 0; o < OCTET; o++) {
-                int c = at + o;
-                sum[o] += w->active[c] * (w->slack[c] + alpha * w->dslack[c]) * (w->dual[c] + alpha * w->ddual[c]);
-            }
-        for (int o = 0; o < OCTET; o++) after += sum[o] / count;
-        double sigma = pow(after / barrier, 3.0), aim = larger(sigma * barrier, 0.1 * BARRIER);
-        for (int c = 0; c < w->bounds; c++) {
-            w->centre[c] = w->active[c] * (aim - alpha * w->dslack[c] * w->ddual[c]) * inverse[c];
-            w->push[c] += w->centre[c];
-        }
+        double peak_H = set_hessian(w);
+        if (!factorise(w)) return 0;
+        double peak_gradient = base_peak + add_transposed(w, w->push, w->gradient[0]);
+        set_sides(w);
+        step_against(w, 2 + w->borders);
+        set_border(w, peak_H);
+        if (!direct(w, peak_gradient, &dpeak, dnu)) return 0;
+        double alpha = predict(w, barrier, count, &after);
+        set_centre(w, larger(pow(after / barrier, 3.0) * barrier, 0.1 * BARRIER), alpha);
         memcpy(w->gradient[0], w->base, sizeof w->base);
         peak_gradient = base_peak + add_transposed(w, w->push, w->gradient[0]);
         step_against(w, 1);
-        if (!direct(w, peak_gradient, peak_H, &dpeak, dnu)) return 0;
-        for (int c = 0; c < w->bounds; c++) {
-            w->dslack[c] = -w->missing[c] - w->active[c] * w->change[c];
-            w->ddual[c] = w->active[c] * (w->centre[c] - w->dual[c] - w->weight[c] * w->dslack[c]);
-        }
-        alpha = longest(w, inverse);
+        if (!direct(w, peak_gradient, &dpeak, dnu)) return 0;
+        alpha = correct(w);
         alpha = alpha < 1.0 ? alpha * CLOSE : 1.0;
         if (alpha < 1e-8) return 0;
         for (int d = 0; d < 3; d++)
