@@ -140,7 +140,8 @@ class TickPlan:
     """A plan of a tick, and what the next one begins with.
 
     ``nodes`` (N,) s; ``at``: s, ṡ and s̈ (N, k) there; ``multipliers`` (N, n) of W τ = f there; ``left``: by which
-    fraction of f that is missed at most; ``largest``: |τ| of the command in the step from the tick on, N or N·m.
+    fraction of f that is missed at most; ``largest``: |τ| of the command in the step from the tick on, N or N·m;
+    ``solution``: what machine code begins the next programme with, in its own order, where it made this one.
     """
 
     command: Command
@@ -149,6 +150,7 @@ class TickPlan:
     multipliers: Array
     left: float
     largest: float
+    solution: Array | None = None
 
     @property
     def doubt(self) -> float:

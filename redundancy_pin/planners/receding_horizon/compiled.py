@@ -67,7 +67,7 @@ INSTANTS, BORDER = 160, 10
 
 _COUNTS = ("instants", "edges", "nodes", "roots", "breaks", "same_time")
 _SIGHT = ("t", "W", "constant", "terms", "known")
-_POINTERS = ("edge", "piece", "node", "at", "multiplier", "root", "broken", "row_scale", "row", "track", "speed")
+_POINTERS = ("edge", "piece", "node", "at", "multiplier", "solution", "root", "broken", "row_scale", "row", "track", "speed")
 _LIMITS = ("acceleration", "jerk", "carrier_force", "effort")
 _NUMBERS = ("now", "until", "step", "horizon", "spacing", "tau", "largest", "peak")
 
@@ -106,7 +106,7 @@ class CompiledTick:
         self._call, self._shape = library.rp_tick, (n, m, k, count)
         parts = {
             "pieces": 1, "efforts": 1, "forces": 1, "missing": 1, "known": 1,
-            "residual": 1, "peak": 1, "left": 1, "largest": 1,
+            "residual": 1, "peak": 1, "left": 1, "largest": 1, "solution": library.rp_tick_solution() // 8,
             "node": count, "at": 3 * count * k, "multiplier": count * n,
             "edge": count + k + 1, "piece": 4 * (count + k) * k,
             "effort_edge": INSTANTS + count, "effort": 2 * (INSTANTS + count) * m,
@@ -116,7 +116,7 @@ class CompiledTick:
         ends = np.cumsum([0, *parts.values()]).tolist()
         self._places = {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
         self._result = np.zeros(ends[-1])
-        library.rp_tick_work.restype = ctypes.c_long
+        library.rp_tick_work.restype = library.rp_tick_solution.restype = ctypes.c_long
         self._work = np.zeros(library.rp_tick_work() // 8 + 1)
         self._given = _Given(step=step, horizon=horizon)
         self._kept: dict[str, tuple[Array, Array]] = {}
@@ -156,6 +156,11 @@ class CompiledTick:
             self._own = None, self._own[1]
             self._point("node", last.nodes)
             self._point("multiplier", last.multipliers)
+            if last.solution is None:
+                self._kept.pop("solution", None)
+                own.solution = None
+            else:
+                self._point("solution", last.solution)
         if carriers.edges is not self._own[1]:
             self._own = self._own[0], None
             self._point("edge", carriers.edges)
@@ -238,12 +243,13 @@ class CompiledTick:
             residual, peak, coming, float(nodes[max(known - 1, 0)]), 0.0, seconds,
         )  # fmt: skip
         base, own = result.ctypes.data, self._given
-        for name in ("node", "multiplier", "edge", "piece"):
+        for name in ("node", "multiplier", "solution", "edge", "piece"):
             setattr(own, name, base + 8 * places[name].start)
             self._kept.pop(name, None)
         self._own = nodes, carriers.edges
         return TickPlan(
-            command, nodes, (at[0], at[1], at[2]), result[places["multiplier"]].reshape(count, n), left, largest
+            command, nodes, (at[0], at[1], at[2]), result[places["multiplier"]].reshape(count, n), left, largest,
+            result[places["solution"]],
         )
 
 
@@ -271,7 +277,7 @@ def _built(
 ) -> tuple[ctypes.CDLL | None, str]:
     def load(path: Path) -> ctypes.CDLL:
         library = loaded(path)
-        _ = library.rp_tick, library.rp_tick_work  # AttributeError where the file is another one
+        _ = library.rp_tick, library.rp_tick_work, library.rp_tick_solution  # AttributeError where the file is another one
         return library
 
     return built(lambda identity: digest([text, identity, *flags, machine]), lambda: text, load, flags)

@@ -145,7 +145,7 @@ static int planned(const Given *g, Work *w, const double *t, int count, Plan *pl
         for (int j = 0; j < K; j++) w->x[d][j] = w->given[d][j] / g->unit[d * K + j];
     linearise(g, w);
     if (w->borders > BORDER - 2 || !condense(g, w) || !set_programme(g, w)) return 0;
-    if (!(w->old && interior_point(g, w, 1)) && !interior_point(g, w, 0)) return 0;
+    if (!(w->before && interior_point(g, w, 1)) && !interior_point(g, w, 0)) return 0;
     double *s = plan->at, *sd = s + LANES, *sdd = sd + LANES;
     for (int j = 0; j < K; j++) s[j] = w->given[0][j], sd[j] = w->given[1][j];
     for (int l = 0; l < LANES; l++) sdd[l] = w->x[2][l] * ua[l % K];
@@ -181,6 +181,8 @@ static void linear(const double *t, const double *value, long pieces, int c, dou
             piece[(pieces + i) * c + j] = value[i * c + j];
         }
 }
+
+EXPORTED long rp_tick_solution(void) { return sizeof(Solution); }
 
 EXPORTED long rp_tick_work(void) { return sizeof(Work) + 2 * sizeof(Plan); }
 
@@ -232,6 +234,8 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
             if (fabs(g->node[o] - w->node[i]) <= SAME) memcpy(w->multiplier + i * N, g->multiplier + o * N, N * sizeof(double));
     }
     if (same) memcpy(w->at, g->at, sizeof w->at);
+    w->before = g->solution && g->nodes == COUNT;
+    if (w->before) memcpy(w->node_before, g->node, sizeof w->node_before), memcpy(&w->solution, g->solution, sizeof w->solution);
     if (!planned(g, w, t, count, best)) return UNSOLVED;
     int halfway = 0;
     for (int done = 1; done < MOST_ROUNDS; done++) {
@@ -253,6 +257,7 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
     if (best->left > STUCK) return ELASTIC;
     result->pieces = best->pieces;
     result->residual = best->residual, result->peak = best->peak, result->left = best->left;
+    result->solution = w->solution;
     memcpy(result->at, best->at, sizeof best->at);
     memcpy(result->multiplier, best->multiplier, sizeof best->multiplier);
     memcpy(result->edge, best->edge, sizeof best->edge);

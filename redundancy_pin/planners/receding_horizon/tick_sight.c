@@ -20,23 +20,12 @@ typedef struct {
     const unsigned char *reachable;
     const double *edge, *piece;                     /* carriers of the last plan: (edges), (4, edges - 1, K) */
     const double *node, *at, *multiplier;           /* its nodes, (3, nodes, K) and (nodes, N) there */
+    const double *solution;                         /* its ``Solution``; 0 of a plan that was made otherwise */
     const double *root, *broken;                    /* singular instants, jumps of the platform's acceleration */
     const double *row_scale, *row, *track, *speed, *acceleration, *jerk, *carrier_force, *effort, *unit, *weight;
     const double *s, *sd;                           /* where the carriers are; NaN where the last plan is to be believed */
     double now, until, step, horizon, spacing, tau, largest, peak;
 } Given;
-
-typedef struct {
-    long pieces, efforts, forces, missing, known;
-    double residual, peak, left, largest;
-    double node[COUNT], at[3 * LANES], multiplier[COUNT * N];
-    double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];       /* carriers, as (4, pieces, K) */
-    double effort_edge[TIMES], effort[2 * TIMES * M];       /* efforts, as (2, efforts, M) */
-    double force_edge[INSTANTS], force[2 * INSTANTS * K];
-    double missing_time[COUNT + 2 * BORDER + INSTANTS];
-} Result;
-
-typedef struct { int node, other; double row[NW], beside[K], value; } Row;   /* of a singular instant */
 
 /* Bounds from above: of rows of one carrier at one node, and of their opposites, in blocks; what few programmes have
    stands at the end. */
@@ -46,6 +35,22 @@ enum { FORCE_AT = (LEAST_AT + LONG) / LONG * LONG, JERK_AT = FORCE_AT + 2 * LANE
 enum { BOUNDS = (EFFORT_AT + 2 * EFFORTS + LONG - 1) / LONG * LONG };
 
 static inline __attribute__((always_inline)) int block_at(int block) { return block < FORCE ? 2 * block * LANES : FORCE_AT; }
+
+/* Of a programme, where the next one begins: duals of its bounds, and efforts at its nodes. */
+typedef struct { double dual[BOUNDS], tau[EFFORTS]; } Solution;
+
+typedef struct {
+    long pieces, efforts, forces, missing, known;
+    double residual, peak, left, largest;
+    Solution solution;
+    double node[COUNT], at[3 * LANES], multiplier[COUNT * N];
+    double edge[COUNT + K + 1], piece[4 * (COUNT + K) * K];       /* carriers, as (4, pieces, K) */
+    double effort_edge[TIMES], effort[2 * TIMES * M];       /* efforts, as (2, efforts, M) */
+    double force_edge[INSTANTS], force[2 * INSTANTS * K];
+    double missing_time[COUNT + 2 * BORDER + INSTANTS];
+} Result;
+
+typedef struct { int node, other; double row[NW], beside[K], value; } Row;   /* of a singular instant */
 
 typedef struct {
     /* nodes */
@@ -68,8 +73,9 @@ typedef struct {
     int bounds, blocks;
     double bound[BOUNDS], active[BOUNDS];
     /* interior point method */
-    int old;
-    double old_node[COUNT], old_dual[BOUNDS], old_tau[EFFORTS];
+    int before;   /* whether there is a solution to begin with, of the last plan or the round before */
+    double node_before[COUNT];
+    Solution solution;
     double x[3][LANES], tau[EFFORTS], peak, nu[BORDER], row_missing[BORDER];
     double slack[BOUNDS], dual[BOUNDS], g[BOUNDS], weight[BOUNDS], missing[BOUNDS], change[BOUNDS], push[BOUNDS];
     double inverse_slack[BOUNDS], dslack[BOUNDS], ddual[BOUNDS], centre[BOUNDS], dx[3][LANES], dtau[EFFORTS], base[COUNT][NW];

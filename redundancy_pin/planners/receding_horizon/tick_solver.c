@@ -197,7 +197,7 @@ static double along_row(const Row *row, const double (*v)[NW]) {
 /* The duals of the last programme at the nodes that both have, by bounds of a node: ``width`` of them from ``place`` on. */
 static void remember(Work *w, const int *old, int place, int width) {
     for (int i = 0; i < COUNT; i++)
-        for (int l = 0; l < width; l++) w->dual[place + i * width + l] = old[i] < 0 ? 0.0 : w->old_dual[place + old[i] * width + l];
+        for (int l = 0; l < width; l++) w->dual[place + i * width + l] = old[i] < 0 ? 0.0 : w->solution.dual[place + old[i] * width + l];
 }
 
 /* A first point: sdd as near as it may be to those of the plan that all is linear about. */
@@ -205,8 +205,8 @@ static void begin(const Given *g, Work *w, int warm) {
     const double *ua = g->unit + 2 * K;
     int old[COUNT];
     for (int i = 0, o = 0; i < COUNT; i++) {
-        while (o < COUNT && w->old_node[o] < w->node[i] - SAME) o++;
-        old[i] = warm && o < COUNT && w->old_node[o] <= w->node[i] + SAME ? o : -1;
+        while (o < COUNT && w->node_before[o] < w->node[i] - SAME) o++;
+        old[i] = warm && o < COUNT && w->node_before[o] <= w->node[i] + SAME ? o : -1;
     }
     for (int i = 0; i < COUNT; i++) {
         double z[NV], free[NF], A[NZ * NZ], rhs[NZ];
@@ -232,7 +232,7 @@ static void begin(const Given *g, Work *w, int warm) {
             }
             if (old[i] >= 0)
                 for (int c = 0; c < M; c++)
-                    rhs[p] += DAMPING * w->motion[i][K + c][NX + p] * (w->old_tau[old[i] * M + c] / w->tau_unit - free[K + c]);
+                    rhs[p] += DAMPING * w->motion[i][K + c][NX + p] * (w->solution.tau[old[i] * M + c] / w->tau_unit - free[K + c]);
         }
         solved(NZ, 1, A, rhs);
         for (int e = 0; e < NF; e++)
@@ -256,7 +256,7 @@ static void begin(const Given *g, Work *w, int warm) {
     for (int c = 0; c < w->bounds; c++) beyond = larger(beyond, w->active[c] * (w->g[c] - w->bound[c]));
     barrier = beyond < GOOD ? GOOD_BARRIER : FIRST_BARRIER;
     if (warm) {
-        memcpy(w->dual, w->old_dual, sizeof w->dual);
+        memcpy(w->dual, w->solution.dual, sizeof w->dual);
         for (int b = 0; b < w->blocks; b++)
             for (int side = 0; side < 2; side++) remember(w, old, block_at(b) + side * LANES, K);
         for (int side = 0; side < 2; side++) remember(w, old, PEAK_AT + side * EFFORTS, M);
@@ -483,10 +483,11 @@ static int interior_point(const Given *g, Work *w, int warm) {
         double base_peak = set_gradient(w, w->gradient[0]);
         memcpy(w->base, w->gradient[0], sizeof w->base);
         if (barrier < BARRIER && most < PRECISION && rows < PRECISION && is_stationary(w, base_peak)) {
-            memcpy(w->old_node, w->node, sizeof w->node);
-            memcpy(w->old_dual, w->dual, sizeof w->dual);
-            for (int l = 0; l < EFFORTS; l++) w->old_tau[l] = w->tau[l] * w->tau_unit;
-            w->old = 1;
+            memcpy(w->node_before, w->node, sizeof w->node);
+            memset(w->solution.dual, 0, sizeof w->solution.dual);
+            memcpy(w->solution.dual, w->dual, w->bounds * sizeof *w->dual);
+            for (int l = 0; l < EFFORTS; l++) w->solution.tau[l] = w->tau[l] * w->tau_unit;
+            w->before = 1;
             return 1;
         }
         double peak_H = set_hessian(w);
