@@ -47,14 +47,11 @@ SETTINGS = {
     "ITERATIONS": 40,
     "CLOSE": 0.995,  # of the way to the nearest bound
     "ROOM": 0.05,  # least slack of a first point, in units
-    "FIRST_BARRIER": 1e-2,
-    "GOOD": 0.05,  # what a first point misses bounds by at most, in units, for the next to be its barrier
-    "GOOD_BARRIER": 1e-3,
-    "WARM_SLACK": 1e-2,
-    "WARM_BARRIER": 1e-4,
-    "WARM_MOST": 1e-1,
+    "FIRST_BARRIER": 1e-2,  # slack times dual there
+    "WARM_ROOM": 5e-3,  # the same where there is a solution of nearly the same programme
+    "WARM_BARRIER": 3e-5,  # at least
     "WITHIN": 0.9,  # share of the limits of acceleration that a first point has at most
-    "DAMPING": 1e-2,  # of a first point: it is as near to the last plan as its accelerations may be
+    "DAMPING": 1e-2,  # of a first point: weight of the efforts, that of accelerations being 1
     "SAME_ROW": 1e-8,  # share of the jerk in a row of a singular instant below which it has none
 }
 """Of the interior point method; found by trial on random paths: half the iterations that PIQP has there."""

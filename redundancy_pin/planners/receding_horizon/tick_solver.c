@@ -194,15 +194,18 @@ static double along_row(const Row *row, const double (*v)[NW]) {
     return x;
 }
 
-/* The duals of the last programme at the nodes that both have, by bounds of a node: ``width`` of them from ``place`` on. */
+/* Duals of the solution before at the nodes that both have, of bounds from ``place`` on, ``width`` a node and side. */
 static void remember(Work *w, const int *old, int place, int width) {
-    for (int i = 0; i < COUNT; i++)
-        for (int l = 0; l < width; l++) w->dual[place + i * width + l] = old[i] < 0 ? 0.0 : w->solution.dual[place + old[i] * width + l];
+    for (int side = 0; side < 2; side++, place += COUNT * width)
+        for (int i = 0; i < COUNT; i++)
+            for (int l = 0; l < width; l++)
+                w->dual[place + i * width + l] = old[i] < 0 ? 0.0 : w->solution.dual[place + old[i] * width + l];
 }
 
-/* A first point: sdd as near as it may be to those of the plan that all is linear about. */
+/* A first point: sdd as near as it may be to those of the plan that all is linear about, and efforts and duals to those of
+   the solution before, if it is to be ``warm``. */
 static void begin(const Given *g, Work *w, int warm) {
-    const double *ua = g->unit + 2 * K;
+    const double *ua = g->unit + 2 * K, room = warm ? WARM_ROOM : ROOM, barrier = warm ? WARM_BARRIER : FIRST_BARRIER;
     int old[COUNT];
     for (int i = 0, o = 0; i < COUNT; i++) {
         while (o < COUNT && w->node_before[o] < w->node[i] - SAME) o++;
@@ -249,28 +252,20 @@ static void begin(const Given *g, Work *w, int warm) {
     }
     w->peak = -w->bound[LEAST_AT];
     for (int l = 0; l < EFFORTS; l++) w->peak = larger(w->peak, fabs(w->tau[l]));
-    w->peak += ROOM;
+    w->peak += room;
     memset(w->nu, 0, sizeof w->nu);
     apply(w, w->x, w->tau, w->peak, w->g);
-    double beyond = 0.0, barrier;
-    for (int c = 0; c < w->bounds; c++) beyond = larger(beyond, w->active[c] * (w->g[c] - w->bound[c]));
-    barrier = beyond < GOOD ? GOOD_BARRIER : FIRST_BARRIER;
     if (warm) {
         memcpy(w->dual, w->solution.dual, sizeof w->dual);
-        for (int b = 0; b < w->blocks; b++)
-            for (int side = 0; side < 2; side++) remember(w, old, block_at(b) + side * LANES, K);
-        for (int side = 0; side < 2; side++) remember(w, old, PEAK_AT + side * EFFORTS, M);
-        if (w->blocks == BLOCKS)
-            for (int side = 0; side < 2; side++) remember(w, old, JERK_AT + side * LANES, K), remember(w, old, EFFORT_AT + side * EFFORTS, M);
-        for (int c = 0; c < w->bounds; c++) {
-            w->slack[c] = w->active[c] > 0.0 ? larger(w->bound[c] - w->g[c], WARM_SLACK) : 1.0;
-            w->dual[c] = w->active[c] > 0.0 ? smaller(larger(w->dual[c], WARM_BARRIER / w->slack[c]), WARM_MOST / w->slack[c]) : 1.0;
-        }
-        return;
-    }
+        for (int b = 0; b < w->blocks; b++) remember(w, old, block_at(b), K);
+        remember(w, old, PEAK_AT, M);
+        if (w->blocks == BLOCKS) remember(w, old, JERK_AT, K), remember(w, old, EFFORT_AT, M);
+    } else
+        memset(w->dual, 0, sizeof w->dual);
     for (int c = 0; c < w->bounds; c++) {
-        w->slack[c] = w->active[c] > 0.0 ? larger(w->bound[c] - w->g[c], ROOM) : 1.0;
-        w->dual[c] = w->active[c] > 0.0 ? barrier / w->slack[c] : 1.0;
+        double slack = larger(w->bound[c] - w->g[c], room);
+        w->slack[c] = w->active[c] > 0.0 ? slack : 1.0;
+        w->dual[c] = w->active[c] > 0.0 ? larger(w->dual[c], barrier / slack) : 1.0;
     }
 }
 
