@@ -64,7 +64,8 @@ INSTANTS, BORDER = 160, 10
 
 _COUNTS = ("instants", "edges", "nodes", "roots", "breaks", "same_time")
 _SIGHT = ("t", "W", "constant", "terms", "known")
-_POINTERS = ("edge", "piece", "node", "at", "multiplier", "solution", "root", "broken", "row_scale", "row", "track", "speed")
+_PLAN = ("edge", "piece", "node", "at", "multiplier", "solution")
+_POINTERS = (*_PLAN, "root", "broken", "row_scale", "row", "track", "speed")
 _LIMITS = ("acceleration", "jerk", "carrier_force", "effort")
 _NUMBERS = ("now", "until", "step", "horizon", "spacing", "tau", "largest", "peak")
 
@@ -244,10 +245,8 @@ class CompiledTick:
             setattr(own, name, base + 8 * places[name].start)
             self._kept.pop(name, None)
         self._own = nodes, carriers.edges
-        return TickPlan(
-            command, nodes, (at[0], at[1], at[2]), result[places["multiplier"]].reshape(count, n), left, largest,
-            result[places["solution"]],
-        )
+        multipliers, solution = result[places["multiplier"]].reshape(count, n), result[places["solution"]]
+        return TickPlan(command, nodes, (at[0], at[1], at[2]), multipliers, left, largest, solution)
 
 
 def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> tuple[ctypes.CDLL | None, str]:
@@ -274,7 +273,8 @@ def _built(
 ) -> tuple[ctypes.CDLL | None, str]:
     def load(path: Path) -> ctypes.CDLL:
         library = loaded(path)
-        _ = library.rp_tick, library.rp_tick_work, library.rp_tick_solution  # AttributeError where the file is another one
+        # AttributeError where the file is another one
+        _ = library.rp_tick, library.rp_tick_work, library.rp_tick_solution
         return library
 
     return built(lambda identity: digest([text, identity, *flags, machine]), lambda: text, load, flags)
