@@ -118,7 +118,7 @@ class CompiledTick:
         self._given = _Given(step=step, horizon=horizon)
         self._kept: dict[str, tuple[Array, Array]] = {}
         self._known: Coefficients | None = None
-        self._sight: object = None
+        self._sight: tuple[object, float] = None, np.nan
         self._own: tuple[Array | None, Array | None] = None, None
         self._nowhere = np.full(k, np.nan)
         self._arguments = ctypes.byref(self._given), *map(_address, (self._result, self._work))
@@ -139,9 +139,9 @@ class CompiledTick:
     def _point_to_sight(self, known: Coefficients) -> None:
         """Have the arguments point to what is in sight, of which more may be known in the same memory."""
         self._given.instants, self._known = len(known.t), known
-        place = known.t.ctypes.data
-        if place != self._given.t or known.t.base is not self._sight:
-            self._sight = known.t.base
+        begins = known.t.base, known.t[0]  # there is no other beginning at that time in the same memory
+        if begins[0] is not self._sight[0] or begins[1] != self._sight[1]:
+            self._sight = begins
             for name in _SIGHT:
                 setattr(self._given, name, getattr(known, name).ctypes.data)
 
@@ -208,7 +208,7 @@ class CompiledTick:
             if status != MISSING:
                 break
             places = self._places["missing_time"]
-            ahead.at(np.unique(self._result[places][: self._whole("missing")]))
+            ahead.at(self._result[places][: self._whole("missing")])
         return self._made(t, ahead.roots, seconds) if status == DONE else None
 
     def _whole(self, name: str) -> int:
