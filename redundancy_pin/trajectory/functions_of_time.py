@@ -93,7 +93,8 @@ class PiecewisePolynomial(Frozen):
         """Return the values (C,) at one time, s, in a few microseconds: a third of what ``PPoly`` takes."""
         left, right, pieces, exponents = self._by_piece
         i = max(bisect_right(left, t) - 1, 0)
-        return (min(max(t, left[i]), right[i]) - left[i]) ** exponents @ pieces[i]
+        values: Array = ((min(max(t, left[i]), right[i]) - left[i]) ** exponents).dot(pieces[i])  # sooner than @
+        return values
 
     def derivative(self, order: int = 1) -> PiecewisePolynomial:
         """Return the derivative of an order, unit of the values / s^order."""

@@ -35,8 +35,8 @@ POINTS = 13
 """At which det W is evaluated around a change of its sign, for its polynomial."""
 
 ROUNDING = 1e-14
-"""Of det W over its largest: coefficients of the polynomial below it are none. Mostly four to six are left, of which the
-zeros are found in a third of the time of all."""
+"""Of det W over its largest: coefficients of its polynomial that are less are none. Of the five or so that are left the
+zeros are found sooner than of all."""
 
 SHALLOW = 0.1
 """Least over largest |det W| of these at which there is none between them: of a parabola that touches zero between the
@@ -98,7 +98,7 @@ class Coefficients(NamedTuple):
 
     def at(self, places: IntArray | BoolArray) -> Coefficients:
         """Return those of some instants."""
-        return Coefficients(*(part[places] for part in self))
+        return Coefficients._make(part[places] for part in self)
 
     def values(self, places: IntArray, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f and forces (N, n + k) of carriers (N, k) at some of the instants."""
@@ -137,15 +137,22 @@ class _Memory:
         self._arrays: list[NDArray[Any]] = []
         self._first = self._last = self._room = 0
 
-    def add(self, parts: tuple[NDArray[Any], ...]) -> Coefficients:
-        """Return what is known with further instants, as arrays in the order of ``Coefficients``."""
-        times, old = parts[0], self.known
-        count = len(old.t) + len(times)
-        new: slice | IntArray = slice(self._last, self._last + len(times))
-        if self._last + len(times) > self._room or (len(old.t) and times[0] < old.t[-1]):  # between those: seldom
-            new = old.t.searchsorted(times) + np.arange(len(times))
-            self._move(parts, np.delete(np.arange(count), new))
-        for array, part in zip(self._arrays, parts, strict=True):
+    def add(self, times: Array, reachable: BoolArray | bool, terms: CarrierTerms) -> Coefficients:
+        """Return what is known with further instants, s."""
+        old, more = self.known, len(times)
+        count = len(old.t) + more
+        new: slice | IntArray = slice(self._last, self._last + more)
+        if self._last + more > self._room or (len(old.t) and times[0] < old.t[-1]):  # between them: seldom
+            new = old.t.searchsorted(times) + np.arange(more)
+            kept = np.delete(np.arange(count), new)
+            self._first, self._room = 0, max(ROOM, 2 * count)
+            # float64 whatever a backend has: machine code reads them
+            of_terms = (np.empty((self._room, *part.shape[1:])) for part in terms)
+            self._arrays = [np.empty(self._room), np.empty(self._room, dtype=bool), *of_terms]
+            if len(kept):
+                for array, known in zip(self._arrays, old, strict=True):
+                    array[kept] = known
+        for array, part in zip(self._arrays, (times, reachable, *terms), strict=True):
             array[new] = part
         self._last = self._first + count
         return self._seen()
@@ -155,19 +162,9 @@ class _Memory:
         self._first += int(self.known.t.searchsorted(time))
         return self._seen()
 
-    def _move(self, like: tuple[NDArray[Any], ...], kept: IntArray) -> None:
-        """Go on in other arrays, with what is known at these places in them."""
-        self._first, self._room = 0, max(ROOM, 2 * (len(kept) + len(like[0])))
-        # float64 whatever a backend has: machine code reads them
-        kinds = (np.bool_ if part.dtype == np.bool_ else np.float64 for part in like)
-        self._arrays = [np.empty((self._room, *part.shape[1:]), dtype=k) for part, k in zip(like, kinds, strict=True)]
-        if len(kept):
-            for array, part in zip(self._arrays, self.known, strict=True):
-                array[kept] = part
-
     def _seen(self) -> Coefficients:
         seen = slice(self._first, self._last)
-        self.known = Coefficients(*[array[seen] for array in self._arrays])
+        self.known = Coefficients._make([array[seen] for array in self._arrays])
         return self.known
 
 
@@ -266,12 +263,12 @@ class Ahead:
 
     def _add(self, times: Array) -> None:
         read = self._read(times)
-        if isfinite(read.constant.sum()):
-            reachable: BoolArray = np.ones(len(times), dtype=bool)
+        if isfinite(sum(read.constant.ravel().tolist())):
+            reachable: BoolArray | bool = True
         else:
             reachable = np.asarray(np.isfinite(read.constant).all(axis=1))
             read = CarrierTerms(*map(np.nan_to_num, read))
-        self.known = self._memory.add((times, reachable, *read))
+        self.known = self._memory.add(times, reachable, read)
 
     def _read(self, times: Array) -> CarrierTerms:
         if self._turning or not self._checked:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, frozen
+from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.machine_code import (
     FLAGS,
     NATIVE,
@@ -113,6 +113,7 @@ class CompiledTick:
         ends = np.cumsum([0, *parts.values()]).tolist()
         self._places = {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
         self._result = np.zeros(ends[-1])
+        self._counts, self._numbers = self._result[:5].view(np.int64), self._result[5:9]
         library.rp_tick_work.restype = ctypes.c_long
         self._work = np.zeros(library.rp_tick_work() // 8 + 1)
         self._given = _Given(step=step, horizon=horizon)
@@ -208,18 +209,14 @@ class CompiledTick:
             if status != MISSING:
                 break
             places = self._places["missing_time"]
-            ahead.at(self._result[places][: self._whole("missing")])
+            ahead.at(self._result[places][: self._counts[3]])
         return self._made(t, ahead.roots, seconds) if status == DONE else None
 
-    def _whole(self, name: str) -> int:
-        return int(self._result[self._places[name]].view(np.int64)[0])
-
     def _made(self, t: float, roots: Array, seconds: float) -> TickPlan:
-        result = self._result.copy()
-        result.flags.writeable = False
+        result = read_only(self._result.copy())
         (n, m, k, count), places = self._shape, self._places
-        pieces, efforts, forces, _, known = result[:5].view(np.int64).tolist()
-        residual, peak, left, largest = result[5:9].tolist()
+        pieces, efforts, forces, _, known = self._counts.tolist()
+        residual, peak, left, largest = self._numbers.tolist()
 
         def function(edges: str, coefficients: str, order: int, pieces: int, width: int) -> PiecewisePolynomial:
             first, start = places[edges].start, places[coefficients].start
