@@ -291,17 +291,16 @@ class Ahead:
     def _scan(self, places: IntArray | slice) -> None:
         """Look for singular instants among the last edges, which are at these places, and the two before."""
         new, reachable = np.linalg.det(self.known.W[places]).tolist(), self.known.known[places].tolist()
-        value = self._determinants + [v if there else nan for v, there in zip(new, reachable, strict=True)]
-        self._determinants = value[-2:]
-        self._largest = largest = max([self._largest, *(abs(v) for v in value if not isnan(v))])
         # of few numbers sooner known than by arrays; what is compared with NaN is false
+        value = self._determinants + [v if there else nan for v, there in zip(new, reachable, strict=True)]
         size = [abs(v) for v in value]
+        self._determinants = value[-2:]
+        self._largest = largest = max([self._largest, *[v for v in size if not isnan(v)]])
         zero = [v <= AT_REST * largest for v in size]
-        brackets = {
-            (j, j + 1)
-            for j in range(len(value) - 1)
-            if value[j] * value[j + 1] < 0.0 and not zero[j] and not zero[j + 1]
-        }
+        brackets = set()
+        for j in range(1, len(value)):
+            if value[j - 1] * value[j] < 0.0 and not zero[j - 1] and not zero[j]:
+                brackets.add((j - 1, j))
         for j in range(1, len(value) - 1):
             dip = size[j] <= size[j - 1] and size[j] < size[j + 1] and size[j] < 0.3 * largest
             if (dip and value[j - 1] * value[j + 1] > 0.0) or (zero[j] and not zero[j - 1] and not zero[j + 1]):

@@ -213,7 +213,9 @@ class CompiledTick:
         return self._made(t, ahead.roots, seconds) if status == DONE else None
 
     def _made(self, t: float, roots: Array, seconds: float) -> TickPlan:
-        result = read_only(self._result.copy())
+        result = self._result.copy()
+        base, own = ctypes.addressof(ctypes.c_double.from_buffer(result.data)), self._given  # sooner than by numpy
+        read_only(result)
         (n, m, k, count), places = self._shape, self._places
         pieces, efforts, forces, _, known = self._counts.tolist()
         residual, peak, left, largest = self._numbers.tolist()
@@ -231,7 +233,6 @@ class CompiledTick:
             function("effort_edge", "effort", 2, efforts, m), function("force_edge", "force", 2, forces, k),
             residual, peak, coming, float(nodes[max(known - 1, 0)]), 0.0, seconds,
         )  # fmt: skip
-        base, own = result.ctypes.data, self._given
         for name in ("node", "multiplier", "edge", "piece"):
             setattr(own, name, base + 8 * places[name].start)
             self._kept.pop(name, None)
