@@ -31,8 +31,8 @@ from redundancy_pin.trajectory.functions_of_time import chebyshev_points, chebys
 PARTS = 8
 """Instants a step at which W τ = f is known: two crossings closer than that show as a dip of det W."""
 
-POINTS = 13
-"""At which det W is evaluated around a change of its sign, for its polynomial."""
+POINTS = 9
+"""At which det W is evaluated around a change of its sign, for its polynomial: exact to rounding up to steps of 50 ms."""
 
 ROUNDING = 1e-14
 """Of det W over its largest: coefficients of its polynomial that are less are none. Of the five or so that are left the
@@ -40,7 +40,7 @@ zeros are found sooner than of all."""
 
 SHALLOW = 0.1
 """Least over largest |det W| of these at which there is none between them: of a parabola that touches zero between the
-middle two it would be a seventieth."""
+middle two it would be a forty-fifth."""
 
 TOUCH = 1e-3
 """|det W| at a dip, relative to the largest, below which the motion counts as touching the singularity."""
@@ -144,7 +144,7 @@ class _Memory:
         new: slice | IntArray = slice(self._last, self._last + more)
         if self._last + more > self._room or (len(old.t) and times[0] < old.t[-1]):  # between them: seldom
             new = old.t.searchsorted(times) + np.arange(more)
-            kept = np.delete(np.arange(count), new)
+            kept = times.searchsorted(old.t) + np.arange(len(old.t))
             self._first, self._room = 0, max(ROOM, 2 * count)
             # float64 whatever a backend has: machine code reads them
             of_terms = (np.empty((self._room, *part.shape[1:])) for part in terms)
