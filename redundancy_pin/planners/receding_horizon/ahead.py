@@ -32,7 +32,7 @@ PARTS = 8
 """Instants a step at which W τ = f is known: two crossings closer than that show as a dip of det W."""
 
 POINTS = 9
-"""At which det W is evaluated around a change of its sign, for its polynomial: exact to rounding up to steps of 50 ms."""
+"""At which det W is evaluated around a change of its sign, for its polynomial: to rounding, of steps up to 50 ms."""
 
 ROUNDING = 1e-14
 """Of det W over its largest: coefficients of its polynomial that are less are none. Of the five or so that are left the
