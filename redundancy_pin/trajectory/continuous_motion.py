@@ -119,7 +119,7 @@ class ContinuousMotion(Frozen):
         held = self.moves_until != self.end and times[-1] >= self.moves_until
         inside = np.minimum(times, self.moves_until) if held else times
         # of few times one by one is sooner done than all at once
-        values = np.stack([source.at(t) for t in inside.tolist()]) if len(times) <= FEW else source(inside)
+        values = np.array([source.at(t) for t in inside.tolist()]) if len(times) <= FEW else source(inside)
         if held:
             values[times >= self.moves_until, -2 * n :] = 0.0
         x, xd, xdd = values[:, : -2 * n], values[:, -2 * n : -n], values[:, -n:]

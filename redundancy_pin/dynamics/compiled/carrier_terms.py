@@ -51,7 +51,10 @@ class Continued:
         """Make memory for so many samples, whose addresses are looked up once."""
         self._room = samples
         self._given, self._sizes = np.empty((samples, self._width)), np.empty((samples, 3))
-        self._addresses = [ctypes.c_void_p(part.ctypes.data) for part in (self._given, self._near, self._sizes)]
+        n, m, k = self._n, self._m, self._k
+        self._out = np.empty(samples * (n * m + (1 + k * TERMS) * (n + k)))
+        parts = self._given, self._near, self._out, self._sizes
+        self._addresses = [ctypes.c_void_p(part.ctypes.data) for part in parts]
 
     def __call__(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, f and forces by terms; arguments as of ``Dynamics.carrier_terms``."""
@@ -66,10 +69,10 @@ class Continued:
         np.concatenate((t[:, None], flat, xd, xdd, *wrenches), axis=1, out=self._given[:samples])
         a = samples * n * m
         b = a + samples * (n + k)
-        out = np.empty(b + samples * k * TERMS * (n + k))
-        given, near, sizes = self._addresses
-        if self._function(samples, given, self._width, near, ctypes.c_void_p(out.ctypes.data), sizes) != CLOSED:
+        given, near, result, sizes = self._addresses
+        if self._function(samples, given, self._width, near, result, sizes) != CLOSED:
             return self._followed(t, x, xd, xdd)
+        out = self._out[: b + samples * k * TERMS * (n + k)].copy()
         return CarrierTerms(
             out[:a].reshape(samples, n, m),
             out[a:b].reshape(samples, n + k),

@@ -13,12 +13,12 @@ that continues s̄ without jerk,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import floor, isfinite, isnan, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial import Chebyshev
+from numpy.polynomial.chebyshev import chebder, chebroots, chebtrim, chebval
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
@@ -31,12 +31,16 @@ from redundancy_pin.trajectory.functions_of_time import chebyshev_points, chebys
 PARTS = 8
 """Instants a step at which W τ = f is known: two crossings closer than that show as a dip of det W."""
 
-POINTS = 13
-"""At which det W is evaluated around a change of its sign, for its polynomial."""
+POINTS = 9
+"""At which det W is evaluated around a change of its sign, for its polynomial: to rounding, of steps up to 50 ms."""
+
+ROUNDING = 1e-14
+"""Of det W over its largest: coefficients of its polynomial that are less are none. Of the five or so that are left the
+zeros are found sooner than of all."""
 
 SHALLOW = 0.1
 """Least over largest |det W| of these at which there is none between them: of a parabola that touches zero between the
-middle two it would be a seventieth."""
+middle two it would be a forty-fifth."""
 
 TOUCH = 1e-3
 """|det W| at a dip, relative to the largest, below which the motion counts as touching the singularity."""
@@ -79,8 +83,7 @@ KEPT = 3
 """Steps that are past and still kept, for the nodes around a singular instant that is past."""
 
 
-@dataclass(frozen=True, eq=False)
-class Coefficients:
+class Coefficients(NamedTuple):
     """Of N instants; n coordinates, m main actuators, k carriers, T terms.
 
     ``t`` (N,) s; ``known`` (N,) whether the machine can be there; ``W`` (N, n, m); ``constant`` (N, n + k): f and the
@@ -95,7 +98,7 @@ class Coefficients:
 
     def at(self, places: IntArray | BoolArray) -> Coefficients:
         """Return those of some instants."""
-        return Coefficients(*(getattr(self, name)[places] for name in _NAMES))
+        return Coefficients._make(part[places] for part in self)
 
     def values(self, places: IntArray, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f and forces (N, n + k) of carriers (N, k) at some of the instants."""
@@ -123,9 +126,6 @@ class Coefficients:
         return second.transpose(2, 3, 0, 1)
 
 
-_NAMES = tuple(field.name for field in fields(Coefficients))
-
-
 class _Memory:
     """Coefficients of instants in order of time, in arrays with room behind them.
 
@@ -135,25 +135,26 @@ class _Memory:
     def __init__(self) -> None:
         self.known = Coefficients(np.empty(0), np.empty(0, dtype=bool), *(np.empty(0) for _ in range(3)))
         self._arrays: list[NDArray[Any]] = []
-        self._first = self._last = 0
+        self._first = self._last = self._room = 0
 
-    def add(self, parts: tuple[NDArray[Any], ...]) -> Coefficients:
-        """Return what is known with further instants, as arrays in the order of ``Coefficients``."""
-        times, old = parts[0], self.known
-        end = self._last + len(times)
-        if not self._arrays or end > len(self._arrays[0]):
-            self._move(parts, max(ROOM, 2 * (len(old.t) + len(times))))
-            end = self._last + len(times)
-        if len(old.t) and times[0] < old.t[-1]:  # seldom: between those that are known
-            order = np.argsort(np.append(old.t, times), kind="stable")
-            parts = tuple(
-                np.concatenate([getattr(old, name), part])[order] for name, part in zip(_NAMES, parts, strict=True)
-            )
-            self._move(parts, len(self._arrays[0]), empty=True)
-            end = len(order)
-        for array, part in zip(self._arrays, parts, strict=True):
-            array[self._last : end] = part
-        self._last = end
+    def add(self, times: Array, reachable: BoolArray | bool, terms: CarrierTerms) -> Coefficients:
+        """Return what is known with further instants, s."""
+        old, more = self.known, len(times)
+        count = len(old.t) + more
+        new: slice | IntArray = slice(self._last, self._last + more)
+        if self._last + more > self._room or (len(old.t) and times[0] < old.t[-1]):  # between them: seldom
+            new = old.t.searchsorted(times) + np.arange(more)
+            kept = times.searchsorted(old.t) + np.arange(len(old.t))
+            self._first, self._room = 0, max(ROOM, 2 * count)
+            # float64 whatever a backend has: machine code reads them
+            of_terms = (np.empty((self._room, *part.shape[1:])) for part in terms)
+            self._arrays = [np.empty(self._room), np.empty(self._room, dtype=bool), *of_terms]
+            if len(kept):
+                for array, known in zip(self._arrays, old, strict=True):
+                    array[kept] = known
+        for array, part in zip(self._arrays, (times, reachable, *terms), strict=True):
+            array[new] = part
+        self._last = self._first + count
         return self._seen()
 
     def drop_before(self, time: float) -> Coefficients:
@@ -161,19 +162,9 @@ class _Memory:
         self._first += int(self.known.t.searchsorted(time))
         return self._seen()
 
-    def _move(self, like: tuple[NDArray[Any], ...], room: int, empty: bool = False) -> None:
-        """Go on in other arrays, empty or with what is known in them."""
-        count = 0 if empty else len(self.known.t)
-        # float64 whatever a backend has: machine code reads them
-        kinds = (np.bool_ if part.dtype == np.bool_ else np.float64 for part in like)
-        arrays = [np.empty((room, *part.shape[1:]), dtype=kind) for part, kind in zip(like, kinds, strict=True)]
-        if count:
-            for array, name in zip(arrays, _NAMES, strict=True):
-                array[:count] = getattr(self.known, name)
-        self._arrays, self._first, self._last = arrays, 0, count
-
     def _seen(self) -> Coefficients:
-        self.known = Coefficients(*(array[self._first : self._last] for array in self._arrays))
+        seen = slice(self._first, self._last)
+        self.known = Coefficients._make([array[seen] for array in self._arrays])
         return self.known
 
 
@@ -227,14 +218,15 @@ class Ahead:
         begin = floor(first / spacing)
         while begin * spacing <= first + 0.1 * spacing:
             begin += 1
-        new = spacing * np.arange(begin, floor(end / spacing + 1e-6) + 1.0)
+        new = [spacing * i for i in range(begin, floor(end / spacing + 1e-6) + 1)]  # sooner than by arrays
         if not len(seen):
-            new = np.append(first, new)
-        if preview.end - end <= SAME and (not len(new) or new[-1] < end - SAME) and end > first + SAME:
-            new = np.append(new, end)  # nothing more will be known
-        if len(new):
-            places = self._new(new)
-            self.edges = np.concatenate((seen, new))
+            new.insert(0, first)
+        if preview.end - end <= SAME and (not new or new[-1] < end - SAME) and end > first + SAME:
+            new.append(end)  # nothing more will be known
+        if new:
+            times = np.array(new)
+            places = self._new(times)
+            self.edges = np.concatenate((seen, times))
             if self._square:
                 self._scan(places)
         return self.roots[self.roots >= start]
@@ -271,12 +263,12 @@ class Ahead:
 
     def _add(self, times: Array) -> None:
         read = self._read(times)
-        if isfinite(read.constant.sum()):
-            reachable: BoolArray = np.ones(len(times), dtype=bool)
+        if isfinite(sum(read.constant.ravel().tolist())):
+            reachable: BoolArray | bool = True
         else:
             reachable = np.asarray(np.isfinite(read.constant).all(axis=1))
             read = CarrierTerms(*map(np.nan_to_num, read))
-        self.known = self._memory.add((times, reachable, *read))
+        self.known = self._memory.add(times, reachable, read)
 
     def _read(self, times: Array) -> CarrierTerms:
         if self._turning or not self._checked:
@@ -299,47 +291,45 @@ class Ahead:
     def _scan(self, places: IntArray | slice) -> None:
         """Look for singular instants among the last edges, which are at these places, and the two before."""
         new, reachable = np.linalg.det(self.known.W[places]).tolist(), self.known.known[places].tolist()
-        value = self._determinants + [v if there else nan for v, there in zip(new, reachable, strict=True)]
-        self._determinants = value[-2:]
-        self._largest = largest = max([self._largest, *(abs(v) for v in value if not isnan(v))])
         # of few numbers sooner known than by arrays; what is compared with NaN is false
+        value = self._determinants + [v if there else nan for v, there in zip(new, reachable, strict=True)]
         size = [abs(v) for v in value]
+        self._determinants = value[-2:]
+        self._largest = largest = max([self._largest, *[v for v in size if not isnan(v)]])
         zero = [v <= AT_REST * largest for v in size]
-        brackets = {
-            (j, j + 1)
-            for j in range(len(value) - 1)
-            if value[j] * value[j + 1] < 0.0 and not zero[j] and not zero[j + 1]
-        }
+        brackets = set()
+        for j in range(1, len(value)):
+            if value[j - 1] * value[j] < 0.0 and not zero[j - 1] and not zero[j]:
+                brackets.add((j - 1, j))
         for j in range(1, len(value) - 1):
             dip = size[j] <= size[j - 1] and size[j] < size[j + 1] and size[j] < 0.3 * largest
             if (dip and value[j - 1] * value[j + 1] > 0.0) or (zero[j] and not zero[j - 1] and not zero[j + 1]):
                 brackets.add((j - 1, j + 1))
         edges = self.edges[-len(value) :]
         for first, last in sorted(brackets):
+            near, before = 1e-3 * PARTS * self.spacing, self.roots.tolist()
             roots = self._within(float(edges[first]), float(edges[last]), largest)
-            others = roots[~(np.abs(roots[:, None] - self.roots) < 1e-3 * PARTS * self.spacing).any(axis=1)]
-            self.roots = np.sort(np.append(self.roots, others))
+            others = [root for root in roots if not any(abs(root - other) < near for other in before)]
+            self.roots = np.array(sorted(before + others))
 
-    def _within(self, start: float, end: float, largest: float) -> Array:
+    def _within(self, start: float, end: float, largest: float) -> list[float]:
         """Return the instants between two times at which det W is zero, or next to it at a dip, s."""
-        times, width = chebyshev_points(np.array([start]), np.array([end]), POINTS - 1), end - start
-        W = self._read(times).W
+        W = self._read(chebyshev_points(np.array([start]), np.array([end]), POINTS - 1)).W
         if not np.isfinite(W).all():
-            return np.empty(0)
+            return []
         value = np.linalg.det(W) / largest
         size = np.abs(value)
         if size.min() > max(SHALLOW * size.max(), 10.0 * TOUCH) and (value.min() > 0.0 or value.max() < 0.0):
-            return np.empty(0)
-        series = Chebyshev(chebyshev_series(value[None, :, None])[0, :, 0], domain=[start, end])
-        zeros = series.roots()
-        inside = (zeros.real >= start - 1e-9 * width) & (zeros.real <= end + 1e-9 * width)
-        crossing = zeros.real[inside & (np.abs(zeros.imag) < 1e-7 * width)]
-        if len(crossing):
-            return np.asarray(crossing)
-        low = series.deriv().roots()
-        low = low.real[(np.abs(low.imag) < 1e-7 * width) & (low.real > start) & (low.real < end)]
-        touching: Array = low[np.abs(series(low)) < TOUCH]
-        return touching
+            return []
+        series = chebtrim(chebyshev_series(value[None, :, None])[0, :, 0], ROUNDING)
+        zeros = chebroots(series)  # over -1 to 1
+        zeros = zeros.real[(np.abs(zeros.imag) < 2e-7) & (np.abs(zeros.real) <= 1.0 + 2e-9)]
+        if not len(zeros):
+            low = chebroots(chebder(series))
+            low = low.real[(np.abs(low.imag) < 2e-7) & (np.abs(low.real) < 1.0)]
+            zeros = low[np.abs(chebval(low, series)) < TOUCH]
+        roots: list[float] = (0.5 * (start + end) + 0.5 * (end - start) * zeros).tolist()
+        return roots
 
 
 def nodes_from(start: float, step: float, count: int, roots: Array) -> tuple[Array, IntArray]:

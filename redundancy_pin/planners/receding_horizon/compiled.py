@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, frozen
+from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.machine_code import (
     FLAGS,
     NATIVE,
@@ -114,12 +114,13 @@ class CompiledTick:
         ends = np.cumsum([0, *parts.values()]).tolist()
         self._places = {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
         self._result = np.zeros(ends[-1])
+        self._counts, self._numbers = self._result[:5].view(np.int64), self._result[5:9]
         library.rp_tick_work.restype = library.rp_tick_solution.restype = ctypes.c_long
         self._work = np.zeros(library.rp_tick_work() // 8 + 1)
         self._given = _Given(step=step, horizon=horizon)
         self._kept: dict[str, tuple[Array, Array]] = {}
         self._known: Coefficients | None = None
-        self._sight: object = None
+        self._sight: tuple[object, float] = None, np.nan
         self._own: tuple[Array | None, Array | None] = None, None
         self._nowhere = np.full(k, np.nan)
         self._arguments = ctypes.byref(self._given), *map(_address, (self._result, self._work))
@@ -140,9 +141,9 @@ class CompiledTick:
     def _point_to_sight(self, known: Coefficients) -> None:
         """Have the arguments point to what is in sight, of which more may be known in the same memory."""
         self._given.instants, self._known = len(known.t), known
-        place = known.t.ctypes.data
-        if place != self._given.t or known.t.base is not self._sight:
-            self._sight = known.t.base
+        begins = known.t.base, known.t[0]  # there is no other beginning at that time in the same memory
+        if begins[0] is not self._sight[0] or begins[1] != self._sight[1]:
+            self._sight = begins
             for name in _SIGHT:
                 setattr(self._given, name, getattr(known, name).ctypes.data)
 
@@ -214,18 +215,16 @@ class CompiledTick:
             if status != MISSING:
                 break
             places = self._places["missing_time"]
-            ahead.at(np.unique(self._result[places][: self._whole("missing")]))
+            ahead.at(self._result[places][: self._counts[3]])
         return self._made(t, ahead.roots, seconds) if status == DONE else None
-
-    def _whole(self, name: str) -> int:
-        return int(self._result[self._places[name]].view(np.int64)[0])
 
     def _made(self, t: float, roots: Array, seconds: float) -> TickPlan:
         result = self._result.copy()
-        result.flags.writeable = False
+        base, own = ctypes.addressof(ctypes.c_double.from_buffer(result.data)), self._given  # sooner than by numpy
+        read_only(result)
         (n, m, k, count), places = self._shape, self._places
-        pieces, efforts, forces, _, known = result[:5].view(np.int64).tolist()
-        residual, peak, left, largest = result[5:9].tolist()
+        pieces, efforts, forces, _, known = self._counts.tolist()
+        residual, peak, left, largest = self._numbers.tolist()
 
         def function(edges: str, coefficients: str, order: int, pieces: int, width: int) -> PiecewisePolynomial:
             first, start = places[edges].start, places[coefficients].start
@@ -240,7 +239,6 @@ class CompiledTick:
             function("effort_edge", "effort", 2, efforts, m), function("force_edge", "force", 2, forces, k),
             residual, peak, coming, float(nodes[max(known - 1, 0)]), 0.0, seconds,
         )  # fmt: skip
-        base, own = result.ctypes.data, self._given
         for name in ("node", "multiplier", "solution", "edge", "piece"):
             setattr(own, name, base + 8 * places[name].start)
             self._kept.pop(name, None)

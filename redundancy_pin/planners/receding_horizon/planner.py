@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import each, one_of, positive, require_type
+from redundancy_pin.arrays import assign, each, one_of, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics, require_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
@@ -135,9 +135,8 @@ class RecedingHorizon:
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
         )
-        plan = self.ticks.tick(t, min(t + self.horizon, known.end), given)
-        command = replace(plan.command, seconds=time.perf_counter() - began)
-        self.ticks.last = replace(plan, command=command)
+        command = self.ticks.tick(t, min(t + self.horizon, known.end), given).command
+        assign(command, seconds=time.perf_counter() - began)  # nobody has seen it yet
         return command
 
     def skip(self, t: float) -> Command:

@@ -512,7 +512,7 @@ def test_efforts_next_to_a_singular_instant_are_the_same_in_other_units() -> Non
             rows = np.array([1.0, length])
             both = np.append(rows, np.ones(2))  # of f and the carriers' forces
             W = transmission * rows[:, None]
-            ahead.known = replace(known, W=known.W * W, constant=known.constant * both, terms=known.terms * both)
+            ahead.known = known._replace(W=known.W * W, constant=known.constant * both, terms=known.terms * both)
             lin = replace(tick.lin, W=tick.lin.W * W, f=tick.lin.f * rows, row_scale=scale * rows)
             ahead.row_scale = scale * rows
             other = planner.ticks.efforts(replace(tick.problem, lin=lin), carriers, tau / transmission)
