@@ -141,7 +141,8 @@ class TickPlan:
 
     ``nodes`` (N,) s; ``at``: s, ṡ and s̈ (N, k) there; ``multipliers`` (N, n) of W τ = f there; ``left``: by which
     fraction of f that is missed at most; ``largest``: |τ| of the command in the step from the tick on, N or N·m;
-    ``solution``: what machine code begins the next programme with, in its own order, where it made this one.
+    ``solution``: what machine code begins the next programme with, in its own order, where it made this one, and
+    ``iterations``: how many of its interior point method that took, over all rounds.
     """
 
     command: Command
@@ -151,6 +152,7 @@ class TickPlan:
     left: float
     largest: float
     solution: Array | None = None
+    iterations: int = 0
 
     @property
     def doubt(self) -> float:

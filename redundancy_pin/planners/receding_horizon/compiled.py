@@ -101,9 +101,10 @@ class CompiledTick:
     ) -> None:
         self._made_of = dict(sizes), dict(constants), step, horizon, weights
         n, m, k, count = (sizes[name] for name in ("N", "M", "K", "COUNT"))
+        library.rp_tick_work.restype = library.rp_tick_solution.restype = ctypes.c_long
         self._call, self._shape = library.rp_tick, (n, m, k, count)
         parts = {
-            "pieces": 1, "efforts": 1, "forces": 1, "missing": 1, "known": 1,
+            "pieces": 1, "efforts": 1, "forces": 1, "missing": 1, "known": 1, "iterations": 1,
             "residual": 1, "peak": 1, "left": 1, "largest": 1, "solution": library.rp_tick_solution() // 8,
             "node": count, "at": 3 * count * k, "multiplier": count * n,
             "edge": count + k + 1, "piece": 4 * (count + k) * k,
@@ -114,14 +115,14 @@ class CompiledTick:
         ends = np.cumsum([0, *parts.values()]).tolist()
         self._places = {name: slice(a, b) for name, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
         self._result = np.zeros(ends[-1])
-        self._counts, self._numbers = self._result[:5].view(np.int64), self._result[5:9]
-        library.rp_tick_work.restype = library.rp_tick_solution.restype = ctypes.c_long
+        self._counts, self._numbers = self._result[:6].view(np.int64), self._result[6:10]
         self._work = np.zeros(library.rp_tick_work() // 8 + 1)
         self._given = _Given(step=step, horizon=horizon)
         self._kept: dict[str, tuple[Array, Array]] = {}
         self._known: Coefficients | None = None
         self._sight: tuple[object, float] = None, np.nan
         self._own: tuple[Array | None, Array | None] = None, None
+        self._begins: Array | None = None
         self._nowhere = np.full(k, np.nan)
         self._arguments = ctypes.byref(self._given), *map(_address, (self._result, self._work))
         self._point("weight", np.array(astuple(weights)))
@@ -155,15 +156,18 @@ class CompiledTick:
             self._own = None, self._own[1]
             self._point("node", last.nodes)
             self._point("multiplier", last.multipliers)
-            if last.solution is None:
-                self._kept.pop("solution", None)
-                own.solution = None
-            else:
-                self._point("solution", last.solution)
         if carriers.edges is not self._own[1]:
             self._own = self._own[0], None
             self._point("edge", carriers.edges)
             self._point("piece", carriers.coefficients)
+        if last.solution is not self._begins or last.solution is None:
+            self._begins, place = last.solution, self._places["solution"]
+            fits = last.solution is not None and len(last.solution) == place.stop - place.start
+            if last.solution is not None and fits:
+                self._point("solution", last.solution)
+            else:  # of another version, or by Python
+                self._kept.pop("solution", None)
+                own.solution = None
         if own.same_time:  # else it is not looked at
             self._point("at", np.array(last.at))
 
@@ -206,8 +210,8 @@ class CompiledTick:
         self._point("row_scale", ahead.row_scale)
         for name, array in zip(("s", "sd"), given, strict=True):
             self._point(name, self._nowhere if array is None else array)
-        seconds = 0.0
-        while True:
+        seconds, status = 0.0, MISSING
+        for _ in range(3):  # once is enough
             self._point_to_sight(ahead.known)
             began = time.perf_counter()
             status = self._call(*self._arguments)
@@ -223,7 +227,7 @@ class CompiledTick:
         base, own = ctypes.addressof(ctypes.c_double.from_buffer(result.data)), self._given  # sooner than by numpy
         read_only(result)
         (n, m, k, count), places = self._shape, self._places
-        pieces, efforts, forces, _, known = self._counts.tolist()
+        pieces, efforts, forces, _, known, iterations = self._counts.tolist()
         residual, peak, left, largest = self._numbers.tolist()
 
         def function(edges: str, coefficients: str, order: int, pieces: int, width: int) -> PiecewisePolynomial:
@@ -242,9 +246,9 @@ class CompiledTick:
         for name in ("node", "multiplier", "solution", "edge", "piece"):
             setattr(own, name, base + 8 * places[name].start)
             self._kept.pop(name, None)
-        self._own = nodes, carriers.edges
         multipliers, solution = result[places["multiplier"]].reshape(count, n), result[places["solution"]]
-        return TickPlan(command, nodes, (at[0], at[1], at[2]), multipliers, left, largest, solution)
+        self._own, self._begins = (nodes, carriers.edges), solution
+        return TickPlan(command, nodes, (at[0], at[1], at[2]), multipliers, left, largest, solution, iterations)
 
 
 def tick_library(sizes: Mapping[str, int], constants: Mapping[str, float]) -> tuple[ctypes.CDLL | None, str]:

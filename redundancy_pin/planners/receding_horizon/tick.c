@@ -141,8 +141,6 @@ static void set_efforts(const Given *g, const Work *w, const double *t, int coun
 /* One programme about ``w->at``, and what is made of it (``_command``). */
 static int planned(const Given *g, Work *w, const double *t, int count, Plan *plan) {
     const double *ua = g->unit + 2 * K;
-    for (int d = 0; d < 3; d++)
-        for (int j = 0; j < K; j++) w->x[d][j] = w->given[d][j] / g->unit[d * K + j];
     linearise(g, w);
     if (w->borders > BORDER - 2 || !condense(g, w) || !set_programme(g, w)) return 0;
     if (!(w->before && interior_point(g, w, 1)) && !interior_point(g, w, 0)) return 0;
@@ -234,6 +232,7 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
             if (fabs(g->node[o] - w->node[i]) <= SAME) memcpy(w->multiplier + i * N, g->multiplier + o * N, N * sizeof(double));
     }
     if (same) memcpy(w->at, g->at, sizeof w->at);
+    w->iterations = 0;
     w->before = g->solution && g->nodes == COUNT;
     if (w->before) memcpy(w->node_before, g->node, sizeof w->node_before), memcpy(&w->solution, g->solution, sizeof w->solution);
     if (!planned(g, w, t, count, best)) return UNSOLVED;
@@ -257,7 +256,7 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
     if (best->left > STUCK) return ELASTIC;
     result->pieces = best->pieces;
     result->residual = best->residual, result->peak = best->peak, result->left = best->left;
-    result->solution = w->solution;
+    result->solution = w->solution, result->iterations = w->iterations;
     memcpy(result->at, best->at, sizeof best->at);
     memcpy(result->multiplier, best->multiplier, sizeof best->multiplier);
     memcpy(result->edge, best->edge, sizeof best->edge);

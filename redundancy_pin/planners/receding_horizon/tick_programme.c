@@ -312,7 +312,7 @@ static int set_programme(const Given *g, Work *w) {
                 if (w->known[0] && isfinite(g->carrier_force[j])) {   /* all is given */
                     double most = FORCE_KEPT, now = w->force[0][j] / g->carrier_force[j];
                     for (int d = 0; d < 3; d++)
-                        now += w->by_force[0][d][j] * (w->x[d][j] * g->unit[d * K + j] - w->at[d][j]) / g->carrier_force[j];
+                        now += w->by_force[0][d][j] * (w->given[d][j] - w->at[d][j]) / g->carrier_force[j];
                     if (fabs(now) > most + 1e-9) return 0;
                 }
             } else {

@@ -40,7 +40,7 @@ static inline __attribute__((always_inline)) int block_at(int block) { return bl
 typedef struct { double dual[BOUNDS], tau[EFFORTS]; } Solution;
 
 typedef struct {
-    long pieces, efforts, forces, missing, known;
+    long pieces, efforts, forces, missing, known, iterations;
     double residual, peak, left, largest;
     Solution solution;
     double node[COUNT], at[3 * LANES], multiplier[COUNT * N];
@@ -73,6 +73,7 @@ typedef struct {
     int bounds, blocks;
     double bound[BOUNDS], active[BOUNDS];
     /* interior point method */
+    long iterations;
     int before;   /* whether there is a solution to begin with, of the last plan or the round before */
     double node_before[COUNT];
     Solution solution;

@@ -211,6 +211,8 @@ static void begin(const Given *g, Work *w, int warm) {
         while (o < COUNT && w->node_before[o] < w->node[i] - SAME) o++;
         old[i] = warm && o < COUNT && w->node_before[o] <= w->node[i] + SAME ? o : -1;
     }
+    for (int d = 0; d < 3; d++)
+        for (int j = 0; j < K; j++) w->x[d][j] = w->given[d][j] / g->unit[d * K + j];
     for (int i = 0; i < COUNT; i++) {
         double z[NV], free[NF], A[NZ * NZ], rhs[NZ];
         memset(z, 0, sizeof z);
@@ -233,7 +235,7 @@ static void begin(const Given *g, Work *w, int warm) {
                 rhs[p] += own * (aim - free[j]);
                 for (int o = 0; o < w->directions[i]; o++) A[p * NZ + o] += own * w->motion[i][j][NX + o];
             }
-            if (old[i] >= 0)
+            if (old[i] >= 0 && !isnan(w->solution.tau[old[i] * M]))
                 for (int c = 0; c < M; c++)
                     rhs[p] += DAMPING * w->motion[i][K + c][NX + p] * (w->solution.tau[old[i] * M + c] / w->tau_unit - free[K + c]);
         }
@@ -471,7 +473,7 @@ static int interior_point(const Given *g, Work *w, int warm) {
     begin(g, w, warm);
     double count = 0.0, most, after, dpeak, dnu[BORDER];
     for (int c = 0; c < w->bounds; c++) count += w->active[c];
-    for (int iteration = 0; iteration < ITERATIONS; iteration++) {
+    for (int iteration = 0; iteration < ITERATIONS; iteration++, w->iterations++) {
         apply(w, w->x, w->tau, w->peak, w->g);
         double barrier = weigh(w, count, &most), rows = set_row_missing(w);
         if (!(barrier < 1e12)) return 0;
@@ -480,8 +482,8 @@ static int interior_point(const Given *g, Work *w, int warm) {
         if (barrier < BARRIER && most < PRECISION && rows < PRECISION && is_stationary(w, base_peak)) {
             memcpy(w->node_before, w->node, sizeof w->node);
             memset(w->solution.dual, 0, sizeof w->solution.dual);
-            memcpy(w->solution.dual, w->dual, w->bounds * sizeof *w->dual);
-            for (int l = 0; l < EFFORTS; l++) w->solution.tau[l] = w->tau[l] * w->tau_unit;
+            for (int c = 0; c < w->bounds; c++) w->solution.dual[c] = w->active[c] * w->dual[c];
+            for (int l = 0; l < EFFORTS; l++) w->solution.tau[l] = w->counts[l / M] ? w->tau[l] * w->tau_unit : NAN;
             w->before = 1;
             return 1;
         }
@@ -499,8 +501,8 @@ static int interior_point(const Given *g, Work *w, int warm) {
         step_against(w, 1);
         if (!direct(w, peak_gradient, &dpeak, dnu)) return 0;
         alpha = correct(w);
-        alpha = alpha < 1.0 ? alpha * CLOSE : 1.0;
-        if (alpha < 1e-8) return 0;
+        alpha = alpha >= 1.0 ? 1.0 : alpha * CLOSE;
+        if (!(alpha >= 1e-8)) return 0;
         for (int d = 0; d < 3; d++)
             for (int l = 0; l < LANES; l++) w->x[d][l] += alpha * w->dx[d][l];
         for (int l = 0; l < EFFORTS; l++) w->tau[l] += alpha * w->dtau[l];

@@ -28,6 +28,13 @@ ROUNDING = 1e-7
 """m, m/s and m/s²: Newton's method closes the loops from what was asked for last, so that no two planners have the same
 rounding; the solver stops at 1e-9 in units of up to 10, and W⁻¹ magnifies both."""
 
+FLAT = 1e-5, 1e-4, 1e-3
+"""m, m/s and m/s²: two solutions of one programme, begun at different points, whose cost is next to flat; 3e-4 in s̈."""
+
+FEW = {0.005: 4.5, 0.02: 6.9}
+"""Steps of the interior point method a tick, by its period in s: 4.4 and 6.6; 4.6 and 7.2 where duals are taken from
+wrong nodes, 6.0 and 8.7 without the corrector's terms of second order, 7.6 and 8.9 where nothing is remembered."""
+
 CIRCLE = rp.trajectory.reference.circle(speed=0.3)
 
 
@@ -166,3 +173,55 @@ def test_without_a_folder_a_library_is_compiled_once_too(monkeypatch: pytest.Mon
     for _ in range(2):
         assert RecedingHorizon(robot_dynamics, horizon=0.1).compiled
         assert len(log.read_text().split()) == 1
+
+
+def iterations(period: float) -> float:
+    """Mean of those a tick over the first second and a half of a path that goes over the line twice."""
+    planner, counts = RecedingHorizon(dynamics()), []
+    motion = rp.trajectory.reference.circle(speed=0.5)
+    for t in np.arange(0.0, min(1.5, motion.duration), period).tolist():
+        planner.update(t, motion)
+        counts.append(planner.ticks.last.iterations)
+    assert counts[0] == 0  # by Python
+    return float(np.mean(counts[1:]))
+
+
+@pytest.mark.parametrize(("period", "most"), FEW.items())
+def test_a_programme_begins_where_the_one_before_ended(period: float, most: float) -> None:
+    assert iterations(period) < most
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200, -1.0])
+def test_a_solution_that_is_none_is_begun_without(bad: float) -> None:
+    planner, other = (after(RecedingHorizon(dynamics()), CIRCLE, 12) for _ in range(2))
+    last = planner.ticks.last
+    planner.ticks.last = replace(last, solution=np.full_like(last.solution, bad))
+    for each in (planner, other):
+        each.update(STEP * 12, CIRCLE)
+    assert planner.ticks.last.iterations > 0  # not by Python
+    for one, two, tolerance in zip(planner.ticks.last.at, other.ticks.last.at, FLAT, strict=True):
+        np.testing.assert_allclose(one, two, rtol=0.0, atol=tolerance)
+    assert planner.ticks.last.command.peak == pytest.approx(other.ticks.last.command.peak, rel=1e-5)
+
+
+def test_a_solution_of_another_length_is_not_read() -> None:
+    planner, cold = (after(RecedingHorizon(dynamics()), CIRCLE, 12) for _ in range(2))
+    planner.ticks.last = replace(planner.ticks.last, solution=np.zeros(10))
+    cold.ticks.last = replace(cold.ticks.last, solution=None)
+    for each in (planner, cold):
+        each.update(STEP * 12, CIRCLE)
+    assert planner.ticks.last.iterations == cold.ticks.last.iterations > 0
+
+
+def test_a_plan_by_python_has_no_solution_for_machine_code() -> None:
+    planner, cold = (after(RecedingHorizon(dynamics()), CIRCLE, 12) for _ in range(2))
+    ticks, until = planner.ticks, STEP * 12 + planner.horizon
+    planner.ticks.ahead.look(STEP * 12, until)
+    planner.ticks.last = ticks.interpreted(STEP * 12, until, (None, None))
+    assert planner.ticks.last.solution is None
+    cold.update(STEP * 12, CIRCLE)
+    cold.ticks.last = replace(cold.ticks.last, solution=None)
+    for each in (planner, cold):
+        each.update(STEP * 13, CIRCLE)
+    assert planner.ticks.last.iterations == pytest.approx(cold.ticks.last.iterations, abs=1)
+    assert planner.ticks.last.solution is not None
