@@ -115,6 +115,13 @@ class Command(Frozen):
     seconds: float
     solver_seconds: float
 
+    def __repr__(self) -> str:
+        """Return what tells commands apart, not their coefficients."""
+        ahead = f"{len(self.singular)} singular ahead, known until {self.known_until:g} s"
+        return (
+            f"Command(t={self.t:g} s, {self.status.value}; peak {self.peak:.4g}, residual {self.residual:.1e}; {ahead})"
+        )
+
     def motion_at(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at a time, m, m/s, m/s²; held after the end of the plan.
 

@@ -44,6 +44,11 @@ class OnLineRun(Frozen):
     plan: Plan
     commands: tuple[Command, ...]
 
+    def __repr__(self) -> str:
+        """Return the plan and the ticks by status."""
+        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items() if count)
+        return f"OnLineRun({self.plan!r}; ticks: {counts})"
+
     @property
     def counts(self) -> dict[str, int]:
         """Ticks by status."""

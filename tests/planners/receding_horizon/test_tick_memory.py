@@ -29,7 +29,8 @@ ROUNDING = 1e-7
 rounding; the solver stops at 1e-9 in units of up to 10, and W⁻¹ magnifies both."""
 
 FLAT = 2e-5, 2e-4, 5e-3
-"""m, m/s and m/s²: two solutions of one programme, begun at different points, whose cost is next to flat: 1.3e-3 in s̈ at a limit of 10."""
+"""m, m/s and m/s²: two solutions of one programme, begun at different points, whose cost is next to flat: 1.3e-3 in s̈,
+of which the limit is 10."""
 
 FEW = {0.005: 4.5, 0.02: 6.9}
 """Steps of the interior point method a tick, by its period in s: 4.4 and 6.6; 4.6 and 7.2 where duals are taken from
