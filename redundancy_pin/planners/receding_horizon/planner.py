@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import assign, each, one_of, positive, require_type
+from redundancy_pin.arrays import each, one_of, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics, require_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
@@ -136,8 +136,7 @@ class RecedingHorizon:
             for part, name in ((s, "s"), (sd, "sd"))
         )
         command = self.ticks.tick(t, min(t + self.horizon, known.end), given).command
-        assign(command, seconds=time.perf_counter() - began)  # nobody has seen it yet
-        return command
+        return replace(command, seconds=time.perf_counter() - began)
 
     def skip(self, t: float) -> Command:
         """Return what to do where a tick is missed: the last plan goes on, to its end and to the stop behind it.
