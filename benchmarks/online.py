@@ -6,7 +6,6 @@ computed. Off line is ``plan_whole_trajectory``, objective "peak", from the same
 first paths and for those that are not planned at every tick. Times are those of the processor, by ``time.thread_time``.
 
     python benchmarks/online.py compare [machine] [paths]   off line, switched off and on line, on the same paths
-    python benchmarks/online.py sight [machine] [paths]     the least peak from when a singular pose comes into sight
     python benchmarks/online.py preview [paths]             which preview the 2-RPR needs, by masses and acceleration
     python benchmarks/online.py ticks [paths] [period]      how long a tick takes, in machine code and in Python
     python benchmarks/online.py endless [ticks]             one planner along a path without end: statuses and memory
@@ -233,41 +232,6 @@ def compare(name="2rpr", count=12):
         print(f"| {name} | {method} | {told} | {' | '.join(figures)} |", flush=True)
 
 
-def least_from_sight(dynamics, trajectory):
-    """Return the largest |τ| on line, and the largest of the least ones off line from when a pose comes into sight.
-
-    From there on, and from where the carriers are then, that plan knows all of the path. Both end where it ends.
-    """
-    planner, path = RecedingHorizon(dynamics), replace(Preview.of(trajectory), end=trajectory.duration)
-    seen, least = np.empty(0), 0.0
-    for t in np.arange(0.0, trajectory.duration - 1e-9, planner.step).tolist():
-        command = planner.update(t, path)
-        new = [root for root in command.singular if root > t and not (np.abs(seen - root) < 1e-3).any()]
-        if new and trajectory.duration - t > 2.0 * planner.step:
-            seen, (s, sd, _) = np.append(seen, new), command.motion_at(t)
-            rest = trajectory.sample_at(np.linspace(t, trajectory.duration, int((trajectory.duration - t) / 4e-3) + 2))
-            plan = rp.plan_whole_trajectory(
-                dynamics, rest, objective="peak", **{**OFF_LINE, "start": s, "start_speed": sd}
-            )
-            least = max(least, float(plan.peak_effort.max()))
-    return planner.largest, least
-
-
-def sight(name="3rrr", count=20):
-    """Print both over the least peak of the whole path, for the first paths that have one."""
-    dynamics, ratios = machine(name), []
-    for path in islice(random_paths(name, dynamics), int(count)):
-        best = off_line(dynamics, path)
-        if best is None:
-            continue
-        try:
-            ratios.append(np.array(least_from_sight(dynamics, path)) / best)
-        except InfeasiblePlanError:
-            continue
-        medians = " | ".join(f"{part:.2f}" for part in np.median(ratios, axis=0))
-        print(f"| {name} | {len(ratios)} | {medians} |", flush=True)
-
-
 def preview(count=8):
     """Print which preview is enough, a row for masses and a limit of the carriers' acceleration."""
     for heavier, most in product(HEAVIER, ACCELERATIONS):
@@ -424,7 +388,6 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
 if __name__ == "__main__":
     commands = {
         "compare": compare,
-        "sight": sight,
         "preview": preview,
         "ticks": ticks,
         "endless": endless,
