@@ -103,9 +103,10 @@ class CompiledTick:
         n, m, k, count = (sizes[name] for name in ("N", "M", "K", "COUNT"))
         library.rp_tick_work.restype = library.rp_tick_solution.restype = ctypes.c_long
         self._call, self._shape = library.rp_tick, (n, m, k, count)
+        self._solution = library.rp_tick_solution() // 8
         parts = {
             "pieces": 1, "efforts": 1, "forces": 1, "missing": 1, "known": 1, "iterations": 1,
-            "residual": 1, "peak": 1, "left": 1, "largest": 1, "solution": library.rp_tick_solution() // 8,
+            "residual": 1, "peak": 1, "left": 1, "largest": 1, "solution": self._solution,
             "node": count, "at": 3 * count * k, "multiplier": count * n,
             "edge": count + k + 1, "piece": 4 * (count + k) * k,
             "effort_edge": INSTANTS + count, "effort": 2 * (INSTANTS + count) * m,
@@ -160,12 +161,12 @@ class CompiledTick:
             self._own = self._own[0], None
             self._point("edge", carriers.edges)
             self._point("piece", carriers.coefficients)
-        if last.solution is not self._begins or last.solution is None:
-            self._begins, place = last.solution, self._places["solution"]
-            fits = last.solution is not None and len(last.solution) == place.stop - place.start
-            if last.solution is not None and fits:
-                self._point("solution", last.solution)
-            else:  # of another version, or by Python
+        solution = last.solution
+        if solution is None or solution is not self._begins:
+            self._begins = solution
+            if solution is not None and len(solution) == self._solution:
+                self._point("solution", solution)
+            else:  # by Python, or of another version
                 self._kept.pop("solution", None)
                 own.solution = None
         if own.same_time:  # else it is not looked at
@@ -282,16 +283,9 @@ def _built(
     return built(lambda identity: digest([text, identity, *flags, machine]), lambda: text, load, flags)
 
 
-def _again(
-    sizes: Mapping[str, int],
-    constants: Mapping[str, float],
-    step: float,
-    horizon: float,
-    weights: Weights,
-    limits: ResolvedLimits,
-) -> CompiledTick | None:
+def _again(sizes: Mapping[str, int], constants: Mapping[str, float], *settings: Any) -> CompiledTick | None:
     library, _ = tick_library(sizes, constants)
-    return None if library is None else CompiledTick(library, sizes, constants, step, horizon, weights, limits)
+    return None if library is None else CompiledTick(library, sizes, constants, *settings)
 
 
 def _address(array: Array) -> Any:

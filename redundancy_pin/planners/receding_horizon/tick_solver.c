@@ -271,16 +271,21 @@ static void begin(const Given *g, Work *w, int warm) {
     }
 }
 
+/* The derivative of the peak's gradient along a direction, by its efforts. */
+static double along_peak(const Work *w, const double (*v)[NW]) {
+    double part[M] = {0}, sum = 0.0;
+    for (int i = 0; i < COUNT; i++)
+        for (int c = 0; c < M; c++) part[c] += w->peak_tau[i * M + c] * v[i][NX + c];
+    for (int c = 0; c < M; c++) sum += part[c];
+    return sum;
+}
+
 /* What the peak and the rows of singular instants do to each other: their parts of the steps against them. */
 static void set_border(Work *w, double peak_H) {
     int size = 1 + w->borders;
     for (int s = 0; s < size; s++) {
         const double(*v)[NW] = w->direction[1 + s];
-        double part[M] = {0};
-        for (int i = 0; i < COUNT; i++)
-            for (int c = 0; c < M; c++) part[c] += w->peak_tau[i * M + c] * v[i][NX + c];
-        w->border[s] = s ? 0.0 : peak_H;
-        for (int c = 0; c < M; c++) w->border[s] += part[c];
+        w->border[s] = along_peak(w, v) + (s ? 0.0 : peak_H);
         for (int b = 0; b < w->borders; b++) w->border[(b + 1) * size + s] = along_row(&w->rows[b], v) - (b + 1 == s ? 1e-13 : 0.0);
     }
 }
@@ -288,18 +293,14 @@ static void set_border(Work *w, double peak_H) {
 /* The direction against gradient 0 and the missing rows; its change of every bound. */
 static int direct(Work *w, double peak_gradient, double *dpeak, double *dnu) {
     int size = 1 + w->borders;
-    double S[SIDES * SIDES], right[SIDES], part[M] = {0};
+    double S[SIDES * SIDES], right[SIDES];
     const double(*first)[NW] = w->direction[0];
     memcpy(S, w->border, size * size * sizeof *S);
-    for (int i = 0; i < COUNT; i++)
-        for (int c = 0; c < M; c++) part[c] += w->peak_tau[i * M + c] * first[i][NX + c];
-    right[0] = -peak_gradient;
-    for (int c = 0; c < M; c++) right[0] -= part[c];
+    right[0] = -peak_gradient - along_peak(w, first);
     for (int b = 0; b < w->borders; b++) right[b + 1] = w->row_missing[b] - along_row(&w->rows[b], first);
     if (!solved(size, 1, S, right)) return 0;
     *dpeak = right[0];
     memcpy(dnu, right + 1, w->borders * sizeof *dnu);
-    double dtau[EFFORTS];
     for (int i = 0; i < COUNT; i++) {
         double whole[NW];
         memcpy(whole, first[i], sizeof whole);
@@ -307,14 +308,14 @@ static int direct(Work *w, double peak_gradient, double *dpeak, double *dnu) {
             for (int e = 0; e < NW; e++) whole[e] += right[s] * w->direction[1 + s][i][e];
         for (int d = 0; d < 3; d++)
             for (int j = 0; j < K; j++) w->dx[d][i * K + j] = whole[d * K + j];
-        for (int c = 0; c < M; c++) dtau[i * M + c] = whole[NX + c];
+        for (int c = 0; c < M; c++) w->dtau[i * M + c] = whole[NX + c];
     }
-    memcpy(w->dtau, dtau, sizeof dtau);
-    apply(w, w->dx, dtau, *dpeak, w->change);
+    apply(w, w->dx, w->dtau, *dpeak, w->change);
     return 1;
 }
 
-/* Whether the gradient with the duals, brought back along the motion, is rounding; ``base`` has it without them. */
+/* Whether the gradient with the duals, brought back along the motion, is rounding; ``base`` has it without them. It is
+   left in gradient 1. */
 static int is_stationary(Work *w, double base_peak) {
     double carried[LONG * WIDE], own[LONG * WIDE], size = 1.0, left;
     Vector q[WIDE];
@@ -513,12 +514,10 @@ static int interior_point(const Given *g, Work *w, int warm) {
     return 0;
 }
 
-/* The multipliers of W tau = f. */
+/* The multipliers of W tau = f, from the gradient that ``is_stationary`` left. */
 static void set_multipliers(const Given *g, Work *w, double *multiplier) {
-    double(*gradient)[NW] = w->gradient[0], carried[LONG * WIDE];
-    set_gradient(w, gradient);
-    for (int c = 0; c < w->bounds; c++) w->push[c] = w->active[c] * w->dual[c];
-    add_transposed(w, w->push, gradient);
+    const double(*gradient)[NW] = w->gradient[1];
+    double carried[LONG * WIDE];
     memset(carried, 0, sizeof carried);
     memset(multiplier, 0, COUNT * N * sizeof *multiplier);
     for (int i = COUNT - 1; i > 0; i--) {
