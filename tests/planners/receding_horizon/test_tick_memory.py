@@ -6,6 +6,7 @@ import copy
 import pickle
 import shlex
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -206,12 +207,19 @@ def test_a_solution_that_is_none_is_begun_without(bad: float) -> None:
 
 
 def test_a_solution_of_another_length_is_not_read() -> None:
-    planner, cold = (after(RecedingHorizon(dynamics()), CIRCLE, 12) for _ in range(2))
-    planner.ticks.last = replace(planner.ticks.last, solution=np.zeros(10))
-    cold.ticks.last = replace(cold.ticks.last, solution=None)
-    for each in (planner, cold):
-        each.update(STEP * 12, CIRCLE)
-    assert planner.ticks.last.iterations == cold.ticks.last.iterations > 0
+    def counts(begin: Callable[[Array], Array | None]) -> list[int]:
+        planner, counts = after(RecedingHorizon(dynamics()), CIRCLE, 12), []
+        for i in range(12, 18):
+            last = planner.ticks.last
+            planner.ticks.last = replace(last, solution=begin(last.solution))
+            planner.update(STEP * i, CIRCLE)
+            counts.append(planner.ticks.last.iterations)
+        return counts
+
+    warm, cold = counts(lambda solution: solution), counts(lambda _: None)
+    # behind the ten lies all of it: who read on would be warm
+    assert counts(lambda solution: solution[:10]) == cold
+    assert sum(warm) < sum(cold)
 
 
 def test_a_plan_by_python_has_no_solution_for_machine_code() -> None:
