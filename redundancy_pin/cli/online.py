@@ -48,7 +48,7 @@ def online(
     type II singularities that come up; the carriers follow the first piece. The plan that comes of it is judged as any
     other. Needs the extra `optimal`.
 
-    Exit codes: 0 every tick found a plan within limits, and the whole keeps them; 3 the whole breaks limits; 4 it keeps
+    Exit codes: 0 every tick found a plan within limits, with --slow-down at a lower speed where need be, and the whole keeps them; 3 the whole breaks limits; 4 it keeps
     them, but some ticks had to leave something out, or its samples do not show its efforts; 2 bad input, or the path
     leads where the machine cannot go (the line on stderr says when).
 
@@ -84,7 +84,7 @@ def online(
     facts |= {"out": out, "html": html}
     output.report(as_json, facts, _table(facts, plan.robot.effort_units[0]))
     warn(plan)
-    left = sum(count for status, count in run.counts.items() if status != "planned")
+    left = sum(count for status, count in run.counts.items() if status not in ("planned", "slowed"))
     if left:
         output.warning(f"{left} of {len(run.commands)} ticks had no plan within every limit.")
     code = EXIT_CODES.get(plan.status, BREAKS_LIMITS)
@@ -97,6 +97,7 @@ def _table(facts: Mapping[str, Any], unit: str) -> output.TextTable:
         ("status", facts["status"].replace("_", " ")),
         ("ticks", ", ".join(f"{count} {status}" for status, count in facts["ticks"].items() if count)),
         ("time of a tick, p50 and p99 [ms]", output.row(facts["milliseconds"].values())),
+        ("later at the end [s]", output.number(diagnostics["delay"])),
         ("singular instants [s]", output.row(diagnostics["singular_instants"]) or "none"),
         ("force missing there [N]", output.number(diagnostics["missing_force"])),
         (f"peak main effort [{unit}]", output.row(facts["peak_effort"])),

@@ -214,6 +214,7 @@ ONLINE: Mapping[str, Parameter] = {
     "step": Parameter(number, "SECONDS", "Between the nodes of a plan."),
     "objective": Parameter(word, "WORD", "peak, or effort."),
     **{name: WHOLE_TRAJECTORY[name] for name in ("track", "speed", "acceleration", "jerk", "effort", "carrier_force")},
+    "slow_down": Parameter(flag, "", "Go more slowly where no plan keeps every limit.", "--slow-down/--full-speed"),
 }
 """Parameters of ``RecedingHorizon``."""
 

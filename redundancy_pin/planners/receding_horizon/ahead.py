@@ -13,6 +13,7 @@ that continues s̄ without jerk,
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from math import floor, isfinite, isnan, nan
 from typing import Any, NamedTuple
@@ -191,6 +192,13 @@ class Ahead:
         self._checked = False
         self._largest = 0.0
         self._clear()
+
+    def along(self, preview: Preview) -> Ahead:
+        """Return what is in sight of another preview of the same path: nothing yet, but its sizes are known."""
+        other = copy(self)
+        other.preview = preview
+        other._clear()
+        return other
 
     def _clear(self) -> None:
         self._memory = _Memory()

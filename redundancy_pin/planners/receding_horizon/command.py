@@ -11,6 +11,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, Frozen, each
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.time_scaling import TimeScaling
 
 Goal = Literal["effort", "peak"]
 
@@ -72,6 +73,8 @@ class PlanningStatus(Enum):
 
     PLANNED = "planned"
     """A plan that keeps every limit, over the whole horizon or to the end of the preview."""
+    SLOWED = "slowed"
+    """Such a plan, along the preview more slowly than that: at its speed there was none."""
     ELASTIC = "elastic"
     """No such plan: that which misses W τ = f least, or lets out the limits that the carriers are beyond; one that is
     found to miss more than a tenth of f ahead, where f is not linear, too."""
@@ -100,6 +103,8 @@ class Command(Frozen):
         known_until: until when the plan has the platform's motion, s.
         seconds: time taken, s.
         solver_seconds: of which by the solver.
+        scaling: which time of the preview the platform is at, where a planner that may slow down has done so; None
+            where that is the clock's.
     """
 
     t: float
@@ -114,6 +119,7 @@ class Command(Frozen):
     known_until: float
     seconds: float
     solver_seconds: float
+    scaling: TimeScaling | None = None
 
     def __repr__(self) -> str:
         """Return what tells commands apart, not their coefficients."""

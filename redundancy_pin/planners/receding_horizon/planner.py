@@ -16,6 +16,7 @@ from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.receding_horizon.ahead import Ahead
 from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, PlanningStatus, Weights
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview, Source
+from redundancy_pin.planners.receding_horizon.slowing import Slowing
 from redundancy_pin.planners.receding_horizon.tick import TickPlanner
 
 
@@ -36,6 +37,8 @@ class RecedingHorizon:
         objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone; or ``Weights``.
         track, speed, acceleration, jerk, effort, carrier_force: limits as of ``plan_whole_trajectory``.
         limits: these as one group.
+        slow_down: where no plan keeps every limit, lead the platform along its path more slowly: ``Command.scaling``
+            then says which time of the preview it is at, and the status is ``SLOWED``.
         interpret: do not plan in machine code, as where there is no C compiler: the same plans, ten times as long.
 
     Attributes:
@@ -61,6 +64,7 @@ class RecedingHorizon:
         effort: ArrayLike | None = None,
         carrier_force: ArrayLike | None = None,
         limits: Limits | None = None,
+        slow_down: bool = False,
         interpret: bool = False,
     ) -> None:
         require_dynamics(dynamics)
@@ -81,6 +85,7 @@ class RecedingHorizon:
         self.resolved = self._given_limits.resolved(robot)
         self._source: object = None
         self.ticks = TickPlanner(robot, step, horizon, self.weights, self.resolved, interpret=interpret)
+        self._slowing = Slowing(dynamics, self.ticks, horizon) if slow_down else None
 
     @property
     def started(self) -> bool:
@@ -124,7 +129,10 @@ class RecedingHorizon:
         """
         began = time.perf_counter()
         if preview is not self._source:
-            self.ticks.ahead, self._source = Ahead(self.dynamics, Preview.of(preview), self.step), preview
+            seen = Preview.of(preview)
+            if self._slowing is not None:
+                seen = self._slowing.shown(seen)
+            self.ticks.ahead, self._source = Ahead(self.dynamics, seen, self.step), preview
         t, known = self._tick(t), self.ticks.ahead.preview
         if t < known.start - SAME:
             raise InputError(
@@ -135,7 +143,10 @@ class RecedingHorizon:
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
         )
-        command = self.ticks.tick(t, min(t + self.horizon, known.end), given).command
+        if self._slowing is None:
+            command = self.ticks.tick(t, min(t + self.horizon, known.end), given).command
+        else:
+            command = self._slowing.told(self._slowing.tick(t, given).command, t)
         return replace(command, seconds=time.perf_counter() - began)
 
     def skip(self, t: float) -> Command:
@@ -146,9 +157,9 @@ class RecedingHorizon:
         """
         if self.ticks.last is None:
             raise InputError("There is no plan to go on with.", remedy="Call update first.")
-        return replace(
-            self.ticks.last.command, t=self._tick(t), status=PlanningStatus.FALLBACK, reason="the tick was missed"
-        )
+        t, reason = self._tick(t), "the tick was missed"
+        command = replace(self.ticks.last.command, t=t, status=PlanningStatus.FALLBACK, reason=reason)
+        return command if self._slowing is None else self._slowing.told(command, t)
 
     def _tick(self, t: float) -> float:
         """Return the time of a tick, s, after checking that it goes on from the last one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +15,13 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.functions import PlanFunctions, apart
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus
 from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
+from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
 
 SAMPLES = 0.0025
 """Between samples of the plan of a run, s."""
@@ -30,6 +32,13 @@ they would miss W τ = f by more than a millionth, and in a shorter one W⁻¹ m
 
 WITHIN = 16
 """Pieces of the efforts where W is next to singular."""
+
+
+STANDING = 4.0
+"""Horizons for which a platform has stood still when there is no hope that it goes on."""
+
+LONGEST = 20.0
+"""Times the duration of a motion after which a planner that slows down has not found a way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +84,11 @@ def run_online(
         Its plan has efforts that are linear in time where W is next to singular, and W⁻¹ f elsewhere; ``diagnostics``
         say how much of f is missing there (``missing_force``, N), how the ticks went and how long they took.
 
+        A planner that slows down follows the path of the motion; ``delay`` is by how much later it ends, s.
+
     Raises:
-        InfeasiblePlanError: a tick was refused; carries how far the motion is possible.
+        InfeasiblePlanError: a tick was refused, or the platform does not get along however slow; carries how far the
+            motion is possible.
     """
     tick = planner.step if tick is None else positive(tick, "tick", "s")
     if tick > planner.horizon:
@@ -86,23 +98,24 @@ def run_online(
     if planner.started:
         raise InputError("The planner has plans of another run.", remedy="Pass a new RecedingHorizon.")
     source, at = continuous_motion(motion), each(start, "start", (planner.robot.k,), finite=True)
-    times = np.append(np.arange(source.start, source.end - 1e-9, tick), source.end)
-    commands, pieces = [], []
-    for i, (t, until) in enumerate(zip(times[:-1].tolist(), times[1:].tolist(), strict=True)):
-        commands.append(planner.update(t, motion, *((at, 0.0) if i == 0 else ())))
-        if commands[-1].status is PlanningStatus.REFUSED:
-            raise InfeasiblePlanError(
-                f"The planner refuses to go on at t = {t:.6g} s: {commands[-1].reason}.",
-                remedy="Lead the platform along another path.",
-                constraint="preview",
-                time=commands[-1].known_until,
-            )
+    commands: list[Command] = []
+    pieces, edges = [], [source.start]
+    t, end = source.start, source.end
+    while t < end - 1e-9:
+        commands.append(planner.update(t, motion, *(() if commands else (at, 0.0))))
+        _require_progress(commands[-1], source, planner.horizon)
+        scaling = commands[-1].scaling
+        if scaling is not None:
+            end = scaling.time_at(source.end)
+        until = min(source.start + len(commands) * tick, end)
+        if until > end - 1e-9:
+            until = end
         pieces.append(commands[-1].carriers.between(t, until))
-    position = PiecewisePolynomial.joined(pieces)
-    carriers = position.made_continuous()
-    nodes = np.unique(
-        np.concatenate([np.arange(source.start, source.end, SAMPLES), times, source.breaks, source.knots])
-    )
+        edges.append(until)
+        t = until
+    times, motion_end, position = np.array(edges), source.end, PiecewisePolynomial.joined(pieces)
+    carriers, source = position.made_continuous(), _followed(source, commands, edges)
+    nodes = apart(np.concatenate([np.arange(source.start, source.end, SAMPLES), times, source.breaks, source.knots]))
     decided = pieces_of(planner, source, carriers, commands)
     for part, _ in decided:  # of what is narrower than a sample the continuous motion is judged
         short = part.end - part.start < SAMPLES
@@ -128,9 +141,10 @@ def run_online(
         },
         diagnostics={
             "ticks": {status.value: counts[status.value] for status in PlanningStatus},
-            "singular_instants": np.unique(np.concatenate([command.singular for command in commands])).tolist(),
+            "singular_instants": singular_instants_met(commands).tolist(),
             "missing_force": max((missing for _, missing in decided), default=0.0),
             "seconds": [command.seconds for command in commands],
+            "delay": source.end - motion_end,
         },
         prescribed=prescribed,
         carrier_limits=planner.resolved.of_carriers,
@@ -138,6 +152,56 @@ def run_online(
         dynamics=planner.dynamics,
     )
     return OnLineRun(plan, tuple(commands))
+
+
+def _require_progress(command: Command, source: ContinuousMotion, horizon: float) -> None:
+    """Check that a run goes on.
+
+    Raises:
+        InfeasiblePlanError: its tick was refused, or the platform stands still and stays so.
+    """
+    t, scaling, longest = command.t, command.scaling, LONGEST * (source.end - source.start)
+    if command.status is PlanningStatus.REFUSED:
+        raise InfeasiblePlanError(
+            f"The planner refuses to go on at t = {t:.6g} s: {command.reason}.",
+            remedy="Lead the platform along another path.",
+            constraint="preview",
+            time=command.known_until,
+        )
+    if scaling is None:
+        return
+    stands = scaling.final_rate == 0.0 and t > scaling.settled + STANDING * horizon
+    if stands or t > source.start + longest:
+        reached = float(scaling.at([t])[0][0])
+        raise InfeasiblePlanError(
+            f"The platform {'stands' if stands else 'gets no farther'} at t = {t:.6g} s, where the motion is at "
+            f"{reached:.6g} s: from there no plan keeps every limit, however slow.",
+            remedy="Lead the platform along another path, or loosen the limits.",
+            constraint="preview",
+            time=reached,
+        )
+
+
+def _followed(source: ContinuousMotion, commands: list[Command], edges: list[float]) -> ContinuousMotion:
+    """Return the motion of the platform, which each command led from one edge to the next, s."""
+    if commands[-1].scaling is None:
+        return source
+    starts = [0, *(i for i in range(1, len(commands)) if commands[i].scaling is not commands[i - 1].scaling)]
+    parts = []
+    for i, after in zip(starts, [*starts[1:], None], strict=True):
+        own = (commands[i].scaling or TimeScaling.none(edges[0])).curve
+        parts.append(own.between(edges[i], own.end if after is None else edges[after]))
+    return ScaledMotion(source, TimeScaling(PiecewisePolynomial.joined(parts))).continuous()
+
+
+def singular_instants_met(commands: Sequence[Command]) -> Array:
+    """Return the singular instants (r,), s, of commands in order of time: each as the last one before it has it.
+
+    Where the platform slows down they come later than it was thought.
+    """
+    followed = [command.t for command in commands[1:]] + [np.inf]
+    met = [c.singular[c.singular <= until] for c, until in zip(commands, followed, strict=True)]
+    return np.unique(np.concatenate(met))
 
 
 def pieces_of(
@@ -159,7 +223,7 @@ def pieces_of(
         inner = (ends > source.start) & (ends < source.end) & np.isfinite(tau).all(axis=1)
         tau = np.where(inner[:, None], tau, planned)
         # one tick sees a singular instant where another does, but for rounding
-        roots = np.unique(np.concatenate([command.singular for command in commands]))
+        roots = singular_instants_met(commands)
         roots = roots[(roots > ends[0]) & (roots < ends[1])]
         roots = roots[np.append(True, np.diff(roots) > 1e-4)] if len(roots) else roots
         mid = [max((c for c in commands if c.t <= t), key=lambda c: c.t).efforts.at(float(t)) for t in roots]

@@ -151,8 +151,21 @@ class TickPlanner:
         """
         self.ahead.look(t, until)
         plan = self._compiled(t, until, given)
-        if plan is None:
-            plan = self.interpreted(t, until, given)
+        return self._kept(t, self.interpreted(t, until, given) if plan is None else plan)
+
+    def within_limits(self, ahead: Ahead, t: float, until: float, given: tuple[Array | None, ...]) -> TickPlan | None:
+        """Return a plan along what is ahead, and keep it; None where there is none that keeps every limit."""
+        self.ahead = ahead
+        ahead.look(t, until)
+        if self.compiled is None or self.last is None:
+            plan: TickPlan | None = self.rounds(t, until, given, self.last)
+        else:
+            plan = self._compiled(t, until, given)
+        if plan is None or self.checked_between(t, plan.command).status is not PlanningStatus.PLANNED:
+            return None
+        return self._kept(t, plan)
+
+    def _kept(self, t: float, plan: TickPlan) -> TickPlan:
         command = self.checked_between(t, plan.command)
         if command is not plan.command:
             plan = replace(plan, command=command)

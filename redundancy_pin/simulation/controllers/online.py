@@ -61,10 +61,25 @@ class OnlineReference(MotionReference):
         """Return its main efforts (m,) and carrier forces (k,) at time t."""
         return super().loads(t) if self.plan is None else (self.plan.efforts.at(t), self.plan.forces.at(t))
 
+    def platform(self, t: float) -> tuple[Array, Array, Array]:
+        """Return x, (n,) or a pose (4, 4), ẋ and ẍ (n,) at time t: where the latest plan leads it along its path."""
+        sigma, rate, bend = self._path_time(t)
+        x, along, curved = super().platform(sigma)
+        return x, along * rate, curved * rate**2 + along * bend
+
+    def _path_time(self, t: float) -> tuple[float, float, float]:
+        """Return σ, σ̇ and σ̈ of the latest plan, s and 1/s."""
+        if self.plan is None or self.plan.scaling is None:
+            return t, 1.0, 0.0
+        (sigma,), (rate,), (bend,) = self.plan.scaling.at([t])
+        return float(sigma), float(rate), float(bend)
+
     def tree(self, t: float) -> tuple[Array, Array, Array]:
         """Return q (nq,), v and a (nv,) at time t."""
         robot, (s, sd, sdd) = self.robot, self.carriers(t)
-        q, v, a = (np.array(part) for part in super().tree(t))
+        sigma, rate, bend = self._path_time(t)
+        q, v, a = (np.array(part) for part in super().tree(sigma))
+        v, a = v * rate, a * rate**2 + v * bend
         q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
         return q, v, a
 

@@ -1,0 +1,101 @@
+"""Slowing down: where no plan keeps every limit, the platform goes along its path more slowly, and faster again.
+
+A reference governor (E. Gilbert, I. Kolmanovsky and K. T. Tan, 1995) in time: of some changes of σ̇, the speed along the
+preview, the first counts that has a plan; mild ones are tried first. σ̈ is continuous, so that the efforts are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.planners.receding_horizon.ahead import KEPT, Ahead
+from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus
+from redundancy_pin.planners.receding_horizon.preview import Preview
+from redundancy_pin.planners.receding_horizon.tick import CONVERGED, TickPlan, TickPlanner
+from redundancy_pin.trajectory.time_scaling import TimeScaling
+
+SLOWER = (0.85, 0.8), (0.7, 0.8), (0.5, 0.8), (0.3, 0.8), (0.5, 0.4), (0.2, 0.4), (0.0, 0.8), (0.0, 0.4)
+"""Factors of σ̇, and within which part of the horizon."""
+
+FASTER, WITHIN = 0.25, 0.8
+"""By how much σ̇ rises where the whole of the speed is too much, and within which part of the horizon."""
+
+LEAST = 5e-3
+"""σ̇ below which the platform rather stands still."""
+
+HOLD = 5
+"""Steps from one change to the next rise of σ̇: each is tried for, and most are too soon."""
+
+FULL = 1.0 - 1e-9
+"""σ̇ from which the speed is that of the preview."""
+
+
+class Slowing:
+    """The platform's speed along what is known of its path.
+
+    Args:
+        dynamics: a backend.
+        ticks: plans ticks.
+        horizon: s.
+
+    Attributes:
+        scaling: σ, the time of the preview, by the clock's; None as long as both are the same.
+    """
+
+    def __init__(self, dynamics: Dynamics, ticks: TickPlanner, horizon: float) -> None:
+        self.dynamics, self.ticks, self.horizon = dynamics, ticks, horizon
+        self.scaling: TimeScaling | None = None
+        self._preview: Preview | None = None
+        self._held_until = -float("inf")
+
+    def shown(self, preview: Preview) -> Preview:
+        """Return a preview in the time of the clock, and keep it."""
+        self._preview = preview
+        return preview if self.scaling is None else preview.scaled(self.scaling)
+
+    def tick(self, t: float, given: tuple[Array | None, ...]) -> TickPlan:
+        """Return a plan from a time on, and keep it, as ``TickPlanner.tick``; at another speed where that has none."""
+        ticks, kept, horizon = self.ticks, self.ticks.ahead, self.horizon
+        scaling = TimeScaling.none(t) if self.scaling is None else self.scaling
+        begins = self._from(t)
+        (rate,), final = scaling.at([begins])[1], scaling.final_rate
+        rises = sorted({min(final + FASTER, 1.0), 1.0}, reverse=True) if final < FULL and t >= self._held_until else []
+        slowest = min(rate, final)
+        changes = [(wanted, WITHIN) for wanted in rises]
+        changes += [(final, 0.0)]  # as it is
+        slower = ((factor * slowest, part) for factor, part in SLOWER if slowest > 0.0)
+        changes += [(wanted if wanted >= LEAST else 0.0, part) for wanted, part in slower]
+        for wanted, part in changes:
+            other, ahead = self.scaling, kept
+            if part:
+                other = scaling.changed(begins, wanted, part * horizon, t - KEPT * ticks.step)
+                if other.backwards or self._preview is None:
+                    continue
+                ahead = kept.along(self._preview.scaled(other))
+                if (kept.roots < t).any():
+                    ahead.look(float(kept.roots[0]), t)  # the nodes around a singular instant stay when it is past
+            plan = ticks.within_limits(ahead, t, min(t + horizon, ahead.preview.end), given)
+            if plan is not None:
+                if part:
+                    self.scaling, self._held_until = other, t + HOLD * ticks.step
+                return plan
+        ticks.ahead = kept
+        return ticks.tick(t, min(t + horizon, kept.preview.end), given)
+
+    def told(self, command: Command, t: float) -> Command:
+        """Return a command with the time of the preview, and whether the platform is slower than that."""
+        if self.scaling is None:
+            return command
+        status, reason = command.status, command.reason
+        if status is PlanningStatus.PLANNED and min(self.scaling.final_rate, *self.scaling.at([t])[1]) < FULL:
+            status = PlanningStatus.SLOWED
+            reason = f"the platform goes over to {self.scaling.final_rate:.0%} of the preview's speed"
+        return replace(command, status=status, reason=reason, scaling=self.scaling)
+
+    def _from(self, t: float) -> float:
+        """Return from when on σ̇ may change, s: next to a singular instant the last plan goes on."""
+        step, coming = self.ticks.step, self.ticks.ahead.roots
+        near = coming[(coming > t - step) & (coming < t + CONVERGED * step)]
+        return max(t, float(near[-1]) + 0.5 * step) if len(near) else t
