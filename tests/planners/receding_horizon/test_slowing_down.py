@@ -1,0 +1,223 @@
+"""Slowing down along the path where no plan keeps every limit, judged by the other backend and on a dense grid."""
+
+import itertools
+from functools import cache
+
+import numpy as np
+import online
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.receding_horizon import OnLineRun, PlanningStatus, RecedingHorizon, run_online
+from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory.waypoints import through_points
+
+WEAK = {"acceleration": 2.0}
+"""m/s², a fifth of what the carriers can: over the circle at its speed there is no plan within it."""
+
+MISSING = 1e-5
+"""Of the largest effort: what other backends may miss of W τ = f away from singular instants."""
+
+
+@cache
+def machine(name: str = "2rpr"):
+    masses = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if name == "2rpr" else {}
+    robot = rp.load_robot(name, **masses)
+    return rp.CompiledDynamics(robot), (rp.VirtualWork if name == "2rpr" else rp.RneaDynamics)(robot)
+
+
+CIRCLE = rp.trajectory.reference.circle(speed=0.5)
+
+
+@cache
+def slowed() -> OnLineRun:
+    return run_online(RecedingHorizon(machine()[0], slow_down=True, **WEAK), CIRCLE)
+
+
+def assert_within(plan, limits) -> None:
+    """Check the carriers on a grid ten times as dense as the samples of the plan."""
+    carriers = plan.carriers_at(np.linspace(plan.t[0], plan.t[-1], 10 * len(plan.t)))
+    assert (carriers.s >= limits.track[:, 0] - 1e-8).all()
+    assert (carriers.s <= limits.track[:, 1] + 1e-8).all()
+    assert (np.abs(carriers.sd) <= limits.speed * (1.0 + 1e-8)).all()
+    assert (np.abs(carriers.sdd) <= limits.acceleration * (1.0 + 1e-6)).all()
+
+
+def assert_same_path(plan, trajectory, delay: float) -> None:
+    """Check that the platform goes through the places of the trajectory in their order, and that its rates are its."""
+    t = np.linspace(plan.t[0], plan.t[-1], 4001)
+    moved = plan.functions_of_time.platform
+    assert moved.end == pytest.approx(trajectory.duration + delay, abs=1e-9)
+    dense = np.linspace(0.0, trajectory.duration, 20001)
+    places = trajectory.sample_at(dense).x
+    speed, place = np.linalg.norm(trajectory.sample_at(dense).xd, axis=1).max(), 0
+    for x in moved.sample_at(t).x:  # on from where it was, since a path may cross itself
+        ahead = np.linalg.norm(places[max(place - 2, 0) : place + 50] - x, axis=1)
+        place = max(place - 2, 0) + int(ahead.argmin())
+        assert ahead.min() < speed * dense[1]
+    np.testing.assert_allclose(moved.sample_at(t[-1:]).x[0], places[-1], atol=1e-9)
+
+
+def assert_balanced(plan, other) -> None:
+    """Check W τ = f by the other backend, away from singular instants, from the platform's motion itself."""
+    instants = plan.diagnostics["singular_instants"]
+    t = plan.t[np.abs(np.subtract.outer(plan.t, instants)).min(axis=1, initial=1.0) > 0.01]
+    moved = plan.functions_of_time.platform
+    h = 1e-4
+    inner = (t > moved.start + h) & (t < moved.end - h)
+    kinks = np.abs(np.subtract.outer(t, moved.kinks)).min(axis=1) > 2.0 * h
+    t = t[inner & kinks]
+    before, there, after = (moved.sample_at(t + shift).x for shift in (-h, 0.0, h))
+    xdd = (after - 2.0 * there + before) / h**2
+    assert np.abs(xdd - moved.sample_at(t).xdd).max() < 1e-4 * max(1.0, np.abs(xdd).max())
+    reduced = other.reduce(moved.sample_at(t), plan.carriers_at(t), check_track=False)
+    tau = np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0]
+    planned = plan.tau[np.isin(plan.t, t)]
+    np.testing.assert_allclose(planned, tau, rtol=MISSING, atol=MISSING * np.abs(tau).max())
+
+
+def test_at_full_speed_there_is_no_plan_and_more_slowly_there_is() -> None:
+    counts = run_online(RecedingHorizon(machine()[0], **WEAK), CIRCLE).counts
+    assert counts["elastic"] > 0
+    run = slowed()
+    counts = run.counts
+    assert counts["slowed"] > 0
+    assert counts["slowed"] + counts["planned"] == len(run.commands)
+    assert run.plan.status.value == "within_limits"
+    assert 0.02 < run.plan.diagnostics["delay"] < 1.0
+
+
+def test_the_path_is_the_same_within_the_limits_and_balanced() -> None:
+    plan = slowed().plan
+    assert_within(plan, RecedingHorizon(machine()[0], **WEAK).resolved)
+    assert_same_path(plan, CIRCLE, plan.diagnostics["delay"])
+    assert_balanced(plan, machine()[1])
+    assert plan.diagnostics["missing_force"] < 1e-4
+
+
+def test_commands_say_where_along_the_preview_the_platform_is() -> None:
+    run = slowed()
+    plan, speeds = run.plan, []
+    for command, after in itertools.pairwise(run.commands):
+        if command.scaling is None:
+            assert command.status is PlanningStatus.PLANNED
+            continue
+        t = np.linspace(command.t, after.t, 5)
+        sigma, rate, _ = command.scaling.at(t)
+        speeds += rate.tolist()
+        np.testing.assert_allclose(plan.functions_of_time.platform.sample_at(t).x, CIRCLE.sample_at(sigma).x, atol=1e-9)
+        slow = min(rate[0], command.scaling.final_rate) < 1.0 - 1e-6
+        assert command.status is (PlanningStatus.SLOWED if slow else PlanningStatus.PLANNED)
+        assert bool(command.reason) == slow
+    assert min(speeds) < 0.9
+    assert min(speeds) >= 0.0
+    assert max(speeds) <= 1.0 + 1e-12
+    assert speeds[-1] == pytest.approx(1.0, abs=1e-9)  # it has caught up with the speed, not with the time
+
+
+def test_singular_instants_are_told_when_they_are_met_and_not_when_they_were_thought_to_be() -> None:
+    plan = slowed().plan
+    W = machine()[1].reduce(plan.functions_of_time.platform.sample_at(plan.t)).W
+    side = np.sign(np.linalg.det(W))
+    crossed = plan.t[1:][side[1:] != side[:-1]]
+    instants = np.array(plan.diagnostics["singular_instants"])
+    assert len(instants) == len(crossed)
+    assert (np.abs(instants - crossed) < 1.1 * np.diff(plan.t).max()).all()
+
+
+def test_where_there_is_a_plan_nothing_is_slowed() -> None:
+    own, other = (run_online(RecedingHorizon(machine()[0], slow_down=slow), CIRCLE) for slow in (True, False))
+    assert own.counts == other.counts
+    np.testing.assert_array_equal(own.plan.tau, other.plan.tau)
+    np.testing.assert_array_equal(own.plan.carriers.s, other.plan.carriers.s)
+    assert own.plan.diagnostics["delay"] == 0.0
+
+
+def test_numpy_slows_down_too() -> None:
+    short = rp.trajectory.reference.circle(speed=0.7)
+    run = run_online(
+        RecedingHorizon(machine()[0], slow_down=True, interpret=True, horizon=0.3, acceleration=3.0), short
+    )
+    assert run.counts["slowed"] > 0
+    assert run.counts["elastic"] == 0
+    assert_within(run.plan, RecedingHorizon(machine()[0], acceleration=3.0).resolved)
+    assert_same_path(run.plan, short, run.plan.diagnostics["delay"])
+
+
+def test_a_preview_that_is_a_function_is_asked_in_its_own_time() -> None:
+    planner, asked = RecedingHorizon(machine()[0], slow_down=True, **WEAK), []
+
+    def preview(times):
+        asked.append(times)
+        return CIRCLE.sample_at(np.minimum(times, CIRCLE.duration - 1e-9))
+
+    commands = [planner.update(t, preview) for t in (0.02 * np.arange(40)).tolist()]
+    assert {c.status for c in commands} == {PlanningStatus.PLANNED, PlanningStatus.SLOWED}
+    last = commands[-1]
+    behind = last.t - float(last.scaling.at([last.t])[0][0])
+    assert behind > 0.01
+    assert max(times.max() for times in asked[-3:]) < last.t + planner.horizon - 0.9 * behind
+    assert all((np.diff(times) > 0.0).all() for times in asked)
+
+
+def out_of_reach(name: str = "five_bar", far: float = 0.5) -> Trajectory:
+    home = machine(name)[0].reference[1]
+    path = through_points(np.array([home, home + [0.1, 0.05], home + [0.2, far]]))
+    return Trajectory(path, SpeedProfile(path.length, 0.4, 0.3))
+
+
+def test_before_a_pose_out_of_reach_the_platform_stops_and_stays() -> None:
+    motion, (dynamics, other) = out_of_reach(), machine("five_bar")
+    with pytest.raises(InfeasiblePlanError, match="stands"):
+        run_online(RecedingHorizon(dynamics, slow_down=True), motion)
+    planner = RecedingHorizon(dynamics, slow_down=True)
+    commands = [planner.update(t, motion) for t in (0.02 * np.arange(200)).tolist()]
+    assert {c.status for c in commands} == {PlanningStatus.PLANNED, PlanningStatus.SLOWED}
+    scaling = commands[-1].scaling
+    sigma, rate, _ = scaling.at([commands[-1].t])
+    assert rate[0] == 0.0
+    assert "0%" in commands[-1].reason
+    reached = motion.sample_at(np.linspace(0.0, float(sigma[0]), 200))
+    assert other.along(reached, unreachable="mark").reduce().reachable.all()
+    beyond = motion.sample_at(np.linspace(float(sigma[0]), motion.duration, 200))
+    assert not other.along(beyond, unreachable="mark").reduce().reachable.all()
+    # the carriers rest as well, and with them all efforts
+    fastest = max(np.abs(command.motion_at(command.t)[1]).max() for command in commands)
+    assert np.abs(commands[-1].motion_at(commands[-1].t)[1]).max() < 0.02 * fastest
+    assert np.abs(commands[-1].tau).max() < 0.02 * max(np.abs(command.tau).max() for command in commands)
+
+
+def test_limits_that_are_loosened_let_it_go_on() -> None:
+    planner = RecedingHorizon(machine()[0], slow_down=True, acceleration=1.0)
+    times = (0.02 * np.arange(150)).tolist()
+    slow = next(t for t in times if planner.update(t, CIRCLE).reason.startswith("the platform goes over"))
+    tight = planner.update(slow + 0.02, CIRCLE)
+    assert tight.scaling.final_rate < 0.9
+    planner.limits = Limits()
+    later = [planner.update(slow + 0.02 * i, CIRCLE) for i in range(2, 42)]
+    assert later[-1].scaling.final_rate == 1.0
+    assert later[-1].status is PlanningStatus.PLANNED
+
+
+def test_a_tick_that_is_missed_says_where_the_platform_is_too() -> None:
+    planner = RecedingHorizon(machine()[0], slow_down=True, **WEAK)
+    commands = [planner.update(t, CIRCLE) for t in (0.02 * np.arange(40)).tolist()]
+    assert commands[-1].scaling is not None
+    missed = planner.skip(0.8)
+    assert missed.status is PlanningStatus.FALLBACK
+    assert missed.scaling is commands[-1].scaling
+
+
+@pytest.mark.parametrize(("name", "share", "seed"), [("2rpr", 0.1, 3), ("2rpr", 0.15, 4), ("five_bar", 0.4, 1)])
+def test_random_paths_with_weak_carriers_are_followed_to_their_end(name: str, share: float, seed: int) -> None:
+    dynamics, other = machine(name)
+    trajectory = next(itertools.islice(online.random_paths(name, dynamics), seed, None))
+    weak = [share * limit.acceleration for limit in dynamics.robot.carrier_limits]
+    run = run_online(RecedingHorizon(dynamics, slow_down=True, acceleration=weak), trajectory)
+    assert run.counts["planned"] + run.counts["slowed"] == len(run.commands)
+    assert run.counts["slowed"] > 0
+    assert_within(run.plan, RecedingHorizon(dynamics, acceleration=weak).resolved)
+    assert_same_path(run.plan, trajectory, run.plan.diagnostics["delay"])
+    assert_balanced(run.plan, other)
