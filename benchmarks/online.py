@@ -149,8 +149,26 @@ def judged(name, dynamics, number, trajectory, least):
         "off_line": best is not None if least or failed else None,
         "missing": plan.diagnostics["missing_force"],
         "outside": outside(plan, dynamics.robot),
+        "slowed": slowed(dynamics, trajectory) if failed else None,
         "milliseconds": [round(x, 3) for x in spent[1:]],
         "cpu": time.thread_time() - began,
+    }
+
+
+def slowed(dynamics, trajectory):
+    """Plan it by a planner that may slow down: ticks, whether it keeps the limits, by how much later it ends, s."""
+    try:
+        run = run_online(RecedingHorizon(dynamics, slow_down=True), trajectory)
+    except InfeasiblePlanError as error:
+        return {"status": "refused", "reason": str(error)}
+    plan = run.plan
+    return {
+        "status": plan.status.value,
+        "ticks": run.counts,
+        "outside": outside(plan, dynamics.robot),
+        "missing": plan.diagnostics["missing_force"],
+        "delay": plan.diagnostics["delay"],
+        "slowest": 1e3 * max(plan.diagnostics["seconds"][1:]),
     }
 
 

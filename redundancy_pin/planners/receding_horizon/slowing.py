@@ -26,6 +26,9 @@ without a plan, and with them none of 56."""
 FASTER, WITHIN = 0.25, 0.8
 """By how much σ̇ rises where the whole of the speed is too much, and within which part of the horizon."""
 
+CREEPING = 0.05
+"""σ̇ below which it may rise to as much more: next to a singular pose a platform that stands has to creep over it."""
+
 LEAST = 5e-3
 """σ̇ below which the platform rather stands still."""
 
@@ -65,7 +68,10 @@ class Slowing:
         scaling = TimeScaling.none(t) if self.scaling is None else self.scaling
         begins = self._from(t)
         (rate,), final = scaling.at([begins])[1], scaling.final_rate
-        rises = sorted({min(final + FASTER, 1.0), 1.0}, reverse=True) if final < FULL and t >= self._held_until else []
+        rises = []
+        if final < FULL and t >= self._held_until:
+            more = (1.0, FASTER, CREEPING) if final < CREEPING else (1.0, FASTER)
+            rises = sorted({min(final + by, 1.0) for by in more}, reverse=True)
         slowest = min(rate, final)
         if rises:
             self._held_until = t + HOLD * ticks.step

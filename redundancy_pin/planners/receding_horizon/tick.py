@@ -46,6 +46,9 @@ CUT_OFF = 1e-3
 
 MOST_ROUNDS = 8
 
+SAME_SPEED = 1e-8
+"""By this fraction a speed may be beyond its limit, which a plan meets but for rounding."""
+
 SLOW = 0.99
 """An elastic programme that is left with more than this fraction of what the one before was is as near as it comes."""
 
@@ -162,6 +165,10 @@ class TickPlanner:
         else:
             plan = self._compiled(t, until, given)
         if plan is None or self.checked_between(t, plan.command).status is not PlanningStatus.PLANNED:
+            return None
+        # of the first half step the programme does not bound it, and another plan bends where this one does not
+        least, most = plan.command.carriers.between(t, t + self.step).derivative().ranges()
+        if (np.maximum(-least, most) > self.limits.speed * (1.0 + SAME_SPEED)).any():
             return None
         return self._kept(t, plan)
 
