@@ -29,6 +29,19 @@ def test_a_motion_is_planned_tick_by_tick(tmp_path):
     assert 0.0 < facts["milliseconds"]["p50"] <= facts["milliseconds"]["p99"]
 
 
+def test_weak_carriers_are_given_more_time(tmp_path):
+    circle = ("online", "--robot", "2rpr", *MASSES, "--trajectory", "circle", "--speed", "0.5", "--max-acceleration", "2")
+    late = call(*circle, "--slow-down", "--json", "--out", str(tmp_path / "late.npz"))
+    assert late.exit_code == 0, late.stderr
+    facts, plan = json.loads(late.stdout), rp.load_plan(tmp_path / "late.npz")
+    assert facts["ticks"]["slowed"] > 0
+    assert facts["ticks"]["elastic"] == 0
+    assert facts["diagnostics"]["delay"] > 0.02
+    duration = rp.trajectory.reference.circle(speed=0.5).duration
+    np.testing.assert_allclose(plan.t[-1], duration + facts["diagnostics"]["delay"], atol=1e-9)
+    assert call(*circle, "--full-speed").exit_code != 0
+
+
 def test_mistakes_are_one_line():
     assert "--horizon" in refused("online", "--robot", "2rpr", *MASSES, "--trajectory", "circle", "--horizon", "soon")
     assert "no carriers" in refused("online", "--robot", "four_bar", "--trajectory", "circle")

@@ -22,11 +22,16 @@ ASKED = 2e-3
 
 
 @functools.cache
-def closed_loop(number: int, duration: float, **settings: float) -> tuple[float, OnlinePlanning]:
-    """Drive an imperfect machine of the robustness study; return how far it was off, and its controller."""
+def closed_loop(
+    number: int, duration: float, weak: float | None = None, **settings: float
+) -> tuple[float, OnlinePlanning]:
+    """Drive an imperfect machine of the robustness study; return how far it was off, and its controller.
+
+    ``weak``: limit of its carriers' acceleration, m/s², for a planner that may slow down.
+    """
     bounds, nominal, sampling = Imperfections(), rp.load_robot("2rpr", **MASSES), Sampling(1e-3, 1e-3)
     dynamics, drawn = rp.CompiledDynamics(nominal), draw(nominal, bounds, 0, number)
-    planner = rp.RecedingHorizon(dynamics, track=(-0.16, 0.16))
+    planner = rp.RecedingHorizon(dynamics, track=(-0.16, 0.16), acceleration=weak, slow_down=weak is not None)
     control = OnlinePlanning(planner, ACROSS, sampling, effort_scale=2.0, dynamics=dynamics, **settings)
     machine = rp.load_robot("2rpr", **{**MASSES, **drawn.arguments})
     point = control.reference.at(0.0)
@@ -46,8 +51,13 @@ def closed_loop(number: int, duration: float, **settings: float) -> tuple[float,
         integrator="RK45",
     )
     assert run.status.value == "completed"
-    planned = np.array([control.reference.platform(float(t))[0] for t in run.t])
-    return float(np.linalg.norm(run.x - planned, axis=1).max()), control
+    if weak is None:
+        planned = np.array([control.reference.platform(float(t))[0] for t in run.t])
+        return float(np.linalg.norm(run.x - planned, axis=1).max()), control
+    # when it was where is another matter: the arc, on as far as the latest plan has led it
+    led = np.linalg.norm(control.reference.platform(duration)[0] - run.x[-1])
+    off = np.abs(np.linalg.norm(run.x - (0.25, 0.05), axis=1) - 0.09).max()
+    return float(max(off, led)), control
 
 
 @pytest.mark.parametrize(
@@ -61,6 +71,15 @@ def test_an_imperfect_machine_crosses_by_plans_made_on_the_way(number, duration)
     # plans begin a delay after what they come of, and where the carriers are by then
     starts = np.array([plan.t for plan in control.plans])[1:]
     np.testing.assert_allclose(starts, control.tick * np.arange(1, len(starts) + 1) + control.planning_delay, atol=1e-9)
+
+
+@pytest.mark.parametrize("duration", [0.4, pytest.param(1.2, marks=pytest.mark.long)])
+def test_an_imperfect_machine_of_weak_carriers_is_led_along_its_path_more_slowly(duration):
+    away, control = closed_loop(0, duration, weak=1.5)
+    assert away < ASKED
+    assert set(control.counts) <= {"planned", "slowed"}
+    behind = duration - float(control.plans[-1].scaling.at([duration])[0][0])
+    assert behind > 0.02
 
 
 def test_what_the_model_does_not_know_is_learnt_by_an_integral():
