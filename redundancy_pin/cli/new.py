@@ -160,6 +160,7 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
         if apart and np.linalg.norm(at[one] - at[other]) < _COINCIDE:
             pairs.append([one, other])
     paired = {name for pair in pairs for name in pair}
+    marked: list[list[str]] = []
     for end in ends:
         # a pin marked on one of its links alone: it is where another chain's link begins
         chain = set(model.supports[carrier[end]])
@@ -170,9 +171,19 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
         }
         on = {joint: name for joint, name in on.items() if carrier[end] not in set(model.supports[joint])}
         if end not in paired and len(on) == 1:
-            pairs.append([end, *on.values()])
+            marked.append([end, *on.values()])
+    loose = [end for end in ends if end not in paired and all(end != mark for mark, _ in marked)]
+    if not pairs and len(marked) == len(loose) == 1 and carrier[loose[0]] != carrier[marked[0][0]]:
+        (end, link), how = marked[0], "the only two links that carry nothing and weigh nothing"
+        return [[end, loose[0]]], how, [f"{end!r} is where {link!r} is at zero; if that is a pin, close these two."]
+    pairs += marked
     if pairs:
         doubts = [
+            f"{end!r} is where {link!r} is at zero, which may be chance: {', '.join(loose)} carry and weigh nothing too."
+            for end, link in marked
+            if loose
+        ]
+        doubts += [
             f"{end!r} is where {one!r} and {other!r} are: a pin of three links takes one closure more, a mark none."
             for one, other in pairs
             for end in ends
@@ -181,8 +192,8 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
         return pairs, "they coincide when all joints are at zero", doubts
     if len(ends) == 2 and carrier[ends[0]] != carrier[ends[1]]:
         return [ends], "the only two links that carry nothing and weigh nothing", []
-    loose = f" (say under closures which are one point: {', '.join(ends)})" if len(ends) > 1 else ""
-    return [], f"no two frames coincide when all joints are at zero{loose}", []
+    which = f" (say under closures which are one point: {', '.join(ends)})" if len(ends) > 1 else ""
+    return [], f"no two frames coincide when all joints are at zero{which}", []
 
 
 def _out_of_range(robot: Robot) -> list[str]:

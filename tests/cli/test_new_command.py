@@ -119,6 +119,45 @@ def test_a_pin_that_is_marked_on_one_link(tmp_path):
     assert "which are one point: end, mark" in printed
 
 
+def mechanism(path, right_end=0.4, more=""):
+    """A five-bar with marks at the ends of both chains, the left one by chance where the last link of the right begins."""
+    weight = '<inertial><mass value="0.5"/><inertia ixx="1e-4" iyy="5e-3" izz="5e-3" ixy="0" ixz="0" iyz="0"/></inertial>'
+    links = "".join(f'<link name="{side}_{part}">{weight}</link>' for side in "lr" for part in ("near", "far"))
+    limit = '<axis xyz="0 0 1"/><limit lower="-7" upper="7" velocity="20" effort="100"/>'
+
+    def joint(name, kind, parent, x, end=""):
+        of = f'<joint name="{name}_joint" type="{kind}"><parent link="{parent}"/><child link="{name}"/>'
+        return f'{of}<origin xyz="{x} 0 0"/>{end}</joint>'
+
+    joints = [
+        *(joint(f"{side}_near", "revolute", "base", x, limit) for side, x in (("l", 0.0), ("r", 0.4))),
+        *(joint(f"{side}_far", "revolute", f"{side}_near", 0.3, limit) for side in "lr"),
+        joint("l_tip", "fixed", "l_far", 0.4),
+        joint("r_tip", "fixed", "r_far", right_end),
+    ]
+    tips = '<link name="base"/><link name="l_tip"/><link name="r_tip"/>'
+    path.write_text(f'<robot name="mech">{tips}{links}{"".join(joints)}{more}</robot>')
+    return path
+
+
+def test_a_mark_that_is_on_a_link_by_chance_is_closed_with_the_other_mark(tmp_path):
+    facts = json.loads(call("new", mechanism(tmp_path / "mech.urdf"), "--json").stdout)
+    assert [set(closure["frames"]) for closure in facts["closures"]] == [{"l_tip", "r_tip"}]
+    (doubt,) = (doubt for doubt in facts["doubts"] if "l_tip" in doubt)
+    assert "'l_tip' is where 'r_far' is at zero; if that is a pin" in doubt
+
+
+def test_a_mark_that_may_be_on_a_link_by_chance_is_doubted(tmp_path):
+    third = (
+        '<link name="third"/><joint name="third_joint" type="fixed"><parent link="r_near"/><child link="third"/>'
+        '<origin xyz="0.1 0 0"/></joint>'
+    )
+    facts = json.loads(call("new", mechanism(tmp_path / "mech.urdf", more=third), "--json").stdout)
+    assert [set(closure["frames"]) for closure in facts["closures"]] == [{"l_tip", "r_far"}]
+    (doubt,) = (doubt for doubt in facts["doubts"] if "may be chance" in doubt)
+    assert all(name in doubt for name in ("l_tip", "r_far", "r_tip", "third"))
+
+
 def test_loops_that_lie_in_a_line_at_zero_have_their_reference_beside_it(tmp_path):
     """A four-bar of 0.2, 0.5, 0.2 and 0.5: flat at zero its two branches meet, and one row of its pin is redundant."""
     links = "".join(f'<link name="{name}">{MASS}</link>' for name in ("crank", "coupler", "rocker"))
