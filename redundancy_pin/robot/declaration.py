@@ -359,7 +359,7 @@ def read_declaration(path: Path) -> YamlFile:
     if other := format_of(text):  # before YAML chokes on it
         remedy = "Convert it to URDF, and name that under `urdf` of a robot.yaml."
         if other == FORMATS["robot"]:
-            remedy = "Pass the robot.yaml that names it under `urdf`."
+            remedy = "Pass the robot.yaml that names it under `urdf`; `redundancy-pin new` writes one."
         elif other in FORMATS.values():
             remedy = "Such files are read by their names: call it .xml, .mjcf or .sdf."
         raise DeclarationError(f"{path} is {other}, not a declaration.", remedy=remedy, format=other)

@@ -379,7 +379,9 @@ class TickPlanner:
         known_until = float(lin.nodes[max(unknown[0] - 1, 0)]) if len(unknown) else float(lin.nodes[-1])
         if len(unknown) and lin.nodes[unknown[0]] <= lin.until + SAME:
             status = PlanningStatus.REFUSED
-            reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go"
+            x = self.ahead.preview.states(lin.nodes[unknown[:1]])[0][0]
+            where = np.round(x if x.ndim == 1 else x[:3, 3], 4).tolist()
+            reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go, to {where}"
         command = Command(
             t, status, reason, carriers, efforts, forces, residual, peak, frozen(roots), known_until, 0.0, seconds
         )
