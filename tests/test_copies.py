@@ -34,6 +34,7 @@ from redundancy_pin.studies.co_design import CoDesign, DesignTask
 from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
 from redundancy_pin.trajectory.trajectory import TimedPath
 
 ELSEWHERE = {"Riccati", "LinearModel", "SampledModel", "LqrWeights", "ReferencePoint", "ConstantAppended"}
@@ -77,6 +78,8 @@ def objects() -> dict[str, Any]:
         "co-design": CoDesign({"length": 1.0}, (), np.ones(1), np.ones(1), np.ones((1, 1)), (), True, (), 0),
         "timed path": TimedPath(trajectory.path, polynomial, three),
         "preview": Preview.of(motion),
+        "slower preview": Preview.of(motion).scaled(slower := TimeScaling.none(0.0).changed(0.1, 0.5, 0.2)),
+        "slower motion": ScaledMotion(continuous_motion(motion), slower),
         "on-line run": OnLineRun(
             (stepwise := rp.plan_stepwise(dynamics, trajectory, lam=0.0)),
             (Command(0.0, PlanningStatus.PLANNED, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0, 0.0),),

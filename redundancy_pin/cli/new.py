@@ -179,7 +179,7 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
     pairs += marked
     if pairs:
         doubts = [
-            f"{end!r} is where {link!r} is at zero, which may be chance: {', '.join(loose)} carry and weigh nothing too."
+            f"{end!r} is where {link!r} is at zero, by chance perhaps: {', '.join(loose)} carry and weigh nothing too."
             for end, link in marked
             if loose
         ]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Frozen, each, positive
+from redundancy_pin.arrays import Array, Frozen, each, positive
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import PlatformMotion

@@ -10,18 +10,18 @@ from dataclasses import replace
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.planners.receding_horizon.ahead import KEPT, Ahead
-from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus
+from redundancy_pin.planners.receding_horizon.ahead import KEPT
+from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus, TickPlan
 from redundancy_pin.planners.receding_horizon.preview import Preview
-from redundancy_pin.planners.receding_horizon.tick import CONVERGED, TickPlan, TickPlanner
+from redundancy_pin.planners.receding_horizon.tick import CONVERGED, TickPlanner
 from redundancy_pin.trajectory.time_scaling import TimeScaling
 
 SLOWER = (
     *((0.85, 0.8), (0.7, 0.8), (0.5, 0.8), (0.3, 0.8), (0.5, 0.4), (0.2, 0.4), (0.0, 0.8), (0.0, 0.4)),
     *((0.85, 0.2), (0.7, 0.2), (0.5, 0.2)),
 )
-"""Factors of σ̇, and within which part of the horizon. Without the last three, one of 16 runs of weak carriers had a tick
-without a plan, and with them none of 56."""
+"""Factors of σ̇, and within which part of the horizon. Without the last three, one of 16 runs of weak carriers had a
+tick without a plan, and with them none of 56."""
 
 FASTER, WITHIN = 0.25, 0.8
 """By how much σ̇ rises where the whole of the speed is too much, and within which part of the horizon."""

@@ -1,6 +1,7 @@
 """On-line planning, judged by the other backend: W τ = f, limits between the nodes, singular instants, statuses."""
 
 import itertools
+import json
 from functools import cache
 from types import SimpleNamespace
 
@@ -337,6 +338,8 @@ def test_where_the_machine_cannot_go_is_refused_before_it_gets_there():
     command = planner.update(0.0, motion)
     assert command.status is PlanningStatus.REFUSED
     lost = float(command.reason.split("t = ")[1].split()[0])
+    place = json.loads(command.reason.split("go, to ")[1])
+    np.testing.assert_allclose(place, motion.sample_at([lost]).x[0], atol=1e-4)
     dynamics.reduce(motion.sample_at([command.known_until]))
     with pytest.raises(rp.errors.UnreachablePoseError):
         dynamics.reduce(motion.sample_at([lost]))

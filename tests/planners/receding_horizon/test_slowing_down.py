@@ -11,8 +11,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import OnLineRun, PlanningStatus, RecedingHorizon, run_online
-from redundancy_pin.trajectory import SpeedProfile, Trajectory
-from redundancy_pin.trajectory.waypoints import through_points
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
 
 WEAK = {"acceleration": 2.0}
 """m/s², a fifth of what the carriers can: over the circle at its speed there is no plan within it."""
@@ -164,7 +163,7 @@ def test_a_preview_that_is_a_function_is_asked_in_its_own_time() -> None:
 
 def out_of_reach(name: str = "five_bar", far: float = 0.5) -> Trajectory:
     home = machine(name)[0].reference[1]
-    path = through_points(np.array([home, home + [0.1, 0.05], home + [0.2, far]]))
+    path = through_points(home + np.array([[0.0, 0.0], [0.1, 0.05], [0.2, far]]))
     return Trajectory(path, SpeedProfile(path.length, 0.4, 0.3))
 
 
