@@ -32,7 +32,7 @@ NEAR = 0.25
 SETTLED = 2.0
 """Steps before a singular instant in which a plan begins where the last one is, and not where the carriers are."""
 
-EXTRA = 8
+EXTRA = 12
 """Nodes beyond those of even steps, for the finer ones around singular instants."""
 
 CONVERGED = 2.5
@@ -68,7 +68,7 @@ FIRST_ROUNDS = 3
 """Programmes of the first tick, each about the plan of the one before."""
 
 CONSTANTS = {
-    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "NEAR", "SOON")},
+    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "SHARP_ZONE", "NEAR", "SOON")},
     **{name: getattr(programmes, name) for name in ("CLOSER", "IN_HAND", "FORCE_KEPT", "BEYOND")},
     "APART_SINGULAR": sight.APART[0],
     "APART_OTHER": sight.APART[1],
@@ -277,7 +277,7 @@ class TickPlanner:
         near = len(coming) and coming[0] <= t + NEAR * step and last is not None
         start = float(coming[0]) if near else t
         # the nodes around a singular instant stay when it is past
-        nodes, singular = nodes_from(start, step, self.count + 1, ahead.roots)
+        nodes, singular = nodes_from(start, step, self.count + 1, ahead.roots, ahead.sharp)
         if last is None:
             s, sd = (np.zeros(k) if part is None else part for part in given)
             first = s, sd, np.zeros(k)
