@@ -47,7 +47,7 @@ class Weights:
     """
 
     effort: float = 0.1
-    peak: float = 1.0
+    peak: float = 5.0
     memory: float = 0.9
     acceleration: float = 0.1
     jerk: float = 0.3

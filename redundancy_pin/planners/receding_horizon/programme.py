@@ -38,8 +38,10 @@ CLOSER = 1e-5
 """By this fraction the limits are closer at the end of the horizon: the rest of a plan is not on the limits of the next
 one, which it would miss by rounding."""
 
-IN_HAND = 0.2
+IN_HAND = 0.05
 """So is the limit of acceleration, by this fraction: a plan that is to be put right as it comes nearer needs some."""
+
+END_AT, PASS = 1, 0.0
 
 BEYOND = 1e-6
 """Room in an elastic programme for a start that is on its limit, m."""

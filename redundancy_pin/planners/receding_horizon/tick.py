@@ -32,7 +32,7 @@ NEAR = 0.25
 SETTLED = 2.0
 """Steps before a singular instant in which a plan begins where the last one is, and not where the carriers are."""
 
-EXTRA = 12
+EXTRA = 8
 """Nodes beyond those of even steps, for the finer ones around singular instants."""
 
 CONVERGED = 2.5
@@ -61,6 +61,7 @@ SHORTEST_STOP = 1e-6
 REGULAR = 1e-3
 """Smallest over largest singular value of W from which W⁻¹ f is the effort; nearer to a pose it magnifies rounding."""
 
+MOST = 1.0
 SMALLEST = 0.05
 """Efforts count as of size one from this fraction of those of parked carriers."""
 
@@ -68,8 +69,8 @@ FIRST_ROUNDS = 3
 """Programmes of the first tick, each about the plan of the one before."""
 
 CONSTANTS = {
-    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "SHARP_ZONE", "NEAR", "SOON")},
-    **{name: getattr(programmes, name) for name in ("CLOSER", "IN_HAND", "FORCE_KEPT", "BEYOND")},
+    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "SHARP_ZONE", "FAR_ZONE", "NEAR", "SOON")},
+    **{name: getattr(programmes, name) for name in ("CLOSER", "IN_HAND", "FORCE_KEPT", "BEYOND", "END_AT", "PASS")},
     "APART_SINGULAR": sight.APART[0],
     "APART_OTHER": sight.APART[1],
     "NEAR_ROOT": NEAR,
@@ -82,7 +83,7 @@ CONSTANTS = {
     "LINEAR": LINEAR,
     "SHORTEST_STOP": SHORTEST_STOP,
     "REGULAR": REGULAR,
-    "SMALLEST": SMALLEST,
+    "SMALLEST": SMALLEST, "MOST": MOST,
 }
 """What machine code is told of all these, by its names."""
 
@@ -301,7 +302,7 @@ class TickPlanner:
             self.sizes = TickScales.of(lin)
         sizes = self.sizes
         if last is not None:  # of all rounds the same, or the second would be off to another plan
-            share = min(max(last.peak / sizes.tau, SMALLEST), 1.0)
+            share = min(max(last.peak / sizes.tau, SMALLEST), MOST)
             sizes = TickScales(share * sizes.tau, sizes.row)
         jerk = None
         if last is not None:
