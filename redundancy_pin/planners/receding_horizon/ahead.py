@@ -61,9 +61,6 @@ apart there too: the platform turns between two of them."""
 SHARP_ZONE = 1.0
 """Steps around such an instant."""
 
-FAR_ZONE = 0.0
-PEAKS = 1
-
 NEAR = 10
 """Steps from which on the nodes are twice as far apart."""
 
@@ -328,10 +325,10 @@ class Ahead:
             self.roots = np.array(sorted(before + others))
 
     def _scan_sharp(self, new: Array) -> None:
-        """Look for instants a step or more before new edges where f of the parked machine bends."""
+        """Look for instants a step or more before new edges where f of the parked machine bends most."""
         step = PARTS * self.spacing
-        first = new[0] - step - (2.0 * self.spacing if PEAKS else 0.0)
-        times = self.edges[(self.edges >= first - SAME) & (self.edges <= new[-1] - step + SAME)]
+        after = self.edges >= new[0] - step - 2.0 * self.spacing - SAME
+        times = self.edges[after & (self.edges <= new[-1] - step + SAME)]
         times = times[times >= self.edges[0] + step - SAME]
         if not len(times):
             return
@@ -341,11 +338,8 @@ class Ahead:
         )
         self._size = max(self._size, float(np.abs(after).max()), float(np.abs(there).max()))
         bend = np.abs(there - 0.5 * (before + after)).max(axis=1)
-        if PEAKS:
-            inner = (bend[1:-1] > bend[:-2]) & (bend[1:-1] >= bend[2:]) & (bend[1:-1] > SHARP * self._size)
-            self.sharp = np.append(self.sharp, times[1:-1][inner])
-            return
-        self.sharp = np.append(self.sharp, times[bend > SHARP * self._size])
+        inner = (bend[1:-1] > bend[:-2]) & (bend[1:-1] >= bend[2:]) & (bend[1:-1] > SHARP * self._size)
+        self.sharp = np.append(self.sharp, times[1:-1][inner])
 
     def _within(self, start: float, end: float, largest: float) -> list[float]:
         """Return the instants between two times at which det W is zero, or next to it at a dip, s."""
@@ -381,10 +375,9 @@ def nodes_from(start: float, step: float, count: int, roots: Array, sharp: Array
             chosen.append(root)
     apart = np.abs(grid[:, None] - roots).min(axis=1, initial=np.inf)
     far = grid > start + (NEAR + 1e-6) * step
-    off = np.abs(grid[:, None] - sharp).min(axis=1, initial=np.inf)
-    fine = (apart < np.where(far, 2.0, 1.0) * ZONE * step) | (off < np.where(far, 2.0, 1.0) * SHARP_ZONE * step)
+    turned = np.abs(grid[:, None] - sharp).min(axis=1, initial=np.inf)
+    fine = (apart < np.where(far, 2.0, 1.0) * ZONE * step) | (turned < np.where(far, 2.0, 1.0) * SHARP_ZONE * step)
     unit = np.where(far, 2.0, 1.0) * np.where(fine, 1.0, 2.0)
-    unit[off < FAR_ZONE * step] = 1.0
     fixed = np.array([start, *chosen] if start in roots else chosen)
     near = np.abs(grid[:, None] - fixed).min(axis=1, initial=np.inf) <= APART[1] * step
     kept = (half % unit == 0.0) & ~near & (grid > start + SOON * step)

@@ -219,7 +219,7 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
         if (place < g->track[2 * j] - BEYOND || place > g->track[2 * j + 1] + BEYOND) return ELASTIC;
         if (fabs(w->given[1][j]) > g->speed[j] + BEYOND) return ELASTIC;
     }
-    double share = smaller(larger(g->peak / g->tau, SMALLEST), MOST), row = 0.0;
+    double share = smaller(larger(g->peak / g->tau, SMALLEST), 1.0), row = 0.0;
     w->tau_unit = share * g->tau;
     for (int i = 0; i < N; i++) row = larger(row, g->row[i]);
     /* about the last plan */

@@ -61,16 +61,15 @@ SHORTEST_STOP = 1e-6
 REGULAR = 1e-3
 """Smallest over largest singular value of W from which W⁻¹ f is the effort; nearer to a pose it magnifies rounding."""
 
-MOST = 1.0
-SMALLEST = 0.05
+SMALLEST = 0.1
 """Efforts count as of size one from this fraction of those of parked carriers."""
 
 FIRST_ROUNDS = 3
 """Programmes of the first tick, each about the plan of the one before."""
 
 CONSTANTS = {
-    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "SHARP_ZONE", "FAR_ZONE", "NEAR", "SOON")},
-    **{name: getattr(programmes, name) for name in ("CLOSER", "IN_HAND", "FORCE_KEPT", "BEYOND", "END_AT", "PASS")},
+    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "SHARP_ZONE", "NEAR", "SOON")},
+    **{name: getattr(programmes, name) for name in ("CLOSER", "IN_HAND", "FORCE_KEPT", "BEYOND")},
     "APART_SINGULAR": sight.APART[0],
     "APART_OTHER": sight.APART[1],
     "NEAR_ROOT": NEAR,
@@ -83,7 +82,7 @@ CONSTANTS = {
     "LINEAR": LINEAR,
     "SHORTEST_STOP": SHORTEST_STOP,
     "REGULAR": REGULAR,
-    "SMALLEST": SMALLEST, "MOST": MOST,
+    "SMALLEST": SMALLEST,
 }
 """What machine code is told of all these, by its names."""
 
@@ -302,7 +301,7 @@ class TickPlanner:
             self.sizes = TickScales.of(lin)
         sizes = self.sizes
         if last is not None:  # of all rounds the same, or the second would be off to another plan
-            share = min(max(last.peak / sizes.tau, SMALLEST), MOST)
+            share = min(max(last.peak / sizes.tau, SMALLEST), 1.0)
             sizes = TickScales(share * sizes.tau, sizes.row)
         jerk = None
         if last is not None:

@@ -274,12 +274,9 @@ static void set_nodes(const Given *g, Work *w) {
         for (long r = 0; r < g->roots; r++) apart = smaller(apart, fabs(grid - g->root[r]));
         for (int c = begins; c < many; c++) nearest = smaller(nearest, fabs(grid - chosen[c]));
         double far = grid > start + (NEAR + 1e-6) * step ? 2.0 : 1.0;
-        int unit = (int)far * (apart < far * ZONE * step ? 1 : 2);
-        for (long r = 0; r < g->sharps; r++) {
-            double off = fabs(grid - g->sharp[r]);
-            if (off < far * SHARP_ZONE * step && unit > (int)far) unit = (int)far;
-            if (off < FAR_ZONE * step) unit = 1;
-        }
+        int fine = apart < far * ZONE * step;
+        for (long r = 0; r < g->sharps; r++) fine |= fabs(grid - g->sharp[r]) < far * SHARP_ZONE * step;
+        int unit = (int)far * (fine ? 1 : 2);
         if (half % unit == 0 && nearest > APART_OTHER * step && grid > start + SOON * step) w->node[count++] = grid;
     }
     w->singulars = 0;
