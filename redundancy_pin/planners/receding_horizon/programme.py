@@ -38,7 +38,7 @@ CLOSER = 1e-5
 """By this fraction the limits are closer at the end of the horizon: the rest of a plan is not on the limits of the next
 one, which it would miss by rounding."""
 
-IN_HAND = 0.05
+IN_HAND = 0.1
 """So is the limit of acceleration, by this fraction: a plan that is to be put right as it comes nearer needs some."""
 
 BEYOND = 1e-6

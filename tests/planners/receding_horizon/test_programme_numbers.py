@@ -24,7 +24,7 @@ from redundancy_pin.planners.receding_horizon.programme import (
 
 pytest.importorskip("piqp")
 
-CLOSER, IN_HAND, FORCE_KEPT, BEYOND = 1e-5, 0.05, 0.98, 1e-6
+CLOSER, IN_HAND, FORCE_KEPT, BEYOND = 1e-5, 0.1, 0.98, 1e-6
 """What the module's constants say: of the limits at the end of the horizon, of forces between the nodes, m."""
 
 REGULAR = 1e-7
