@@ -55,6 +55,13 @@ DIFFERENCE = 1e-4
 ZONE = 2.5
 """Steps around a singular instant in which the nodes are half as far apart: a step in s̈ there makes τ swing."""
 
+SHARP = 0.1
+"""Bend of the parked machine's f within a step either way, over its largest so far, from which nodes are half as far
+apart there too: the platform turns between two of them."""
+
+SHARP_ZONE = 1.0
+"""Steps around such an instant."""
+
 NEAR = 10
 """Steps from which on the nodes are twice as far apart."""
 
@@ -70,6 +77,8 @@ FIRST = 3
 
 BESIDE = 1e-8
 """Before and after an instant at which ẍ jumps, s: f jumps with it, and so do the efforts."""
+
+NO_TIMES = np.empty(0)
 
 TINY = 1e-30
 """Complex step: derivatives without differences."""
@@ -203,7 +212,8 @@ class Ahead:
     def _clear(self) -> None:
         self._memory = _Memory()
         self.known = self._memory.known
-        self.roots, self.edges = np.empty(0), np.empty(0)
+        self.roots, self.edges, self.sharp = np.empty(0), np.empty(0), np.empty(0)
+        self._size = 0.0
         self._determinants: list[float] = []  # at the last two edges
 
     def look(self, start: float, end: float) -> Array:
@@ -222,6 +232,7 @@ class Ahead:
             self.edges = seen = seen[seen >= past]
             self._determinants = self._determinants[-len(seen) :]
             self.roots = self.roots[self.roots >= past]
+            self.sharp = self.sharp[self.sharp >= past]
         first = float(seen[-1]) if len(seen) else start
         begin = floor(first / spacing)
         while begin * spacing <= first + 0.1 * spacing:
@@ -237,6 +248,7 @@ class Ahead:
             self.edges = np.concatenate((seen, times))
             if self._square:
                 self._scan(places)
+            self._scan_sharp(times)
         return self.roots[self.roots >= start]
 
     def _new(self, times: Array) -> IntArray | slice:
@@ -320,6 +332,23 @@ class Ahead:
             others = [root for root in roots if not any(abs(root - other) < near for other in before)]
             self.roots = np.array(sorted(before + others))
 
+    def _scan_sharp(self, new: Array) -> None:
+        """Look for instants a step or more before new edges where f of the parked machine bends most."""
+        step = PARTS * self.spacing
+        after = self.edges >= new[0] - step - 2.0 * self.spacing - SAME
+        times = self.edges[after & (self.edges <= new[-1] - step + SAME)]
+        times = times[times >= self.edges[0] + step - SAME]
+        if not len(times):
+            return
+        before, there, after = (
+            self.known.constant[self.at(times + shift), : len(self.row_scale)] / self.row_scale
+            for shift in (-step, 0.0, step)
+        )
+        self._size = max(self._size, float(np.abs(after).max()), float(np.abs(there).max()))
+        bend = np.abs(there - 0.5 * (before + after)).max(axis=1)
+        inner = (bend[1:-1] > bend[:-2]) & (bend[1:-1] >= bend[2:]) & (bend[1:-1] > SHARP * self._size)
+        self.sharp = np.append(self.sharp, times[1:-1][inner])
+
     def _within(self, start: float, end: float, largest: float) -> list[float]:
         """Return the instants between two times at which det W is zero, or next to it at a dip, s."""
         W = self._read(chebyshev_points(np.array([start]), np.array([end]), POINTS - 1)).W
@@ -340,10 +369,10 @@ class Ahead:
         return roots
 
 
-def nodes_from(start: float, step: float, count: int, roots: Array) -> tuple[Array, IntArray]:
+def nodes_from(start: float, step: float, count: int, roots: Array, sharp: Array = NO_TIMES) -> tuple[Array, IntArray]:
     """Return (count,) nodes, s, from a start on a grid that is fixed in time, and which are singular instants.
 
-    A step apart, and from ``NEAR`` steps on two, half as far around singular instants.
+    A step apart, and from ``NEAR`` steps on two, half as far around singular and sharp instants.
     """
     first = np.floor(2.0 * start / step)
     half = np.arange(first, first + 4 * count)
@@ -354,7 +383,9 @@ def nodes_from(start: float, step: float, count: int, roots: Array) -> tuple[Arr
             chosen.append(root)
     apart = np.abs(grid[:, None] - roots).min(axis=1, initial=np.inf)
     far = grid > start + (NEAR + 1e-6) * step
-    unit = np.where(far, 2.0, 1.0) * np.where(apart < np.where(far, 2.0, 1.0) * ZONE * step, 1.0, 2.0)
+    turned = np.abs(grid[:, None] - sharp).min(axis=1, initial=np.inf)
+    fine = (apart < np.where(far, 2.0, 1.0) * ZONE * step) | (turned < np.where(far, 2.0, 1.0) * SHARP_ZONE * step)
+    unit = np.where(far, 2.0, 1.0) * np.where(fine, 1.0, 2.0)
     fixed = np.array([start, *chosen] if start in roots else chosen)
     near = np.abs(grid[:, None] - fixed).min(axis=1, initial=np.inf) <= APART[1] * step
     kept = (half % unit == 0.0) & ~near & (grid > start + SOON * step)

@@ -43,12 +43,12 @@ class Weights:
         acceleration: mean square of s̈, over its limit: without it the motion between the nodes swings.
         jerk: of s⃛, over that which reaches this limit in a step.
         centre: of s, over half the track: room for what comes after the horizon.
-        end, end_speed: of s and ṡ at the end of the horizon.
+        end, end_speed: of s and ṡ at the last node of the horizon: nodes after it decide nothing but a stop.
         missing: of what an elastic programme leaves out of W τ = f.
     """
 
     effort: float = 0.1
-    peak: float = 1.0
+    peak: float = 2.0
     memory: float = 0.9
     acceleration: float = 0.1
     jerk: float = 0.3

@@ -62,10 +62,10 @@ NONE = frozen([])
 INSTANTS, BORDER = 160, 10
 """Most instants at which the efforts of a plan are evaluated, and rows of singular instants, as in ``tick.c``."""
 
-_COUNTS = ("instants", "edges", "nodes", "roots", "breaks", "same_time")
+_COUNTS = ("instants", "edges", "nodes", "roots", "breaks", "sharps", "same_time")
 _SIGHT = ("t", "W", "constant", "terms", "known")
 _PLAN = ("edge", "piece", "node", "at", "multiplier", "solution")
-_POINTERS = (*_PLAN, "root", "broken", "row_scale", "row", "track", "speed")
+_POINTERS = (*_PLAN, "root", "broken", "sharp", "row_scale", "row", "track", "speed")
 _LIMITS = ("acceleration", "jerk", "carrier_force", "effort")
 _NUMBERS = ("now", "until", "step", "horizon", "spacing", "tau", "largest", "peak")
 
@@ -207,6 +207,8 @@ class CompiledTick:
         self._point_to_last(last)
         self._point("root", ahead.roots)
         self._point("broken", ahead.preview.breaks)
+        self._point("sharp", ahead.sharp)
+        own.sharps = len(ahead.sharp)
         self._point("row", sizes.row)
         self._point("row_scale", ahead.row_scale)
         for name, array in zip(("s", "sd"), given, strict=True):

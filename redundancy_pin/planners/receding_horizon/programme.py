@@ -38,7 +38,7 @@ CLOSER = 1e-5
 """By this fraction the limits are closer at the end of the horizon: the rest of a plan is not on the limits of the next
 one, which it would miss by rounding."""
 
-IN_HAND = 0.2
+IN_HAND = 0.1
 """So is the limit of acceleration, by this fraction: a plan that is to be put right as it comes nearer needs some."""
 
 BEYOND = 1e-6
@@ -263,8 +263,9 @@ class Programme:
         diagonal[self.tau] = w.effort * share
         diagonal[self.s] += w.centre * share
         diagonal[self.sdd] = w.acceleration * share
-        diagonal[self.s[-1]] += 2.0 * w.end
-        diagonal[self.sd[-1]] += 2.0 * w.end_speed
+        end = max(int(lin.known.sum()) - 1, 1)  # known are the first ones: what is after the horizon is not
+        diagonal[self.s[end]] += 2.0 * w.end
+        diagonal[self.sd[end]] += 2.0 * w.end_speed
         diagonal[self.missing] = w.missing
         diagonal[self.peak] += 2.0 * w.peak
         # jerks, over one that brings s̈ to its limit in a step

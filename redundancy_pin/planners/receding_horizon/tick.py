@@ -64,14 +64,14 @@ SHORTEST_STOP = 1e-6
 REGULAR = 1e-3
 """Smallest over largest singular value of W from which W⁻¹ f is the effort; nearer to a pose it magnifies rounding."""
 
-SMALLEST = 0.05
+SMALLEST = 0.1
 """Efforts count as of size one from this fraction of those of parked carriers."""
 
 FIRST_ROUNDS = 3
 """Programmes of the first tick, each about the plan of the one before."""
 
 CONSTANTS = {
-    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "NEAR", "SOON")},
+    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "SHARP_ZONE", "NEAR", "SOON")},
     **{name: getattr(programmes, name) for name in ("CLOSER", "IN_HAND", "FORCE_KEPT", "BEYOND")},
     "APART_SINGULAR": sight.APART[0],
     "APART_OTHER": sight.APART[1],
@@ -297,7 +297,7 @@ class TickPlanner:
         near = len(coming) and coming[0] <= t + NEAR * step and last is not None
         start = float(coming[0]) if near else t
         # the nodes around a singular instant stay when it is past
-        nodes, singular = nodes_from(start, step, self.count + 1, ahead.roots)
+        nodes, singular = nodes_from(start, step, self.count + 1, ahead.roots, ahead.sharp)
         if last is None:
             s, sd = (np.zeros(k) if part is None else part for part in given)
             first = s, sd, np.zeros(k)

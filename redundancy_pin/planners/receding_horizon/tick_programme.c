@@ -278,6 +278,8 @@ static int set_programme(const Given *g, Work *w) {
     const double *us = g->unit, *ud = us + K, *ua = ud + K;
     const double *weight = g->weight;
     enum { EFFORT, PEAK, MEMORY, ACCELERATED, JERKED, CENTRE, END, END_SPEED };
+    int end = COUNT - 1;
+    while (end > 1 && !w->known[end]) end--;   /* what is after the horizon is not known */
     double ut = w->tau_unit, whole = w->node[COUNT - 1] - w->node[0], low[LANES], high[LANES], speed[LANES];
     memset(w->active, 0, sizeof w->active);
     memset(w->bound, 0, sizeof w->bound);
@@ -302,8 +304,8 @@ static int set_programme(const Given *g, Work *w) {
         for (int j = 0; j < K; j++) {
             int lane = i * K + j;
             double h = w->h[i], before = i ? w->h[i - 1] : 0.0;
-            w->cost[0][0][lane] += 1e-8 + weight[CENTRE] * share + (last ? 2.0 * weight[END] : 0.0);
-            w->cost[1][1][lane] += 1e-8 + (last ? 2.0 * weight[END_SPEED] : 0.0);
+            w->cost[0][0][lane] += 1e-8 + weight[CENTRE] * share + (i == end ? 2.0 * weight[END] : 0.0);
+            w->cost[1][1][lane] += 1e-8 + (i == end ? 2.0 * weight[END_SPEED] : 0.0);
             w->cost[2][2][lane] += weight[ACCELERATED] * share;
             double by = weight[JERKED] * g->step / g->horizon * g->step;
             if (i) w->cost[2][2][lane] += 2.0 * by / before;

@@ -15,13 +15,13 @@ typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned
 typedef long long Mask __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));
 
 typedef struct {
-    long instants, edges, nodes, roots, breaks, same_time;
+    long instants, edges, nodes, roots, breaks, sharps, same_time;
     const double *t, *W, *constant, *terms;         /* of the instants in sight */
     const unsigned char *reachable;
     const double *edge, *piece;                     /* carriers of the last plan: (edges), (4, edges - 1, K) */
     const double *node, *at, *multiplier;           /* its nodes, (3, nodes, K) and (nodes, N) there */
     const double *solution;                         /* its ``Solution``; 0 of a plan that was made otherwise */
-    const double *root, *broken;                    /* singular instants, jumps of the platform's acceleration */
+    const double *root, *broken, *sharp;                 /* singular instants, jumps of the platform's acceleration */
     const double *row_scale, *row, *track, *speed, *acceleration, *jerk, *carrier_force, *effort, *unit, *weight;
     const double *s, *sd;                           /* where the carriers are; NaN where the last plan is to be believed */
     double now, until, step, horizon, spacing, tau, largest, peak;
@@ -274,7 +274,9 @@ static void set_nodes(const Given *g, Work *w) {
         for (long r = 0; r < g->roots; r++) apart = smaller(apart, fabs(grid - g->root[r]));
         for (int c = begins; c < many; c++) nearest = smaller(nearest, fabs(grid - chosen[c]));
         double far = grid > start + (NEAR + 1e-6) * step ? 2.0 : 1.0;
-        int unit = (int)far * (apart < far * ZONE * step ? 1 : 2);
+        int fine = apart < far * ZONE * step;
+        for (long r = 0; r < g->sharps; r++) fine |= fabs(grid - g->sharp[r]) < far * SHARP_ZONE * step;
+        int unit = (int)far * (fine ? 1 : 2);
         if (half % unit == 0 && nearest > APART_OTHER * step && grid > start + SOON * step) w->node[count++] = grid;
     }
     w->singulars = 0;

@@ -24,7 +24,7 @@ from redundancy_pin.planners.receding_horizon.programme import (
 
 pytest.importorskip("piqp")
 
-CLOSER, IN_HAND, FORCE_KEPT, BEYOND = 1e-5, 0.2, 0.98, 1e-6
+CLOSER, IN_HAND, FORCE_KEPT, BEYOND = 1e-5, 0.1, 0.98, 1e-6
 """What the module's constants say: of the limits at the end of the horizon, of forces between the nodes, m."""
 
 REGULAR = 1e-7
@@ -333,8 +333,9 @@ class Written:
         for i in range(NODES - 1):
             step, horizon = self.tick.step, self.tick.horizon
             add(w.jerk * h[i] / horizon, *((self.sdd[i + 1] - self.sdd[i]) / h[i] / (ua / step)))
-        add(w.end, *self.s[-1] / us)
-        add(w.end_speed, *self.sd[-1] / ud)
+        end = max([i for i, known in enumerate(self.lin.known) if known], default=1) or 1
+        add(w.end, *self.s[end] / us)
+        add(w.end_speed, *self.sd[end] / ud)
         add(w.peak, self.peak / self.tick.sizes.tau)
         for i in range(NODES):
             for j in range(self.k):
