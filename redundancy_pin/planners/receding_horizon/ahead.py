@@ -199,7 +199,7 @@ class Ahead:
         self._turning = bool(turning_velocities(dynamics.robot)[dynamics.robot.carrier_velocity].any())
         self._square = dynamics.robot.n == dynamics.robot.m
         self._checked = False
-        self._largest = 0.0
+        self._largest = self._size = 0.0
         self._clear()
 
     def along(self, preview: Preview) -> Ahead:
@@ -213,7 +213,6 @@ class Ahead:
         self._memory = _Memory()
         self.known = self._memory.known
         self.roots, self.edges, self.sharp = np.empty(0), np.empty(0), np.empty(0)
-        self._size = 0.0
         self._determinants: list[float] = []  # at the last two edges
 
     def look(self, start: float, end: float) -> Array:

@@ -75,6 +75,9 @@ NO_TRACK = [(-np.inf, np.inf)] * 2
 PLACE, RATE, ACCELERATION = 2e-4, 2e-3, 0.1
 """m, m/s and m/s², or rad: within their tolerances the cost is flat that far."""
 
+BEHIND = 2.0
+"""So much farther behind the horizon, where neither place nor speed weigh."""
+
 EFFORT, FORCE, MULTIPLIER = 5e-3, 0.02, 3e-2
 """Of the peak; N; of the largest: as follows from these motions."""
 
@@ -192,8 +195,11 @@ def assert_the_same(tick: Tick) -> None:
     np.testing.assert_array_equal(own.nodes, their.nodes)
     np.testing.assert_array_equal(command.singular, expected.singular)
     assert command.known_until == expected.known_until
+    known = own.nodes <= command.known_until
     for found, wanted, near in zip(own.at, their.at, (PLACE, RATE, ACCELERATION), strict=True):
-        np.testing.assert_allclose(found, wanted, atol=near if tick.once else near / PLACE * LOOSE)
+        most = near if tick.once else near / PLACE * LOOSE
+        np.testing.assert_allclose(found[known], wanted[known], atol=most)
+        np.testing.assert_allclose(found[~known], wanted[~known], atol=BEHIND * most)
     end = command.carriers.end
     t = np.linspace(command.t, end, 201)
     np.testing.assert_allclose(command.carriers(t), expected.carriers(t), atol=PLACE if tick.once else LOOSE)
@@ -203,8 +209,8 @@ def assert_the_same(tick: Tick) -> None:
     assert bounds <= MISSED
     if not tick.once:
         return
-    assert command.residual == pytest.approx(expected.residual, abs=RESIDUAL)
-    assert own.left == pytest.approx(their.left, abs=RESIDUAL)
+    assert command.residual == pytest.approx(expected.residual, abs=RESIDUAL, rel=EFFORT)
+    assert own.left == pytest.approx(their.left, abs=RESIDUAL, rel=EFFORT)
     assert command.peak == pytest.approx(expected.peak, rel=EFFORT)
     assert own.largest == pytest.approx(their.largest, abs=EFFORT * expected.peak)
     t = np.linspace(command.t, command.t + STEP * FIRST, 61)
@@ -246,7 +252,7 @@ CASES: dict[str, tuple[str, Callable[[], Any], Array, dict[str, Any]]] = {
     "arms that turn": ("arms", lambda: ACROSS, grid(30), {}),
     "jerk": ("2rpr", lambda: ACROSS, grid(30), {"jerk": 150.0}),
     "force": ("2rpr", lambda: ACROSS, grid(30), {"carrier_force": 6.0}),
-    "effort": ("3rrr", lambda: random_path("3rrr"), 1.94 + grid(15), {"effort": 9.0, "objective": "effort"}),
+    "effort": ("3rrr", lambda: random_path("3rrr"), 1.94 + grid(15), {"effort": 10.5, "objective": "effort"}),
     "narrow": ("2rpr", lambda: ACROSS, grid(30), {"track": (-0.03, 0.03), "objective": CENTRED}),
     "narrow, fast": (
         "2rpr",

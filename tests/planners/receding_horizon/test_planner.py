@@ -15,7 +15,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon
 from redundancy_pin.planners.receding_horizon.tick import begun_with, is_beyond, with_stop
-from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory import RestToRest, SpeedProfile, Trajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path
 
@@ -112,9 +112,10 @@ def test_a_horizon_has_two_to_two_hundred_steps(horizon: float, fits: bool) -> N
 
 @pytest.mark.parametrize("steps", [2, 7, 10, 12, 25, 60])
 def test_nodes_reach_beyond_the_horizon_by_those_kept_for_singular_instants(steps: int) -> None:
-    """Steps apart, from ten on two; where there is no singular instant eight nodes are left over."""
+    """Steps apart, from ten on two; where there is no singular instant and no turn eight nodes are left over."""
     planner = RecedingHorizon(rp.CompiledDynamics(rp.load_robot("3rrr")), step=STEP, horizon=steps * STEP)
-    command = planner.update(0.0, rp.trajectory.reference.corner(radius=0.025))
+    line = Line((0.0, 0.0, 0.0), (0.04, 0.03, 0.0))
+    command = planner.update(0.0, Trajectory(line, RestToRest(line.length, 3.0)))
     edges = command.carriers.edges
     near = min(steps, 10)
     expected = near + (steps - near) // 2 + 8

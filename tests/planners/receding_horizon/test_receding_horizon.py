@@ -264,8 +264,8 @@ BETWEEN = 5e-3
 def missing_until_the_next_node(planner, command, trajectory, judge):
     """Largest |W τ − f| of a command's first step by the other backend, both sides of jumps of the acceleration."""
     end = min(command.t + planner.step, trajectory.duration)
-    inner = trajectory.breaks[(trajectory.breaks > command.t) & (trajectory.breaks < end)]
-    t = np.unique(np.concatenate([np.linspace(command.t, end, 60), inner - 1e-7, inner + 1e-7]))
+    inner = trajectory.breaks[(trajectory.breaks > command.t) & (trajectory.breaks <= end + 1e-9)]
+    t = np.unique(np.concatenate([np.linspace(command.t, end, 60), inner - 1e-7, inner[inner < end] + 1e-7]))
     motion = rp.CarrierMotion(*map(np.array, zip(*map(command.motion_at, t), strict=True)), check_rates=False)
     reduced = judge.reduce(trajectory.sample_at(t), motion, check_track=False)
     missing = (np.einsum("nij,nj->ni", reduced.W, command.efforts(t)) - reduced.f) / reduced.row_scale

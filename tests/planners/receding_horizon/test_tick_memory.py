@@ -33,9 +33,9 @@ FLAT = 2e-5, 2e-4, 5e-3
 """m, m/s and m/s²: two solutions of one programme, begun at different points, whose cost is next to flat: 1.3e-3 in s̈,
 of which the limit is 10."""
 
-FEW = {0.005: 4.5, 0.02: 6.9}
-"""Steps of the interior point method a tick, by its period in s: 4.4 and 6.6; 4.6 and 7.2 where duals are taken from
-wrong nodes, 6.0 and 8.7 without the corrector's terms of second order, 7.6 and 8.9 where nothing is remembered."""
+FEW = {0.005: 5.2, 0.02: 7.1}
+"""Steps of the interior point method a tick, by its period in s: 4.8 and 6.7; 5.9 and 7.6 where duals are taken from
+wrong nodes, 6.6 and 9.3 without the corrector's terms of second order, 8.0 and 9.3 where nothing is remembered."""
 
 CIRCLE = rp.trajectory.reference.circle(speed=0.3)
 
