@@ -48,9 +48,9 @@ def online(
     type II singularities that come up; the carriers follow the first piece. The plan that comes of it is judged as any
     other. Needs the extra `optimal`.
 
-    Exit codes: 0 every tick found a plan within limits, with --slow-down at a lower speed where need be, and the whole keeps them; 3 the whole breaks limits; 4 it keeps
-    them, but some ticks had to leave something out, or its samples do not show its efforts; 2 bad input, or the path
-    leads where the machine cannot go (the line on stderr says when).
+    Exit codes: 0 every tick found a plan within limits, with --slow-down at a lower speed where need be, and the whole
+    keeps them; 3 the whole breaks limits; 4 it keeps them, but some ticks had to leave something out, or its samples do
+    not show its efforts; 2 bad input, or the path leads where the machine cannot go (the line on stderr says when).
 
     \b
     Example:

@@ -30,7 +30,18 @@ def test_a_motion_is_planned_tick_by_tick(tmp_path):
 
 
 def test_weak_carriers_are_given_more_time(tmp_path):
-    circle = ("online", "--robot", "2rpr", *MASSES, "--trajectory", "circle", "--speed", "0.5", "--max-acceleration", "2")
+    circle = (
+        "online",
+        "--robot",
+        "2rpr",
+        *MASSES,
+        "--trajectory",
+        "circle",
+        "--speed",
+        "0.5",
+        "--max-acceleration",
+        "2",
+    )
     late = call(*circle, "--slow-down", "--json", "--out", str(tmp_path / "late.npz"))
     assert late.exit_code == 0, late.stderr
     facts, plan = json.loads(late.stdout), rp.load_plan(tmp_path / "late.npz")

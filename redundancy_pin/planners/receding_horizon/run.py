@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Frozen, each, positive
+from redundancy_pin.arrays import Array, Frozen, each, positive
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import PlatformMotion
@@ -32,7 +32,6 @@ they would miss W τ = f by more than a millionth, and in a shorter one W⁻¹ m
 
 WITHIN = 16
 """Pieces of the efforts where W is next to singular."""
-
 
 STANDING = 4.0
 """Horizons for which a platform has stood still when there is no hope that it goes on."""

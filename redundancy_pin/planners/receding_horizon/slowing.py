@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.planners.receding_horizon.ahead import KEPT, Ahead
+from redundancy_pin.planners.receding_horizon.ahead import KEPT
 from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.tick import CONVERGED, TickPlan, TickPlanner
@@ -20,8 +22,8 @@ SLOWER = (
     *((0.85, 0.8), (0.7, 0.8), (0.5, 0.8), (0.3, 0.8), (0.5, 0.4), (0.2, 0.4), (0.0, 0.8), (0.0, 0.4)),
     *((0.85, 0.2), (0.7, 0.2), (0.5, 0.2)),
 )
-"""Factors of σ̇, and within which part of the horizon. Without the last three, one of 16 runs of weak carriers had a tick
-without a plan, and with them none of 56."""
+"""Factors of σ̇, and within which part of the horizon. Without the last three, one of 16 runs of weak carriers had a
+tick without a plan, and with them none of 56."""
 
 FASTER, WITHIN = 0.25, 0.8
 """By how much σ̇ rises where the whole of the speed is too much, and within which part of the horizon."""
@@ -86,14 +88,12 @@ class Slowing:
                 if other.backwards or self._preview is None:
                     continue
                 ahead = kept.along(self._preview.scaled(other))
-                if (kept.roots < t).any():
-                    ahead.look(float(kept.roots[0]), t)  # the nodes around a singular instant stay when it is past
+                ahead.roots = kept.roots[kept.roots < t]  # the nodes around one stay when it is past
             plan = ticks.within_limits(ahead, t, min(t + horizon, ahead.preview.end), given)
             if plan is not None:
                 if part:
                     self.scaling, self._held_until = other, t + HOLD * ticks.step
                 return plan
-        ticks.ahead = kept
         return ticks.tick(t, min(t + horizon, kept.preview.end), given)
 
     def told(self, command: Command, t: float) -> Command:
@@ -108,6 +108,8 @@ class Slowing:
 
     def _from(self, t: float) -> float:
         """Return from when on σ̇ may change, s: next to a singular instant the last plan goes on."""
-        step, coming = self.ticks.step, self.ticks.ahead.roots
+        step, last, coming = self.ticks.step, self.ticks.last, self.ticks.ahead.roots
+        if last is not None:  # of another preview, none has come into sight yet
+            coming = np.append(coming, last.command.singular)
         near = coming[(coming > t - step) & (coming < t + CONVERGED * step)]
-        return max(t, float(near[-1]) + 0.5 * step) if len(near) else t
+        return max(t, float(near.max()) + 0.5 * step) if len(near) else t

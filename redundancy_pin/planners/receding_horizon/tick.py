@@ -157,9 +157,17 @@ class TickPlanner:
         return self._kept(t, self.interpreted(t, until, given) if plan is None else plan)
 
     def within_limits(self, ahead: Ahead, t: float, until: float, given: tuple[Array | None, ...]) -> TickPlan | None:
-        """Return a plan along what is ahead, and keep it; None where there is none that keeps every limit."""
-        self.ahead = ahead
-        ahead.look(t, until)
+        """Return a plan along what is ahead, and keep both; None where there is none that keeps every limit."""
+        before, self.ahead, plan = self.ahead, ahead, None
+        try:
+            plan = self._within_limits(t, until, given)
+        finally:  # a preview may raise, too
+            if plan is None:
+                self.ahead = before
+        return None if plan is None else self._kept(t, plan)
+
+    def _within_limits(self, t: float, until: float, given: tuple[Array | None, ...]) -> TickPlan | None:
+        self.ahead.look(t, until)
         if self.compiled is None or self.last is None:
             plan: TickPlan | None = self.rounds(t, until, given, self.last)
         else:
@@ -168,9 +176,8 @@ class TickPlanner:
             return None
         # of the first half step the programme does not bound it, and another plan bends where this one does not
         least, most = plan.command.carriers.between(t, t + self.step).derivative().ranges()
-        if (np.maximum(-least, most) > self.limits.speed * (1.0 + SAME_SPEED)).any():
-            return None
-        return self._kept(t, plan)
+        beyond = np.maximum(-least, most) > self.limits.speed * (1.0 + SAME_SPEED)
+        return None if beyond.any() else plan
 
     def _kept(self, t: float, plan: TickPlan) -> TickPlan:
         command = self.checked_between(t, plan.command)

@@ -221,3 +221,29 @@ def test_random_paths_with_weak_carriers_are_followed_to_their_end(name: str, sh
     assert_within(run.plan, RecedingHorizon(dynamics, acceleration=weak).resolved)
     assert_same_path(run.plan, trajectory, run.plan.diagnostics["delay"])
     assert_balanced(run.plan, other)
+
+
+@pytest.mark.parametrize("fails_at", [18, 22, 42])
+def test_a_preview_that_fails_at_a_tick_leaves_the_speed_as_it_was(fails_at: int) -> None:
+    """What is in sight is that of the speed that commands tell, and not of one that was tried."""
+    planner, left = RecedingHorizon(machine()[0], slow_down=True, **WEAK), [10**9]
+
+    def preview(times):
+        left[0] -= 1
+        if left[0] == 0:
+            raise RuntimeError("no answer")
+        return CIRCLE.sample_at(np.minimum(times, CIRCLE.duration - 1e-9))
+
+    for i in range(fails_at):
+        planner.update(0.02 * i, preview)
+    failed = 0
+    for i in range(fails_at, fails_at + 5):
+        left[0] = 2
+        try:
+            planner.update(0.02 * i, preview)
+        except RuntimeError:
+            failed += 1
+        scaling = planner.skip(0.02 * i).scaling
+        seen = getattr(planner.ticks.ahead.preview.motion, "scaling", None)
+        assert seen is scaling
+    assert failed
