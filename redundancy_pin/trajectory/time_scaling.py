@@ -56,9 +56,10 @@ class TimeScaling(Frozen):
         return float(self.curve.coefficients[-2, -1, 0])
 
     @property
-    def backwards(self) -> bool:
-        """Whether σ falls somewhere."""
-        return bool(self.curve.derivative().ranges()[0].min() < -SNAP)
+    def rates(self) -> tuple[float, float]:
+        """The least and the largest σ̇."""
+        least, most = self.curve.derivative().ranges()
+        return float(least.min()), float(most.max())
 
     def at(self, times: ArrayLike) -> tuple[Array, Array, Array]:
         """Return σ, s, σ̇ and σ̈, 1/s, (N,) each, at (N,) times, s."""

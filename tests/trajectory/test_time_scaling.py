@@ -52,7 +52,7 @@ def test_the_time_of_a_motion_has_two_derivatives_and_ends_at_the_rate_that_was_
 @settings(deadline=None, max_examples=40)
 def test_when_a_time_of_the_motion_is_reached(changes, at) -> None:
     scaling = scaled(changes)
-    if not scaling.backwards:
+    if scaling.rates[0] >= 0.0:
         sigma = float(scaling.at([at])[0][0])
         again = scaling.time_at(sigma)
         # where it stands still it is there earlier
@@ -70,11 +70,13 @@ def test_what_is_never_reached_is_reached_at_no_time() -> None:
     assert TimeScaling.none(0.0).time_at(-np.inf) == -np.inf
 
 
-def test_a_change_that_would_lead_back_is_seen_to() -> None:
+def test_a_change_that_leads_back_says_so() -> None:
     falling = TimeScaling.none(0.0).changed(0.0, 0.1, 0.1)  # within which σ̈ is −13/s at most
-    assert not falling.backwards
-    assert falling.changed(0.05, 0.3, 1.0).backwards
-    assert not falling.changed(0.05, 0.3, 0.1).backwards
+    assert falling.rates == (pytest.approx(0.1, abs=1e-12), pytest.approx(1.0, abs=1e-12))
+    least, most = falling.changed(0.05, 0.3, 1.0).rates
+    assert least < -1.0
+    assert most == pytest.approx(1.0, abs=1e-12)
+    assert falling.changed(0.05, 0.3, 0.1).rates[0] > 0.1
 
 
 def test_what_is_past_is_forgotten() -> None:

@@ -200,19 +200,23 @@ class Ahead:
         self._square = dynamics.robot.n == dynamics.robot.m
         self._checked = False
         self._largest = self._size = 0.0
+        self.roots = self.sharp = np.empty(0)
         self._clear()
 
-    def along(self, preview: Preview) -> Ahead:
-        """Return what is in sight of another preview of the same path: nothing yet, but its sizes are known."""
+    def along(self, preview: Preview, t: float) -> Ahead:
+        """Return what is in sight of another preview from a time on, s: nothing yet, but what is past and the sizes."""
         other = copy(self)
         other.preview = preview
-        other._clear()
+        other._clear(t)
         return other
 
-    def _clear(self) -> None:
+    def _clear(self, keep: float = -np.inf) -> None:
+        """Forget all but the instants before a time, s, around which the nodes stay."""
         self._memory = _Memory()
         self.known = self._memory.known
-        self.roots, self.edges, self.sharp = np.empty(0), np.empty(0), np.empty(0)
+        self.edges = np.empty(0)
+        self.roots = self.roots[self.roots < keep]
+        self.sharp = self.sharp[self.sharp < keep + (PARTS + 1) * self.spacing]  # sooner none is looked for
         self._determinants: list[float] = []  # at the last two edges
 
     def look(self, start: float, end: float) -> Array:
@@ -223,7 +227,7 @@ class Ahead:
         preview, spacing = self.preview, self.spacing
         start, end = max(float(start), preview.start), min(float(end), preview.end)
         if preview.changing or (len(self.edges) and not self.edges[0] <= start <= self.edges[-1] + SAME):
-            self._clear()
+            self._clear(start if preview.changing else -np.inf)
         seen = self.edges
         past = start - KEPT * PARTS * spacing
         if len(self.known.t) > 2.0 * (end - start) / spacing + 100:

@@ -84,8 +84,9 @@ class RecedingHorizon:
         self._given_limits = grouped("limits", limits, Limits, **flat)
         self.resolved = self._given_limits.resolved(robot)
         self._source: object = None
+        self._preview: Preview | None = None
         self.ticks = TickPlanner(robot, step, horizon, self.weights, self.resolved, interpret=interpret)
-        self._slowing = Slowing(dynamics, self.ticks, horizon) if slow_down else None
+        self._slowing = Slowing(self.ticks, horizon) if slow_down else None
 
     @property
     def started(self) -> bool:
@@ -128,25 +129,28 @@ class RecedingHorizon:
             InfeasiblePlanError: no plan at the first tick, with none before it to go on with.
         """
         began = time.perf_counter()
-        if preview is not self._source:
-            seen = Preview.of(preview)
-            if self._slowing is not None:
-                seen = self._slowing.shown(seen)
-            self.ticks.ahead, self._source = Ahead(self.dynamics, seen, self.step), preview
-        t, known = self._tick(t), self.ticks.ahead.preview
-        if t < known.start - SAME:
+        t, slowing = self._tick(t), self._slowing
+        known = self._preview if preview is self._source and self._preview is not None else Preview.of(preview)
+        own = t if slowing is None else slowing.time_of(t)
+        if own < known.start - SAME:
+            where = "" if own == t else f", {own:.6g} s of the preview (Command.scaling)"
             raise InputError(
-                f"The tick is at t = {t:.6g} s, and the preview begins at {known.start:.6g} s.",
+                f"The tick is at t = {t:.6g} s{where}, and the preview begins at {known.start:.6g} s.",
                 remedy="Pass what is known of the motion from the tick on.",
             )
+        if known is not self._preview:
+            seen = known if slowing is None else slowing.shown(known)
+            before = self.ticks.ahead if self.started else None
+            self.ticks.ahead = Ahead(self.dynamics, seen, self.step) if before is None else before.along(seen, t)
+            self._source, self._preview = preview, known
         given = tuple(
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
         )
-        if self._slowing is None:
+        if slowing is None:
             command = self.ticks.tick(t, min(t + self.horizon, known.end), given).command
         else:
-            command = self._slowing.told(self._slowing.tick(t, given).command, t)
+            command = slowing.told(slowing.tick(t, given, known).command, t)
         return replace(command, seconds=time.perf_counter() - began)
 
     def skip(self, t: float) -> Command:

@@ -33,7 +33,6 @@ they would miss W τ = f by more than a millionth, and in a shorter one W⁻¹ m
 WITHIN = 16
 """Pieces of the efforts where W is next to singular."""
 
-
 STANDING = 4.0
 """Horizons for which a platform has stood still when there is no hope that it goes on."""
 
@@ -174,8 +173,8 @@ def _require_progress(command: Command, source: ContinuousMotion, horizon: float
     if stands or t > source.start + longest:
         reached = float(scaling.at([t])[0][0])
         raise InfeasiblePlanError(
-            f"The platform {'stands' if stands else 'gets no farther'} at t = {t:.6g} s, where the motion is at "
-            f"{reached:.6g} s: from there no plan keeps every limit, however slow.",
+            f"The platform {'stands' if stands else 'hardly moves'} at t = {t:.6g} s, where the motion is at "
+            f"{reached:.6g} s: {'no plan from there keeps every limit' if stands else 'it would take too long'}.",
             remedy="Lead the platform along another path, or loosen the limits.",
             constraint="preview",
             time=reached,

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.planners.receding_horizon.ahead import KEPT
 from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus, TickPlan
 from redundancy_pin.planners.receding_horizon.preview import Preview
@@ -43,7 +44,6 @@ class Slowing:
     """The platform's speed along what is known of its path.
 
     Args:
-        dynamics: a backend.
         ticks: plans ticks.
         horizon: s.
 
@@ -51,49 +51,50 @@ class Slowing:
         scaling: σ, the time of the preview, by the clock's; None as long as both are the same.
     """
 
-    def __init__(self, dynamics: Dynamics, ticks: TickPlanner, horizon: float) -> None:
-        self.dynamics, self.ticks, self.horizon = dynamics, ticks, horizon
+    def __init__(self, ticks: TickPlanner, horizon: float) -> None:
+        self.ticks, self.horizon = ticks, horizon
         self.scaling: TimeScaling | None = None
-        self._preview: Preview | None = None
         self._held_until = -float("inf")
 
+    def time_of(self, t: float) -> float:
+        """Return which time of the preview the platform is at, s."""
+        return t if self.scaling is None else float(self.scaling.at([t])[0][0])
+
     def shown(self, preview: Preview) -> Preview:
-        """Return a preview in the time of the clock, and keep it."""
-        self._preview = preview
+        """Return a preview in the time of the clock."""
         return preview if self.scaling is None else preview.scaled(self.scaling)
 
-    def tick(self, t: float, given: tuple[Array | None, ...]) -> TickPlan:
-        """Return a plan from a time on, and keep it, as ``TickPlanner.tick``; at another speed where that has none."""
+    def tick(self, t: float, given: tuple[Array | None, ...], preview: Preview) -> TickPlan:
+        """Return a plan from a time on, and keep it, as ``TickPlanner.tick``; at another speed where that has none.
+
+        ``preview``: in its own time.
+        """
         ticks, kept, horizon = self.ticks, self.ticks.ahead, self.horizon
         scaling = TimeScaling.none(t) if self.scaling is None else self.scaling
         begins = self._from(t)
         (rate,), final = scaling.at([begins])[1], scaling.final_rate
-        rises = []
+        slowest, changes = min(rate, final), []
         if final < FULL and t >= self._held_until:
-            more = (1.0, FASTER, CREEPING) if final < CREEPING else (1.0, FASTER)
-            rises = sorted({min(final + by, 1.0) for by in more}, reverse=True)
-        slowest = min(rate, final)
-        if rises:
             self._held_until = t + HOLD * ticks.step
-        changes = [(wanted, WITHIN) for wanted in rises]
-        changes += [(final, 0.0)]  # as it is
-        slower = ((factor * slowest, part) for factor, part in SLOWER if slowest > 0.0)
-        changes += [(wanted if wanted >= LEAST else 0.0, part) for wanted, part in slower]
-        for wanted, part in changes:
+            more = (1.0, FASTER, CREEPING) if final < CREEPING else (1.0, FASTER)
+            changes = [(min(final + by, 1.0), WITHIN) for by in more]
+        changes.append((final, 0.0))  # as it is
+        if slowest > 0.0:
+            slower = ((factor * slowest, part) for factor, part in SLOWER)
+            changes += [(wanted if wanted >= LEAST else 0.0, part) for wanted, part in slower]
+        for wanted, part in dict.fromkeys(changes):
             other, ahead = self.scaling, kept
             if part:
                 other = scaling.changed(begins, wanted, part * horizon, t - KEPT * ticks.step)
-                if other.backwards or self._preview is None:
+                least, most = other.rates
+                if least < FULL - 1.0 or most > 2.0 - FULL:  # back along the path, or faster than the preview
                     continue
-                ahead = kept.along(self._preview.scaled(other))
-                if (kept.roots < t).any():
-                    ahead.look(float(kept.roots[0]), t)  # the nodes around a singular instant stay when it is past
+                ahead = kept.along(preview.scaled(other), t)
             plan = ticks.within_limits(ahead, t, min(t + horizon, ahead.preview.end), given)
             if plan is not None:
                 if part:
                     self.scaling, self._held_until = other, t + HOLD * ticks.step
                 return plan
-        ticks.ahead = kept
         return ticks.tick(t, min(t + horizon, kept.preview.end), given)
 
     def told(self, command: Command, t: float) -> Command:
@@ -108,6 +109,8 @@ class Slowing:
 
     def _from(self, t: float) -> float:
         """Return from when on σ̇ may change, s: next to a singular instant the last plan goes on."""
-        step, coming = self.ticks.step, self.ticks.ahead.roots
+        step, last, coming = self.ticks.step, self.ticks.last, self.ticks.ahead.roots
+        if last is not None:  # of another preview, none has come into sight yet
+            coming = np.append(coming, last.command.singular)
         near = coming[(coming > t - step) & (coming < t + CONVERGED * step)]
-        return max(t, float(near[-1]) + 0.5 * step) if len(near) else t
+        return max(t, float(near.max()) + 0.5 * step) if len(near) else t

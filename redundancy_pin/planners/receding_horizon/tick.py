@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 
@@ -157,20 +158,29 @@ class TickPlanner:
         return self._kept(t, self.interpreted(t, until, given) if plan is None else plan)
 
     def within_limits(self, ahead: Ahead, t: float, until: float, given: tuple[Array | None, ...]) -> TickPlan | None:
-        """Return a plan along what is ahead, and keep it; None where there is none that keeps every limit."""
-        self.ahead = ahead
-        ahead.look(t, until)
+        """Return a plan along what is ahead, and keep both; None where there is none that keeps every limit."""
+        before, self.ahead, plan = self.ahead, ahead, None
+        try:
+            plan = self._within_limits(t, until, given)
+        finally:  # a preview may raise, too
+            if plan is None:
+                self.ahead = before
+        return None if plan is None else self._kept(t, plan)
+
+    def _within_limits(self, t: float, until: float, given: tuple[Array | None, ...]) -> TickPlan | None:
+        self.ahead.look(t, until)
+        plan: TickPlan | None = None
         if self.compiled is None or self.last is None:
-            plan: TickPlan | None = self.rounds(t, until, given, self.last)
+            with suppress(InfeasiblePlanError):  # as of a first tick without any plan
+                plan = self.rounds(t, until, given, self.last)
         else:
             plan = self._compiled(t, until, given)
         if plan is None or self.checked_between(t, plan.command).status is not PlanningStatus.PLANNED:
             return None
         # of the first half step the programme does not bound it, and another plan bends where this one does not
         least, most = plan.command.carriers.between(t, t + self.step).derivative().ranges()
-        if (np.maximum(-least, most) > self.limits.speed * (1.0 + SAME_SPEED)).any():
-            return None
-        return self._kept(t, plan)
+        beyond = np.maximum(-least, most) > self.limits.speed * (1.0 + SAME_SPEED)
+        return None if beyond.any() else plan
 
     def _kept(self, t: float, plan: TickPlan) -> TickPlan:
         command = self.checked_between(t, plan.command)

@@ -1,5 +1,6 @@
 """Slowing down along the path where no plan keeps every limit, judged by the other backend and on a dense grid."""
 
+import copy
 import itertools
 from functools import cache
 
@@ -8,7 +9,7 @@ import online
 import pytest
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import OnLineRun, PlanningStatus, RecedingHorizon, run_online
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
@@ -157,7 +158,9 @@ def test_a_preview_that_is_a_function_is_asked_in_its_own_time() -> None:
     last = commands[-1]
     behind = last.t - float(last.scaling.at([last.t])[0][0])
     assert behind > 0.01
-    assert max(times.max() for times in asked[-3:]) < last.t + planner.horizon - 0.9 * behind
+    latest = [c.t if c.scaling is None else float(c.scaling.at([c.t])[0][0]) for c in commands]
+    assert max(times.max() for times in asked) <= max(latest) + planner.horizon + 1e-9
+    assert min(times.min() for times in asked[-3:]) > last.t - behind - 0.021
     assert all((np.diff(times) > 0.0).all() for times in asked)
 
 
@@ -220,3 +223,121 @@ def test_random_paths_with_weak_carriers_are_followed_to_their_end(name: str, sh
     assert_within(run.plan, RecedingHorizon(dynamics, acceleration=weak).resolved)
     assert_same_path(run.plan, trajectory, run.plan.diagnostics["delay"])
     assert_balanced(run.plan, other)
+
+
+@pytest.mark.parametrize("fails_at", [18, 22, 42])
+def test_a_preview_that_fails_at_a_tick_leaves_the_speed_as_it_was(fails_at: int) -> None:
+    """What is in sight is that of the speed that commands tell, and not of one that was tried."""
+    planner, left = RecedingHorizon(machine()[0], slow_down=True, **WEAK), [10**9]
+
+    def preview(times):
+        left[0] -= 1
+        if left[0] == 0:
+            raise RuntimeError("no answer")
+        return CIRCLE.sample_at(np.minimum(times, CIRCLE.duration - 1e-9))
+
+    for i in range(fails_at):
+        planner.update(0.02 * i, preview)
+    failed = 0
+    for i in range(fails_at, fails_at + 5):
+        left[0] = 2
+        try:
+            planner.update(0.02 * i, preview)
+        except RuntimeError:
+            failed += 1
+        scaling = planner.skip(0.02 * i).scaling
+        seen = getattr(planner.ticks.ahead.preview.motion, "scaling", None)
+        assert seen is scaling
+    assert failed
+
+
+def assert_the_same_motion(command, other) -> None:
+    """Check that a command is another's, but for what the cost is flat."""
+    assert command.status is other.status
+    assert (command.scaling is None) == (other.scaling is None)
+    for own, their, near in zip(command.motion_at(other.t), other.motion_at(other.t), (1e-5, 1e-4, 1e-2), strict=True):
+        np.testing.assert_allclose(own, their, atol=near)
+
+
+@pytest.mark.parametrize("each", [lambda: copy.copy(CIRCLE), lambda: CIRCLE.sample_at])
+def test_a_preview_that_is_another_object_at_every_tick_is_followed_as_one(each) -> None:
+    """Nodes around singular instants that are past stay, and σ̇ does not change next to those ahead."""
+    same, other = (RecedingHorizon(machine()[0], slow_down=True, **WEAK) for _ in range(2))
+    for t in (0.02 * np.arange(90)).tolist():
+        command, again = same.update(t, CIRCLE), other.update(t, each())
+        assert_the_same_motion(again, command)
+    own, their = (planner.update(1.8, CIRCLE).scaling.at([1.8])[0] for planner in (same, other))
+    assert own == pytest.approx(their, abs=1e-12)
+
+
+@pytest.mark.parametrize("tick", [20, 30, 35, 50])
+def test_a_copy_goes_on_as_the_planner_does(tick: int) -> None:
+    planner = RecedingHorizon(machine()[0], slow_down=True, **WEAK)
+    for i in range(tick):
+        planner.update(0.02 * i, CIRCLE)
+    other = copy.deepcopy(planner)
+    for i in range(tick, tick + 8):
+        command, again = planner.update(0.02 * i, CIRCLE), other.update(0.02 * i, CIRCLE)
+        assert_the_same_motion(again, command)
+
+
+def test_next_to_a_singular_instant_the_speed_does_not_change() -> None:
+    """Where σ⃛ jumps is no closer to one than half a step behind it, or two steps and a half ahead."""
+    run = slowed()
+    instants = np.array(run.plan.diagnostics["singular_instants"])
+    changes = run.plan.functions_of_time.platform.source.scaling.curve.edges[1:-1]
+    begun = [c.scaling.curve.edges[1:-1] for c in run.commands if c.scaling is not None]
+    begun = np.unique(np.concatenate([*begun, changes]))
+    starts = [c.t for c in run.commands if c.status is PlanningStatus.SLOWED]
+    assert len(starts) > 10
+    for instant in instants:
+        after = [c for c in run.commands if instant - 2.4 * 0.02 <= c.t <= instant]
+        curves = [c.scaling.at(np.linspace(c.t, instant + 0.009, 5)) for c in after if c.scaling is not None]
+        for one, two in itertools.pairwise(curves):
+            # σ at the instant and next to it is what it was two steps and a half before
+            assert one[0][-1] == pytest.approx(two[0][-1], abs=1e-12)
+
+
+def test_planners_that_run_without_end_forget_the_speeds_that_are_past() -> None:
+    planner, most = RecedingHorizon(machine()[0], slow_down=True, **WEAK), 0
+    there_and_back = 0.45  # s
+
+    def preview(times):
+        phase = np.pi * times / there_and_back
+        x = np.stack([0.25 + 0.0 * phase, 0.05 + 0.09 * np.sin(phase)], axis=1)
+        rate = np.pi / there_and_back
+        xd = np.stack([0.0 * phase, 0.09 * rate * np.cos(phase)], axis=1)
+        return rp.PlatformMotion(times, x, xd, -(rate**2) * (x - (0.25, 0.05)), check_rates=False)
+
+    for i in range(600):
+        command = planner.update(1e3 + 0.02 * i, preview)
+        if command.scaling is not None:
+            most = max(most, len(command.scaling.curve.edges))
+    assert command.status in (PlanningStatus.PLANNED, PlanningStatus.SLOWED)
+    assert 2 < most < 12
+
+
+def test_a_preview_that_begins_too_late_is_told_in_both_times() -> None:
+    planner = RecedingHorizon(machine()[0], slow_down=True, **WEAK)
+    for i in range(40):
+        command = planner.update(0.02 * i, CIRCLE)
+    own = float(command.scaling.at([0.8])[0][0])
+    late = CIRCLE.sample_at(np.linspace(0.8, 1.6, 200))
+    with pytest.raises(InputError, match=rf"t = 0.8 s, {own:.6g} s of the preview .* begins at 0.8 s"):
+        planner.update(0.8, late)
+    on_time = CIRCLE.sample_at(np.linspace(own, 1.6, 200))
+    assert planner.update(0.8, on_time).status in (PlanningStatus.PLANNED, PlanningStatus.SLOWED)
+
+
+def test_a_plan_that_is_too_fast_next_to_its_start_is_none() -> None:
+    """The programme does not bound the speed of the first half step, which is given but for s̈ at its end."""
+    planner = RecedingHorizon(machine()[0], speed=0.2)
+    planner.update(0.0, CIRCLE)
+    for i in range(1, 15):
+        planner.update(0.02 * i, CIRCLE)
+    ticks = planner.ticks
+    t = ticks.last.command.t + 0.005
+    s, _, sdd = ticks.last.command.motion_at(t)
+    fast = 0.2 * np.sign(sdd) * (1.0 - 1e-4)  # so that it is beyond within the first half step
+    assert ticks.within_limits(ticks.ahead, t, t + 0.5, (s, fast)) is None
+    assert ticks.within_limits(ticks.ahead, t, t + 0.5, (None, None)) is not None
