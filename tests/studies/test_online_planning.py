@@ -80,6 +80,17 @@ def test_an_imperfect_machine_of_weak_carriers_is_led_along_its_path_more_slowly
     assert set(control.counts) <= {"planned", "slowed"}
     behind = duration - float(control.plans[-1].scaling.at([duration])[0][0])
     assert behind > 0.02
+    # platform and tree of the reference are at rates that are those of their places
+    h, reference = 1e-4, control.reference
+    bends = []
+    for t in np.linspace(duration + 0.011, duration + 0.3, 23):
+        bends.append(abs(float(control.plans[-1].scaling.at([t])[2][0])))
+        (x0, xd0, _), (_, xd, xdd), (x1, xd1, _) = (reference.platform(t + shift) for shift in (-h, 0.0, h))
+        np.testing.assert_allclose(xd, (x1 - x0) / (2.0 * h), atol=1e-6)
+        np.testing.assert_allclose(xdd, (xd1 - xd0) / (2.0 * h), atol=2e-4)
+        (_, v0, _), (_, _, a), (_, v1, _) = (reference.tree(t + shift) for shift in (-h, 0.0, h))
+        np.testing.assert_allclose(a, (v1 - v0) / (2.0 * h), atol=0.02 * np.abs(a).max() + 1e-3)
+    assert max(bends) > 0.2
 
 
 def test_what_the_model_does_not_know_is_learnt_by_an_integral():
