@@ -3,6 +3,7 @@
 import copy
 import itertools
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import online
@@ -11,8 +12,10 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.receding_horizon import OnLineRun, PlanningStatus, RecedingHorizon, run_online
+from redundancy_pin.planners.receding_horizon import OnLineRun, PlanningStatus, Preview, RecedingHorizon, run_online
+from redundancy_pin.planners.receding_horizon.slowing import Slowing
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
+from redundancy_pin.trajectory.time_scaling import TimeScaling
 
 WEAK = {"acceleration": 2.0}
 """m/s², a fifth of what the carriers can: over the circle at its speed there is no plan within it."""
@@ -281,23 +284,6 @@ def test_a_copy_goes_on_as_the_planner_does(tick: int) -> None:
         assert_the_same_motion(again, command)
 
 
-def test_next_to_a_singular_instant_the_speed_does_not_change() -> None:
-    """Where σ⃛ jumps is no closer to one than half a step behind it, or two steps and a half ahead."""
-    run = slowed()
-    instants = np.array(run.plan.diagnostics["singular_instants"])
-    changes = run.plan.functions_of_time.platform.source.scaling.curve.edges[1:-1]
-    begun = [c.scaling.curve.edges[1:-1] for c in run.commands if c.scaling is not None]
-    begun = np.unique(np.concatenate([*begun, changes]))
-    starts = [c.t for c in run.commands if c.status is PlanningStatus.SLOWED]
-    assert len(starts) > 10
-    for instant in instants:
-        after = [c for c in run.commands if instant - 2.4 * 0.02 <= c.t <= instant]
-        curves = [c.scaling.at(np.linspace(c.t, instant + 0.009, 5)) for c in after if c.scaling is not None]
-        for one, two in itertools.pairwise(curves):
-            # σ at the instant and next to it is what it was two steps and a half before
-            assert one[0][-1] == pytest.approx(two[0][-1], abs=1e-12)
-
-
 def test_planners_that_run_without_end_forget_the_speeds_that_are_past() -> None:
     planner, most = RecedingHorizon(machine()[0], slow_down=True, **WEAK), 0
     there_and_back = 0.45  # s
@@ -341,3 +327,86 @@ def test_a_plan_that_is_too_fast_next_to_its_start_is_none() -> None:
     fast = 0.2 * np.sign(sdd) * (1.0 - 1e-4)  # so that it is beyond within the first half step
     assert ticks.within_limits(ticks.ahead, t, t + 0.5, (s, fast)) is None
     assert ticks.within_limits(ticks.ahead, t, t + 0.5, (None, None)) is not None
+
+
+class Tried:
+    """In place of a planner of ticks: tells which speeds are tried, and takes those that it is told to."""
+
+    def __init__(self, takes) -> None:
+        self.step, self.last, self.takes, self.tried = 0.02, None, takes, []
+        self.ahead = self.along(Preview.of(CIRCLE), 0.0)
+
+    def along(self, preview, t):
+        del t
+        return SimpleNamespace(preview=preview, roots=np.empty(0), along=self.along)
+
+    def within_limits(self, ahead, t, until, given):
+        del until, given
+        self.tried.append((t, getattr(ahead.preview.motion, "scaling", None)))
+        if not self.takes(len(self.tried)):
+            return None
+        self.ahead = ahead
+        return "a plan"
+
+    def tick(self, t, until, given):
+        del t, until, given
+        return "elastic"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_is_tried_never_leads_back_nor_beyond_the_speed_of_the_preview(seed: int) -> None:
+    """Whatever had a plan before: σ, σ̇ and σ̈ go on from where they are, and σ̇ stays between 0 and 1."""
+    rng = np.random.default_rng(seed)
+    ticks = Tried(lambda tries: rng.random() < 0.3)
+    slowing, preview = Slowing(ticks, 0.5), Preview.of(CIRCLE)
+    for t in (0.02 * np.arange(150)).tolist():
+        before = slowing.scaling or TimeScaling.none(0.0)
+        ticks.tried.clear()
+        slowing.tick(t, (None, None), preview)
+        for _, scaling in ticks.tried:
+            if scaling is None:
+                continue
+            for own, their in zip(scaling.at([t]), before.at([t]), strict=True):
+                np.testing.assert_allclose(own, their, atol=1e-9)
+            _, rate, _ = scaling.at(np.linspace(t, t + 1.0, 500))
+            assert rate.min() > -1e-6
+            assert rate.max() < 1.0 + 1e-6
+
+
+def test_rises_are_tried_every_five_steps_and_small_ones_from_standing() -> None:
+    never = Tried(lambda tries: tries == 9)  # the first tick comes to a stand, and later ones find nothing else
+    slowing, preview = Slowing(never, 0.5), Preview.of(CIRCLE)
+    slowing.tick(0.0, (None, None), preview)
+    while slowing.scaling.final_rate > 0.0:
+        never.takes = lambda tries: tries >= 9
+        never.tried.clear()
+        slowing.tick(0.4, (None, None), preview)
+    never.takes, rises = (lambda tries: False), []
+    for t in (0.6 + 0.02 * np.arange(30)).tolist():
+        never.tried.clear()
+        assert slowing.tick(t, (None, None), preview) == "elastic"
+        rates = {round(scaling.final_rate, 9) for _, scaling in never.tried if scaling is not None} - {0.0}
+        assert rates in (set(), {1.0, 0.25, 0.05})
+        rises += [t] * bool(rates)
+    assert len(rises) >= 5
+    assert np.diff(rises).min() > 0.0999
+
+
+@pytest.mark.parametrize("ahead", [-0.015, 0.0, 0.01, 0.045])
+@pytest.mark.parametrize("seen", ["in sight", "by the last plan alone"])
+def test_next_to_a_singular_instant_the_speed_does_not_change(ahead: float, seen: str) -> None:
+    """Up to half a step behind it σ is what it was, though another preview has not come into sight yet."""
+    never = Tried(lambda tries: False)
+    slowing, preview, t = Slowing(never, 0.5), Preview.of(CIRCLE), 0.3
+    instants = np.array([t + ahead])
+    if seen == "in sight":
+        never.ahead.roots = instants
+    else:
+        never.last = SimpleNamespace(command=SimpleNamespace(singular=instants))
+    slowing.tick(t, (None, None), preview)
+    changed = [scaling for _, scaling in never.tried if scaling is not None]
+    assert len(changed) > 5
+    for scaling in changed:
+        times = np.linspace(t - 0.05, t + ahead + 0.0099, 50)
+        np.testing.assert_allclose(scaling.at(times)[0], times, atol=1e-12)
+        assert scaling.at([t + ahead + 0.3])[1][0] < 0.99
