@@ -13,6 +13,7 @@ that continues s̄ without jerk,
 
 from __future__ import annotations
 
+from collections import deque
 from copy import copy
 from dataclasses import dataclass
 from math import floor, isfinite, isnan, nan
@@ -218,6 +219,8 @@ class Ahead:
         self.roots = self.roots[self.roots < keep]
         self.sharp = self.sharp[self.sharp < keep + (PARTS + 1) * self.spacing]  # sooner none is looked for
         self._determinants: list[float] = []  # at the last two edges
+        self._recent: deque[tuple[float, list[float]]] = deque(maxlen=2 * PARTS + 1)  # edges, and f parked there
+        self._bends: deque[tuple[float, float]] = deque(maxlen=3)
 
     def look(self, start: float, end: float) -> Array:
         """Go on to a time, s, from a first one; return the singular instants from the first one on, s.
@@ -251,7 +254,7 @@ class Ahead:
             self.edges = np.concatenate((seen, times))
             if self._square:
                 self._scan(places)
-            self._scan_sharp(times)
+            self._scan_sharp(new, places)
         return self.roots[self.roots >= start]
 
     def _new(self, times: Array) -> IntArray | slice:
@@ -335,22 +338,26 @@ class Ahead:
             others = [root for root in roots if not any(abs(root - other) < near for other in before)]
             self.roots = np.array(sorted(before + others))
 
-    def _scan_sharp(self, new: Array) -> None:
-        """Look for instants a step or more before new edges where f of the parked machine bends most."""
-        step = PARTS * self.spacing
-        after = self.edges >= new[0] - step - 2.0 * self.spacing - SAME
-        times = self.edges[after & (self.edges <= new[-1] - step + SAME)]
-        times = times[times >= self.edges[0] + step - SAME]
-        if not len(times):
-            return
-        before, there, after = (
-            self.known.constant[self.at(times + shift), : len(self.row_scale)] / self.row_scale
-            for shift in (-step, 0.0, step)
-        )
-        self._size = max(self._size, float(np.abs(after).max()), float(np.abs(there).max()))
-        bend = np.abs(there - 0.5 * (before + after)).max(axis=1)
-        inner = (bend[1:-1] > bend[:-2]) & (bend[1:-1] >= bend[2:]) & (bend[1:-1] > SHARP * self._size)
-        self.sharp = np.append(self.sharp, times[1:-1][inner])
+    def _scan_sharp(self, times: list[float], places: IntArray | slice) -> None:
+        """Look for instants a step or more before the last edges, s, where f of the parked machine bends most."""
+        # a tick has few of them: sooner done by numbers than by arrays
+        rows = (self.known.constant[places][:, : len(self.row_scale)] / self.row_scale).tolist()
+        recent, bends, found = self._recent, self._bends, []
+        for time, row in zip(times, rows, strict=True):
+            recent.append((time, row))
+            self._size = max(self._size, max(row), -min(row))
+            if len(recent) <= 2 * PARTS:
+                continue
+            (first, before), (middle, there) = recent[0], recent[PARTS]
+            if abs(first + time - 2.0 * middle) > SAME:  # a first or last one between the grid
+                bends.clear()
+                continue
+            bend = max([abs(own - 0.5 * (one + other)) for one, own, other in zip(before, there, row, strict=True)])
+            bends.append((middle, bend))
+            if len(bends) == 3 and bends[0][1] < bends[1][1] >= bend and bends[1][1] > SHARP * self._size:
+                found.append(bends[1][0])
+        if found:
+            self.sharp = np.append(self.sharp, found)
 
     def _within(self, start: float, end: float, largest: float) -> list[float]:
         """Return the instants between two times at which det W is zero, or next to it at a dip, s."""
