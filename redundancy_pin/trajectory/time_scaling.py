@@ -20,6 +20,9 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 FOR_EVER = 1e9
 """Until when the last rate holds, s."""
 
+SAME = 1e-9
+"""Knots that differ by less are one, s: changes of σ̇ begin where ticks do, as other knots may."""
+
 SNAP = 1e-12
 """From a jump of the acceleration, relative to the time: it is at the jump, which rounding may have left."""
 
@@ -147,5 +150,7 @@ class ScaledMotion(Frozen):
         start, end = self.scaling.time_at(self.motion.start), self.duration
         inner = self.scaling.curve.edges[1:-1]
         knots = np.unique(np.concatenate([[self.scaling.time_at(t) for t in self.motion.knots.tolist()], inner]))
-        knots = frozen(knots[(knots > start) & (knots < end)])
+        knots = knots[np.diff(knots, prepend=-np.inf) > SAME]
+        apart = np.abs(knots[:, None] - [start, *self.breaks, end]).min(axis=1) > SAME
+        knots = frozen(knots[apart & (knots > start) & (knots < end)])
         return ContinuousMotion(self, start, end, end, self.breaks, knots, self.motion.exact)

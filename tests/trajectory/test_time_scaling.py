@@ -105,6 +105,17 @@ def test_rates_are_those_of_the_positions() -> None:
     )
 
 
+def test_knots_that_are_one_but_for_rounding_are_one() -> None:
+    """A change of σ̇ begins at a tick, where the motion may have a knot; between both there is no time for samples."""
+    base = continuous_motion(reference.circle(speed=0.5))
+    knot = float(base.knots[0])
+    for begin in (knot, np.nextafter(knot, 9.0), np.nextafter(knot, 0.0), knot + 1e-12):
+        motion = ScaledMotion(base, TimeScaling.none(0.0).changed(begin, 0.5, 0.2)).continuous()
+        assert np.diff(motion.kinks).min() > 1e-9
+        assert np.abs(motion.kinks - knot).min() < 1e-11
+        assert len(motion.polynomials.edges) > 2  # samples in every piece
+
+
 def test_poses_turn_at_the_rates_they_say() -> None:
     start, end = np.eye(4), np.eye(4)
     end[:3, :3], end[:3, 3] = pin.exp3(np.array([0.9, -0.5, 1.1])), (0.1, 0.2, -0.1)

@@ -230,8 +230,9 @@ def pieces_of(
         kinks = [
             edges[(edges > window.start) & (edges < window.end)] for edges in (carriers.edges, source.breaks, roots)
         ]
-        pieces = np.unique(np.concatenate([np.linspace(window.start, window.end, count + 1), *kinks]))
-        times = np.sort(np.concatenate([pieces, kinks[1], 0.5 * (pieces[1:] + pieces[:-1])]))  # jumps have two values
+        pieces = apart(np.concatenate([np.linspace(window.start, window.end, count + 1), *kinks]))
+        jumps = pieces[[int(np.abs(pieces - t).argmin()) for t in kinks[1]]]
+        times = np.sort(np.concatenate([pieces, jumps, 0.5 * (pieces[1:] + pieces[:-1])]))  # jumps have two values
         node = np.isin(times, pieces)
         inside = dynamics.along(source.sample_at(times)).reduce(carriers_at(carriers, times))
         W, f = inside.W / inside.row_scale[:, None], inside.f / inside.row_scale
