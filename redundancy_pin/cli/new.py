@@ -173,9 +173,6 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
         if end not in paired and len(on) == 1:
             marked.append([end, *on.values()])
     loose = [end for end in ends if end not in paired and all(end != mark for mark, _ in marked)]
-    if not pairs and len(marked) == len(loose) == 1 and carrier[loose[0]] != carrier[marked[0][0]]:
-        (end, link), how = marked[0], "the only two links that carry nothing and weigh nothing"
-        return [[end, loose[0]]], how, [f"{end!r} is where {link!r} is at zero; if that is a pin, close these two."]
     pairs += marked
     if pairs:
         doubts = [

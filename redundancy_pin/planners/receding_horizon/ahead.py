@@ -57,11 +57,17 @@ ZONE = 2.5
 """Steps around a singular instant in which the nodes are half as far apart: a step in s̈ there makes τ swing."""
 
 SHARP = 0.1
-"""Bend of the parked machine's f within a step either way, over its largest so far, from which nodes are half as far
+"""Bend of the parked machine's f within a step either way, over its largest of late, from which nodes are half as far
 apart there too: the platform turns between two of them."""
+
+FADES = 0.5
+"""In which time what counts as largest falls by half, s: f has no bound where the machine is all but out of reach."""
 
 SHARP_ZONE = 1.0
 """Steps around such an instant."""
+
+MOST_SHARP = 3
+"""Of these that are looked at, the next ones: each takes two nodes or three, of which the horizon must not be short."""
 
 NEAR = 10
 """Steps from which on the nodes are twice as far apart."""
@@ -191,6 +197,7 @@ class Ahead:
         known: what has been evaluated, in order of time.
         row_scale: (n,) see ``ReducedDynamics``.
         roots: singular instants, s.
+        sharp: instants about which f of the parked machine bends most, s.
         edges: instants between which they have been looked for, s.
     """
 
@@ -216,8 +223,10 @@ class Ahead:
         self._memory = _Memory()
         self.known = self._memory.known
         self.edges = np.empty(0)
-        self.roots = self.roots[self.roots < keep]
-        self.sharp = self.sharp[self.sharp < keep + (PARTS + 1) * self.spacing]  # sooner none is looked for
+        step = PARTS * self.spacing
+        self.roots = self.roots[(self.roots < keep) & (self.roots >= keep - KEPT * step)]
+        # the first that is looked for is a step and up to two instants later
+        self.sharp = self.sharp[(self.sharp < keep + 1.3 * step) & (self.sharp >= keep - KEPT * step)]
         self._determinants: list[float] = []  # at the last two edges
         self._recent: deque[tuple[float, list[float]]] = deque(maxlen=2 * PARTS + 1)  # edges, and f parked there
         self._bends: deque[tuple[float, float]] = deque(maxlen=3)
@@ -342,10 +351,14 @@ class Ahead:
         """Look for instants a step or more before the last edges, s, where f of the parked machine bends most."""
         # a tick has few of them: sooner done by numbers than by arrays
         rows = (self.known.constant[places][:, : len(self.row_scale)] / self.row_scale).tolist()
-        recent, bends, found = self._recent, self._bends, []
-        for time, row in zip(times, rows, strict=True):
+        recent, bends, found, fades = self._recent, self._bends, [], 0.5 ** (self.spacing / FADES)
+        for time, row, reachable in zip(times, rows, self.known.known[places].tolist(), strict=True):
+            if not reachable:
+                recent.clear()
+                bends.clear()
+                continue
             recent.append((time, row))
-            self._size = max(self._size, max(row), -min(row))
+            self._size = max(fades * self._size, max(row), -min(row))
             if len(recent) <= 2 * PARTS:
                 continue
             (first, before), (middle, there) = recent[0], recent[PARTS]
@@ -356,6 +369,8 @@ class Ahead:
             bends.append((middle, bend))
             if len(bends) == 3 and bends[0][1] < bends[1][1] >= bend and bends[1][1] > SHARP * self._size:
                 found.append(bends[1][0])
+        # with another preview it may be there already
+        found = [time for time in found if not (np.abs(self.sharp - time) < 0.5 * PARTS * self.spacing).any()]
         if found:
             self.sharp = np.append(self.sharp, found)
 
@@ -384,6 +399,7 @@ def nodes_from(start: float, step: float, count: int, roots: Array, sharp: Array
 
     A step apart, and from ``NEAR`` steps on two, half as far around singular and sharp instants.
     """
+    sharp = sharp[sharp > start - 2.0 * SHARP_ZONE * step][:MOST_SHARP]
     first = np.floor(2.0 * start / step)
     half = np.arange(first, first + 4 * count)
     grid = 0.5 * step * half

@@ -102,7 +102,7 @@ def run_online(
     t, end = source.start, source.end
     while t < end - 1e-9:
         commands.append(planner.update(t, motion, *(() if commands else (at, 0.0))))
-        _require_progress(commands[-1], source, planner.horizon)
+        _require_progress(commands[-1], source, planner)
         scaling = commands[-1].scaling
         if scaling is not None:
             end = scaling.time_at(source.end)
@@ -153,7 +153,7 @@ def run_online(
     return OnLineRun(plan, tuple(commands))
 
 
-def _require_progress(command: Command, source: ContinuousMotion, horizon: float) -> None:
+def _require_progress(command: Command, source: ContinuousMotion, planner: RecedingHorizon) -> None:
     """Check that a run goes on.
 
     Raises:
@@ -165,13 +165,26 @@ def _require_progress(command: Command, source: ContinuousMotion, horizon: float
             f"The planner refuses to go on at t = {t:.6g} s: {command.reason}.",
             remedy="Lead the platform along another path.",
             constraint="preview",
-            time=command.known_until,
+            time=command.known_until if scaling is None else float(scaling.at([command.known_until])[0][0]),
         )
     if scaling is None:
         return
-    stands = scaling.final_rate == 0.0 and t > scaling.settled + STANDING * horizon
+    stands = scaling.final_rate == 0.0 and t > scaling.settled + STANDING * planner.horizon
     if stands or t > source.start + longest:
         reached = float(scaling.at([t])[0][0])
+        ahead = source.sample_at(np.linspace(reached, min(reached + planner.horizon, source.end), 101))
+        beyond = ~planner.dynamics.along(ahead, unreachable="mark").reduce().reachable
+        if stands and beyond.any():
+            first = int(beyond.argmax())
+            x = np.asarray(ahead.x[first])
+            where = np.round(x if x.ndim == 1 else x[:3, 3], 4).tolist()
+            raise InfeasiblePlanError(
+                f"The platform stands at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
+                f"{ahead.t[first]:.6g} s it leads where the machine cannot go, to {where}.",
+                remedy="Lead the platform along another path.",
+                constraint="preview",
+                time=reached,
+            )
         raise InfeasiblePlanError(
             f"The platform {'stands' if stands else 'hardly moves'} at t = {t:.6g} s, where the motion is at "
             f"{reached:.6g} s: {'no plan from there keeps every limit' if stands else 'it would take too long'}.",

@@ -104,7 +104,9 @@ class Slowing:
         status, reason = command.status, command.reason
         if status is PlanningStatus.PLANNED and min(self.scaling.final_rate, *self.scaling.at([t])[1]) < FULL:
             status = PlanningStatus.SLOWED
-            reason = f"the platform goes over to {self.scaling.final_rate:.0%} of the preview's speed"
+            reason = f"the platform goes over to {self.scaling.final_rate:.1%} of the preview's speed"
+            if self.scaling.final_rate < FULL:
+                reason += ": with more of it no plan was found that keeps every limit"
         return replace(command, status=status, reason=reason, scaling=self.scaling)
 
     def _from(self, t: float) -> float:

@@ -34,7 +34,7 @@ SETTLED = 2.0
 """Steps before a singular instant in which a plan begins where the last one is, and not where the carriers are."""
 
 EXTRA = 8
-"""Nodes beyond those of even steps, for the finer ones around singular instants."""
+"""Nodes beyond those of even steps, for the finer ones around singular instants and turns."""
 
 CONVERGED = 2.5
 """Steps before a singular instant in which a tick has several rounds: W⁻¹ magnifies what is left of uᵀ f there."""
@@ -71,8 +71,10 @@ SMALLEST = 0.1
 FIRST_ROUNDS = 3
 """Programmes of the first tick, each about the plan of the one before."""
 
+_SIGHT = "FIRST", "BESIDE", "DIFFERENCE", "ZONE", "SHARP_ZONE", "MOST_SHARP", "NEAR", "SOON"
+
 CONSTANTS = {
-    **{name: getattr(sight, name) for name in ("FIRST", "BESIDE", "DIFFERENCE", "ZONE", "SHARP_ZONE", "NEAR", "SOON")},
+    **{name: getattr(sight, name) for name in _SIGHT},
     **{name: getattr(programmes, name) for name in ("CLOSER", "IN_HAND", "FORCE_KEPT", "BEYOND")},
     "APART_SINGULAR": sight.APART[0],
     "APART_OTHER": sight.APART[1],

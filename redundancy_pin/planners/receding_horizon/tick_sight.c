@@ -266,6 +266,8 @@ static void set_nodes(const Given *g, Work *w) {
         if (kept && many < BORDER * 4) chosen[many++] = root;
     }
     long long first = (long long)floor(2.0 * start / step);
+    long sharp = 0;
+    while (sharp < g->sharps && g->sharp[sharp] <= start - 2.0 * SHARP_ZONE * step) sharp++;
     int count = 0, next = 0;
     for (long long half = first; count < COUNT; half++) {
         double grid = 0.5 * step * (double)half, apart = INFINITY, nearest = INFINITY;
@@ -275,7 +277,8 @@ static void set_nodes(const Given *g, Work *w) {
         for (int c = begins; c < many; c++) nearest = smaller(nearest, fabs(grid - chosen[c]));
         double far = grid > start + (NEAR + 1e-6) * step ? 2.0 : 1.0;
         int fine = apart < far * ZONE * step;
-        for (long r = 0; r < g->sharps; r++) fine |= fabs(grid - g->sharp[r]) < far * SHARP_ZONE * step;
+        for (long r = sharp; r < g->sharps && r < sharp + MOST_SHARP; r++)
+            fine |= fabs(grid - g->sharp[r]) < far * SHARP_ZONE * step;
         int unit = (int)far * (fine ? 1 : 2);
         if (half % unit == 0 && nearest > APART_OTHER * step && grid > start + SOON * step) w->node[count++] = grid;
     }

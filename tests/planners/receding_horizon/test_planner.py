@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from dataclasses import replace
 from typing import Any
@@ -188,3 +189,80 @@ def test_a_pose_out_of_reach_at_the_very_end_of_the_horizon_is_refused() -> None
     horizons = np.array([lost - STEP, lost - 0.4 * STEP, lost, lost + STEP])
     statuses = [RecedingHorizon(dynamics, horizon=float(h)).update(0.0, away).status for h in horizons]
     assert [status is PlanningStatus.REFUSED for status in statuses] == [False, False, True, True]
+
+
+CORNER = rp.trajectory.reference.corner(radius=0.025)
+"""Its arc is from 0.8 s to 0.996 s; between them the platform turns."""
+
+
+@pytest.mark.parametrize("interpret", [False, True])
+@pytest.mark.parametrize("kind", [lambda: CORNER, lambda: CORNER.sample_at, lambda: copy.copy(CORNER)])
+def test_nodes_are_half_as_far_apart_where_the_platform_turns(interpret: bool, kind: Any) -> None:
+    """Ten milliseconds next to the start and twenty farther ahead, with machine code and without, whatever is shown."""
+    planner = RecedingHorizon(rp.CompiledDynamics(rp.load_robot("3rrr")), interpret=interpret)
+    preview = kind()
+    for i in range(44 if not interpret else 24, 46 if not interpret else 26):
+        planner.update(STEP * i, preview if kind() is CORNER else kind())
+    nodes = planner.ticks.last.nodes
+    start = nodes[0]
+    steps = np.diff(nodes)
+    at = 0.5 * (nodes[1:] + nodes[:-1])
+    turns = np.abs(np.subtract.outer(at, [0.8, CORNER.breaks[1]])).min(axis=1)
+    near = at < start + 10 * STEP
+    if not interpret:
+        assert (steps[near & (turns < 0.5 * STEP)] < 0.51 * STEP).all()
+        assert (near & (turns < 0.5 * STEP)).any()
+    else:
+        far = ~near & (turns < STEP) & (at < start + 0.5)
+        assert far.any()
+        assert (steps[far] < 1.01 * STEP).all()
+    calm = near & (turns > 4.0 * STEP)
+    assert (steps[calm] > 0.99 * STEP).all()
+
+
+def test_turns_and_singular_instants_that_are_long_past_are_forgotten() -> None:
+    """A preview that is a function is read anew each time, and what was kept of it does not grow."""
+    robot = rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
+    planner, rate = RecedingHorizon(rp.CompiledDynamics(robot)), 5.0
+
+    def preview(times: Any) -> rp.PlatformMotion:
+        phase, still = rate * times, 0.0 * times
+        x = np.stack([0.25 + still, 0.07 * np.sin(phase)], axis=1)
+        xd = np.stack([still, 0.07 * rate * np.cos(phase)], axis=1)
+        return rp.PlatformMotion(times, x, xd, -(rate**2) * (x - (0.25, 0.0)), check_rates=False)
+
+    most = 0
+    for i in range(400):
+        planner.update(0.02 * i, preview)
+        most = max(most, len(planner.ticks.ahead.roots) + len(planner.ticks.ahead.sharp))
+    assert 1 <= most < 8
+
+
+def test_where_nothing_can_be_reached_is_no_turn_and_spoils_no_later_one() -> None:
+    dynamics = rp.CompiledDynamics(rp.load_robot("five_bar"))
+    home = dynamics.reference[1]
+    away = Line(tuple(home), (home[0], home[1] + 0.9))
+    planner = RecedingHorizon(dynamics)
+    planner.update(0.0, Trajectory(away, SpeedProfile(away.length, 1.6, 0.2)))
+    ahead = planner.ticks.ahead
+    assert not ahead.known.known.all()
+    lost = ahead.known.t[~ahead.known.known][0]
+    assert (ahead.sharp < lost - 0.5 * STEP).all()
+
+
+def test_many_turns_leave_a_plan_its_horizon() -> None:
+    """A hand that trembles turns every 50 ms: three of these turns have finer nodes, and plans reach nearly as far."""
+    robot = rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
+    planner = RecedingHorizon(rp.CompiledDynamics(robot), horizon=0.5)
+
+    def preview(times: Any) -> rp.PlatformMotion:
+        w = 2.0 * np.pi * 10.0
+        x = np.stack([0.25 + 0.1 * times, 0.2 + 1e-3 * np.sin(w * times)], axis=1)
+        xd = np.stack([0.1 + 0.0 * times, 1e-3 * w * np.cos(w * times)], axis=1)
+        xdd = np.stack([0.0 * times, -1e-3 * w**2 * np.sin(w * times)], axis=1)
+        return rp.PlatformMotion(times, x, xd, xdd, check_rates=False)
+
+    for i in range(10):
+        planner.update(0.02 * i, preview)
+        assert len(planner.ticks.ahead.sharp) > 3
+        assert planner.ticks.last.nodes[-1] >= 0.02 * i + 0.46

@@ -2,6 +2,8 @@
 
 import copy
 import itertools
+import json
+import re
 from functools import cache
 from types import SimpleNamespace
 
@@ -175,15 +177,19 @@ def out_of_reach(name: str = "five_bar", far: float = 0.5) -> Trajectory:
 
 def test_before_a_pose_out_of_reach_the_platform_stops_and_stays() -> None:
     motion, (dynamics, other) = out_of_reach(), machine("five_bar")
-    with pytest.raises(InfeasiblePlanError, match="stands"):
+    with pytest.raises(InfeasiblePlanError, match=r"stands .* leads where the machine cannot go") as refused:
         run_online(RecedingHorizon(dynamics, slow_down=True), motion)
+    place = json.loads(str(refused.value).split("go, to ")[1].split("]")[0] + "]")
+    still = json.loads("[" + re.findall(r"motion is at ([\d.]+) s: at ([\d.]+) s", str(refused.value))[0][1] + "]")
+    np.testing.assert_allclose(motion.sample_at(still).x[0], place, atol=1e-4)
+    assert not other.along(motion.sample_at(still), unreachable="mark").reduce().reachable.any()
     planner = RecedingHorizon(dynamics, slow_down=True)
     commands = [planner.update(t, motion) for t in (0.02 * np.arange(200)).tolist()]
     assert {c.status for c in commands} == {PlanningStatus.PLANNED, PlanningStatus.SLOWED}
     scaling = commands[-1].scaling
     sigma, rate, _ = scaling.at([commands[-1].t])
     assert rate[0] == 0.0
-    assert "0%" in commands[-1].reason
+    assert "goes over to 0.0%" in commands[-1].reason
     reached = motion.sample_at(np.linspace(0.0, float(sigma[0]), 200))
     assert other.along(reached, unreachable="mark").reduce().reachable.all()
     beyond = motion.sample_at(np.linspace(float(sigma[0]), motion.duration, 200))
