@@ -43,7 +43,7 @@ class Weights:
         acceleration: mean square of s̈, over its limit: without it the motion between the nodes swings.
         jerk: of s⃛, over that which reaches this limit in a step.
         centre: of s, over half the track: room for what comes after the horizon.
-        end, end_speed: of s and ṡ at the last node of the horizon: nodes after it decide nothing but a stop.
+        end, end_speed: of s and ṡ at the last node whose motion is known; nodes behind it are there for limits alone.
         missing: of what an elastic programme leaves out of W τ = f.
     """
 

@@ -33,7 +33,7 @@ class RecedingHorizon:
     Args:
         dynamics: a backend; ``CompiledDynamics`` is the fastest by far.
         horizon: how far ahead it plans, s.
-        step: between nodes, s; half of it around singular instants.
+        step: between nodes, s; half of it around singular instants and where the platform turns.
         objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone; or ``Weights``.
         track, speed, acceleration, jerk, effort, carrier_force: limits as of ``plan_whole_trajectory``.
         limits: these as one group.

@@ -82,7 +82,8 @@ EFFORT, FORCE, MULTIPLIER = 5e-3, 0.02, 3e-2
 """Of the peak; N; of the largest: as follows from these motions."""
 
 RESIDUAL = 1e-5
-"""N, and fraction of f: what f has beside its linear part is of second order."""
+"""N, and fraction of f: what f has beside its linear part is of second order; where that is more, ``EFFORT`` of it, as
+motions differ by what the cost is flat."""
 
 COST = 1e-5
 """By which fraction machine code may be dearer: the gap that PIQP may leave is a tenth of that."""

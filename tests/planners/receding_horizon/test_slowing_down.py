@@ -416,3 +416,18 @@ def test_next_to_a_singular_instant_the_speed_does_not_change(ahead: float, seen
         times = np.linspace(t - 0.05, t + ahead + 0.0099, 50)
         np.testing.assert_allclose(scaling.at(times)[0], times, atol=1e-12)
         assert scaling.at([t + ahead + 0.3])[1][0] < 0.99
+
+
+def test_jumps_of_a_preview_are_told_by_the_clock() -> None:
+    corner = rp.trajectory.reference.corner(radius=0.025)
+    scaling = TimeScaling.none(0.0).changed(0.1, 0.4, 0.3).changed(1.2, 0.8, 0.3)
+    seen = Preview.of(corner).scaled(scaling)
+    own = Preview.of(corner).breaks
+    np.testing.assert_allclose(scaling.at(seen.breaks)[0], own, atol=1e-9)
+    assert seen.breaks[0] - own[0] > 0.5
+    for t, before in zip(seen.breaks[:2], own, strict=False):
+        _, rate, bend = scaling.at([t])
+        _, xd, xdd = seen.states(np.array([t - 1e-9, t + 1e-9]))
+        along, curved = corner.sample_at([before, before]).xd, corner.sample_at([before, before]).xdd
+        np.testing.assert_allclose(xd, rate * along, atol=1e-6)
+        np.testing.assert_allclose(xdd, rate**2 * curved + bend * along, atol=1e-5)
