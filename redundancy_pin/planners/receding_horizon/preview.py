@@ -102,6 +102,12 @@ class _Scaled(Frozen):
         return x, *scaled_rates(along, curved, rate, bend)
 
 
+def place_of(x: Array) -> list[float]:
+    """Return where a platform is at x, (n,) or a pose (4, 4), as messages have it: m and rad, of a pose its origin."""
+    place: list[float] = np.round(x if x.ndim == 1 else x[:3, 3], 4).tolist()
+    return place
+
+
 def _answers(source: Callable[[Array], PlatformMotion]) -> Callable[[Array], PlatformMotion]:
     """Return a function of times whose answers are looked at: a motion, at these times."""
 

@@ -19,6 +19,7 @@ from redundancy_pin.planners.functions import PlanFunctions, apart
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus
 from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
+from redundancy_pin.planners.receding_horizon.preview import place_of
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
@@ -176,8 +177,7 @@ def _require_progress(command: Command, source: ContinuousMotion, planner: Reced
         beyond = ~planner.dynamics.along(ahead, unreachable="mark").reduce().reachable
         if stands and beyond.any():
             first = int(beyond.argmax())
-            x = np.asarray(ahead.x[first])
-            where = np.round(x if x.ndim == 1 else x[:3, 3], 4).tolist()
+            where = place_of(np.asarray(ahead.x[first]))
             raise InfeasiblePlanError(
                 f"The platform stands at t = {t:.6g} s, where the motion is at {reached:.6g} s: at "
                 f"{ahead.t[first]:.6g} s it leads where the machine cannot go, to {where}.",

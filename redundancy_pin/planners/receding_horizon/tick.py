@@ -22,7 +22,7 @@ from redundancy_pin.planners.receding_horizon.ahead import FIRST, Ahead, Lineari
 from redundancy_pin.planners.receding_horizon.ahead import NEAR as NEAR_STEPS
 from redundancy_pin.planners.receding_horizon.command import STUCK, Command, PlanningStatus, TickPlan, Weights, extended
 from redundancy_pin.planners.receding_horizon.compiled import CompiledTick, tick_library
-from redundancy_pin.planners.receding_horizon.preview import SAME
+from redundancy_pin.planners.receding_horizon.preview import SAME, place_of
 from redundancy_pin.planners.receding_horizon.programme import BEYOND, Programme, TickProblem, TickScales, units_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -391,8 +391,7 @@ class TickPlanner:
         known_until = float(lin.nodes[max(unknown[0] - 1, 0)]) if len(unknown) else float(lin.nodes[-1])
         if len(unknown) and lin.nodes[unknown[0]] <= lin.until + SAME:
             status = PlanningStatus.REFUSED
-            x = self.ahead.preview.states(lin.nodes[unknown[:1]])[0][0]
-            where = np.round(x if x.ndim == 1 else x[:3, 3], 4).tolist()
+            where = place_of(self.ahead.preview.states(lin.nodes[unknown[:1]])[0][0])
             reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go, to {where}"
         command = Command(
             t, status, reason, carriers, efforts, forces, residual, peak, frozen(roots), known_until, 0.0, seconds
