@@ -20,7 +20,7 @@ from math import floor, isfinite, isnan, nan
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebder, chebroots, chebtrim, chebval
+from numpy.polynomial.chebyshev import chebder, chebroots, chebval
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
@@ -90,6 +90,10 @@ NO_TIMES = np.empty(0)
 TINY = 1e-30
 """Complex step: derivatives without differences."""
 
+WITHIN = chebyshev_points(np.array([-1.0]), np.array([1.0]), POINTS - 1)
+TO_SERIES = chebyshev_series(np.eye(POINTS)[None])[0]
+"""Where det W is evaluated between two instants, from -1 to 1, and the series of such values."""
+
 BEND = 1e-3
 """Central differences of these, m and m/s, for second derivatives: exact but for carriers that turn."""
 
@@ -146,7 +150,7 @@ class Coefficients(NamedTuple):
 class _Memory:
     """Coefficients of instants in order of time, in arrays with room behind them.
 
-    What has been handed out stays as it is: places are written once, and what does not fit gets other arrays.
+    What has been handed out are views: an instant between others moves those behind it.
     """
 
     def __init__(self) -> None:
@@ -158,20 +162,26 @@ class _Memory:
         """Return what is known with further instants, s."""
         old, more = self.known, len(times)
         count = len(old.t) + more
-        new: slice | IntArray = slice(self._last, self._last + more)
-        if self._last + more > self._room or (len(old.t) and times[0] < old.t[-1]):  # between them: seldom
-            new = old.t.searchsorted(times) + np.arange(more)
-            kept = times.searchsorted(old.t) + np.arange(len(old.t))
-            self._first, self._room = 0, max(ROOM, 2 * count)
+        if self._last + more > self._room:
             # float64 whatever a backend has: machine code reads them
+            self._room = max(ROOM, 2 * count)
             of_terms = (np.empty((self._room, *part.shape[1:])) for part in terms)
             self._arrays = [np.empty(self._room), np.empty(self._room, dtype=bool), *of_terms]
-            if len(kept):
-                for array, known in zip(self._arrays, old, strict=True):
-                    array[kept] = known
+            self._first, self._last = 0, len(old.t)
+            for array, known in zip(self._arrays, old, strict=True):
+                if len(known):
+                    array[: len(known)] = known
+        new: slice | IntArray = slice(self._last, self._last + more)
+        if len(old.t) and times[0] < old.t[-1]:  # between them: seldom, and of those that are last
+            tail = int(old.t.searchsorted(times[0]))
+            new = self._first + old.t.searchsorted(times) + np.arange(more)
+            moved = self._first + np.arange(tail, len(old.t))
+            further = moved + times.searchsorted(old.t[tail:])
+            for array in self._arrays:
+                array[further] = array[moved]
         for array, part in zip(self._arrays, (times, reachable, *terms), strict=True):
             array[new] = part
-        self._last = self._first + count
+        self._last += more
         return self._seen()
 
     def drop_before(self, time: float) -> Coefficients:
@@ -261,9 +271,12 @@ class Ahead:
             times = np.array(new)
             places = self._new(times)
             self.edges = np.concatenate((seen, times))
-            if self._square:
-                self._scan(places)
+            crossed = self._scan(places) if self._square else []
             self._scan_sharp(new, places)
+            # what plans ask for at singular instants, so that they need not come back for it
+            beside = [root + shift for root in crossed for shift in (-DIFFERENCE, 0.0, DIFFERENCE)]
+            if beside := sorted([time for time in beside if preview.start <= time <= preview.end]):
+                self._evaluate(np.array(beside))
         return self.roots[self.roots >= start]
 
     def _new(self, times: Array) -> IntArray | slice:
@@ -276,16 +289,22 @@ class Ahead:
 
     def at(self, times: Array) -> IntArray:
         """Return the places (N,) of instants in ``known``, s; what is missing there is evaluated."""
-        if not len(self.known.t):
-            self._add(np.unique(times))
-        while True:
-            t = self.known.t
-            places = t.searchsorted(times - SAME)
-            inside = np.minimum(places, len(t) - 1)
-            missing = (places > inside) | (t[inside] > times + SAME)
-            if not missing.any():
-                return inside
+        self._evaluate(times)
+        return self._found(times)[0]
+
+    def _evaluate(self, times: Array) -> None:
+        missing = self._found(times)[1]
+        if missing.any():
             self._add(np.unique(times[missing]))
+
+    def _found(self, times: Array) -> tuple[IntArray, BoolArray]:
+        """Return the places (N,) of instants in ``known``, s, and which are missing there."""
+        t = self.known.t
+        places = t.searchsorted(times - SAME)
+        if not len(t):
+            return places, np.ones(len(times), dtype=bool)
+        inside = np.minimum(places, len(t) - 1)
+        return inside, (places > inside) | (t[inside] > times + SAME)
 
     def instants(self, nodes: Array, until: float) -> Array:
         """Return nodes up to a time, s, or the first alone, the instants of the grid, and both sides of jumps of ẍ."""
@@ -323,8 +342,8 @@ class Ahead:
         constant = np.concatenate([model.f0, model.force0], axis=1)
         return CarrierTerms(model.W, constant, np.concatenate([of_f, of_force], axis=3))
 
-    def _scan(self, places: IntArray | slice) -> None:
-        """Look for singular instants among the last edges, which are at these places, and the two before."""
+    def _scan(self, places: IntArray | slice) -> list[float]:
+        """Return the singular instants, s, among the last edges, which are at these places, and the two before."""
         new, reachable = np.linalg.det(self.known.W[places]).tolist(), self.known.known[places].tolist()
         # of few numbers sooner known than by arrays; what is compared with NaN is false
         value = self._determinants + [v if there else nan for v, there in zip(new, reachable, strict=True)]
@@ -340,12 +359,15 @@ class Ahead:
             dip = size[j] <= size[j - 1] and size[j] < size[j + 1] and size[j] < 0.3 * largest
             if (dip and value[j - 1] * value[j + 1] > 0.0) or (zero[j] and not zero[j - 1] and not zero[j + 1]):
                 brackets.add((j - 1, j + 1))
-        edges = self.edges[-len(value) :]
+        if not brackets:
+            return []
+        edges, near, before = self.edges[-len(value) :].tolist(), 1e-3 * PARTS * self.spacing, self.roots.tolist()
+        found: list[float] = []
         for first, last in sorted(brackets):
-            near, before = 1e-3 * PARTS * self.spacing, self.roots.tolist()
-            roots = self._within(float(edges[first]), float(edges[last]), largest)
-            others = [root for root in roots if not any(abs(root - other) < near for other in before)]
-            self.roots = np.array(sorted(before + others))
+            roots = self._within(edges[first], edges[last], largest)
+            found += [root for root in roots if not any(abs(root - other) < near for other in before + found)]
+        self.roots = np.array(sorted(before + found))
+        return found
 
     def _scan_sharp(self, times: list[float], places: IntArray | slice) -> None:
         """Look for instants a step or more before the last edges, s, where f of the parked machine bends most."""
@@ -376,22 +398,46 @@ class Ahead:
 
     def _within(self, start: float, end: float, largest: float) -> list[float]:
         """Return the instants between two times at which det W is zero, or next to it at a dip, s."""
-        W = self._read(chebyshev_points(np.array([start]), np.array([end]), POINTS - 1)).W
-        if not np.isfinite(W).all():
-            return []
+        middle, half = 0.5 * (start + end), 0.5 * (end - start)
+        W = self._read(middle + half * WITHIN).W
         value = np.linalg.det(W) / largest
         size = np.abs(value)
+        if not isfinite(size.sum()):
+            return []
         if size.min() > max(SHALLOW * size.max(), 10.0 * TOUCH) and (value.min() > 0.0 or value.max() < 0.0):
             return []
-        series = chebtrim(chebyshev_series(value[None, :, None])[0, :, 0], ROUNDING)
-        zeros = chebroots(series)  # over -1 to 1
-        zeros = zeros.real[(np.abs(zeros.imag) < 2e-7) & (np.abs(zeros.real) <= 1.0 + 2e-9)]
-        if not len(zeros):
-            low = chebroots(chebder(series))
-            low = low.real[(np.abs(low.imag) < 2e-7) & (np.abs(low.real) < 1.0)]
-            zeros = low[np.abs(chebval(low, series)) < TOUCH]
-        roots: list[float] = (0.5 * (start + end) + 0.5 * (end - start) * zeros).tolist()
-        return roots
+        return [middle + half * zero for zero in zeros_of((TO_SERIES @ value).tolist())]
+
+
+def zeros_of(series: list[float]) -> list[float]:
+    """Return the zeros from -1 to 1 of a Chebyshev series (D + 1,), or lows that all but touch zero."""
+    while len(series) > 1 and abs(series[-1]) <= ROUNDING:
+        series = series[:-1]
+    slope = series[1] if len(series) > 1 else 0.0
+    bend = sum([k * k * abs(c) for k, c in enumerate(series[2:], 2)])  # |Tₖ′| ≤ k²
+    if bend < 0.5 * abs(slope) and chebyshev(-1.0, series) * chebyshev(1.0, series) < 0.0:
+        zero = 0.0
+        for _ in range(60):  # each at most half as far from it: sooner than by eigenvalues
+            before, zero = zero, min(max(zero - chebyshev(zero, series) / slope, -1.0), 1.0)
+            if abs(zero - before) <= 1e-15:
+                break
+        return [zero]
+    zeros = chebroots(series)
+    zeros = zeros.real[(np.abs(zeros.imag) < 2e-7) & (np.abs(zeros.real) <= 1.0 + 2e-9)]
+    if not len(zeros):
+        low = chebroots(chebder(series))
+        low = low.real[(np.abs(low.imag) < 2e-7) & (np.abs(low.real) < 1.0)]
+        zeros = low[np.abs(chebval(low, series)) < TOUCH]
+    found: list[float] = zeros.tolist()
+    return found
+
+
+def chebyshev(x: float, series: list[float]) -> float:
+    """Return a Chebyshev series (D + 1,) at x, from -1 to 1: Clenshaw's recurrence, sooner than by arrays."""
+    one = two = 0.0
+    for c in reversed(series[1:]):
+        one, two = c + 2.0 * x * one - two, one
+    return series[0] + x * one - two
 
 
 def nodes_from(start: float, step: float, count: int, roots: Array, sharp: Array = NO_TIMES) -> tuple[Array, IntArray]:

@@ -13,7 +13,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from
+from redundancy_pin.planners.receding_horizon.ahead import Ahead, Linearised, nodes_from, zeros_of
 from redundancy_pin.planners.receding_horizon.preview import Preview
 
 STEP = 0.02
@@ -126,22 +126,25 @@ def test_what_is_past_is_dropped_but_for_three_steps_when_it_is_much() -> None:
         return 0.05 * np.sin(phase), np.cos(phase), -20.0 * np.sin(phase)
 
     ahead = Ahead(dynamics(), Preview(moving(swing), -np.inf, np.inf), STEP)
-    drops, known = [], np.empty(0)
+    drops, known, edges = [], np.empty(0), np.empty(0)
     for start in 0.7 * STEP * np.arange(60):
         end = float(start) + 0.12
         limit = 2.0 * 0.12 / SPACING + 100.0
         if len(known) > limit:
             drops.append(len(known))
-            known = known[known >= start - KEPT]
+            known, edges = known[known >= start - KEPT], edges[edges >= start - KEPT]
         roots = ahead.look(float(start), end)
-        known = np.append(known if len(known) else [start], grid(known[-1] if len(known) else start, end))
-        np.testing.assert_allclose(ahead.known.t, known, rtol=0.0, atol=1e-9)
+        new = np.append([] if len(edges) else [start], grid(edges[-1] if len(edges) else start, end))
         every = np.pi / 20.0 * np.arange(1, 30) - 0.03
-        np.testing.assert_allclose(roots, every[(every >= start) & (every <= known[-1])], atol=1e-9)
+        found = every[(every >= max(start, edges[-1] if len(edges) else start)) & (every <= new[-1])]
+        beside = (found[:, None] + 1e-4 * np.arange(-1, 2)).ravel()
+        edges, known = np.append(edges, new), np.sort(np.concatenate([known, new, beside]))
+        np.testing.assert_allclose(ahead.known.t, known, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(roots, every[(every >= start) & (every <= edges[-1])], atol=1e-9)
         if drops:
             assert ahead.roots.min() >= known[0] - 1e-9
     assert len(drops) >= 2
-    assert min(drops) <= 196 + 8
+    assert min(drops) <= 196 + 8 + 3
 
 
 @pytest.mark.parametrize("later", [0.05, 0.3])
@@ -233,6 +236,24 @@ def test_directions_that_are_lost_count_moments_over_the_characteristic_length(l
     assert np.linalg.norm(lin.lost[0] * lin.row_scale) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("degree", [0, 1, 2, 4, 8])
+def test_zeros_of_a_series_are_those_of_its_polynomial(degree: int) -> None:
+    """Next to straight lines, of which they are approached, and others, of which they are eigenvalues."""
+    rng, many = np.random.default_rng(degree), 0
+    for bent in np.geomspace(1e-3, 10.0, 60):
+        series = bent * rng.normal(size=degree + 1) / np.arange(1, degree + 2) ** 2
+        series[:2] = rng.normal(size=2)[: len(series[:2])]
+        ordinary = np.polynomial.Chebyshev(series).convert(kind=np.polynomial.Polynomial).roots()
+        real = ordinary.real[(np.abs(ordinary.imag) < 1e-9) & (np.abs(ordinary.real) <= 1.0)]
+        found = zeros_of([*series.tolist(), 1e-15])
+        lows = real if len(real) else found
+        np.testing.assert_allclose(np.sort(found), np.sort(lows), rtol=0.0, atol=1e-10)
+        many += len(real)
+        if not len(real):
+            assert np.abs(np.polynomial.Chebyshev(series)(np.array(found))).max(initial=0.0) < 1e-3
+    assert many >= (20 if degree else 0)
+
+
 # instants of plans
 
 
@@ -273,27 +294,32 @@ def test_places_are_those_of_the_instants_and_what_is_missing_is_evaluated() -> 
     np.testing.assert_allclose(ahead.known.constant[:, 2:], reduced.carrier_force, atol=1e-9)
 
 
-def test_what_has_been_handed_out_stays_as_it_is_and_lies_in_one_piece() -> None:
+def test_all_that_is_known_is_what_was_evaluated_and_lies_in_one_piece() -> None:
     """Instants behind the others, between them, and more than there was memory for; those that are past are dropped."""
     ahead = Ahead(dynamics(), Preview(AWAY, -np.inf, np.inf), STEP)
-    handed: list[tuple[Any, list[Array]]] = []
     names = ("t", "known", "W", "constant", "terms")
+    places = 0
     for i in range(30):
         start = 0.31 * i * STEP
         end = start + (3.0 if i == 20 else 0.3)
         ahead.look(start, end)
         if i % 7 == 3:
-            ahead.at(start + np.array([0.00071, 0.00333, 0.2222]))
+            # the last ones, and many steps before them; a single one; two that are next to each other
+            inside = {0: [0.00071, 0.00333, 0.2222], 1: [0.2991], 2: [0.0521, 0.0522]}[i // 7 % 3]
+            before, asked = ahead.known.t.copy(), start + np.array(inside)
+            ahead.at(asked)
+            np.testing.assert_array_equal(ahead.known.t, np.union1d(before, asked))
+            places += len(asked)
         known = ahead.known
         parts = [getattr(known, name) for name in names]
         assert all(part.flags.c_contiguous and len(part) == len(known.t) for part in parts)
         assert [part.dtype for part in parts] == [np.float64, bool, np.float64, np.float64, np.float64]
         assert (np.diff(known.t) > 0.0).all()
-        handed.append((known, [part.copy() for part in parts]))
+        terms = dynamics().carrier_terms(known.t, *ahead.preview.states(known.t))
+        for own, expected in zip(parts[2:], terms, strict=True):
+            np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-9)
+    assert places > 7
     assert len(ahead.known.t) > 1000
-    for known, before in handed:
-        for name, part in zip(names, before, strict=True):
-            np.testing.assert_array_equal(getattr(known, name), part)
     reduced = rp.VirtualWork(dynamics().robot).reduce(AWAY(ahead.known.t))
     np.testing.assert_allclose(ahead.known.W, reduced.W, atol=1e-12)
     np.testing.assert_allclose(ahead.known.constant[:, :2], reduced.f, atol=1e-9)
