@@ -254,6 +254,29 @@ def test_zeros_of_a_series_are_those_of_its_polynomial(degree: int) -> None:
     assert many >= (20 if degree else 0)
 
 
+@pytest.mark.parametrize("constant", np.linspace(-1.05, 0.93, 21))
+def test_a_series_that_is_steep_next_to_its_ends_has_its_zeros(constant: float) -> None:
+    """Four times as steep there as in the mean, so that no step by that leads to them."""
+    series = [constant, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.06]
+    places = np.cos(np.linspace(0.0, np.pi, 20001))[::-1]
+    value = np.polynomial.Chebyshev(series)(places)
+    (changes,) = np.nonzero(value[1:] * value[:-1] < 0.0)
+    assert len(changes)
+    found = np.sort(zeros_of(series))
+    assert len(found) == len(changes)
+    assert (found >= places[changes]).all()
+    assert (found <= places[changes + 1]).all()
+
+
+def test_nothing_is_asked_beyond_what_is_known() -> None:
+    """A singular instant half a tenth of a millisecond before the end, of whose other side nothing is known."""
+    motion = Counted(polynomial(0.1, size=1.0))
+    ahead = Ahead(dynamics(), Preview(motion, 0.0, 0.10005), STEP)
+    np.testing.assert_allclose(ahead.look(0.0, 1.0), [0.1], atol=1e-9)
+    assert max(motion.asked) == 0.10005
+    assert {round(time, 9) for time in motion.asked} > {0.0999, 0.1}
+
+
 # instants of plans
 
 
