@@ -55,7 +55,7 @@ def is_timed(motion: object) -> TypeGuard[TimedTrajectory]:
     return all(hasattr(motion, name) for name in ("duration", "breaks", "sample_at"))
 
 
-FEW = 4
+FEW = 9
 """Times up to which a function of time is evaluated one by one."""
 
 

@@ -168,7 +168,7 @@ class PiecewisePolynomial(Frozen):
         return PiecewisePolynomial(read_only(edges), read_only(coefficients))
 
     def _piece(self, t: float, side: Side = "right") -> int:
-        return int(np.clip(np.searchsorted(self.edges, t, side) - 1, 0, len(self.edges) - 2))
+        return min(max(int(self.edges.searchsorted(t, side)) - 1, 0), len(self.edges) - 2)
 
     @staticmethod
     def constant(value: Array, start: float, end: float) -> PiecewisePolynomial:
@@ -334,7 +334,8 @@ def preferred_middle(left: float, right: float, knots: Array) -> float:
 def _padded(coefficients: list[Array]) -> list[Array]:
     """Return coefficients (D + 1, P, C) with as many powers as the longest."""
     most = max(map(len, coefficients))
-    return [np.pad(part, ((most - len(part), 0), (0, 0), (0, 0))) for part in coefficients]
+    missing = ((part, most - len(part)) for part in coefficients)  # np.pad takes twenty times as long
+    return [np.concatenate([np.zeros((more, *part.shape[1:])), part]) if more else part for part, more in missing]
 
 
 @lru_cache(maxsize=8)

@@ -295,7 +295,8 @@ class Ahead:
     def _evaluate(self, times: Array) -> None:
         missing = self._found(times)[1]
         if missing.any():
-            self._add(np.unique(times[missing]))
+            new = times[missing]
+            self._add(new if (new[1:] > new[:-1]).all() else np.unique(new))
 
     def _found(self, times: Array) -> tuple[IntArray, BoolArray]:
         """Return the places (N,) of instants in ``known``, s, and which are missing there."""

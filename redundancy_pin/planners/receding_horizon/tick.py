@@ -221,7 +221,8 @@ class TickPlanner:
             strict=True,
         )
         carriers, efforts, forces = (begun_with(old, new, command.t, start) for old, new in parts)
-        largest = float(np.abs(efforts(np.linspace(command.t, command.t + self.step, 5))).max())
+        begins = efforts.coefficients[-1, : max(int(efforts.edges.searchsorted(start)), 1)]  # efforts are linear
+        largest = max(plan.largest, float(np.abs(begins).max()))
         return replace(
             plan, command=replace(command, carriers=carriers, efforts=efforts, forces=forces), largest=largest
         )
