@@ -51,12 +51,12 @@ static void set_pieces(const Given *g, const Work *w, Plan *plan) {
 
 /* Efforts and carriers' forces in the first steps (``_efforts``). */
 static void set_efforts(const Given *g, const Work *w, const double *t, int count, Plan *plan) {
-    int fine[INSTANTS], at_node[EARLY];
+    int fine[INSTANTS], at_node[COUNT];
     double value[INSTANTS][N + K], own[INSTANTS][M];
     plan->residual = plan->peak = 0.0;
     for (int i = 0; i < COUNT; i++)
         for (int c = 0; c < M && w->counts[i]; c++) plan->peak = larger(plan->peak, fabs(plan->tau[i * M + c]));
-    for (int e = 0; e < EARLY; e++) {
+    for (int e = 0; e < w->early; e++) {
         int place = 0;
         while (place < count - 1 && t[place] < w->node[e] - SAME) place++;
         at_node[e] = place;
@@ -104,7 +104,7 @@ static void set_efforts(const Given *g, const Work *w, const double *t, int coun
             for (int r = 0; r < N; r++) own[p][c] += W[r * M + c] * right[r];
         }
     }
-    for (int e = 0; e < EARLY; e++)
+    for (int e = 0; e < w->early && e <= FIRST; e++)
         for (int r = 0; r < N && w->counts[e]; r++) {
             double left = -value[at_node[e]][r];
             for (int c = 0; c < M; c++) left += w->W[e][r * M + c] * plan->tau[e * M + c];
@@ -117,7 +117,7 @@ static void set_efforts(const Given *g, const Work *w, const double *t, int coun
             plan->effort_time[kept] = t[p];
             memcpy(plan->effort + M * kept++, own[p], sizeof own[p]);
         }
-        if (i == COUNT || !w->counts[i] || (i < EARLY && fine[at_node[i]])) continue;
+        if (i == COUNT || !w->counts[i] || (i < w->early && fine[at_node[i]])) continue;
         plan->effort_time[kept] = w->node[i];
         memcpy(plan->effort + M * kept++, plan->tau + i * M, M * sizeof(double));
     }

@@ -407,7 +407,7 @@ class TickPlanner:
         """Return efforts and carriers' forces as functions of time, the residual at the nodes, the largest effort."""
         ahead, lin, n = self.ahead, problem.lin, self.robot.n
         counts = problem.counts
-        early = FIRST + 1
+        early = int((lin.nodes <= lin.nodes[0] + FIRST * self.step + SAME).sum())
         t = ahead.instants(lin.nodes[:early], lin.until)
         places = ahead.at(np.minimum(t, lin.until))
         coefficients = ahead.known
@@ -419,7 +419,8 @@ class TickPlanner:
             forces = PiecewisePolynomial.linear(t, force)
         at_node = np.searchsorted(t, lin.nodes[:early] - SAME).clip(0, len(t) - 1)
         left = np.einsum("nij,nj->ni", lin.W[:early], tau[:early]) - f[at_node]
-        residual = float(np.abs(left[counts[:early]] / lin.row_scale).max(initial=0.0))
+        looked_at = slice(min(early, FIRST + 1))  # of finer nodes as many
+        residual = float(np.abs(left[looked_at][counts[looked_at]] / lin.row_scale).max(initial=0.0))
         singular_values = np.linalg.svd(W / lin.row_scale[:, None], compute_uv=False)
         fine = singular_values[:, -1] > REGULAR * singular_values[:, 0]
         peak = float(np.abs(tau[counts]).max(initial=0.0))

@@ -6,7 +6,7 @@
 
 enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF - N, NV = NX + NZ, LANES = COUNT * K, EFFORTS = COUNT * M };
 enum { LONG = 4, WIDE = (NV + LONG - 1) / LONG, TALL = (NW + LONG - 1) / LONG };   /* vectors for NV and NW numbers */
-enum { BORDER = 10, SIDES = BORDER + 1, EARLY = FIRST + 1, INSTANTS = 160, MOST_SINGULAR = (BORDER - 2) / 2 };
+enum { BORDER = 10, SIDES = BORDER + 1, INSTANTS = 160, MOST_SINGULAR = (BORDER - 2) / 2 };
 enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
 enum { DONE = 0, UNSOLVED = 1, ELASTIC = 2, REFUSED = 3, TOO_MANY = 4, MISSING = 5 };
 
@@ -56,6 +56,7 @@ typedef struct {
     /* nodes */
     double node[COUNT], h[COUNT];
     int known[COUNT], counts[COUNT], singular[COUNT], is_singular[COUNT], singulars, place[COUNT], beside[2 * COUNT];
+    int early;   /* nodes in the first steps, in which efforts are exact */
     double start, given[3][K], tau_unit;
     /* linear about a plan, in units */
     double at[3][LANES], multiplier[COUNT * N];
@@ -282,6 +283,8 @@ static void set_nodes(const Given *g, Work *w) {
         int unit = (int)far * (fine ? 1 : 2);
         if (half % unit == 0 && nearest > APART_OTHER * step && grid > start + SOON * step) w->node[count++] = grid;
     }
+    w->early = 1;
+    while (w->early < COUNT && w->node[w->early] <= start + FIRST * step + SAME) w->early++;
     w->singulars = 0;
     for (int i = 0; i < COUNT; i++) {
         w->is_singular[i] = 0;
@@ -294,7 +297,7 @@ static void set_nodes(const Given *g, Work *w) {
 /* The instants at which efforts are evaluated (``Ahead.instants``); their number, or -1 where there are too many. */
 static int set_instants(const Given *g, const Work *w, double *t) {
     int nodes = 0, count = 0;
-    while (nodes < EARLY && w->node[nodes] <= g->until + SAME) nodes++;
+    while (nodes < w->early && w->node[nodes] <= g->until + SAME) nodes++;
     if (!nodes) nodes = 1;
     double first = w->node[0], last = w->node[nodes - 1], broken[INSTANTS / 4];
     int breaks = 0;
@@ -304,7 +307,7 @@ static int set_instants(const Given *g, const Work *w, double *t) {
         broken[breaks++] = g->broken[b];
     }
     double from = ceil(first / g->spacing), end = ceil(last / g->spacing);
-    if (nodes + 2 * breaks + (end - from) > INSTANTS - EARLY - 2) return -1;
+    if (nodes + 2 * breaks + (end - from) > INSTANTS - 2) return -1;
     for (int i = 0; i < nodes; i++) t[count++] = w->node[i];
     for (int b = 0; b < breaks; b++) t[count++] = broken[b] - BESIDE, t[count++] = broken[b] + BESIDE;
     for (double i = from; i < end; i++) {

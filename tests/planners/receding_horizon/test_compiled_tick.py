@@ -21,6 +21,7 @@ from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon, Weights
 from redundancy_pin.planners.receding_horizon.ahead import FIRST
 from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
+from redundancy_pin.planners.receding_horizon.preview import SAME
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
 from redundancy_pin.planners.receding_horizon.tick import REGULAR
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
@@ -168,7 +169,8 @@ def unknowns_of(tick: Tick) -> Array:
     tau = plan.command.efforts(lin.nodes)
     W, right = lin.W / lin.row_scale[:, None], f / lin.row_scale
     size = np.linalg.svd(W, compute_uv=False)
-    first = (np.arange(len(tau)) < FIRST + 1) & (size[:, -1] > REGULAR * size[:, 0])
+    soon = lin.nodes <= lin.nodes[0] + FIRST * problem.step + SAME
+    first = soon & (size[:, -1] > REGULAR * size[:, 0])
     # in the first steps efforts are those of f as it is, and a programme has those of f as it is linear
     missing = right[first] - np.einsum("nij,nj->ni", W[first], tau[first])
     tau[first] += np.einsum("nij,nj->ni", np.linalg.pinv(W[first]), missing)
