@@ -275,7 +275,7 @@ class Ahead:
             self._scan_sharp(new, places)
             # what plans ask for at singular instants, so that they need not come back for it
             beside = [root + shift for root in crossed for shift in (-DIFFERENCE, 0.0, DIFFERENCE)]
-            if beside := sorted([time for time in beside if preview.start <= time <= preview.end]):
+            if beside := sorted([time for time in beside if start <= time <= end]):
                 self._evaluate(np.array(beside))
         return self.roots[self.roots >= start]
 

@@ -18,7 +18,7 @@ from redundancy_pin.planners.carrier_model import SLIDING_TERMS, TURNING_TERMS
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.receding_horizon import ahead as sight
 from redundancy_pin.planners.receding_horizon import programme as programmes
-from redundancy_pin.planners.receding_horizon.ahead import FIRST, Ahead, Linearised, nodes_from
+from redundancy_pin.planners.receding_horizon.ahead import FIRST, SOON, Ahead, Linearised, nodes_from
 from redundancy_pin.planners.receding_horizon.ahead import NEAR as NEAR_STEPS
 from redundancy_pin.planners.receding_horizon.command import STUCK, Command, PlanningStatus, TickPlan, Weights, extended
 from redundancy_pin.planners.receding_horizon.compiled import CompiledTick, tick_library
@@ -221,8 +221,8 @@ class TickPlanner:
             strict=True,
         )
         carriers, efforts, forces = (begun_with(old, new, command.t, start) for old, new in parts)
-        begins = efforts.coefficients[-1, : max(int(efforts.edges.searchsorted(start)), 1)]  # efforts are linear
-        largest = max(plan.largest, float(np.abs(begins).max()))
+        early = max(int(efforts.edges.searchsorted(start, "right")), 1)  # between them efforts are linear
+        largest = max(plan.largest, float(np.abs(efforts.coefficients[-1, :early]).max()))
         return replace(
             plan, command=replace(command, carriers=carriers, efforts=efforts, forces=forces), largest=largest
         )
@@ -385,7 +385,8 @@ class TickPlanner:
         carriers = with_stop(self.limits.acceleration, lin.nodes, places, speeds, a)
         tau, counts = x[programme.tau] * problem.sizes.tau, problem.counts
         efforts, forces, residual, peak = self.efforts(problem, carriers, tau)
-        f = self.ahead.known.values(self.ahead.at(lin.nodes[counts]), places[counts], speeds[counts], a[counts])
+        at = self.ahead.at(lin.nodes[counts])
+        f = self.ahead.known.values(at, places[counts], speeds[counts], a[counts])
         missed = np.einsum("nij,nj->ni", lin.W[counts], tau[counts]) - f[:, : self.robot.n]
         left = float(np.abs(missed / problem.sizes.row).max(initial=0.0))
         unknown = np.flatnonzero(~lin.known)
@@ -407,7 +408,8 @@ class TickPlanner:
         """Return efforts and carriers' forces as functions of time, the residual at the nodes, the largest effort."""
         ahead, lin, n = self.ahead, problem.lin, self.robot.n
         counts = problem.counts
-        early = int((lin.nodes <= lin.nodes[0] + FIRST * self.step + SAME).sum())
+        # a clock that is early leaves out a node that is too near (``SOON``), and the others are that much later
+        early = int((lin.nodes <= lin.nodes[0] + (FIRST + SOON) * self.step + SAME).sum())
         t = ahead.instants(lin.nodes[:early], lin.until)
         places = ahead.at(np.minimum(t, lin.until))
         coefficients = ahead.known

@@ -284,7 +284,7 @@ static void set_nodes(const Given *g, Work *w) {
         if (half % unit == 0 && nearest > APART_OTHER * step && grid > start + SOON * step) w->node[count++] = grid;
     }
     w->early = 1;
-    while (w->early < COUNT && w->node[w->early] <= start + FIRST * step + SAME) w->early++;
+    while (w->early < COUNT && w->node[w->early] <= start + (FIRST + SOON) * step + SAME) w->early++;
     w->singulars = 0;
     for (int i = 0; i < COUNT; i++) {
         w->is_singular[i] = 0;

@@ -19,7 +19,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.machine_code import CACHE, find_compiler
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon, Weights
-from redundancy_pin.planners.receding_horizon.ahead import FIRST
+from redundancy_pin.planners.receding_horizon.ahead import FIRST, SOON
 from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
 from redundancy_pin.planners.receding_horizon.preview import SAME
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
@@ -169,7 +169,7 @@ def unknowns_of(tick: Tick) -> Array:
     tau = plan.command.efforts(lin.nodes)
     W, right = lin.W / lin.row_scale[:, None], f / lin.row_scale
     size = np.linalg.svd(W, compute_uv=False)
-    soon = lin.nodes <= lin.nodes[0] + FIRST * problem.step + SAME
+    soon = lin.nodes <= lin.nodes[0] + (FIRST + SOON) * problem.step + SAME
     first = soon & (size[:, -1] > REGULAR * size[:, 0])
     # in the first steps efforts are those of f as it is, and a programme has those of f as it is linear
     missing = right[first] - np.einsum("nij,nj->ni", W[first], tau[first])

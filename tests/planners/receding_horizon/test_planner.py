@@ -266,3 +266,19 @@ def test_many_turns_leave_a_plan_its_horizon() -> None:
         planner.update(0.02 * i, preview)
         assert len(planner.ticks.ahead.sharp) > 3
         assert planner.ticks.last.nodes[-1] >= 0.02 * i + 0.46
+
+
+@pytest.mark.parametrize("interpret", [False, True])
+@pytest.mark.parametrize("early", [0.0, 1e-4, -1e-4, 0.5 * STEP])
+def test_efforts_are_exact_for_three_steps_of_a_clock_that_is_early_or_late(interpret: bool, early: float) -> None:
+    """At every instant of the grid up to the last node within three steps and a hundredth."""
+    planner = planner_of(interpret=interpret)
+    planner.update(0.0, ACROSS)
+    t = 15 * STEP - early
+    edges = planner.update(t, ACROSS).efforts.edges
+    last = STEP * np.floor((t + 3.0 * STEP + 0.01 * STEP) / STEP + 1e-9)
+    grid = 0.125 * STEP * np.arange(np.ceil(t / (0.125 * STEP) + 1e-9), np.round(last / (0.125 * STEP)) + 1)
+    grid = grid[grid > t + 0.1 * 0.125 * STEP]  # those next to a node are left out
+    assert last > t + 2.0 * STEP
+    assert np.abs(edges[:, None] - grid).min(axis=0).max() < 1e-9
+    assert (edges[edges > last + 1e-9] - edges[np.flatnonzero(edges > last + 1e-9) - 1]).min() > 0.2 * STEP
