@@ -59,7 +59,7 @@ LINEAR = 1e-2
 ASIDE = 0.6
 """Fraction of half the tracks out to which other motions to begin with go."""
 
-SHORTEST_STOP = 1e-6
+SHORTEST_STOP = 1e-9
 """s; a carrier that stops sooner stands."""
 
 REGULAR = 1e-3

@@ -36,9 +36,6 @@ SPACING = 2e-3
 LIMIT = 1e-8
 """Of the carriers' limits, by which rounding may exceed them."""
 
-AT_REST = 1e-6
-"""s; a carrier that full braking stops sooner stands."""
-
 AGES = (0.04, 0.06, 0.5)
 """Of plans, s. Efforts are those of W τ = f every 2.5 ms for three steps; then the nodes', 20 and 40 ms apart, with
 what a linear f leaves. Of a singular instant in the third step it leaves more than of one in the second."""
@@ -116,9 +113,7 @@ def carriers_beyond(command, robot):
         half = 0.5 * (limit.upper - limit.lower)
         outside = (limit.lower - s.min()) / half, (s.max() - limit.upper) / half
         rates = np.abs(sd).max() / limit.speed - 1.0, np.abs(sdd).max() / limit.acceleration - 1.0
-        worst = max(worst, *outside, *rates)
-        if np.abs(sd[-1]) > AT_REST * limit.acceleration:
-            worst = max(worst, np.abs(sd[-1]) / limit.speed)
+        worst = max(worst, *outside, *rates, np.abs(sd[-1]) / limit.speed)
     return float(worst)
 
 
@@ -161,13 +156,13 @@ def miss_ticks(name, least, seed):
     raise AssertionError("no more paths")
 
 
-@pytest.mark.parametrize(("name", "path", "count"), [("2rpr", 0, 100), ("five_bar", 2, 40)])
-def test_plans_go_on_when_ticks_are_missed(name, path, count):
+@pytest.mark.parametrize(("name", "path", "count", "young"), [("2rpr", 0, 100, 30), ("five_bar", 2, 40, 20)])
+def test_plans_go_on_when_ticks_are_missed(name, path, count, young):
     """Over and over the singular line; and where the platform turns within 20 ms, and nodes are finer."""
     missed = miss_ticks(name, count, path)
     sys.stdout.write(f"{missed}\n")  # pytest -s shows it
     assert not missed.broken
-    assert len(missed.missing[AGES[0]]) > 20
+    assert len(missed.missing[AGES[0]]) > young
     assert np.median(missed.missing[AGES[0]]) < USUAL
     assert np.mean(missed.again) > AGAIN
 
