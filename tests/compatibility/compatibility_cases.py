@@ -1,4 +1,4 @@
-"""What version 0.1.0 saved, and the commands whose output was recorded then: coarse, so that all takes seconds."""
+"""Plans and simulations that were saved once, and how they were made: coarse, so that all takes seconds."""
 
 from __future__ import annotations
 
@@ -86,55 +86,3 @@ def simulated(replay: Replay) -> rp.simulation.Simulation:
     plan = rp.load_plan(DATA / f"{replay.plan}.npz")
     robot = rp.load_robot_of(plan) if replay.mass is None else rp.load_robot("2rpr", end_effector_mass=replay.mass)
     return rp.simulate(robot, plan, dt=STEP, **replay.settings)
-
-
-CIRCLE = ("--robot", "2rpr", "--backend", "virtual-work", "--trajectory", "circle", "--dt", "0.02")
-CORNER = ("--robot", "3rrr", "--mode", "+++", "--trajectory", "corner")
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command with ``--json``; it runs in a folder of its own that has ``motion.csv`` and ``plan.npz``.
-
-    Attributes:
-        arguments: all but ``--json``.
-        code: exit code.
-        slow: whether it takes more than some seconds.
-    """
-
-    arguments: tuple[str, ...]
-    code: int = 0
-    slow: bool = False
-
-
-COMMANDS: Mapping[str, Command] = {
-    "info": Command(("info",)),
-    "info 3rrr": Command(("info", "--robot", "3rrr")),
-    "info four_bar": Command(("info", "--robot", "four_bar")),
-    "info gough": Command(("info", "--robot", "gough")),
-    # 0 in version 0.1.0, which did not see that the motion crosses two singularities between its samples
-    "inverse-dynamics": Command(
-        ("inverse-dynamics", "--robot", "2rpr", "--motion", "motion.csv", "--out", "efforts.csv"), code=3
-    ),
-    "singularities": Command(("singularities", "--robot", "2rpr", "--trajectory", "circle:speed=0.5")),
-    "plan switch-off": Command(("plan", "switch-off", *CIRCLE, "--threshold", "5", "--out", "made.npz"), code=3),
-    "plan switch-off within limits": Command(
-        ("plan", "switch-off", "--robot", "2rpr", "--trajectory", "line", "--threshold", "4", "--dt", "0.02")
-    ),
-    "plan stepwise": Command(("plan", "stepwise", *CORNER, "--step", "0.02")),
-    "plan whole-trajectory": Command(("plan", "whole-trajectory", *CIRCLE, "--ramp-length", "0.05")),
-    "map": Command(
-        ("map", "--robot", "3rrr", "--planner", "stepwise", "--x", "speed=0.1,0.3", "--y", "stroke=0.5,2.0",
-         "--jobs", "1", "--refine", "0", "--out", "map")
-    ),
-    "show": Command(("show", "--plan", "plan.npz", "--html", "seen.html")),
-    "validate": Command(("validate", "--robot", "2rpr", "--samples", "4")),
-    "study": Command(("study", "--draws", "1", "--jobs", "1", "--out", "study"), slow=True),
-}  # fmt: skip
-
-BACKENDS = ("rnea", "virtual-work")
-EFFORTS = ("inverse-dynamics", "--robot", "2rpr", "--set", "end_effector_mass=0.5", "--gravity", "0,-9.81,0")
-"""Of both backends along ``motion.csv``."""
-
-REPRODUCE = "reproduce"
-"""Its keys were recorded from a small job; the whole one takes minutes."""
