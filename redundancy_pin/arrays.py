@@ -23,8 +23,8 @@ LARGEST = 1e100
 """Numbers beyond it are refused as infinite, for their products are; so are positive ones below its inverse."""
 
 CLOSURE_TOLERANCE = 1e-11
-"""Largest closure residual (metres, or radians for rotation rows) a configuration may leave and still
-count as closed: a hundred roundings of a one-metre machine above what Newton reaches."""
+"""Largest closure residual, in characteristic lengths (radians for rotation rows), of a configuration that counts as
+closed: a hundred roundings above what Newton reaches."""
 
 RANK_TOLERANCE = 1e-9
 """Scaled singular values below this fraction of the largest one count as zero. The square root of

@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray, checked, frozen, read_only
+from redundancy_pin.arrays import Array, IntArray, checked, frozen, read_only
 from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
@@ -21,7 +21,6 @@ from redundancy_pin.kinematics.closure import ConstraintSystem, with_all_rows
 from redundancy_pin.kinematics.coordinates import (
     gravity_acts,
     in_working_mode,
-    is_revolute,
     mode_name,
     reference_coordinates,
     working_modes,
@@ -37,6 +36,7 @@ from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.from_model import declared, depth_first, in_order_of, not_in_force
 from redundancy_pin.robot.loads import JointForces, Load
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
+from redundancy_pin.robot.scales import closure_tolerance, is_revolute
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, render, source_of
 
 _LOG = logging.getLogger(__name__)
@@ -339,10 +339,10 @@ def _columns(model: pin.Model, names: Iterable[str]) -> IntArray:
 
 def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
     mode = f" in working mode {mode_name(robot.working_mode)}" if robot.working_mode else ""
-    if gap >= CLOSURE_TOLERANCE:
+    if gap >= closure_tolerance(robot):
         return (
-            f"The reference of {robot.name} does not close{mode}: the best of many starts leaves a gap of {gap:.3g}"
-            f"{_where_open(robot, nearest)}."
+            f"The reference of {robot.name} does not close{mode}: the best of many starts leaves a gap of "
+            f"{gap:.3g} m{_where_open(robot, nearest)}."
         )
     other = mode_name(tuple(working_modes(robot, nearest[None])[0]))
     return f"The reference of {robot.name} does not close{mode}, only in others such as {other}."
@@ -354,11 +354,12 @@ _OPEN = 0.1
 
 def _where_open(robot: Robot, q: Array) -> str:
     """Return which closures a configuration (nq,) leaves open, the worst first."""
-    phi = np.abs(ConstraintSystem(robot).evaluate(q[None]).phi[0])
+    system = ConstraintSystem(robot)
+    phi = np.abs(system.evaluate(q[None]).phi[0] / system.closure_unit) * robot.characteristic_length
     rows = [len(closure.axes) for closure in robot.closures] + [1] * len(robot.couplings)
     gaps = [float(part.max(initial=0.0)) for part in np.split(phi, np.cumsum(rows)[:-1])]
     worst = max(gaps, default=0.0)
-    if worst < CLOSURE_TOLERANCE:
+    if worst < closure_tolerance(robot):
         return ": the loops close, but not where the reference says"
     names = [closure.name for closure in robot.closures] + [coupling.name for coupling in robot.couplings]
     named = sorted(zip(gaps, names, strict=True), reverse=True)
@@ -516,7 +517,9 @@ def _with_rows_that_count(
         robot = replace(robot, q_reference=frozen(selection.q), all_closures=every)
         rows, opened = ", ".join(selection.left_out), selection.opened
         nearby = (
-            f" to {opened:.1g} (m or rad) nearby, as the file's numbers are rounded" if opened > STAYS_CLOSED else ""
+            f" to {opened:.1g} (characteristic lengths or rad) nearby, as the file's numbers are rounded"
+            if opened > STAYS_CLOSED
+            else ""
         )
         notes.append(f"Redundant closure rows left out, the loops stay closed in them{nearby}: {rows}.")
     return robot, selection, notes

@@ -13,7 +13,7 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, moved, row_scale
+from redundancy_pin.kinematics.coordinates import coordinates, moved
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
@@ -21,6 +21,7 @@ from redundancy_pin.planners.plan import Plan, load_robot_of
 from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.curves import curves_of_run

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, positive
+from redundancy_pin.arrays import Array, positive
 from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.kinematics.closing import close, scattered
@@ -23,6 +23,7 @@ from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, JointForces, Payload, Robot
 from redundancy_pin.robot.formats.mechanism import angles
+from redundancy_pin.robot.scales import closure_tolerance
 
 IMPEDANCE = 0.9999
 """The highest impedance that MuJoCo accepts (its mjMAXIMP): the share of the acceleration a constraint may ask for."""
@@ -213,7 +214,7 @@ def _idle(robot: Robot, closure: Closure) -> set[str]:
     moved = np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)
     system, q = ConstraintSystem(robot), np.array(robot.q_reference)
     reached = [close(system, each) for each in scattered(system, q, _TRIALS, _AROUND, rng)]
-    closed = np.array([q, *(each for each, gap in reached if gap < CLOSURE_TOLERANCE)])
+    closed = np.array([q, *(each for each, gap in reached if gap < closure_tolerance(robot))])
     apart = np.abs(whole.evaluate(closed).phi).max(axis=0)
     still = (moved < _STILL) | ((apart < _ROUNDED) & (len(closed) > 1))
     return {axis for axis, idle in zip(AXES, still, strict=True) if idle}

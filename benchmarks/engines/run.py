@@ -13,8 +13,9 @@ from engines.links import LinkTree
 from engines.task import Task
 from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.kinematics.closure import ConstraintSystem, independent_velocity
-from redundancy_pin.kinematics.coordinates import coordinates, difference, turning_velocities
+from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import turning_velocities
 
 
 class RunStatus(Enum):

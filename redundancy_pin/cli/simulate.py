@@ -15,10 +15,11 @@ from redundancy_pin.cli.plan import BREAKS_LIMITS, NOT_OPTIMAL
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.cli.show import robot_of
 from redundancy_pin.errors import InputError, OutputError
-from redundancy_pin.kinematics.coordinates import distance, turning_coordinates
+from redundancy_pin.kinematics.coordinates import distance
 from redundancy_pin.loading import load_with
 from redundancy_pin.planners.plan import Plan, load_plan
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import turning_coordinates
 from redundancy_pin.simulation import (
     KINDS,
     MotionReference,

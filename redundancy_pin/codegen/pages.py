@@ -16,8 +16,9 @@ from redundancy_pin.codegen.recorded import Recorded
 from redundancy_pin.dynamics.compiled.build import define, driver_source
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
-from redundancy_pin.kinematics.coordinates import is_revolute, mode_name, row_scale
+from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import is_revolute, row_scale
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
 """Generated functions that ``driver.c`` and ``controller.c`` call; a static one without a caller is a warning."""

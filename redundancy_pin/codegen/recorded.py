@@ -12,10 +12,11 @@ from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, joint_position, moved, row_scale
+from redundancy_pin.kinematics.coordinates import coordinates, joint_position, moved
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale
 
 SAMPLES = 200
 """Samples at most, of which a test program holds some 60 numbers each."""

@@ -14,11 +14,12 @@ from redundancy_pin.errors import DeclarationError, RedundancyPinError, Unreacha
 from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.continuation import closed_around
-from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, row_scale
+from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale
 
 STATES_PER_CASE = 250
 """Most states that share one draw of parameters and one motion."""

@@ -18,9 +18,9 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedD
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import RedundancyPinError
-from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 
 Deviation = tuple[str, Array, float]

@@ -22,12 +22,13 @@ from redundancy_pin.dynamics.base import (
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
 from redundancy_pin.kinematics.continuation import Point
-from redundancy_pin.kinematics.coordinates import difference, row_scale, working_modes
+from redundancy_pin.kinematics.coordinates import difference, working_modes
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess, Turns, beyond_limits, out_of_range, turns_of
 from redundancy_pin.robot.loads import Load, Wrench
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
 from redundancy_pin.spectrum import scaled

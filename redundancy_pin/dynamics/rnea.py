@@ -35,11 +35,11 @@ from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
 from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import ConstraintState, constraint_system, with_all_rows
 from redundancy_pin.kinematics.continuation import Point
-from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
+from redundancy_pin.robot.scales import column_scale, row_scale, velocity_scale
 
 SAMPLES_PER_BLOCK = 20_000
 """Samples beyond these go through RNEA in blocks, so that the memory they take does not grow."""
@@ -57,7 +57,7 @@ class RneaSample(Frozen):
         f: (n,) generalised force, N and N·m, in the base frame.
         carrier_force: (k,) force of each carrier's own actuator, N.
         point: the pose, its configuration q (nq,) with carriers at zero, and Γ (nv, n).
-        gap: closure residual, m or rad.
+        gap: closure residual, m.
         serial_margin_bound: lower bound of the distance to a type I singularity, scaled.
     """
 

@@ -8,7 +8,7 @@ singular exactly where the platform velocity does not determine the joint veloci
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,23 +16,17 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import (
-    coordinates,
-    difference,
-    in_working_mode,
-    joint_position,
-    row_scale,
-    velocity_scale,
-)
+from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode, joint_position
 from redundancy_pin.robot.joint_ranges import out_of_range
+from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
 
 SETTLED_STEP = 1e-8
-"""A Newton step this small (rad, m) leaves an error of its square: below rounding."""
+"""A Newton step this small (rad, or characteristic lengths) leaves an error of its square: below rounding."""
 
 _SUFFICIENT_DECREASE = 1e-4
 
 _LONGEST_STEP = 1.0
-"""Longest Newton step, rad or m: beyond it the linear model says nothing about a revolute joint."""
+"""Longest Newton step, rad or characteristic lengths: beyond it the linear model of a turning joint is useless."""
 
 TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
@@ -71,8 +65,9 @@ class Assembly:
     Attributes:
         system: closures and platform rows of the robot.
         state: closures and Jacobians at the configurations.
-        gap: (N,) largest absolute residual left, m or rad: closure rows and the distance to the target coordinates;
-            where a hinge or weld is closed the wrong way round, the angle by which its axes are off.
+        gap: (N,) largest absolute residual, m: closure rows and the distance to the target coordinates; where a hinge
+            or weld is closed the wrong way round, the angle between its axes. Angles count times the characteristic
+            length.
     """
 
     system: ConstraintSystem
@@ -87,7 +82,7 @@ class Assembly:
     @property
     def closed(self) -> BoolArray:
         """(N,) whether the gap is below the closure tolerance."""
-        return self.gap < CLOSURE_TOLERANCE
+        return self.gap < closure_tolerance(self.system.robot)
 
     @cached_property
     def projection(self) -> Projection:
@@ -167,28 +162,21 @@ def assemble(
     if len(active) < len(q):
         state = system.evaluate(q)
         residual = everything.residual(state)
-    gap = np.abs(residual).max(axis=1, initial=0.0)
+    gap = system.robot.characteristic_length * np.abs(residual / everything.unit).max(axis=1, initial=0.0)
     misaligned = system.misalignment(state)
-    gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, misaligned), gap)
+    gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, system.robot.characteristic_length * misaligned), gap)
     return Assembly(system, state, gap)
-
-
-@lru_cache(maxsize=64)
-def projection_scale(system: ConstraintSystem) -> Array:
-    """Return (p, r + n) what turns the squares of the entries of K⁻¹ into scaled units."""
-    rows = np.concatenate([system.closure_scale, row_scale(system.robot)])
-    return read_only(np.outer(velocity_scale(system.robot)[system.pose_columns] ** 2, 1.0 / rows**2))
 
 
 def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     """Invert K at evaluated configurations; where it has more rows than columns, which agree, by least squares."""
-    robot, columns = system.robot, system.pose_columns
-    scale = projection_scale(system)
-    overdetermined = state.K.shape[1] > len(columns)
-    inverse = np.asarray(np.linalg.pinv(state.K), dtype=np.float64) if overdetermined else inverses(state.K)
+    robot, columns, K = system.robot, system.pose_columns, system.relative(state.K)
+    overdetermined = K.shape[1] > len(columns)
+    inverse = np.asarray(np.linalg.pinv(K), dtype=np.float64) if overdetermined else inverses(K)
     # 1 / σ_min is the 2-norm of the scaled inverse; the Frobenius norm bounds it within √p and needs no decomposition
     with np.errstate(over="ignore"):  # next to a singularity, where the margin is zero all the same
-        size = np.sqrt(np.einsum("nij,nij,ij->n", inverse, inverse, scale))
+        size = np.sqrt(np.einsum("nij,nij->n", inverse, inverse))
+    inverse *= system.step_unit[:, None] / system.equation_unit
     margin = np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
     inverse[margin == 0.0] = np.nan
     gamma = np.zeros((len(inverse), robot.model.nv, robot.n))
@@ -231,8 +219,17 @@ class _Equations:
     actuated: Array | None
     redundant: bool
 
+    @cached_property
+    def unit(self) -> Array:
+        """(e,) the characteristic length, m, for residuals that are lengths, 1 for angles."""
+        system = self.system
+        parts = [system.closure_unit if self.target is None else system.equation_unit]
+        if self.actuated is not None:
+            parts.append(velocity_unit(system.robot)[system.robot.actuated_velocity])
+        return np.concatenate(parts)
+
     def residual(self, state: ConstraintState) -> Array:
-        """Return (N, e) what is missing to the goal."""
+        """Return (N, e) what is missing to the goal, m and rad."""
         robot = self.system.robot
         parts = [-state.phi]
         if self.target is not None:
@@ -253,12 +250,12 @@ class _Equations:
             selection = np.broadcast_to(self.system.selection[:, columns], (len(residual), robot.m, len(columns)))
             matrix = np.concatenate([matrix, selection], axis=1)
         step = np.zeros((len(residual), robot.model.nv))
+        unit, matrix = self.system.step_unit, matrix * (self.system.step_unit / self.unit[:, None])
         if self.redundant:
-            scale = velocity_scale(robot)[columns]
-            inverse = np.linalg.pinv(matrix / scale, rcond=_REDUNDANT)
-            step[:, columns] = np.einsum("nvr,nr->nv", inverse, residual) / scale
+            inverse = np.linalg.pinv(matrix, rcond=_REDUNDANT)
+            step[:, columns] = np.einsum("nvr,nr->nv", inverse, residual / self.unit) * unit
         else:
-            step[:, columns] = _solve(matrix, residual)
+            step[:, columns] = _solve(matrix, residual / self.unit) * unit
         return step
 
 
@@ -272,14 +269,14 @@ class _Reached(NamedTuple):
 def _line_search(equations: _Equations, q: Array, step: Array, residual: Array, shortest_step: float) -> _Reached:
     """Halve the step where it does not shorten the residual; a step at rounding level is taken whole."""
     system = equations.system
-    size = np.linalg.norm(residual, axis=1)
-    longest = np.abs(step).max(axis=1, initial=0.0)
+    size = np.linalg.norm(residual / equations.unit, axis=1)
+    longest = np.abs(step / velocity_unit(system.robot)).max(axis=1, initial=0.0)
     scale = 1.0 / np.maximum(longest / _LONGEST_STEP, 1.0)
     fine = longest < SETTLED_STEP
     while True:
         state = system.evaluate(integrate(system.robot.model, q, step * scale[:, None]))
         new = equations.residual(state)
-        ok = fine | (np.linalg.norm(new, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size)
+        ok = fine | (np.linalg.norm(new / equations.unit, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size)
         stalled = ~ok & (scale < shortest_step)
         if (ok | stalled).all():
             return _Reached(state, new, longest * scale, stalled)

@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, project, projection_scale
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, project
 from redundancy_pin.kinematics.closure import PlacedRows, constraint_system
 from redundancy_pin.kinematics.continuation import (
     ANCHOR_SPACING,
@@ -31,22 +31,16 @@ from redundancy_pin.kinematics.continuation import (
     Point,
     near_rank_loss,
 )
-from redundancy_pin.kinematics.coordinates import (
-    angle_columns,
-    measured_axes,
-    mode_indicators,
-    pose_rows,
-    row_scale,
-    velocity_scale,
-)
+from redundancy_pin.kinematics.coordinates import angle_columns, measured_axes, mode_indicators, pose_rows
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 _MOST_ITERATIONS = 10
 _MOST_PIECES = 100
 """Longer ways are left to the batches of ``continuation``."""
 _REACHED, _ROUNDED = 1e-13, 1e-14
-"""A Newton step (rad, m) or a residual (m, rad) this small is rounding."""
+"""A Newton step or a residual this small (rad, or characteristic lengths) is rounding."""
 
 
 class ClosedChain:
@@ -217,9 +211,9 @@ class Tracker:
         self.robot, self._model, self._rows = robot, robot.model, chain.system.all_rows
         self._columns, self._closures, nv = chain.pose_columns, chain.rows, robot.model.nv
         self._flat = robot.model.nq == nv
-        self._scale = projection_scale(chain.system).ravel()
-        self._unit, self._radians = row_scale(robot), velocity_scale(robot) / robot.characteristic_length
-        self._longest = ANCHOR_SPACING * robot.characteristic_length
+        self._scale = np.outer(chain.system.step_unit**-2.0, chain.system.equation_unit**2).ravel()
+        self._unit, self._radians = 1.0 / coordinate_unit(robot), 1.0 / velocity_unit(robot)
+        self._over_units, self._step_unit = 1.0 / chain.system.equation_unit, chain.system.step_unit
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
         self._is_pose, self._turns = is_pose(robot), angle_columns(robot)
         self._pose_rows = pose_rows(robot)
@@ -235,7 +229,7 @@ class Tracker:
     def towards(self, start: Point, x: Array) -> Tracked | None:
         """Return the pose at x, (n,) or (4, 4), on the branch of a point, by steps along the straight line to it."""
         increment = self._difference(x, start.x)
-        length = float(np.linalg.norm(increment * self._unit)) / self._longest
+        length = float(np.linalg.norm(increment * self._unit)) / ANCHOR_SPACING
         pieces = max(math.ceil(length), 1) if length < _MOST_PIECES else 0
         reached = None
         for piece in range(1, pieces + 1):
@@ -271,18 +265,19 @@ class Tracker:
             rest[:r] = placed.residual()[:r]
             rest[:r] *= -1.0
             rest[r:] = self._difference(x, chain.coordinates(q))
-            before, size = size, math.sqrt(rest.dot(rest))
+            relative = rest * self._over_units
+            before, size = size, math.sqrt(relative.dot(relative))
             solved = self._solver(K, rest)
             if solved is None:
                 return None
             change, inverted = solved
-            longest = _largest(change)
+            longest = _largest(change / self._step_unit)
             if not longest < 1.0 or (size >= before and size > CLOSURE_TOLERANCE):
                 return None
             step[columns] = change
             q = self._integrate(q, step)
             if size < _ROUNDED or longest < _REACHED or (size >= before and longest < SETTLED_STEP):
-                return self._checked(here, Point(x, q, step), increment, placed, inverted(), _largest(rest))
+                return self._checked(here, Point(x, q, step), increment, placed, inverted(), _largest(relative))
         return None
 
     def _checked(
@@ -295,11 +290,11 @@ class Tracker:
         gamma[self._columns] = inverse[:, self._closures :]
         predicted = (0.5 * (here.gamma + gamma)).dot(increment)
         moved = q - here.q if self._flat else pin.difference(self._model, here.q, q)
-        allowed = CONTINUITY * _largest(predicted) + ROUNDING
+        allowed = CONTINUITY * _largest(predicted * self._radians) + ROUNDING
         if (
             not gap < CLOSURE_TOLERANCE
             or not (size < 1.0 / NEAR_RANK_LOSS or size < 1.0 / near_rank_loss(self.chain.system))
-            or not _largest(moved - predicted) <= allowed
+            or not _largest((moved - predicted) * self._radians) <= allowed
             # a rank loss within the step leaves a margin, in scaled units, of about the way from it in radians: what is
             # on its other side is for ``continuation`` to tell
             or not size * _largest(moved * self._radians) < 1.0
@@ -314,7 +309,7 @@ class Tracker:
             return None
         for array in (q, gamma):
             array.setflags(write=False)
-        return Tracked(new._replace(gamma=gamma), rows, inverse, gap, 1.0 / size)
+        return Tracked(new._replace(gamma=gamma), rows, inverse, gap * self.robot.characteristic_length, 1.0 / size)
 
     def _integrate(self, q: Array, step: Array) -> Array:
         result: Array = q + step if self._flat else pin.integrate(self._model, q, step)

@@ -14,8 +14,8 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot.scales import velocity_unit
 
 SEED = 2014
 """Of all that is random here and in the choice of rows: the same answer every time."""
@@ -30,10 +30,10 @@ _STEPS, _ALL_STEPS = 200, 600
 """Levenberg–Marquardt's method: most steps from one start, and from all."""
 
 _NEAR = 1e-3
-"""m: the size of what is open from which Newton goes on."""
+"""Characteristic lengths: the size of the residual from which Newton goes on."""
 
 _LONGEST = 0.5
-"""rad or m: the longest step of a joint."""
+"""rad or characteristic lengths: the longest step of a joint."""
 
 _NO_GAIN = 1e-5
 """Share of what is open that a step has to close."""
@@ -45,19 +45,21 @@ def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) ->
     Args:
         robot: its closure rows may be redundant.
         q: (nq,) where to begin.
-        tolerance: m, or rad, what may be left open; more where redundant rows agree but for rounding.
+        tolerance: largest closure residual, in characteristic lengths; larger where redundant rows agree except for
+            rounding.
 
     Raises:
         DeclarationError: the loops do not close from there.
     """
     system, rng = ConstraintSystem(robot), np.random.default_rng(SEED)
+    tolerance *= robot.characteristic_length
     closed, gap = close(system, q)
     left, best = _ALL_STEPS, gap
     for spread in (0.0, *np.linspace(0.2, 1.5, _RESTARTS)):
         if gap < tolerance:
             return closed
         near, steps, size = brought_near(system, q if spread == 0.0 else scattered(system, q, 1, spread, rng)[0])
-        if size < _NEAR:
+        if size < _NEAR * robot.characteristic_length:
             closed, gap = close(system, near)
         left, best = left - steps, min(best, gap, size)
         if left < 0:
@@ -65,14 +67,14 @@ def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) ->
     if gap < tolerance:
         return closed
     raise DeclarationError(
-        f"The loops of {robot.name} do not close near the reference: a gap of {best:.3g} is left.",
+        f"The loops of {robot.name} do not close near the reference: the closure residual is {best:.3g} m.",
         remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",
         gap=best,
     )
 
 
 def close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
-    """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the gap that is left."""
+    """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the closure residual, m."""
     reached = assemble(system, q[None], redundant=True, max_iterations=_ITERATIONS)
     closed: Array = reached.q[0]
     return closed, float(reached.gap[0])
@@ -82,26 +84,26 @@ def scattered(system: ConstraintSystem, q: Array, count: int, spread: float, rng
     """Return configurations (count, nq) around q; carriers stay."""
     robot = system.robot
     steps = rng.uniform(-spread, spread, (count, robot.model.nv))
-    steps *= robot.characteristic_length / velocity_scale(robot)
+    steps *= velocity_unit(robot)
     steps[:, robot.carrier_velocity] = 0.0
     return integrate(robot.model, np.repeat(q[None], count, axis=0), steps)
 
 
 def brought_near(system: ConstraintSystem, q: Array) -> tuple[Array, int, float]:
-    """Return what Levenberg–Marquardt's method reaches from q (nq,), its number of steps, and what is left open, m."""
-    model, columns, weight = system.robot.model, system.pose_columns, system.closure_scale
-    scale = velocity_scale(system.robot)[columns]
+    """Return what Levenberg–Marquardt's method reaches from q (nq,), its number of steps, and the residual, m."""
+    model, columns, weight, unit = system.robot.model, system.pose_columns, 1.0 / system.closure_unit, system.step_unit
     state, damping, count = system.evaluate(q[None]), 1e-2, 0
     error, rows = _angles(system, state)
     size = float(np.linalg.norm(weight * error))
     while size > _NEAR and count < _STEPS and damping < 1e6:
         count += 1
-        matrix = weight[:, None] * rows[:, columns] / scale
+        matrix = weight[:, None] * rows[:, columns] * unit
         normal = matrix.T @ matrix
         normal += (damping * float(np.trace(normal)) / len(normal) + np.finfo(float).tiny) * np.eye(len(normal))
         step = np.zeros((1, model.nv))
-        step[0, columns] = -np.linalg.solve(normal, matrix.T @ (weight * error)) / scale
-        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), np.finfo(float).tiny))
+        change = -np.linalg.solve(normal, matrix.T @ (weight * error))
+        change *= min(1.0, _LONGEST / max(float(np.abs(change).max()), np.finfo(float).tiny))
+        step[0, columns] = change * unit
         tried = system.evaluate(integrate(model, state.q, step))
         new, new_rows = _angles(system, tried)
         new_size = float(np.linalg.norm(weight * new))
@@ -113,7 +115,7 @@ def brought_near(system: ConstraintSystem, q: Array) -> tuple[Array, int, float]
         if gain < _NO_GAIN * size:
             break
     reached: Array = state.q[0]
-    return reached, count, size
+    return reached, count, size * system.robot.characteristic_length
 
 
 def _angles(system: ConstraintSystem, state: ConstraintState) -> tuple[Array, Array]:

@@ -44,10 +44,11 @@ from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.kinematics.coupling import CouplingRows
 from redundancy_pin.kinematics.tree import AFTER, NEXT, TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 OPEN = 1e-4
-"""m, or rad: how far rows that were left out may be open. Files are rounded to 2e-5; on a branch that is none of the
-machine's they open by 1e-3 and more."""
+"""Largest residual of rows that were left out, in characteristic lengths or rad. Files are rounded to 2e-5; on a branch
+that does not belong to the machine the residual is 1e-3 and more."""
 
 _FULL = 1e3
 """Ratio of the smallest singular values of all rows and of those that count: at a loss of both they are alike, and the
@@ -337,6 +338,9 @@ class ConstraintSystem:
         selection: (m, nv) S, the main actuators among the velocities.
         independent: (n, nv) unit rows of the independent joints; zero where there is a platform.
         closure_scale: (r,) length that turns each closure row into m.
+        equation_unit: (r + n,) the characteristic length, m, for rows of translation and 1 for rows of rotation, of the
+            closures and the independent coordinates: residuals over these have no unit.
+        step_unit: (p,) the characteristic length, m, for slides and 1 rad for turns, of the pose columns.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -369,6 +373,27 @@ class ConstraintSystem:
             self.independent[np.arange(robot.n), independent_velocity(robot)] = 1.0
         turning = [row.rotation for row in closures] + ([] if self.couplings is None else self.couplings.turning)
         self.closure_scale = np.where(turning, robot.characteristic_length, 1.0)
+        self.equation_unit = np.concatenate([robot.characteristic_length / self.closure_scale, coordinate_unit(robot)])
+        self.step_unit = velocity_unit(robot)[self.pose_columns]
+
+    @property
+    def closure_unit(self) -> Array:
+        """(r,) the part of ``equation_unit`` that belongs to the closures."""
+        return self.equation_unit[: len(self.rows)]
+
+    def gap(self, residual: Array) -> Array:
+        """Return (N,) the largest closure residual, m, of (N, r) or, with the coordinates, (N, r + n) residuals.
+
+        Angles count times the characteristic length.
+        """
+        unit = self.equation_unit[: residual.shape[1]]
+        largest: Array = self.robot.characteristic_length * np.abs(residual / unit).max(axis=1, initial=0.0)
+        return largest
+
+    def relative(self, K: Array) -> Array:
+        """Return K (N, r + n, p) without units: rows over ``equation_unit``, columns times ``step_unit``."""
+        result: Array = K * (self.step_unit / self.equation_unit[:, None])
+        return result
 
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
@@ -477,11 +502,12 @@ def with_all_rows(robot: Robot) -> Robot:
 
 
 def left_open(robot: Robot, q: Array) -> Array:
-    """Return (N,) by how much rows that were left out are open at (N, nq), m or rad; zero for rounding of a file."""
+    """Return (N,) the closure residual of rows that were left out at (N, nq), m; zero for rounding of a file."""
     if not robot.all_closures:
         return np.zeros(len(q))
-    gap = np.abs(constraint_system(with_all_rows(robot)).evaluate(q).phi).max(axis=1, initial=0.0)
-    return np.where(gap > OPEN, gap, 0.0)
+    system = constraint_system(with_all_rows(robot))
+    gap = system.gap(system.evaluate(q).phi)
+    return np.where(gap > OPEN * robot.characteristic_length, gap, 0.0)
 
 
 def made_up(robot: Robot, q: Array) -> bool:
@@ -494,6 +520,6 @@ def made_up(robot: Robot, q: Array) -> bool:
         return False
     rank, values = len(constraint_system(robot).rows), []
     for system in (constraint_system(robot), constraint_system(with_all_rows(robot))):
-        rows = system.evaluate(q[None]).Jc[0][:, system.pose_columns] * system.closure_scale[:, None]
+        rows = system.evaluate(q[None]).Jc[0][:, system.pose_columns] * system.step_unit / system.closure_unit[:, None]
         values.append(np.linalg.svd(rows, compute_uv=False)[rank - 1])
     return bool(values[1] > _FULL * values[0])

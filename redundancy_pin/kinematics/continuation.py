@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, blocks
+from redundancy_pin.arrays import Array, BoolArray, IntArray, blocks
 from redundancy_pin.kinematics.assembly import (
     Assembly,
     assemble,
@@ -29,8 +29,9 @@ from redundancy_pin.kinematics.assembly import (
     rates,
 )
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved, row_scale
+from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
 from redundancy_pin.kinematics.inverse_kinematics import multistart
+from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, row_scale, velocity_unit
 
 ANCHOR_SPACING = 0.04
 """Distance of anchors along the path, in characteristic lengths."""
@@ -45,7 +46,7 @@ CONTINUITY = 0.25
 """Largest part of a step that its trapezoidal prediction may miss before the branch counts as lost; the step is halved
 first, which shrinks a smooth error eightfold and a jump not at all."""
 ROUNDING = 1e-7
-"""Changes of q below this (rad, m) are rounding of the closure solution between all but equal poses."""
+"""Changes of q below this (rad, or characteristic lengths) are rounding of the closure solution."""
 _MOST_ANCHORS = 20_000
 """Anchors laid along one path beyond one a sample: eight hundred characteristic lengths of path."""
 
@@ -60,7 +61,8 @@ _NO_ENTRY = 1e-9
 """Part of the largest entry of K, or of its inverse, below which an entry is zero by the structure of the robot."""
 
 _SOME, _AROUND = 8, 0.2
-"""Configurations of a kind around the reference that say what is usual, and how far their joints are off, rad or m."""
+"""Configurations of a kind around the reference that say what is usual, and the change of their joints, rad or
+characteristic lengths."""
 
 _NODES = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
 _NODE_SPACINGS = (1e-2, 2.5e-3)
@@ -246,14 +248,17 @@ def continuous(system: ConstraintSystem, q: Array, gamma: Array, x: Array) -> Bo
     The change of q is compared with the trapezoidal rule over Γ and the change of x.
     """
     step = configuration_difference(system.robot.model, q[:-1], q[1:])
-    return follows(step, gamma[:-1], gamma[1:], difference(system.robot, x[1:], x[:-1]))
+    return follows(system, step, gamma[:-1], gamma[1:], difference(system.robot, x[1:], x[:-1]))
 
 
-def follows(step: Array, gamma0: Array, gamma1: Array, increment: Array, part: float = CONTINUITY) -> BoolArray:
+def follows(
+    system: ConstraintSystem, step: Array, gamma0: Array, gamma1: Array, increment: Array, part: float = CONTINUITY
+) -> BoolArray:
     """Return (N,) whether steps (N, nv) of q are what Γ at both ends (N, nv, n) says of increments (N, n) of x."""
-    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment)
+    unit = velocity_unit(system.robot)
+    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment) / unit
     allowed = part * np.abs(predicted).max(axis=1, initial=0.0) + ROUNDING
-    result: BoolArray = np.abs(step - predicted).max(axis=1, initial=0.0) <= allowed
+    result: BoolArray = np.abs(step / unit - predicted).max(axis=1, initial=0.0) <= allowed
     return result
 
 
@@ -262,7 +267,7 @@ def _lay_anchors(system: ConstraintSystem, x: Array, every_sample: bool) -> tupl
     if len(x) == 1:
         return np.zeros(1), x
     increments = difference(robot, x[1:], x[:-1])
-    lengths = np.linalg.norm(increments * row_scale(robot), axis=1) / (ANCHOR_SPACING * robot.characteristic_length)
+    lengths = np.linalg.norm(increments / coordinate_unit(robot), axis=1) / ANCHOR_SPACING
     # a path of many thousand machine sizes is out of reach somewhere, and that is found with long steps too
     lengths /= max(1.0, float(lengths.sum()) / _MOST_ANCHORS)
     pieces = np.maximum(np.ceil(lengths), 1).astype(np.intp)
@@ -299,7 +304,7 @@ def _advance(
     gamma = np.concatenate([here.gamma[None], solution.gamma])
     x = np.concatenate([here.x[None], targets])
     increment = difference(robot, x[1:], x[:-1])
-    good = follows(configuration_difference(robot.model, q[:-1], q[1:]), gamma[:-1], gamma[1:], increment)
+    good = follows(system, configuration_difference(robot.model, q[:-1], q[1:]), gamma[:-1], gamma[1:], increment)
     good &= solution.regular
     if mode is not None:
         good &= (np.sign(mode_indicator(robot, solution.q)) == mode).all(axis=1)
@@ -324,7 +329,7 @@ def _comes_to_zero(
     """
     result = np.zeros((len(increment), len(loops(system))), dtype=bool)
     bent, straight = (
-        np.abs(np.einsum("nvi,ni->nv", part, increment)).max(axis=1, initial=0.0)
+        np.abs(np.einsum("nvi,ni->nv", part, increment) / velocity_unit(system.robot)).max(axis=1, initial=0.0)
         for part in (gamma[1:] - gamma[:-1], 0.5 * (gamma[1:] + gamma[:-1]))
     )
     k = np.flatnonzero(steps & (bent > _SAME_TANGENT * straight))
@@ -363,7 +368,7 @@ def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, mo
 
 
 class PosesAtRankLoss(NamedTuple):
-    """M poses at a rank loss: q (M, nq), Γ (M, nv, n), v and a (M, nv), closure residual (M,)."""
+    """M poses at a rank loss: q (M, nq), Γ (M, nv, n), v and a (M, nv), closure residual (M,), m."""
 
     q: Array
     gamma: Array
@@ -380,12 +385,13 @@ def closed_around(system: ConstraintSystem) -> Assembly:
     closes the former to flat poses again.
     """
     model, q, rng = system.robot.model, np.array(system.robot.q_reference), np.random.default_rng(0)
-    steps = rng.normal(0.0, _AROUND, (1 + _SOME, model.nv))
+    unit = velocity_unit(system.robot)
+    steps = rng.normal(0.0, _AROUND, (1 + _SOME, model.nv)) * unit
     steps[0] = 0.0
     home = assemble(system, q[None], max_iterations=0)
     if home.closed[0] and home.projection.margin[0] > 0.0:
-        along = rng.normal(size=(_SOME, system.robot.n)) @ home.gamma[0].T
-        farthest = np.abs(along).max(axis=1, keepdims=True)
+        along = (rng.normal(size=(_SOME, system.robot.n)) * coordinate_unit(system.robot)) @ home.gamma[0].T
+        farthest = np.abs(along / unit).max(axis=1, keepdims=True)
         steps = np.concatenate([steps, 2.0 * _AROUND * along / np.where(farthest > 0.0, farthest, 1.0)])
     return assemble(system, integrate(model, np.repeat(q[None], len(steps), axis=0), steps))
 
@@ -399,9 +405,10 @@ def loops(system: ConstraintSystem) -> tuple[tuple[IntArray, IntArray], ...]:
     from j to k and back.
     """
     model, rng = system.robot.model, np.random.default_rng(0)
-    any_way = rng.normal(0.0, _AROUND, (2, model.nv))  # entries that are zero here, chains open, are so everywhere
+    # entries that are zero here, with open chains, are zero everywhere
+    any_way = rng.normal(0.0, _AROUND, (2, model.nv)) * velocity_unit(system.robot)
     start = np.repeat(np.array(system.robot.q_reference)[None], 2, axis=0)
-    rows = system.evaluate(integrate(model, start, any_way)).K
+    rows = system.relative(system.evaluate(integrate(model, start, any_way)).K)
     inverse = inverses(rows)
     solves, has = (
         (np.abs(part) > _NO_ENTRY * np.abs(part).max(axis=(1, 2), keepdims=True)).any(axis=0)
@@ -462,15 +469,15 @@ def through_rank_loss(
     Returns:
         None where the branch does not go on smoothly (a leg at full stretch: a fold).
     """
-    robot, unit = system.robot, row_scale(system.robot)
+    robot, unit = system.robot, coordinate_unit(system.robot)
     centre = x[len(x) // 2]
     chord = difference(robot, centre[None], here.x[None])[0]
     # away from the rank losses of several loops that do not move together lead only all coordinates at once
-    directions = (chord, *np.eye(robot.n), 1.0 / unit) if along is None else (along,)
+    directions = (chord, *np.eye(robot.n), unit) if along is None else (along,)
     for direction in directions:
-        size = float(np.linalg.norm(direction * unit))
+        size = float(np.linalg.norm(direction / unit))
         for spacing in _NODE_SPACINGS if size > 0.0 else ():
-            line = _line(system, here, centre, direction / size * spacing * robot.characteristic_length)
+            line = _line(system, here, centre, direction / size * spacing)
             result = None if line is None else _interpolated(system, line, x, xd, xdd)
             if result is not None:
                 return result
@@ -543,7 +550,7 @@ def _line(system: ConstraintSystem, here: Point, centre: Array, step: Array, *, 
     if not across.regular[0]:
         return None
     span = configuration_difference(model, first.q[None], across.q)
-    if not follows(span, first.gamma[None], across.gamma, whole[None], _SAME_TANGENT)[0]:
+    if not follows(system, span, first.gamma[None], across.gamma, whole[None], _SAME_TANGENT)[0]:
         return None
     sign, log = determinants(system, system.evaluate(np.stack([first.q, across.q[0]])).K)
     lost = sign[0] * sign[1] < 0.0
@@ -558,7 +565,8 @@ def _line(system: ConstraintSystem, here: Point, centre: Array, step: Array, *, 
     between = _cubic(u, span, first.gamma @ whole, across.gamma[0] @ whole)
     inner = assemble(system, integrate(model, np.repeat(first.q[None], len(u), axis=0), between), x[1:-1])
     apart = configuration_difference(model, np.repeat(first.q[None], len(u), axis=0), inner.q) - between
-    if not inner.regular.all() or np.abs(apart).max() > _SAME_TANGENT * np.abs(span).max() / len(_NODES):
+    unit = velocity_unit(robot)
+    if not inner.regular.all() or np.abs(apart / unit).max() > _SAME_TANGENT * np.abs(span / unit).max() / len(_NODES):
         return None
     q = np.concatenate([first.q[None], inner.q, across.q])
     return _Line(centre, step, x, q, np.concatenate([first.gamma[None], inner.gamma, across.gamma]))
@@ -566,7 +574,7 @@ def _line(system: ConstraintSystem, here: Point, centre: Array, step: Array, *, 
 
 def _interpolated(system: ConstraintSystem, line: _Line, x: Array, xd: Array, xdd: Array) -> PosesAtRankLoss | None:
     robot, model, count = system.robot, system.robot.model, len(_NODES)
-    unit = row_scale(robot) ** 2
+    unit = coordinate_unit(robot) ** -2.0
     away = difference(robot, x, np.repeat(line.centre[None], len(x), axis=0))
     u = (away * line.step * unit).sum(axis=1) / (line.step**2 * unit).sum()
     if np.abs(u).max() > _NODES[-1] / 2.0:
@@ -592,10 +600,12 @@ def _interpolated(system: ConstraintSystem, line: _Line, x: Array, xd: Array, xd
     base = np.repeat(nodes.q.reshape(len(x), count, -1)[:, count // 2], count, axis=0)
     q = integrate(model, base[::count], at_poses(configuration_difference(model, base, nodes.q)))
     gamma, state = at_poses(nodes.gamma), system.evaluate(q)
-    gap = np.abs(np.concatenate([state.phi, difference(robot, x, coordinates(robot, state))], axis=1)).max(axis=1)
-    product = np.einsum("nrv,nvi->nri", state.K, gamma[:, system.pose_columns])
+    residual = np.concatenate([state.phi, difference(robot, x, coordinates(robot, state))], axis=1)
+    gap = system.gap(residual)
+    relative = gamma[:, system.pose_columns] * (coordinate_unit(robot) / system.step_unit[:, None])
+    product = np.einsum("nrv,nvi->nri", system.relative(state.K), relative)
     product[:, len(system.rows) :] -= np.eye(robot.n)
-    if gap.max() > CLOSURE_TOLERANCE or np.abs(product).max() > _CARRIED * (1.0 + np.abs(gamma).max()):
+    if gap.max() > closure_tolerance(robot) or np.abs(product).max() > _CARRIED * (1.0 + np.abs(relative).max()):
         return None
     return PosesAtRankLoss(q, gamma, at_poses(v), at_poses(a), gap)
 

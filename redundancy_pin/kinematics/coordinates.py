@@ -11,12 +11,12 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, checked, read_only
+from redundancy_pin.arrays import Array, BoolArray, IntArray, checked
 from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.named import is_pose
-from redundancy_pin.robot.types import slides
+from redundancy_pin.robot.scales import is_revolute, row_scale
 
 
 def coordinates(robot: Robot, state: ConstraintState) -> Array:
@@ -105,46 +105,6 @@ def moved(robot: Robot, start: Array, increment: Array) -> Array:
     return start + increment
 
 
-@lru_cache(maxsize=64)
-def row_scale(robot: Robot) -> Array:
-    """Return (n,) the characteristic length for rotations and 1 for translations among the independent coordinates."""
-    return read_only(np.where(turning_coordinates(robot), robot.characteristic_length, 1.0))
-
-
-def turning_coordinates(robot: Robot) -> list[bool]:
-    """Return which of the n independent coordinates are rotations."""
-    if robot.platform is not None:
-        return [axis.startswith("r") for axis in robot.platform.axes]
-    return [is_revolute(robot, name) for name in robot.independent_joints]
-
-
-@lru_cache(maxsize=64)
-def column_scale(robot: Robot) -> Array:
-    """Return (m,) the characteristic length for revolute main actuators and 1 for prismatic ones."""
-    turning = [is_revolute(robot, name) for name in robot.actuated]
-    return read_only(np.where(turning, robot.characteristic_length, 1.0))
-
-
-@lru_cache(maxsize=64)
-def velocity_scale(robot: Robot) -> Array:
-    """Return (nv,) the length that turns each tree velocity into m/s: the characteristic length for rotations."""
-    return read_only(np.where(turning_velocities(robot), robot.characteristic_length, 1.0))
-
-
-@lru_cache(maxsize=64)
-def turning_velocities(robot: Robot) -> BoolArray:
-    """Return (nv,) which tree velocities are rotations."""
-    model = robot.model
-    turning = np.zeros(model.nv, dtype=bool)
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    for index in range(1, model.njoints):
-        joint = model.joints[index]
-        columns = slice(joint.idx_v, joint.idx_v + joint.nv)
-        turning[columns] = np.abs(motion_subspace(model, data, index)[3:]).max(axis=0) > 0
-    return read_only(turning)
-
-
 def gravity_acts(robot: Robot) -> bool:
     """Return whether gravity can move anything: not if it is zero, nor if it is normal to all that a planar tree does.
 
@@ -197,11 +157,6 @@ def pose_rows(robot: Robot) -> list[int]:
     return [AXES.index(axis) for axis in robot.platform.axes] if robot.platform else []
 
 
-def is_revolute(robot: Robot, name: str) -> bool:
-    """Return whether a joint of one freedom turns."""
-    return not slides(robot.model.joints[robot.model.getJointId(name)])
-
-
 @lru_cache(maxsize=64)
 def angle_columns(robot: Robot) -> list[int]:
     """Columns known up to full turns: platform angles and continuous joints; a bounded joint counts its turns."""
@@ -218,28 +173,30 @@ def mode_indicator(robot: Robot, q: Array) -> Array:
     """Return (N, legs) the signed distance of each leg from the change of its working mode.
 
     Positive in mode +1, negative in mode −1, zero where the two meet (a type I singularity of that leg): sin(q) of a
-    revolute indicator joint, q (m) of a prismatic one, times the declared sign.
+    revolute indicator joint, q over the characteristic length of a prismatic one, times the declared sign.
 
     Args:
         robot: the robot; without declared modes the result has no columns.
         q: (N, nq) configurations.
     """
-    columns, sines, signs = mode_indicators(robot)
+    columns, sines, signs, units = mode_indicators(robot)
     value = q.take(columns, 1)
-    signed: Array = signs * np.where(sines, np.sin(value), value)
+    signed: Array = signs * np.where(sines, np.sin(value), value / units)
     return signed
 
 
 @lru_cache(maxsize=64)
-def mode_indicators(robot: Robot) -> tuple[IntArray, BoolArray, Array]:
-    """Return what tells the mode of each leg, (legs,) each: a number of q, whether its sine counts, and the sign."""
+def mode_indicators(robot: Robot) -> tuple[IntArray, BoolArray, Array, Array]:
+    """Return what tells the mode of each leg, (legs,) each: a number of q, whether its sine counts, sign and unit."""
     modes, legs = robot.working_modes, []
     for name, sign in zip(modes.joints, modes.signs, strict=True) if modes else ():
         joint = robot.model.joints[robot.model.getJointId(name)]
         # of a continuous joint the second number is the sine
-        legs.append((joint.idx_q + (joint.nq == 2), joint.nq == 1 and is_revolute(robot, name), sign))
-    columns, sines, signs = zip(*legs, strict=True) if legs else ((), (), ())
-    return np.array(columns, dtype=np.intp), np.array(sines, dtype=bool), np.array(signs, dtype=np.float64)
+        unit = 1.0 if is_revolute(robot, name) else robot.characteristic_length
+        legs.append((joint.idx_q + (joint.nq == 2), joint.nq == 1 and is_revolute(robot, name), sign, unit))
+    columns, sines, signs, units = zip(*legs, strict=True) if legs else ((), (), (), ())
+    numbers = np.array(signs, dtype=np.float64), np.array(units, dtype=np.float64)
+    return np.array(columns, dtype=np.intp), np.array(sines, dtype=bool), *numbers
 
 
 def working_modes(robot: Robot, q: Array) -> IntArray:

@@ -34,24 +34,17 @@ from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePose
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point
-from redundancy_pin.kinematics.coordinates import (
-    angle_columns,
-    coordinates,
-    difference,
-    joint_position,
-    row_scale,
-    turning_velocities,
-    velocity_scale,
-)
+from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, difference, joint_position
 from redundancy_pin.kinematics.inverse_kinematics import wrapped
 from redundancy_pin.kinematics.lift import TreeMotion, anchors_along, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, range_excess
 from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.scales import coordinate_unit, turning_velocities, velocity_unit
 
 _AGREE = 1e-8
-"""Distance, rad or m, by which positions of redundant motors may contradict each other: rounding."""
+"""Largest contradiction between positions of redundant motors, in characteristic lengths or rad: rounding."""
 
 _WEAKER = 0.5
 """Of the margin at which redundant motors began to be followed: below it others are looked for."""
@@ -71,7 +64,7 @@ _SEED = 20141
 _FEW_TURNS, _MOST_TURNS = 3, 100
 """Turns between samples that are followed as they are; of several motors at most, which takes seconds."""
 _SAME_TURN = 1e-6
-"""rad or m; configurations this near, turns apart, are one."""
+"""rad; configurations this near, turns apart, are one."""
 
 
 class ForwardStatus(Labelled):
@@ -104,7 +97,8 @@ class ForwardKinematics(Frozen):
         jacobian: (N, n, m) ẋ per rate of each main actuator; of redundant ones those that were followed have columns,
             the others zeros.
         status: (N,) a ``ForwardStatus`` each.
-        gap: (N,) closure residual, m or rad; of redundant motors also what they contradict each other by.
+        gap: (N,) closure residual, m (angles times the characteristic length); of redundant motors also what they
+            contradict each other by.
         margin: (N,) lower bound of the scaled distance to type II, as ``TreeMotion.serial_margin_bound``; of redundant
             motors that of those which were followed.
         excess: (N, joints) how far each joint of the model is beyond its range, m or rad, not positive inside.
@@ -223,7 +217,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
     home = assemble(motors, q0[None], max_iterations=0)
     if not home.closed[0]:
         raise InputError(
-            f"start does not close the chains of {robot.name}: they stay open by {home.gap[0]:.3g}.",
+            f"start does not close the chains of {robot.name}: they stay open by {home.gap[0]:.3g} m.",
             remedy="Pass a configuration of lift, assembly_modes or forward_kinematics.",
         )
     if home.projection.margin[0] == 0.0:
@@ -260,7 +254,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
     q, x = route.turned(branch, q), x[places] if is_pose(robot) else route.turned(x, x[places])
     gap = np.fmax(gap, _contradiction(system, followed, u, q))
-    contradicted = (status == ForwardStatus.CONVERGED) & (gap > _AGREE)
+    contradicted = (status == ForwardStatus.CONVERGED) & (gap > _AGREE * robot.characteristic_length)
     status[contradicted] = ForwardStatus.OUT_OF_REACH
     for part in (x, xd, xdd, q, J):
         part[contradicted] = np.nan
@@ -288,18 +282,19 @@ def _followed(system: ConstraintSystem, q: Array) -> IntArray:
     from scipy.linalg import qr
 
     columns = system.pose_columns
-    unit = velocity_scale(robot)[columns]
-    free = np.linalg.svd(system.evaluate(q[None]).Jc[0][:, columns] / unit)[2][-robot.n :]
+    closures = system.evaluate(q[None]).Jc[0][:, columns] * system.step_unit / system.closure_unit[:, None]
+    free = np.linalg.svd(closures)[2][-robot.n :]
     chosen = qr(free[:, np.searchsorted(columns, robot.actuated_velocity)], mode="r", pivoting=True)[1][: robot.n]
     return np.sort(chosen)
 
 
 def _contradiction(system: ConstraintSystem, followed: IntArray, u: Array, q: Array) -> Array:
-    """Return (N,) how far the motors that are not followed are from their positions u (N, m) at configurations q."""
-    robot = system.robot
-    off = [u[:, j] - joint_position(robot, robot.actuated[j], q) for j in range(robot.m) if j not in followed]
+    """Return (N,) how far motors that are not followed are from positions u (N, m) at configurations q, m."""
+    robot, unit = system.robot, velocity_unit(system.robot)[system.robot.actuated_velocity]
+    left = [j for j in range(robot.m) if j not in followed]
+    off = [(u[:, j] - joint_position(robot, robot.actuated[j], q)) / unit[j] for j in left]
     worst: Array = np.abs(np.reshape(off, (len(off), len(u)))).max(axis=0, initial=0.0)
-    return worst
+    return worst * robot.characteristic_length
 
 
 def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Array, IntArray, Array, Array]) -> None:
@@ -348,8 +343,8 @@ def _lifted(driven: Robot, route: _Route, path: list[Array], first: Point) -> tu
     motion = PlatformMotion(np.arange(len(route.u)), route.u, rate, second, check_rates=False)
     tree = lift(driven, motion, mark_unreachable=True, start=first)
     good = np.logical_and.accumulate(tree.reachable)
-    steps = np.linalg.norm(difference(driven, route.u[1:], route.u[:-1]) * row_scale(driven), axis=1)
-    if (steps > ANCHOR_SPACING * driven.characteristic_length).any():  # the branch may end between two samples
+    steps = np.linalg.norm(difference(driven, route.u[1:], route.u[:-1]) / coordinate_unit(driven), axis=1)
+    if (steps > ANCHOR_SPACING).any():  # the branch may end between two samples
         anchors = anchors_along(constraint_system(driven), route.u, first.q, first.gamma, False)
         good &= np.arange(len(good)) < np.append(anchors.position[~anchors.valid], np.inf)[0]
     return tree, np.where(good[:, None], tree.q, np.nan)  # what lift takes up again behind a gap is on any branch
@@ -518,7 +513,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
         solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=_SHORTEST_STEP)
         off = np.fmax(solved.gap, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
         starts, gap = starts + _STARTS, min(gap, float(np.nanmin(off)))
-        for one in solved.q[solved.closed & (off < _AGREE)]:
+        for one in solved.q[solved.closed & (off < _AGREE * robot.characteristic_length)]:
             key = _frames(robot, one)[None]
             keys = keys.reshape(len(q), key.shape[1])
             same = np.flatnonzero(np.abs(keys - key).max(axis=1) < _SAME_MODE * robot.characteristic_length)

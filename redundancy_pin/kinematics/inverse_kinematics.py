@@ -15,8 +15,9 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, turning_velocities
+from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import position_unit, turning_velocities
 from redundancy_pin.robot.types import slides
 
 _STARTS = (1, 16, 240)
@@ -34,7 +35,7 @@ class PoseSolution(NamedTuple):
 
     Attributes:
         q: (nq,) the configuration; where none closes in the working mode, the one with the smallest gap.
-        gap: its closure residual, m or rad.
+        gap: its closure residual, m.
         in_mode: whether it closes in the working mode.
     """
 
@@ -105,12 +106,13 @@ def mixed_legs(robot: Robot, q: Array, guess: Array) -> Array | None:
         return None
     right = mode_indicator(robot, q) * np.array(robot.working_mode, dtype=float) > 0.0
     indicators = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.working_modes.joints]
-    result = guess.copy()
+    result, unit = guess.copy(), position_unit(robot)
     for columns in _independent_parts(robot):
         usable: BoolArray = right[:, [leg for leg, column in enumerate(indicators) if column in columns]].all(axis=1)
         if not usable.any():
             return None
-        away = np.where(usable, np.abs(q[:, columns] - guess[columns]).sum(axis=1), np.inf)
+        apart = np.abs(q[:, columns] - guess[columns]) / unit[columns]
+        away = np.where(usable, apart.sum(axis=1), np.inf)
         result[columns] = q[int(np.argmin(away)), columns]
     return result
 
@@ -151,7 +153,7 @@ def _around(system: ConstraintSystem, guess: Array, starts: int, rng: np.random.
     model, columns = system.robot.model, system.pose_columns
     steps = np.zeros((starts, model.nv))
     if starts > 1:
-        spread = np.where(turning_velocities(system.robot)[columns], np.pi, system.robot.characteristic_length)
+        spread = np.where(turning_velocities(system.robot)[columns], np.pi, 1.0) * system.step_unit
         steps[:, columns] = rng.uniform(-1.0, 1.0, (starts, len(columns))) * spread
     return integrate(model, np.repeat(guess[None], starts, axis=0), steps)
 

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, blocks, read_only, runs
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, read_only, runs
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import (
     Assembly,
@@ -19,7 +19,6 @@ from redundancy_pin.kinematics.assembly import (
     configuration_difference,
     inverses,
     project,
-    projection_scale,
     rates,
 )
 from redundancy_pin.kinematics.chain import tracker
@@ -38,31 +37,24 @@ from redundancy_pin.kinematics.continuation import (
     through_rank_loss,
     usual_margin,
 )
-from redundancy_pin.kinematics.coordinates import (
-    difference,
-    in_working_mode,
-    mode_indicator,
-    mode_name,
-    row_scale,
-    velocity_scale,
-    working_modes,
-)
+from redundancy_pin.kinematics.coordinates import difference, in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.inverse_kinematics import multistart
 from redundancy_pin.kinematics.selection import rows_at
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import require_matching
+from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
 
 _FAR_STARTS = 5
 """Samples of a motion that no Newton from the reference closes anywhere at which multistart is tried before it is
 given up."""
 
 SAME_CONFIGURATION = 1e-6
-"""Two closed configurations of one pose nearer than this (rad, m) are the same one, computed twice."""
+"""Closed configurations of one pose nearer than this (rad, characteristic lengths) are the same, computed twice."""
 
 _ALMOST_CLOSED = 1e-6
-"""Gap that Newton comes below at a rank loss too, where it halves the error with each step and no more."""
+"""Residual, in characteristic lengths, that Newton reaches at a rank loss too, where each step halves the error."""
 
 _POOR, _POOR_PART = 0.1, 0.3
 """Margin below which rows that were left out may help those that count, as it is and as a part of the robot's usual
@@ -73,7 +65,7 @@ _HELPED = 3.0
 count to some 1e-10 only, and those that count are what the motion is judged by."""
 
 _NO_SIDE = 1e-6
-"""A mode indicator (sine or metres) this small at a pose where modes meet is zero."""
+"""A mode indicator (sine, or characteristic lengths) this small at a pose where modes meet is zero."""
 
 _EVEN = 0.5
 """Least part of its largest margin that a stretch keeps which is near a rank loss all along and goes through none."""
@@ -98,7 +90,7 @@ class TreeMotion(Frozen):
         a: (N, nv) tree accelerations, a = Γ ẍ + the part due to J̇_c v and J̇_x v.
         gamma: (N, nv, n) velocity per unit of each independent velocity, J_c Γ = 0.
         W: (N, n, m) actuation matrix, Γᵀ Sᵀ.
-        gap: (N,) closure residual, m or rad.
+        gap: (N,) closure residual, m; angles count times the characteristic length.
         reachable: (N,) false where no configuration was found in the working mode, and at a type I singularity; q, v,
             a, gamma and W are NaN there.
         serial_margin_bound: (N,) lower bound of the distance to a type I singularity, scaled; see
@@ -223,12 +215,12 @@ class _Lifted:
     @property
     def closed(self) -> BoolArray:
         """(N,) whether the gap is below the closure tolerance."""
-        return self.gap < CLOSURE_TOLERANCE
+        return self.gap < closure_tolerance(self.system.robot)
 
     @property
     def regular(self) -> BoolArray:
         """(N,) closed, and either no type I singularity or one that the branch goes smoothly through."""
-        return (self.gap < CLOSURE_TOLERANCE) & ((self.margin > 0.0) | self.carried)
+        return self.closed & ((self.margin > 0.0) | self.carried)
 
 
 def _solve(
@@ -253,24 +245,25 @@ def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | N
     ``start`` is a point of the branch at the first sample or before it.
     """
     system, carried = solved.system, solved.carried
-    near = (solved.gap < _ALMOST_CLOSED) & (solved.margin < NEAR_RANK_LOSS)
+    almost = solved.gap < _ALMOST_CLOSED * system.robot.characteristic_length
+    near = almost & (solved.margin < NEAR_RANK_LOSS)
     if near.any():
         near &= solved.margin < near_rank_loss(system)
     if system.robot.all_closures:
         low = min(_POOR, _POOR_PART * usual_margin(system))
-        poor = np.flatnonzero((solved.gap < _ALMOST_CLOSED) & (solved.margin < low))
+        poor = np.flatnonzero(almost & (solved.margin < low))
         near[_made_up_for(motion, solved, poor)] = False
     parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap
-    unit = row_scale(system.robot)
+    unit = coordinate_unit(system.robot)
     for first, stop in runs(near):
         beside = solved.margin[max(first - 1, 0) : stop + 1]
         if positions_only and solved.regular[first:stop].all() and beside.min() > _EVEN * beside.max():
             continue
         while first < stop:
             away = np.linalg.norm(
-                difference(system.robot, motion.x[first:stop], motion.x[first : first + 1]) * unit, axis=1
+                difference(system.robot, motion.x[first:stop], motion.x[first : first + 1]) / unit, axis=1
             )
-            last = first + int(np.argmax(np.append(away, np.inf) > NEAR_RANK_LOSS * system.robot.characteristic_length))
+            last = first + int(np.argmax(np.append(away, np.inf) > NEAR_RANK_LOSS))
             part = slice(first, last)
             neighbours = [
                 k
@@ -322,20 +315,16 @@ def _blurred(solved: _Lifted, samples: IntArray) -> BoolArray:
     loss loses no digits because another moves.
     """
     system = solved.system
-    unit, scale, columns = row_scale(system.robot), velocity_scale(system.robot), system.pose_columns
-    sizes = projection_scale(system)
+    unit, scale, columns = coordinate_unit(system.robot), velocity_unit(system.robot), system.pose_columns
     with np.errstate(invalid="ignore", over="ignore"):
-        K = system.evaluate(solved.q[samples]).K
-        gamma = np.abs(solved.gamma[samples] * (scale[:, None] / unit)).max(axis=2, initial=0.0)[:, columns]
-        speed, a = (
-            np.abs(rate[samples] * scale)[:, columns] / system.robot.characteristic_length
-            for rate in (solved.v, solved.a)
-        )
+        K = system.relative(system.evaluate(solved.q[samples]).K)
+        gamma = np.abs(solved.gamma[samples] * (unit / scale[:, None])).max(axis=2, initial=0.0)[:, columns]
+        speed, a = (np.abs(rate[samples] / scale)[:, columns] for rate in (solved.v, solved.a))
         most = np.maximum(a.max(axis=1), speed.max(axis=1) ** 2)
         result = np.zeros(len(samples), dtype=bool)
         for rows, own in loops(system):
             inverse = inverses(K[:, rows[:, None], own])
-            size = np.sqrt(np.einsum("nij,nij,ij->n", inverse, inverse, sizes[np.ix_(own, rows)]))
+            size = np.sqrt(np.einsum("nij,nij->n", inverse, inverse))
             margin = np.where(np.isfinite(size), 1.0 / size, 0.0)
             result |= margin**2 * np.maximum(gamma[:, own].max(axis=1), 1.0) < _ROUNDED_SHARE
             result |= margin**3 * most < _ROUNDED_SHARE * speed[:, own].max(axis=1) ** 2
@@ -387,7 +376,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
     ):
         return reached
     q, gap, in_mode = multistart(system, reference, x)
-    closed, pose = gap < CLOSURE_TOLERANCE, f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
+    closed, pose = gap < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
     projection = project(system, system.evaluate(q[None]))
     if closed and projection.margin[0] == 0.0:
         raise SingularPoseError(
@@ -489,7 +478,8 @@ def _branch_breaks(motion: PlatformMotion, solved: _Lifted, good: BoolArray) -> 
     def reached_again(k: int) -> bool:
         again = follow(system, x[k : k + 2], q[k], solved.gamma[k])
         apart = configuration_difference(system.robot.model, again.q[-1:], q[k + 1 : k + 2])
-        return bool(again.valid.all()) and float(np.abs(apart).max()) <= SAME_CONFIGURATION
+        apart = np.abs(apart / velocity_unit(system.robot))
+        return bool(again.valid.all()) and float(apart.max()) <= SAME_CONFIGURATION
 
     # a step between sparse samples may be long without being a break: go there again in small steps
     return np.array([k + 1 for k in suspects.tolist() if not reached_again(k)], dtype=np.intp)
@@ -584,7 +574,7 @@ def _require_closed_and_regular(motion: PlatformMotion, solved: Assembly | _Lift
         i = int(np.argmin(regular))
         k, system = first + i, solved.system
         state, columns = system.evaluate(solved.q[i : i + 1]), system.pose_columns
-        closures = state.Jc[0][:, columns] * system.closure_scale[:, None] / velocity_scale(system.robot)[columns]
+        closures = state.Jc[0][:, columns] * system.step_unit / system.closure_unit[:, None]
         values = np.linalg.svd(closures, compute_uv=False)
         if values[-1] < near_rank_loss(system):
             raise SingularPoseError(

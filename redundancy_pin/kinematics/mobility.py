@@ -8,14 +8,14 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.robot.scales import coordinate_unit
 
 _MOVES = 1e-6
 """Part of a unit motion, scaled, that a joint must have in it to be said to move."""
 
 _LEVEL_TOLERANCE = 1e-9
-"""rad/s per unit of an independent velocity; rounding of the closed configuration stays below 1e-12."""
+"""rad per characteristic length, or per rad, of an independent coordinate; rounding stays below 1e-12."""
 
 
 def check_mobility(system: ConstraintSystem) -> None:
@@ -58,7 +58,7 @@ def _left_free(system: ConstraintSystem) -> str:
     robot = system.robot
     state = assemble(system, np.array(robot.q_reference)[None]).state
     columns = system.pose_columns
-    rows = state.K[0] / velocity_scale(robot)[columns]
+    rows = system.relative(state.K)[0]
     values, basis = np.linalg.svd(rows)[1:]
     free = np.abs(basis[int((values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-300)).sum()) :])
     moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > _MOVES)}
@@ -108,7 +108,7 @@ def _check_platform_stays_level(system: ConstraintSystem, state: ConstraintState
     columns = list(system.tree.support[platform.frame])
     omega = state.pose.jacobian[3:, columns, 0] @ gamma[0, columns]
     omega[AXES.index(rotations[0]) - 3] = 0.0
-    if np.abs(omega).max() > _LEVEL_TOLERANCE:
+    if np.abs(omega * coordinate_unit(system.robot)).max() > _LEVEL_TOLERANCE:
         raise DeclarationError(
             f"The platform {platform.frame!r} of {system.robot.name} tilts: {rotations[0]} is declared as its only "
             "rotation, but it turns about other axes too.",
@@ -119,7 +119,7 @@ def _check_platform_stays_level(system: ConstraintSystem, state: ConstraintState
 
 def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[str]]:
     """Return the rank of the closure rows and the names of those that depend on the others (pivoted QR of Jᵀ)."""
-    jacobian = state.Jc[0][:, system.pose_columns] / velocity_scale(system.robot)[system.pose_columns]
+    jacobian = state.Jc[0][:, system.pose_columns] * system.step_unit / system.closure_unit[:, None]
     if min(jacobian.shape) == 0:
         return 0, []
     singular = np.linalg.svd(jacobian, compute_uv=False)

@@ -19,19 +19,20 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, Bool
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.closing import SEED, close, closed_near, scattered
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
-from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.mobility import row_names
 from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot.scales import closure_tolerance
 
 _NEIGHBOURS, _SPREAD = 6, 0.1
 """Configurations around the reference, and how far the joints are from it, rad, or in characteristic lengths."""
 
 STAYS_CLOSED = 1e-8
-"""m, or rad: how far the rows that are left out may open. Newton leaves 1e-11; the false ones open by 1e-3 and more."""
+"""Largest residual of rows that are left out, characteristic lengths or rad. Newton leaves 1e-11; false ones open by
+1e-3 and more."""
 
 _ROUNDED = 2e-5
-"""m, or rad: how far they may open where a file's numbers are rounded, with a note: axes that are parallel but for
-five digits of π/2 (1.5708) open by 5e-6."""
+"""The same where a file's numbers are rounded, with a note: axes that are parallel except for five digits of π/2
+(1.5708) open by 5e-6."""
 
 _REDUNDANT = 1e-6
 """Scaled singular values, relative to the largest, of rows that are redundant."""
@@ -110,7 +111,8 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
     independent, loose = _independent(robot, q)
     rods = {name: rod for name in loose if redundant and (rod := _spins(robot, name, q)) is not None}
     fixed_spins = tuple(rods)
-    off_axis = {name: away for name, rod in rods.items() if (away := _off_axis(robot, name, rod, q)) > _ROUNDED}
+    near = _ROUNDED * robot.characteristic_length
+    off_axis = {name: away for name, rod in rods.items() if (away := _off_axis(robot, name, rod, q)) > near}
     for name in fixed_spins:
         robot = _with_spin_fixed(robot, name, q, at_first=name in resisted)
     if fixed_spins:
@@ -151,7 +153,7 @@ def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
         for frame, carrier in zip(frames, carriers, strict=True):
             if carrier == index:
                 ends.append(_Rod(number, carriers, data.oMi[index].translation, data.oMf[frame].translation))
-    if len(ends) != 1 or np.linalg.norm(ends[0].far - ends[0].near) <= RANK_TOLERANCE:
+    if len(ends) != 1 or (np.linalg.norm(ends[0].far - ends[0].near) <= RANK_TOLERANCE * robot.characteristic_length):
         return None
     rod = ends[0]
     is_ball = model.joints[joints[0]].nq == 4 if rod.closure is None else robot.closures[rod.closure].axes == AXES[:3]
@@ -207,7 +209,7 @@ def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot,
     fewer, left_out = _with_rows(robot, keep)
     # with these rows alone, do the others stay closed?
     again = _neighbours(ConstraintSystem(fewer), q)
-    opened = np.abs(system.evaluate(again).phi).max(axis=0)
+    opened = np.abs(system.evaluate(again).phi / system.closure_unit).max(axis=0)
     if opened.max() <= most:
         return fewer, left_out, float(opened.max())
     wide = [name for name, gap in zip(row_names(robot), opened, strict=True) if gap > most]
@@ -225,15 +227,15 @@ def _neighbours(system: ConstraintSystem, q: Array) -> Array:
     """Return closed configurations (N, nq), the first of them q itself."""
     around = scattered(system, q, _NEIGHBOURS, _SPREAD, np.random.default_rng(SEED))
     reached = [close(system, each) for each in (q, *around)]
-    closed = [each for each, gap in reached if gap < CLOSURE_TOLERANCE]
+    closed = [each for each, gap in reached if gap < closure_tolerance(system.robot)]
     return np.array(closed) if closed else q[None]
 
 
 def _rows(system: ConstraintSystem, q: Array) -> Array:
     """Return (r, p) the closure rows at a configuration, in scaled units."""
     columns = system.pose_columns
-    scaled: Array = system.evaluate(q[None]).Jc[0][:, columns] / velocity_scale(system.robot)[columns]
-    return scaled * system.closure_scale[:, None]
+    rows: Array = system.evaluate(q[None]).Jc[0][:, columns] * system.step_unit / system.closure_unit[:, None]
+    return rows
 
 
 def _rank(matrix: Array) -> int:

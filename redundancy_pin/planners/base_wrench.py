@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, BoolArray, checked, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import SLIDING_TERMS, TERMS, TURNING_TERMS, terms
+from redundancy_pin.robot.scales import turning_velocities
 
 BASE = ("base_force", "base_moment", "base_wrench")
 """Objectives that are about it: the force, the moment, and both, the moment over the characteristic length."""

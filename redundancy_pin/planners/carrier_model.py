@@ -24,9 +24,9 @@ from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics, terms_along
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
 from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.trajectory import Side

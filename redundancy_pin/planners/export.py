@@ -21,12 +21,13 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
 from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, write_text
-from redundancy_pin.kinematics.coordinates import is_revolute, joint_position
+from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.scales import is_revolute
 from redundancy_pin.trajectory.quaternions import quaternions_of
 from redundancy_pin.trajectory.trajectory import sample_times
 

@@ -21,13 +21,13 @@ from redundancy_pin.arrays import Array, Frozen, positive, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
+from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import SHIFT, PiecewisePolynomial, chebyshev_times
 

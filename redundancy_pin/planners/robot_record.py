@@ -15,12 +15,12 @@ from pydantic import ConfigDict, Field
 
 from redundancy_pin.errors import DeclarationError, ModelFileError, PlanFileError, RedundancyPinError, shown
 from redundancy_pin.io.schema import Schema, validated
-from redundancy_pin.kinematics.coordinates import is_revolute
 from redundancy_pin.loading import load_with
 from redundancy_pin.robot import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
+from redundancy_pin.robot.scales import is_revolute
 from redundancy_pin.robot.urdf import declaration_path, known_values, shipped_sources
 
 _SAME_BODIES = 1e-9

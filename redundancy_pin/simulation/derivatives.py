@@ -25,8 +25,9 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel, LinearParts
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import difference, row_scale, velocity_scale
+from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.robot import Payload, Robot
+from redundancy_pin.robot.scales import row_scale, velocity_scale
 from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.state import State
 

@@ -20,8 +20,9 @@ from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import made_up
-from redundancy_pin.kinematics.coordinates import mode_indicator, velocity_scale
+from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.rank_loss import LOST, NEAR, Sheet, rank_ratio
 
 KINDS = ("track", "joint_limit", "type_I", "type_II", "closure_rank")

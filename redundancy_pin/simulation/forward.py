@@ -29,8 +29,8 @@ from redundancy_pin.dynamics.forward import LEAST_INERTIA
 from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.rank_loss import LOST, Sheet, rank_ratio
 
 

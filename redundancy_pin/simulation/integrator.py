@@ -28,8 +28,8 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.forward import LEAST_INERTIA, Advance, ForwardKernel, Integration, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.kinematics.closure import made_up
-from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.selection import rows_at
+from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.controllers.base import Command, Sampling, is_same
 from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead

@@ -32,7 +32,7 @@ from scipy.linalg import eigvals, lapack, qr
 
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import velocity_scale
+from redundancy_pin.robot.scales import velocity_scale
 
 NODES = 20
 """Points across a rank loss: even, so that none is on it. What is interpolated is analytic, and 1e-15 is reached."""

@@ -12,10 +12,11 @@ import numpy as np
 from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, InputError, SingularPoseError
-from redundancy_pin.kinematics.coordinates import distance, moved, row_scale
+from redundancy_pin.kinematics.coordinates import distance, moved
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.controllers.base import Command, Controller, Sampling, Tracking
 from redundancy_pin.simulation.controllers.by_name import controller_by_name
 from redundancy_pin.simulation.result import Simulation

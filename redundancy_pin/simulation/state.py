@@ -13,10 +13,10 @@ from scipy.linalg import lapack
 from redundancy_pin.arrays import Array, Frozen, checked, each, read_only
 from redundancy_pin.dynamics.forward import Reader
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import velocity_scale
 
 PROJECTION_TOLERANCE = 1e-13
 """Closure residual, m, at which the projection is done: rounding of a machine of a metre is 1e-16 a row."""

@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import (
-    CLOSURE_TOLERANCE,
     NEAR_SINGULAR_MARGIN,
     RANK_TOLERANCE,
     Array,
@@ -40,9 +39,9 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import inverses
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system, with_all_rows
-from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.scales import closure_tolerance, column_scale, row_scale, velocity_scale
 from redundancy_pin.spectrum import oriented, spectrum_of
 
 
@@ -227,8 +226,8 @@ def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, Constrai
     configurations = rows_of(q, "q", ("N", robot.model.nq))
     system = constraint_system(robot)
     state = system.evaluate(configurations)
-    gap = np.abs(state.phi).max(axis=1, initial=0.0)
-    bad = np.flatnonzero(gap > CLOSURE_TOLERANCE)
+    gap = system.gap(state.phi)
+    bad = np.flatnonzero(gap > closure_tolerance(system.robot))
     if len(bad):
         k = int(bad[0])
         raise InputError(

@@ -12,16 +12,17 @@ from typing import NoReturn
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, Frozen, frozen
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, frozen
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import Point, continuous
-from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows, row_scale
+from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows
 from redundancy_pin.kinematics.lift import SAME_CONFIGURATION, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.named import require_matching
+from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, position_unit, row_scale, velocity_unit
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
 from redundancy_pin.singularities.roots import Zero, zeros
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
@@ -94,16 +95,16 @@ class FollowedPath:
             UnreachablePoseError: the path leaves the workspace between two samples; carries the time.
             WorkingModeError: Newton reaches another branch.
         """
-        model = self.system.robot.model
+        model, unit = self.system.robot.model, velocity_unit(self.system.robot)
         left = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
         span = configuration_difference(model, self.q[left], self.q[left + 1])
         u = ((times - self.t[left]) / (self.t[left + 1] - self.t[left]))[:, None]
         guess = integrate(model, self.q[left], u * span)
         solution = assemble(self.system, guess, self.law.sample_at(times).x, max_iterations=_SLOW_NEWTON)
-        _require_closed(times, solution.gap)
-        miss = np.abs(configuration_difference(model, guess, solution.q)).max(axis=1)
+        _require_closed(self.system.robot, times, solution.gap)
+        miss = np.abs(configuration_difference(model, guess, solution.q) / unit).max(axis=1)
         # near a type I singularity q goes with a square root: within half of the span is on the branch, not beyond
-        lost = np.flatnonzero(miss > np.maximum(np.abs(span).max(axis=1), SAME_CONFIGURATION))
+        lost = np.flatnonzero(miss > np.maximum(np.abs(span / unit).max(axis=1), SAME_CONFIGURATION))
         if len(lost):
             t = float(times[lost[0]])
             raise WorkingModeError(
@@ -135,7 +136,7 @@ def follow_law(
     tree = lift(
         system.robot, PlatformMotion(t, x, still, still), mark_unreachable=True, start=start, positions_only=True
     )
-    q = _without_strays(np.array(tree.q))
+    q = _without_strays(np.array(tree.q), position_unit(system.robot))
     if np.isnan(q).any():
         _fill_in(system, law, t, x, q, tree.gap)
     path = FollowedPath(system, law, t, q)
@@ -147,8 +148,8 @@ def _times(robot: Robot, law: ContinuousMotion, spacing: float) -> tuple[Array, 
     """Return times and coordinates, no step longer than ``spacing`` characteristic lengths."""
     t = np.linspace(law.start, law.end, _FEWEST_STEPS + 1)
     x = law.sample_at(t).x
-    steps = np.linalg.norm(difference(robot, x[1:], x[:-1]) * row_scale(robot), axis=1)
-    pieces = np.maximum(np.ceil(steps / (spacing * robot.characteristic_length)), 1).astype(np.intp)
+    steps = np.linalg.norm(difference(robot, x[1:], x[:-1]) / coordinate_unit(robot), axis=1)
+    pieces = np.maximum(np.ceil(steps / spacing), 1).astype(np.intp)
     if (pieces == 1).all():
         return t, x
     within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
@@ -157,13 +158,13 @@ def _times(robot: Robot, law: ContinuousMotion, spacing: float) -> tuple[Array, 
     return t, law.sample_at(t).x
 
 
-def _without_strays(q: Array) -> Array:
+def _without_strays(q: Array, unit: Array) -> Array:
     """Set runs of samples to NaN that lie far from the samples before them: Newton overshot next to a singularity."""
-    step = np.abs(np.diff(q, axis=0)).max(axis=1)
+    step = np.abs(np.diff(q, axis=0) / unit).max(axis=1)
     starts = np.concatenate([[0], np.flatnonzero(~(step < _STRAY)) + 1])
     last = -1
     for start, stop in zip(starts.tolist(), np.append(starts[1:], len(q)).tolist(), strict=True):
-        if np.isnan(q[start, 0]) or (last >= 0 and np.abs(q[start] - q[last]).max() > _STRAY * (start - last)):
+        if np.isnan(q[start, 0]) or (last >= 0 and np.abs((q[start] - q[last]) / unit).max() > _STRAY * (start - last)):
             q[start:stop] = np.nan
         else:
             last = stop - 1
@@ -179,7 +180,7 @@ def _fill_in(system: ConstraintSystem, law: ContinuousMotion, t: Array, x: Array
     robot = system.robot
     known, missing = np.flatnonzero(~np.isnan(q[:, 0])), np.flatnonzero(np.isnan(q[:, 0]))
     if len(known) == 0:
-        _require_closed(t, gap)
+        _require_closed(robot, t, gap)
         raise WorkingModeError(
             f"No sample of the path lies in working mode {mode_name(robot.working_mode)}.",
             remedy=_STAY_AWAY,
@@ -206,10 +207,10 @@ def _require_no_jump(path: FollowedPath, suspects: BoolArray) -> None:
 
     A leg that passes through zero length jumps: the prismatic leg of a 2-RPR turns by π at its base hinge.
     """
-    model = path.system.robot.model
+    model, unit = path.system.robot.model, velocity_unit(path.system.robot)
 
     def distance(one: Array, other: Array) -> float:
-        return float(np.abs(configuration_difference(model, one[None], other[None])).max())
+        return float(np.abs(configuration_difference(model, one[None], other[None]) / unit).max())
 
     for k in np.flatnonzero(suspects):
         left, right, q_left, q_right = float(path.t[k]), float(path.t[k + 1]), path.q[k], path.q[k + 1]
@@ -231,15 +232,15 @@ def _require_no_jump(path: FollowedPath, suspects: BoolArray) -> None:
                 break
         if span > max(_KINK * first, SAME_CONFIGURATION):
             raise WorkingModeError(
-                f"The configuration jumps at t = {left:.9g} s (by {span:.3g} rad or m): the path runs through a type I "
-                "singularity, behind which the working mode is another branch.",
+                f"The configuration jumps at t = {left:.9g} s (by {span:.3g} rad or characteristic lengths): the path "
+                "runs through a type I singularity, behind which the working mode is another branch.",
                 remedy=_STAY_AWAY,
                 time=left,
             )
 
 
-def _require_closed(times: Array, gap: Array) -> None:
-    bad = np.flatnonzero(~(gap < CLOSURE_TOLERANCE))
+def _require_closed(robot: Robot, times: Array, gap: Array) -> None:
+    bad = np.flatnonzero(~(gap < closure_tolerance(robot)))
     if len(bad):
         k = int(bad[0])
         raise UnreachablePoseError(
@@ -255,7 +256,7 @@ def _raise_border(
 ) -> NoReturn:
     """Close in on the time at which the path leaves the workspace, and say so: sixteen parts of an interval at once."""
     if bad == 0:
-        _require_closed(t[:1], np.array([gap]))
+        _require_closed(system.robot, t[:1], np.array([gap]))
     inside, outside, at = float(t[bad - 1]), float(t[bad]), q[bad - 1]
     while len(times := np.unique(np.linspace(inside, outside, 17))) > 2:
         poses = law.sample_at(times[1:-1]).x

@@ -24,12 +24,13 @@ import numpy as np
 from contourpy import contour_generator
 from numpy.typing import NDArray
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, frozen, read_only, require_type
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen, read_only, require_type
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit
 from redundancy_pin.singularities.classify import SingularityKind, locked_matrix, margins_of, serial_matrix
 from redundancy_pin.singularities.tracing import MODE_ROUNDING, MatrixOf, Tracer, singular_value
 from redundancy_pin.singularities.workspace import Slice, WorkspaceGrid, default_axes, slice_of, solve_grid
@@ -286,7 +287,7 @@ def _corner(system: ConstraintSystem, tracer: Tracer | None, q: Array) -> tuple[
         return None
     state = system.evaluate(corner)
     left = np.asarray(np.linalg.svd(serial_matrix(system, state), compute_uv=False)[:, -1], dtype=np.float64)
-    exact = np.abs(state.phi).max(initial=0.0) < CLOSURE_TOLERANCE and left[0] < SINGULAR
+    exact = system.gap(state.phi)[0] < closure_tolerance(system.robot) and left[0] < SINGULAR
     return (coordinates(system.robot, state), corner, left) if exact else None
 
 
@@ -380,19 +381,21 @@ def _refined(
     everyone = np.arange(len(guess))
     fixed = np.arange(robot.n)[None, :] != free[:, None]
     others = np.broadcast_to(np.arange(robot.n), fixed.shape)[fixed].reshape(len(guess), robot.n - 1)
-    q = guess.copy()
+    q, closures = guess.copy(), np.broadcast_to(system.closure_unit, (len(guess), len(system.rows)))
+    unit = np.concatenate([closures, coordinate_unit(robot)[others], np.ones((len(guess), 1))], axis=1)
     for _ in range(_ITERATIONS):
         state = system.evaluate(q)
         sigma, gradient = singular_value(system, matrix, state)
         miss = difference(robot, start, coordinates(robot, state))[everyone[:, None], others]
         platform_rows = state.Jx[:, :, p][everyone[:, None], others]
         rows = np.concatenate([state.Jc[:, :, p], platform_rows, gradient[:, None]], axis=1)
-        rhs = np.concatenate([-state.phi, miss, -sigma[:, None]], axis=1)
+        rhs = np.concatenate([-state.phi, miss, -sigma[:, None]], axis=1) / unit
         # minimum norm: where two branches of a singular curve meet the equations depend on each other
-        step = (np.linalg.pinv(rows, rcond=1e-12) @ rhs[:, :, None])[:, :, 0]
+        step = (np.linalg.pinv(rows * system.step_unit / unit[:, :, None], rcond=1e-12) @ rhs[:, :, None])[:, :, 0]
         size = np.abs(step).max(axis=1, keepdims=True)
         full = np.zeros((len(q), robot.model.nv))
-        full[:, p] = step * np.minimum(1.0, _LONGEST_NEWTON_STEP / np.maximum(size, _LONGEST_NEWTON_STEP))
+        step *= np.minimum(1.0, _LONGEST_NEWTON_STEP / np.maximum(size, _LONGEST_NEWTON_STEP))
+        full[:, p] = step * system.step_unit
         q = integrate(robot.model, q, full)
         if size.max(initial=0.0) < 1e-14:
             break
@@ -401,11 +404,10 @@ def _refined(
     sigma = np.asarray(np.linalg.svd(matrix(system, state), compute_uv=False)[:, -1], dtype=np.float64)
     away = difference(robot, x, start)
     fraction = away[everyone, free] / difference(robot, end, start)[everyone, free]
-    off = np.abs(np.where(fixed, away, 0.0)).max(axis=1)
-    gap = np.maximum(np.abs(state.phi).max(axis=1, initial=0.0), off)
+    closed = system.gap(np.concatenate([state.phi, np.where(fixed, away, 0.0)], axis=1)) < closure_tolerance(robot)
     on_edge = (fraction > -_EDGE_ROUNDING) & (fraction < 1.0 + _EDGE_ROUNDING)
     in_mode = (mode_indicator(robot, q) * np.array(robot.working_mode) > -MODE_ROUNDING).all(axis=1)
-    return _Refined(x, q, sigma, (gap < CLOSURE_TOLERANCE) & (sigma < SINGULAR) & on_edge & in_mode)
+    return _Refined(x, q, sigma, closed & (sigma < SINGULAR) & on_edge & in_mode)
 
 
 def _bisected(system: ConstraintSystem, q: Array, start: Array, end: Array) -> Array:

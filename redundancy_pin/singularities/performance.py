@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, each, read_only
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.kinematics.assembly import project
-from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.singularities.classify import closed_state
 from redundancy_pin.spectrum import scaled, spectrum_of
 
@@ -198,10 +198,15 @@ def platform_play(robot: RobotLike, q: ArrayLike, play: ArrayLike) -> Array:
         return read_only(result)
     from scipy.optimize import linprog
 
+    # without units: the solver's tolerances have none
+    play_lengths = off * column_scale(robot)
+    largest = float(play_lengths.max()) or 1.0
     for k in at:
-        rows, bounds = np.concatenate([W[k].T, -W[k].T]), np.concatenate([off, off])
+        one = scaled(W[k : k + 1], row_scale(robot), column_scale(robot))[0].T
+        rows, bounds = np.concatenate([one, -one]), np.tile(play_lengths / largest, 2)
         for i, goal in enumerate(np.eye(robot.n)):
-            result[k, i] = -linprog(-goal, A_ub=rows, b_ub=bounds, bounds=(None, None)).fun
+            result[k, i] = -linprog(-goal, A_ub=rows, b_ub=bounds, bounds=(None, None)).fun * largest
+    result[at] /= row_scale(robot)
     return read_only(result)
 
 

@@ -121,7 +121,7 @@ def below_zero(function: Function, times: Array) -> list[Interval]:
 
 def root(function: Function, a: float, b: float) -> float:
     """Return the time between ``a`` and ``b`` at which a function changes sign, to rounding."""
-    return float(brentq(lambda t: float(function(np.array([t]))[0]), a, b, xtol=1e-15, rtol=1e-15))
+    return float(brentq(lambda t: float(function(np.array([t]))[0]), a, b, xtol=1e-15 * (b - a), rtol=1e-15))
 
 
 def _crossed(function: Function, a: float, b: float) -> Zero:

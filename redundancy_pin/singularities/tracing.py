@@ -16,14 +16,15 @@ import numpy as np
 from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.assembly import configuration_difference, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, turning_velocities
+from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
+from redundancy_pin.robot.scales import coordinate_unit, turning_velocities, velocity_unit
 from redundancy_pin.singularities.classify import locked_matrix, serial_matrix
 from redundancy_pin.singularities.workspace import Slice
 
 MatrixOf = Callable[[ConstraintSystem, ConstraintState], Array]
 
 _DIFFERENCE = 1e-6
-"""Step of the central differences of M, rad or m: their relative error, 1e-10, only slows Newton's last step."""
+"""Step of the central differences of M, rad or characteristic lengths: the relative error, 1e-10, only slows Newton."""
 
 _LONGEST, _SHORTEST = 0.15, 1e-6
 """Steps along a curve, rad (of slides: characteristic lengths)."""
@@ -55,12 +56,13 @@ def singular_block(
     """
     u, values, vt = np.linalg.svd(matrix(system, state), full_matrices=False)
     samples, columns, model = len(state.q), system.pose_columns, system.robot.model
-    steps = _DIFFERENCE * np.eye(model.nv)[columns]
+    steps = _DIFFERENCE * velocity_unit(system.robot)[:, None] * np.eye(model.nv)
+    steps = steps[columns]
     steps = np.concatenate([steps, -steps])
     moved = integrate(model, np.repeat(state.q, len(steps), axis=0), np.tile(steps, (samples, 1)))
     shifted = matrix(system, system.evaluate(moved))
     shifted = shifted.reshape(samples, 2, len(columns), *shifted.shape[1:])
-    slope = (shifted[:, 0] - shifted[:, 1]) / (2.0 * _DIFFERENCE)
+    slope = (shifted[:, 0] - shifted[:, 1]) / (2.0 * _DIFFERENCE * system.step_unit[:, None, None])
     block = values[:, -size:, None] * np.eye(size)
     slopes = np.einsum("nia,ncij,nbj->nabc", u[:, :, -size:], slope, vt[:, -size:])
     return block.reshape(samples, size**2), slopes.reshape(samples, size**2, len(columns))
@@ -173,7 +175,7 @@ class Tracer:
         owner = np.repeat(np.arange(len(pool) + 1), [*map(len, pool), len(others) - sum(map(len, pool))])
         start = int(np.searchsorted(owner, len(pool))) if len(own) else -1
         for _ in range(_MOST_STEPS):
-            step = min(step, _LONGEST, self.cell / max(self._speed(q, tangent), 1e-9))
+            step = min(step, _LONGEST, self.cell / max(self._speed(q, tangent), np.finfo(float).tiny))
             new = self._solved(self._moved(q, step * tangent), tangent)
             ahead = tangent if new is None else self._tangents(new)[0]
             inside = new is not None and self._in_mode(new)
@@ -224,9 +226,7 @@ class Tracer:
     @cached_property
     def _scale(self) -> Array:
         """(p,) what makes displacements of slides comparable to angles."""
-        robot = self.system.robot
-        scale: Array = np.where(turning_velocities(robot), 1.0, 1.0 / robot.characteristic_length)
-        scale = scale[self.system.pose_columns]
+        scale: Array = 1.0 / self.system.step_unit
         return scale
 
     @cached_property
@@ -261,8 +261,10 @@ class Tracer:
         target = np.broadcast_to(place.x, (len(q), len(place.x)))
         off = difference(self.system.robot, coordinates(self.system.robot, state), target)[:, fixed]
         vanishing = [singular_block(self.system, matrix, state, size) for matrix, size in singular]
-        values = [state.phi, off, *(block for block, _ in vanishing)]
-        rows = [state.Jc[:, :, columns], state.Jx[:, fixed][:, :, columns], *(slopes for _, slopes in vanishing)]
+        units = self.system.closure_unit, coordinate_unit(self.system.robot)[fixed]
+        values = [state.phi / units[0], off / units[1], *(block for block, _ in vanishing)]
+        closures, held = state.Jc[:, :, columns], state.Jx[:, fixed][:, :, columns]
+        rows = [closures / units[0][:, None], held / units[1][:, None], *(slopes for _, slopes in vanishing)]
         return np.concatenate(values, axis=1), np.concatenate(rows, axis=1) / self._scale
 
     def _tangents(self, q: Array) -> Array:

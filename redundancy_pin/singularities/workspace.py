@@ -12,10 +12,11 @@ from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follows
-from redundancy_pin.kinematics.coordinates import coordinates, difference, is_revolute, turning_velocities
+from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.lift import point_on_branch
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import out_of_range
+from redundancy_pin.robot.scales import is_revolute, turning_velocities, velocity_unit
 
 _REACH = 4.0
 """Half width of the search for the workspace, in characteristic lengths."""
@@ -32,8 +33,8 @@ _SHORTEST_STEP = 2.0**-3
 """Where Newton needs shorter steps than this the pose is left to a nearer neighbour."""
 
 _LONGEST_STEP = 2.0
-"""Largest change of q (rad, m) between neighbours: a leg near its base hinge turns by up to π/2, one that Newton threw
-to another turn by more."""
+"""Largest change of q (rad, characteristic lengths) between neighbours: a leg near its base hinge turns by up to π/2, one
+that Newton threw to another turn by more."""
 
 
 _TRIED, _STARTS, _SEED = 60, 6, 20141
@@ -241,7 +242,7 @@ class _Flood:
         robot, columns = self.system.robot, self.system.pose_columns
         unsolved = np.flatnonzero(~self.solved)
         targets = np.repeat(unsolved[:: max(1, len(unsolved) // _TRIED)], _STARTS)
-        spread = np.where(turning_velocities(robot)[columns], np.pi, _SLIDE * robot.characteristic_length)
+        spread = np.where(turning_velocities(robot)[columns], np.pi, _SLIDE) * self.system.step_unit
         steps = np.zeros((len(targets), robot.model.nv))
         steps[:, columns] = np.random.default_rng(_SEED).uniform(-1.0, 1.0, (len(targets), len(columns))) * spread
         guess = integrate(robot.model, np.repeat(place.q[None], len(targets), axis=0), steps)
@@ -323,7 +324,7 @@ class _Flood:
             return targets
         increment = difference(self.system.robot, self.nodes[targets], x)
         step = np.einsum("nvi,ni->nv", gamma, increment)
-        size = np.abs(step).max(axis=1, initial=0.0)
+        size = np.abs(step / velocity_unit(self.system.robot)).max(axis=1, initial=0.0)
         step *= np.minimum(1.0, 0.5 * _LONGEST_STEP / np.maximum(size, np.finfo(float).tiny))[:, None]
         done = self._attempt(targets, q, step, gamma, increment)
         again = np.flatnonzero(~done)
@@ -341,9 +342,9 @@ class _Flood:
         change = configuration_difference(model, q, solution.q)
         if robot.working_modes is None:
             # nothing but continuity tells the branches apart
-            same = follows(change, gamma, solution.gamma, increment)
+            same = follows(self.system, change, gamma, solution.gamma, increment)
         else:
-            same = solution.in_mode & (np.abs(change).max(axis=1) < _LONGEST_STEP)
+            same = solution.in_mode & (np.abs(change / velocity_unit(robot)).max(axis=1) < _LONGEST_STEP)
         good: BoolArray = solution.regular & same
         chosen = targets[good]
         self.q[chosen], self.gamma[chosen], self.solved[chosen] = solution.q[good], solution.gamma[good], True

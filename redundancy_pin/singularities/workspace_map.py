@@ -35,11 +35,12 @@ from redundancy_pin.errors import (
     shown,
 )
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, is_revolute
+from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates
 from redundancy_pin.kinematics.lift import point_on_branch
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.scales import is_revolute
 from redundancy_pin.singularities.classify import margins_of
 from redundancy_pin.singularities.workspace import Slice, default_axes, solve_grid
 

@@ -13,6 +13,7 @@ from redundancy_pin import load_robot
 from redundancy_pin.kinematics.closing import brought_near, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import position_unit
 
 AXES = np.eye(3)
 NEAR = 1e-3  # m: from where Newton's method goes on
@@ -68,12 +69,12 @@ def test_frames_far_away_are_turned_together(tmp_path: Path, kind: str, size: fl
     robot = arm(tmp_path, kind, size)
     system, rng = ConstraintSystem(robot), np.random.default_rng(4)
     for _ in range(12):
-        q = rng.uniform(-1.2, 1.2, robot.model.nq)
+        q = rng.uniform(-1.2, 1.2, robot.model.nq) * position_unit(robot)
         angle = apart(robot, q, kind)[1]
         reached, steps, left = brought_near(system, q)
         gap, turned = apart(robot, reached, kind)
         assert np.hypot(gap, size * turned) == pytest.approx(left, rel=1e-6)
-        assert left <= NEAR
+        assert left <= NEAR * robot.characteristic_length
         assert 0 < steps <= angle / LONGEST + LAST
 
 

@@ -18,9 +18,10 @@ from redundancy_pin.kinematics.continuation import (
     initial_guess,
     reacquire,
 )
-from redundancy_pin.kinematics.coordinates import difference, in_working_mode, row_scale
+from redundancy_pin.kinematics.coordinates import difference, in_working_mode
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale, velocity_unit
 
 
 def test_anchors_are_dense_enough_and_no_denser(shipped: Robot) -> None:
@@ -37,9 +38,10 @@ def test_anchors_are_dense_enough_and_no_denser(shipped: Robot) -> None:
 
 
 def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None:
-    """Those along the branch by 0.4 rad or m of the joint that goes farthest, before the chains are closed again."""
+    """Those along the branch by 0.4 rad or characteristic lengths of the joint that moves farthest, before closing."""
     reference, q = np.array(shipped.q_reference), closed_around(zoo.system_of(shipped)).q
-    far = np.array([np.abs(pin.difference(shipped.model, reference, one)).max() for one in q])
+    unit = velocity_unit(shipped)
+    far = np.array([np.abs(pin.difference(shipped.model, reference, one) / unit).max() for one in q])
     assert far[0] < 1e-9
     along = far[1 + len(far) // 2 :]
     assert 0.3 < along.min() <= along.max() < 0.5
@@ -47,9 +49,11 @@ def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None
 
 def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
     """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
-    gamma0, gamma1 = np.full((4, 2, 1), 1.0), np.full((4, 2, 1), 3.0)
-    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(2)
-    assert follows(step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
+    system = zoo.system_of(zoo.robot_of("five_bar"))
+    nv = system.robot.model.nv
+    gamma0, gamma1 = np.full((4, nv, 1), 1.0), np.full((4, nv, 1), 3.0)
+    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(nv)
+    assert follows(system, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
 
 
 def test_anchors_fill_in_between_sparse_samples() -> None:

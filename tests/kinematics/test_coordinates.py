@@ -11,17 +11,9 @@ from hypothesis import strategies as st
 from spatial_chains import chain_of
 
 from redundancy_pin.kinematics.assembly import integrate
-from redundancy_pin.kinematics.coordinates import (
-    column_scale,
-    coordinates,
-    difference,
-    moved,
-    reference_coordinates,
-    row_scale,
-    turning_velocities,
-    velocity_scale,
-)
+from redundancy_pin.kinematics.coordinates import coordinates, difference, moved, reference_coordinates
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import column_scale, row_scale, turning_velocities, velocity_scale
 
 ROUNDING = 1e-13
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN, assemble, project
-from redundancy_pin.kinematics.coordinates import row_scale, velocity_scale
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale, velocity_scale
 
 # K of these machines has condition numbers below 1e3: the residual of its inverse stays below 1e3 roundings.
 INVERSION = 1e-12

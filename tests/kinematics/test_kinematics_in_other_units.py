@@ -10,9 +10,9 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.kinematics.inverse_kinematics import multistart
 from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.robot.scales import turning_velocities
 
 SAME = 1e-8
 """Chains are closed to 1e-11 m, whatever the size: relative to the smallest unit here."""

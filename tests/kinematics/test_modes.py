@@ -42,7 +42,7 @@ def test_prismatic_indicator_is_the_position() -> None:
     q = np.repeat(robot.q_reference[None], 2, axis=0)
     slide = robot.model.joints[robot.model.getJointId("slide_2")].idx_q
     q[:, slide] = [0.4, -0.2]
-    np.testing.assert_allclose(mode_indicator(robot, q)[:, 1], [0.4, -0.2])
+    np.testing.assert_allclose(mode_indicator(robot, q)[:, 1] * robot.characteristic_length, [0.4, -0.2])
 
 
 def test_continuous_indicator_is_its_sine_coordinate() -> None:

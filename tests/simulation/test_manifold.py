@@ -13,7 +13,7 @@ from spatial_chains import CHAINS, chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import velocity_scale
+from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, closed_state, tree_state
 

@@ -12,8 +12,8 @@ import zoo
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.singularities.classify import SingularityKind, classify
 from redundancy_pin.singularities.locus import SingularLocus, singular_locus
 

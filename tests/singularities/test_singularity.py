@@ -15,9 +15,9 @@ from redundancy_pin import load_robot
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.robot.urdf import declaration_path
 from redundancy_pin.singularities.classify import SingularityKind, classify, classify_motion
 from redundancy_pin.spectrum import scaled, spectrum_of

@@ -12,8 +12,9 @@ from redundancy_pin import CarrierMotion, PlatformMotion, load_robot
 from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, moved, row_scale
+from redundancy_pin.kinematics.coordinates import coordinates, moved
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.robot.urdf import shipped_robots
 
 SHIPPED = shipped_robots(gallery=False)

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import CarrierTerms, Dynamics
-from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.planners.carrier_model import carrier_model, terms, turning_model
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview
+from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.trajectory.functions_of_time import chebyshev_points, chebyshev_series
 
 PARTS = 8

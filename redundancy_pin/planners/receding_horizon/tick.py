@@ -13,7 +13,6 @@ from scipy.interpolate import BPoly, PPoly
 
 from redundancy_pin.arrays import Array, frozen
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.planners.carrier_model import SLIDING_TERMS, TURNING_TERMS
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.receding_horizon import ahead as sight
@@ -25,6 +24,7 @@ from redundancy_pin.planners.receding_horizon.compiled import CompiledTick, tick
 from redundancy_pin.planners.receding_horizon.preview import SAME, place_of
 from redundancy_pin.planners.receding_horizon.programme import BEYOND, Programme, TickProblem, TickScales, units_of
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 NEAR = 0.25

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, one_of
-from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.simulation.controllers.base import (
     Adapted,
     Command,

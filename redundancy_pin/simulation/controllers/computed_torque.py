@@ -17,10 +17,10 @@ from redundancy_pin.dynamics.forward import Equations, Feedback, ForwardKernel
 from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, ReferencePoint
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.controllers.base import (
     CarrierDrive,
     Command,

@@ -9,8 +9,8 @@ import numpy as np
 from redundancy_pin.arrays import Array, checked, positive
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.planners.reference import MotionReference
+from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.simulation.controllers.base import Command, Controller, EffortLaw
 from redundancy_pin.simulation.state import Manifold, State
 

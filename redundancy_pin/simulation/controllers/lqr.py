@@ -19,9 +19,9 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.forward import Feedback
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.controllers.base import (
     CarrierDrive,
     Command,

@@ -11,9 +11,9 @@ from crossing_case import corner, crossing, perturbed, two_rpr
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, SingularPoseError
-from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.reference import motion_reference
+from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.controllers import (
     AllocationStatus,
     ComputedTorque,

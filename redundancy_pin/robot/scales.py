@@ -1,0 +1,197 @@
+"""Sizes that tolerances are relative to: those of a robot, and of one sample of its motion.
+
+No tolerance of the package has a unit. A length is compared with the robot's characteristic length, an angle with one
+radian, a force with ``Scales.force``: the same machine, written in other units, gets the same statuses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, read_only
+from redundancy_pin.robot.loads import JointForces, Spring
+from redundancy_pin.robot.types import Robot, slides
+
+
+@dataclass(frozen=True, eq=False)
+class Scales(Frozen):
+    """Sizes of a problem, at N samples of a motion.
+
+    Attributes:
+        length: the robot's characteristic length, m.
+        mass: sum of the moving masses, and of moments of inertia over length², kg.
+        time: (N,) length over the speed that gravity and the motion give a mass, s; infinite at rest without gravity.
+        force: (N,) mass · length / time², and what loads add, N: the size that the terms of f have before they cancel.
+    """
+
+    length: float
+    mass: float
+    time: Array
+    force: Array
+
+    def at(self, samples: slice | IntArray) -> Scales:
+        """Return those of some of the samples."""
+        return Scales(self.length, self.mass, self.time[samples], self.force[samples])
+
+
+@dataclass(frozen=True)
+class ForceScale:
+    """What ``Scales.force`` of a robot is made of; generated code has these numbers as constants.
+
+    With the rate r = max |ẋ|/unit (1/s) and its derivative r' = max |ẍ|/unit, carriers included, it is
+
+        force = mass (gravity + length (r² + r')) + viscous r + static + (what wrenches add).
+
+    Attributes:
+        length: characteristic length, m.
+        mass: kg, as in ``Scales``.
+        gravity: size of gravity, m/s².
+        viscous: sum of the dampings, N·s.
+        static: sum of friction and of springs moved by the characteristic length or one radian, N.
+    """
+
+    length: float
+    mass: float
+    gravity: float
+    viscous: float
+    static: float
+
+    def scales(self, rate: Array, acceleration: Array, wrench: Array | float = 0.0) -> Scales:
+        """Return the scales of samples with rates (N,), 1/s, accelerations (N,), 1/s², and further forces (N,), N."""
+        inverse_square = self.gravity / self.length + rate**2 + acceleration
+        with np.errstate(divide="ignore"):
+            time = 1.0 / np.sqrt(inverse_square)
+        force = self.mass * (self.gravity + self.length * (rate**2 + acceleration))
+        return Scales(
+            self.length, self.mass, read_only(time), read_only(force + self.viscous * rate + self.static + wrench)
+        )
+
+
+@lru_cache(maxsize=64)
+def force_scale(robot: Robot) -> ForceScale:
+    """Return what the forces of a robot are compared with."""
+    model, length = robot.model, robot.characteristic_length
+    mass = 0.0
+    for index in range(1, model.njoints):
+        body, joint = model.inertias[index], model.joints[index]
+        mass += float(body.mass) + float(np.trace(body.inertia)) / length**2
+        armature = float(model.armature[joint.idx_v : joint.idx_v + joint.nv].sum())
+        mass += armature if slides(joint) else armature / length**2
+    viscous = static = 0.0
+    for load in robot.loads:
+        if isinstance(load, JointForces):
+            # a force of a slide, or the torque of a turning joint over the length; per m, or per rad
+            sliding = slides(model.joints[model.getJointId(load.joint)])
+            arm, step = (1.0, length) if sliding else (length, 1.0)
+            mass += load.rotor_inertia * load.gear**2 * step / (arm * length)
+            viscous += load.damping * step / arm
+            static += (load.friction + load.stiffness * (step + abs(load.rest))) / arm
+        elif isinstance(load, Spring):
+            viscous += load.damping * length
+            static += load.stiffness * (length + load.length)
+    return ForceScale(length, mass, float(np.linalg.norm(robot.gravity)), viscous, static)
+
+
+def wrench_size(robot: Robot, wrenches: tuple[Array, ...]) -> Array | float:
+    """Return (N,) the size of wrenches (N, 6), N: forces, and moments over the characteristic length."""
+    unit = np.repeat([1.0, robot.characteristic_length], 3)
+    return sum((np.abs(wrench / unit).max(axis=1) for wrench in wrenches), 0.0)
+
+
+def sample_scales(
+    robot: Robot, xd: Array, xdd: Array, sd: Array, sdd: Array, wrenches: tuple[Array, ...] = ()
+) -> Scales:
+    """Return the scales at N samples.
+
+    Args:
+        robot: the robot.
+        xd: (N, n) rates of the independent coordinates, m/s and rad/s.
+        xdd: (N, n) their accelerations.
+        sd: (N, k) rates of the carriers.
+        sdd: (N, k) their accelerations.
+        wrenches: (N, 6) each, loads that act at the samples, N and N·m.
+    """
+    unit = np.concatenate([coordinate_unit(robot), velocity_unit(robot)[robot.carrier_velocity]])
+    rate, acceleration = (
+        np.abs(np.concatenate(parts, axis=1) / unit).max(axis=1, initial=0.0) for parts in ((xd, sd), (xdd, sdd))
+    )
+    return force_scale(robot).scales(rate, acceleration, wrench_size(robot, wrenches))
+
+
+def closure_tolerance(robot: Robot) -> float:
+    """Return the largest closure residual, m, of a configuration that counts as closed; of angles times the length."""
+    return CLOSURE_TOLERANCE * robot.characteristic_length
+
+
+# --- lengths and angles made comparable -----------------------------------------------------------------------------
+
+
+def is_revolute(robot: Robot, name: str) -> bool:
+    """Return whether a joint of one freedom turns."""
+    return not slides(robot.model.joints[robot.model.getJointId(name)])
+
+
+def turning_coordinates(robot: Robot) -> list[bool]:
+    """Return which of the n independent coordinates are rotations."""
+    if robot.platform is not None:
+        return [axis.startswith("r") for axis in robot.platform.axes]
+    return [is_revolute(robot, name) for name in robot.independent_joints]
+
+
+@lru_cache(maxsize=64)
+def turning_velocities(robot: Robot) -> BoolArray:
+    """Return (nv,) which tree velocities are rotations."""
+    model = robot.model
+    turning = np.zeros(model.nv, dtype=bool)
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        subspace = np.reshape(data.joints[index].S, (6, joint.nv))
+        turning[joint.idx_v : joint.idx_v + joint.nv] = np.abs(subspace[3:]).max(axis=0) > 0
+    return read_only(turning)
+
+
+@lru_cache(maxsize=64)
+def row_scale(robot: Robot) -> Array:
+    """Return (n,) the characteristic length for rotations and 1 for translations among the independent coordinates."""
+    return read_only(np.where(turning_coordinates(robot), robot.characteristic_length, 1.0))
+
+
+@lru_cache(maxsize=64)
+def column_scale(robot: Robot) -> Array:
+    """Return (m,) the characteristic length for revolute main actuators and 1 for prismatic ones."""
+    turning = [is_revolute(robot, name) for name in robot.actuated]
+    return read_only(np.where(turning, robot.characteristic_length, 1.0))
+
+
+@lru_cache(maxsize=64)
+def velocity_scale(robot: Robot) -> Array:
+    """Return (nv,) the length that turns each tree velocity into m/s: the characteristic length for rotations."""
+    return read_only(np.where(turning_velocities(robot), robot.characteristic_length, 1.0))
+
+
+@lru_cache(maxsize=64)
+def coordinate_unit(robot: Robot) -> Array:
+    """Return (n,) the characteristic length, m, for translations and 1 rad for rotations among the coordinates."""
+    return read_only(robot.characteristic_length / row_scale(robot))
+
+
+@lru_cache(maxsize=64)
+def position_unit(robot: Robot) -> Array:
+    """Return (nq,) the characteristic length, m, for slides and 1 for all other numbers of a configuration."""
+    unit = np.ones(robot.model.nq)
+    for joint in robot.model.joints:
+        if slides(joint):
+            unit[joint.idx_q] = robot.characteristic_length
+    return read_only(unit)
+
+
+@lru_cache(maxsize=64)
+def velocity_unit(robot: Robot) -> Array:
+    """Return (nv,) the characteristic length, m, for slides and 1 rad for turns among the tree velocities."""
+    return read_only(robot.characteristic_length / velocity_scale(robot))
