@@ -33,8 +33,8 @@ _SHORTEST_STEP = 2.0**-3
 """Where Newton needs shorter steps than this the pose is left to a nearer neighbour."""
 
 _LONGEST_STEP = 2.0
-"""Largest change of q (rad, characteristic lengths) between neighbours: a leg near its base hinge turns by up to π/2, one
-that Newton threw to another turn by more."""
+"""Largest change of q (rad, characteristic lengths) between neighbours: a leg near its base hinge turns by up to π/2,
+a leg that Newton threw to another turn by more."""
 
 
 _TRIED, _STARTS, _SEED = 60, 6, 20141

@@ -64,7 +64,7 @@ def at_most(found: list[int], expected: tuple[int, int]) -> None:
     assert found[1] >= 0.7 * expected[1], "less than was written down: write down what it takes now"
 
 
-DENSE = {"2rpr": (18, 4200), "3rrr": (29, 4310), "five_bar": (20, 4380), "four_bar": (22, 3565), "gough": (20, 3089)}
+DENSE = {"2rpr": (20, 4200), "3rrr": (29, 4310), "five_bar": (20, 4380), "four_bar": (22, 3565), "gough": (20, 3089)}
 SPARSE = {"2rpr": (15, 51), "3rrr": (22, 122), "five_bar": (15, 51), "four_bar": (15, 71), "gough": (15, 103)}
 GUESS = {"2rpr": 8.0e-5, "3rrr": 2.7e-4, "five_bar": 2.0e-4, "four_bar": 1.1e-4, "gough": 1.5e-5}
 """rad or m."""

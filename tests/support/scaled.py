@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring
@@ -77,17 +76,10 @@ def scaled_robot(robot: Robot, units: Units) -> Robot:
         }
         for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True)
     ]
-    carriers = [
-        {
-            key: value
-            for key, value in each.items()
-            if np.all(np.isfinite(np.asarray(value, dtype=float))) or key == "joint"
-        }
-        if False
-        else each
-        for each in carriers
-    ]
-    modes = robot.working_modes
+    declared = None
+    if robot.working_modes is not None:
+        modes = robot.working_modes
+        declared = {"joints": list(modes.joints), "signs": list(modes.signs), "default": list(robot.working_mode)}
     made = Robot.from_model(
         model,
         actuated=robot.actuated,
@@ -97,10 +89,8 @@ def scaled_robot(robot: Robot, units: Units) -> Robot:
         reference=q,
         name=robot.name,
         couplings=robot.couplings,
-        **({} if modes is None else {
-            "working_modes": {"joints": list(modes.joints), "signs": list(modes.signs), "default": list(robot.working_mode)}
-        }),
-    )  # fmt: skip
+        working_modes=declared,
+    )
     loads = [_load(robot, each, units) for each in robot.loads if not isinstance(each, Payload)]
     return made.loaded(*loads) if loads else made
 
@@ -157,6 +147,3 @@ def scaled_carriers(motion: CarrierMotion, units: Units) -> CarrierMotion:
     """Return the carriers' motion in other units; they slide."""
     L, T = units.length, units.time
     return CarrierMotion(motion.s * L, motion.sd * L / T, motion.sdd * L / T**2)
-
-
-__all__ = ["Units", "coordinate_units", "effort_units", "rp", "scaled_carriers", "scaled_motion", "scaled_robot"]
