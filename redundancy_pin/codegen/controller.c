@@ -265,20 +265,22 @@ static int forward(Pose *pose, const double *position, double *off) {
     if (pose->sign * sign <= 0.0) return ROBOT_UNREACHABLE;
     invert(pose->lu, pose->pivot, X);
     clear(closing, NV);
-    for (int i = 0; i < NP; ++i) closing[COLUMNS[i]] = dot(X[i], step, R);
+    for (int i = 0; i < NP; ++i) closing[COLUMNS[i]] = dot(X[i], step, R) * STEP_UNIT[i];
     drives(pose->q, position, off);
     for (int j = 0; j < M; ++j) at_rest[j] = off[j] - closing[ACTUATED[j]];
     for (int i = 0; i < NP; ++i)
       for (int j = 0; j < M; ++j)
         if (ACTUATED[j] == COLUMNS[i])
-          for (int c = 0; c < N; ++c) W[c * M + j] = X[i][R + c];
+          for (int c = 0; c < N; ++c) W[c * M + j] = X[i][R + c] * (STEP_UNIT[i] / EQUATION_UNIT[R + c]);
     spectrum_of(W, &s);
     if (s.rank < N) return ROBOT_TYPE_II;
     back(&s, at_rest, dx);
-    for (int i = 0; i < NP; ++i) step[i] = closing[COLUMNS[i]] + dot(X[i] + R, dx, N);
+    for (int c = 0; c < N; ++c) dx[c] /= EQUATION_UNIT[R + c];
+    for (int i = 0; i < NP; ++i) step[i] = closing[COLUMNS[i]] / STEP_UNIT[i] + dot(X[i] + R, dx, N);
     double size = largest(step, NP);
     if (size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && pose->gap < TOLERANCE)) return ROBOT_REGULAR;
     if (!(size <= CONTRACTION * last)) return ROBOT_UNREACHABLE;
+    for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(pose->q, step);
     turns_of(pose->q, pose->trig);
     last = size;
@@ -311,7 +313,7 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
   back(&s, given->velocity, platform->xd);
   for (int j = 0; j < M; ++j) off[j] *= COLUMN_SCALE[j];
   platform->mismatch = sqrt(dot(off, off, M));
-  platform->gap = pose.gap;
+  platform->gap = pose.gap * LENGTH;
   platform->margin = s.margin;
   platform->type_I_margin = margin;
   return s.margin < NEAR_SINGULAR ? ROBOT_NEAR_SINGULAR : ROBOT_REGULAR;
@@ -332,7 +334,7 @@ int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
   rows(pose.q, pose.trig, x, residual, K, alignment);
   clear(&out->closure[0][0], R * NV);
   for (int i = 0; i < R; ++i)
-    for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[i + j * NP];
+    for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[i + j * NP] * (EQUATION_UNIT[i] / STEP_UNIT[j]);
 #endif
   for (int i = 0; i < NV; ++i) copy(out->gamma[i], gamma + i * N, N);
   for (int i = 0; i < N; ++i) copy(out->W[i], W + i * M, M);

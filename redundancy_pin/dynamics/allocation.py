@@ -141,12 +141,15 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
     if free.any():
         from scipy.optimize import lsq_linear
 
-        rest, box = goal - matrix[:, ~free] @ u[~free], (lower[free], upper[free])
+        rest, ends = goal - matrix[:, ~free] @ u[~free], np.concatenate([lower[free], upper[free]])
+        # the solver's tolerances are of numbers of the size of one
+        size = max(float(np.linalg.norm(rest)), float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0))) or 1.0
+        rest, box = rest / size, (lower[free] / size, upper[free] / size)
         with np.errstate(divide="ignore", invalid="ignore"):
             fit = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
         if not np.isfinite(fit.x).all():  # of columns that are the same but for rounding it may make 0/0
             fit = lsq_linear(matrix[:, free], rest, box, method="trf", tol=_ROUNDING, max_iter=1000)
-        u[free] = np.clip(fit.x, *box)
+        u[free] = np.clip(size * fit.x, lower[free], upper[free])
     return u
 
 
@@ -240,7 +243,9 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, r
     for A, g, C, low, high in zip(matrices, forces, rows, lower, upper, strict=True):
         H = A.T @ A
         H += _STEADY * max(np.trace(H), 1.0) * np.eye(m)
-        size = float(np.linalg.norm(g)) or 1.0  # tolerances are of numbers of the size of one
+        ends = np.concatenate([low, high])
+        # tolerances are of numbers of the size of one
+        size = float(np.linalg.norm(g)) or float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0)) or 1.0
         sides = (np.clip(high / size, -_FAR, _FAR), np.clip(low / size, -_FAR, _FAR))
         sense = np.zeros(len(C), dtype=np.int32)
         u, _, flag, _ = daqp.solve(H, -A.T @ g / size, np.ascontiguousarray(C), *sides, sense, **_SETTINGS)
@@ -343,7 +348,7 @@ def allocate(
     weighted = full * scale
     u, values, vt = np.linalg.svd(weighted, full_matrices=False)
     margin = float(values[-1]) if len(values) == len(wanted) else 0.0
-    size = RESIDUAL_TOLERANCE * (1.0 + float(np.linalg.norm(wanted)))
+    size = RESIDUAL_TOLERANCE * (float(values[0]) + float(np.linalg.norm(wanted)))
     rank = values > RANK_TOLERANCE * values[0]
     rest = wanted - full @ start
     answer = start + scale * (vt[rank].T @ ((u[:, rank].T @ rest) / values[rank]))

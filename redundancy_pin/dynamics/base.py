@@ -45,6 +45,8 @@ class ReducedDynamics(Frozen):
             turns moments into forces.
         column_scale: (m,) the characteristic length for revolute actuators, 1 for prismatic ones.
         out_of_range: (N,) whether some joint is beyond its range, passive ones too; None where that was not checked.
+        force_scale: (N,) ``Scales.force``, N, which tolerances are relative to; None for numbers that do not come
+            from a robot, of which f alone says how large they are.
     """
 
     t: Array
@@ -56,6 +58,7 @@ class ReducedDynamics(Frozen):
     row_scale: Array
     column_scale: Array
     out_of_range: BoolArray | None = None
+    force_scale: Array | None = None
 
     def __repr__(self) -> str:
         """Return shapes and peaks, not the arrays."""
@@ -67,7 +70,7 @@ class ReducedDynamics(Frozen):
 
     def at(self, samples: slice | IntArray) -> ReducedDynamics:
         """Return some of the samples."""
-        names = ("t", "f", "W", "carrier_force", "reachable", "gap", "out_of_range")
+        names = ("t", "f", "W", "carrier_force", "reachable", "gap", "out_of_range", "force_scale")
         parts = {name: getattr(self, name) for name in names}
         chosen: dict[str, Any] = {name: part if part is None else part[samples] for name, part in parts.items()}
         return replace(self, **chosen)

@@ -140,8 +140,8 @@ SMALLEST_RANK_TOLERANCE = 1e-14
 """Below this the rounding of a small matrix would pass for rank."""
 
 FORCE_TOLERANCE = 1e-9
-"""Force, N, that counts as zero in the same test: where moving carriers cancel f, only rounding is left of it, and
-a fraction of that says nothing."""
+"""Fraction of ``Scales.force`` that counts as zero in the same test: where moving carriers cancel f, only rounding is
+left of it, and a fraction of that says nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +201,7 @@ def distribute(
         near_singular: margin below which a sample is near-singular (scaled, no unit).
         rank_tolerance: singular values up to this fraction of the largest one, and up to this, count as zero.
         consistency_tolerance: fraction of f that may lie outside the range of W, ...
-        force_tolerance: ... plus this force, N, scaled.
+        force_tolerance: ... plus this fraction of ``reduced.force_scale``, if there is one.
 
     Raises:
         InputError: shapes do not fit; weights that are not positive or too far apart; lower above upper, NaN bounds;
@@ -240,7 +240,9 @@ def distribute(
     at = problem.solvable
     u, outside = np.full((len(rank), problem.A.shape[2]), np.nan), np.full(len(rank), np.nan)
     u[at], outside[at] = minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost)
-    allowed = consistency_tolerance * size + force_tolerance
+    allowed = consistency_tolerance * size
+    if reduced.force_scale is not None:
+        allowed = allowed + force_tolerance * reduced.force_scale
     consistent = at & (outside <= allowed)
     u[~consistent] = np.nan
     u, infeasible = _within_bounds(problem, u, rank)

@@ -39,7 +39,7 @@ from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, row_scale, velocity_scale
+from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale
 
 SAMPLES_PER_BLOCK = 20_000
 """Samples beyond these go through RNEA in blocks, so that the memory they take does not grow."""
@@ -195,6 +195,7 @@ class RneaAlongMotion(Frozen):
             for i, gamma in enumerate(gammas):
                 f[part, i] = np.einsum("vn,vn->n", gamma, effort)
             force[part] = effort[self.robot.carrier_velocity].T
+        moving = self.motion.xd, self.motion.xdd, carriers.sd, carriers.sdd
         return ReducedDynamics(
             t=self.motion.t,
             f=read_only(f),
@@ -205,6 +206,7 @@ class RneaAlongMotion(Frozen):
             row_scale=self._rows,
             column_scale=self._columns,
             out_of_range=self.tree.out_of_range,
+            force_scale=sample_scales(self.robot, *moving, self._wrenches).force,
         )
 
     def tree_motion(

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, read_only
 from redundancy_pin.robot.loads import JointForces, Spring
 from redundancy_pin.robot.types import Robot, slides
 
@@ -32,10 +32,6 @@ class Scales(Frozen):
     mass: float
     time: Array
     force: Array
-
-    def at(self, samples: slice | IntArray) -> Scales:
-        """Return those of some of the samples."""
-        return Scales(self.length, self.mass, self.time[samples], self.force[samples])
 
 
 @dataclass(frozen=True)
@@ -115,10 +111,12 @@ def sample_scales(
         sdd: (N, k) their accelerations.
         wrenches: (N, 6) each, loads that act at the samples, N and N·m.
     """
-    unit = np.concatenate([coordinate_unit(robot), velocity_unit(robot)[robot.carrier_velocity]])
-    rate, acceleration = (
-        np.abs(np.concatenate(parts, axis=1) / unit).max(axis=1, initial=0.0) for parts in ((xd, sd), (xdd, sdd))
-    )
+    units = coordinate_unit(robot), velocity_unit(robot)[robot.carrier_velocity]
+    rate, acceleration = np.zeros((2, len(xd)))
+    for size, parts in ((rate, (xd, sd)), (acceleration, (xdd, sdd))):
+        for part, unit in zip(parts, units, strict=True):
+            for column, one in zip(part.T, unit.tolist(), strict=True):
+                np.maximum(size, np.abs(column) / one, out=size)
     return force_scale(robot).scales(rate, acceleration, wrench_size(robot, wrenches))
 
 

@@ -42,6 +42,7 @@ from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import is_pose, require_matching
+from redundancy_pin.robot.scales import sample_scales
 from redundancy_pin.robot.types import slides
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
@@ -307,7 +308,9 @@ class CompiledAlongMotion(Frozen):
 
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
-        n, k = self.robot.n, self.robot.k
+        n, k, motion = self.robot.n, self.robot.k, self.motion
+        carriers = require_matching_carriers(self.robot, carriers, len(motion))
+        moving = motion.xd, motion.xdd, carriers.sd, carriers.sdd
         f, force = self._mapped("rp_project", carriers, (n, k), gamma=True)
         rows, columns = self._dynamics.scales
         return ReducedDynamics(
@@ -320,6 +323,7 @@ class CompiledAlongMotion(Frozen):
             row_scale=rows,
             column_scale=columns,
             out_of_range=self._out_of_range,
+            force_scale=sample_scales(self.robot, *moving, self._wrenches).force,
         )
 
     @cached_property
@@ -392,9 +396,11 @@ class CompiledAlongMotion(Frozen):
     @cached_property
     def _external(self) -> Array:
         """(N, 6 w) the wrenches on the robot, in their own axes."""
-        motion = self.motion
-        values = wrench_values(self.robot.loads, motion.t, motion.x, motion.xd)
-        return np.concatenate([np.zeros((len(motion), 0)), *values], axis=1)
+        return np.concatenate([np.zeros((len(self.motion), 0)), *self._wrenches], axis=1)
+
+    @cached_property
+    def _wrenches(self) -> tuple[Array, ...]:
+        return wrench_values(self.robot.loads, self.motion.t, self.motion.x, self.motion.xd)
 
     def _mapped(
         self, name: str, carriers: CarrierMotion | None, widths: tuple[int, ...], *, gamma: bool = False

@@ -31,7 +31,7 @@ int rp_lift(int samples, const double *t, const double *x, const double *xd, con
     else
       closed = follow(&pose, xk);
     status[k] = closed ? CLOSED : LOST;
-    gap[k] = closed ? pose.gap : NAN;
+    gap[k] = closed ? pose.gap * LENGTH : NAN;
     if (closed) {
       margin[k] = rates(&pose, xd + (long)k * N, xdd + (long)k * N, vk, ak, gamma + (long)k * NV * N,
                         W + (long)k * N * M);
@@ -52,6 +52,13 @@ int rp_lift(int samples, const double *t, const double *x, const double *xd, con
 static double distance(const double *a, const double *b, int size) {
   double result = 0.0;
   for (int i = 0; i < size; ++i) result = fmax(result, fabs(a[i] - b[i]));
+  return result;
+}
+
+/* The largest rate of the pose columns, rad or characteristic lengths per unit of time. */
+static double largest_rate(const double *v) {
+  double result = 0.0;
+  for (int i = 0; i < NP; ++i) result = fmax(result, fabs(v[COLUMNS[i]]) / STEP_UNIT[i]);
   return result;
 }
 
@@ -123,10 +130,10 @@ int rp_terms(int samples, const double *in, int width, double *near, double *out
     if (margin < LEAST_MARGIN) return SINGULAR;
     if (!in_mode(&pose)) return OTHER_MODE;
     terms_of(&pose, v, a, gamma, xdd + N, constant + k * SUM, terms + k * NK * 5 * SUM);
-    fastest = largest(v, NV);
+    fastest = largest_rate(v);
     squared = fastest * fastest;
     sizes[3 * k] = margin;
-    sizes[3 * k + 1] = fmax(largest(a, NV), squared);
+    sizes[3 * k + 1] = fmax(largest_rate(a), squared);
     sizes[3 * k + 2] = squared;
     if (isfinite(margin)) usual = fmax(usual, margin);
     if (!k || k == samples - 1) {
@@ -155,7 +162,8 @@ int rp_follow(double *q, const double *x0, const double *x) {
   return in_mode(&pose) ? CLOSED : OTHER_MODE;
 }
 
-/* The configuration near q that misses x least (Levenberg and Marquardt); returns the largest residual left, m or rad. */
+/* The configuration near q that misses x least (Levenberg and Marquardt); returns the largest residual left, m, of
+   angles times the characteristic length. */
 double rp_assemble(double *q, const double *x) {
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], trial[NQ], trig[2 * NT + 1], damping = 1e-3, size = 0.0;
   turns_of(q, trig);
@@ -179,6 +187,7 @@ double rp_assemble(double *q, const double *x) {
     if (longest > 1.0)
       for (int i = 0; i < NP; ++i) step[i] /= longest;
     copy(trial, q, NQ);
+    for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(trial, step);
     turns_of(trial, trig);
     rows(trial, trig, x, new_residual, new_K, alignment);
@@ -201,7 +210,7 @@ double rp_assemble(double *q, const double *x) {
   double gap = largest(residual, NP);
   for (int i = 0; i < NALIGN; ++i)
     if (!(alignment[i] > 0.0)) gap = fmax(gap, acos(fmax(-1.0, alignment[i])));
-  return gap;
+  return gap * LENGTH;
 }
 
 /* Many samples of one generated function, its arguments and results one after the other in memory. */

@@ -85,8 +85,10 @@ def _defined(robot: Robot) -> Definition:
     motion = [*tree, *carriers, chain.external]
     projected = [*tree, gamma, *carriers, chain.external]
     derivatives = [ca.vec(ca.jacobian(part, by).T) for part in reduced for by in carriers]
+    missing = ca.vertcat(-chain.closure_rows, chain.missing) / chain.equation_unit
+    K = chain.K * (chain.step_unit / chain.equation_unit[:, None])
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
-        "rows": ([*pose, chain.x], [ca.vertcat(-chain.closure_rows, chain.missing), ca.vec(chain.K), chain.alignment]),
+        "rows": ([*pose, chain.x], [missing, ca.vec(K), chain.alignment]),  # without units
         "bias": ([*pose, chain.v], [chain.bias]),
         "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
         "moved": ([chain.q, chain.step], [chain.moved]),
@@ -140,14 +142,15 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
         "NX": chain.x.numel(),
         "LEGS": chain.mode_indicators.numel(),
         "NALIGN": chain.alignment.numel(),
+        "LENGTH": float(robot.characteristic_length),
         "TOLERANCE": CLOSURE_TOLERANCE,
         "LEAST_MARGIN": LEAST_MARGIN,
     }
     tables = {
         "static const int COLUMNS": chain.pose_columns,
         "static const int ACTUATED": robot.actuated_velocity,
-        "static const double WEIGHT": chain.velocity_scale[chain.pose_columns] ** 2,
-        "static const double ROW_WEIGHT": 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2,
+        "static const double STEP_UNIT": chain.step_unit,
+        "static const double EQUATION_UNIT": chain.equation_unit,
     }
     text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
     text += [f"#define {name} {value!r}" for name, value in sizes.items()]

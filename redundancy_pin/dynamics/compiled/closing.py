@@ -18,12 +18,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
+from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.compiled.build import Library
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import closure_tolerance, position_unit, velocity_unit
 
 CLOSED, _LOST, _SINGULAR, _OTHER_MODE, NOT_FINITE = range(5)
 """Statuses of the driver."""
@@ -90,7 +91,8 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool) -> Lifted:
             break
         away = first - failed
         start = _start(loops, motion, first, mark, thorough=away & (away - 1) == 0)
-    status[(status == CLOSED) & _blurred(arrays[2], arrays[3], arrays[7])] = _SINGULAR
+    unit = velocity_unit(robot)
+    status[(status == CLOSED) & _blurred(arrays[2] / unit, arrays[3] / unit, arrays[7])] = _SINGULAR
     good: BoolArray = status == CLOSED
     if not good.all():
         if not mark:
@@ -105,7 +107,7 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool) -> Lifted:
 
 
 def _blurred(v: Array, a: Array, margin: Array) -> BoolArray:
-    """Return (N,) where v and a (N, nv) show a rank loss that the motion steps across, and none of a stretched leg.
+    """Return (N,) where v and a (N, nv), over their units, show a rank loss that the motion steps across.
 
     A configuration that is good to 1e-16 gives accelerations to the square of the rates times 1e-16 / margin³. A share
     of 1e-5 and more of them is too much; towards a stretched leg they are themselves as large as rates squared over the
@@ -151,21 +153,21 @@ def _run(
             starts.append(q)
         if len(starts) == len(parts):
             each(lambda pair: lift(*pair), list(zip(parts, starts, strict=True)))
-            if (status == CLOSED).all() and all(_joined(kernel, arrays[0], x, part.start) for part in parts[1:]):
+            if (status == CLOSED).all() and all(_joined(loops, arrays[0], x, part.start) for part in parts[1:]):
                 return samples
         status[:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
     return first + lift(slice(first, samples), start)
 
 
-def _joined(kernel: Library | Interpreter, q: Array, x: Array, k: int) -> bool:
+def _joined(loops: Loops, q: Array, x: Array, k: int) -> bool:
     """Return whether sample k continues the branch of the one before."""
     reached = q[k - 1].copy()
-    closed = kernel.call("rp_follow", reached, x[k - 1], x[k]) == CLOSED
-    return closed and float(np.abs(reached - q[k]).max()) < _SAME
+    closed = loops.kernel.call("rp_follow", reached, x[k - 1], x[k]) == CLOSED
+    return closed and float(np.abs((reached - q[k]) / position_unit(loops.robot)).max()) < _SAME
 
 
 _SAME = 1e-9
-"""Two configurations nearer than this (rad, m) are one, computed twice."""
+"""Two configurations nearer than this (rad, characteristic lengths) are one, computed twice."""
 
 
 def parts_of(samples: int, threads: int) -> list[slice]:
@@ -239,8 +241,8 @@ def _multistart(loops: Loops, x: Array) -> tuple[Array | None, float]:
         q: Array = pin.integrate(robot.model, reference, step)
         gap = kernel.assemble(q, x)
         least = min(least, gap)
-        if gap < CLOSURE_TOLERANCE and kernel.call("rp_follow", q, x, x) == CLOSED:
-            away = float(np.abs(pin.difference(robot.model, reference, q)).max())
+        if gap < closure_tolerance(robot) and kernel.call("rp_follow", q, x, x) == CLOSED:
+            away = float(np.abs(pin.difference(robot.model, reference, q) / velocity_unit(robot)).max())
             if away < nearest:
                 best, nearest = q, away
     return best, least
@@ -269,13 +271,13 @@ _SINGULAR_CONDITION = 1e5
 
 def _no_start(loops: Loops, motion: PlatformMotion, sample: int, gap: float) -> RedundancyPinError:
     robot, pose = loops.robot, f"The pose of sample {sample}, x = {np.round(motion.x[sample], 6).tolist()},"
-    if gap < CLOSURE_TOLERANCE and robot.working_modes is not None:
+    if gap < closure_tolerance(robot) and robot.working_modes is not None:
         return WorkingModeError(
             f"{pose} closes only in other working modes than {_mode(robot)} of {robot.name}.",
             remedy="Load the robot in that working_mode, or move the pose.",
             sample=sample,
         )
-    if gap < CLOSURE_TOLERANCE:
+    if gap < closure_tolerance(robot):
         return SingularPoseError(
             f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
             remedy="Keep the legs away from full stretch, full fold and zero length.",
@@ -300,7 +302,7 @@ def _refuse(
             sample=k,
         )
     nearest, gap = _nearest(loops, x[k], arrays[0], k)
-    if status[k] == _LOST and gap >= CLOSURE_TOLERANCE:
+    if status[k] == _LOST and gap >= closure_tolerance(loops.robot):
         raise UnreachablePoseError(
             f"The pose of {when}, x = {np.round(motion.x[k], 6).tolist()}) cannot be reached: the chains stay open by "
             f"{gap:.3g} m.",

@@ -4,13 +4,15 @@
 
    Newton's method is trusted only while it contracts: each step at most CONTRACTION times the one before. Inside that
    radius there is one solution, so that a sample cannot land on another branch (Deuflhard, "Newton Methods for Nonlinear
-   Problems", 2004, section 2.1); where it does not contract, the way to the sample is halved. */
+   Problems", 2004, section 2.1); where it does not contract, the way to the sample is halved.
+
+   Residuals, K and Newton's steps have no unit: lengths are over the characteristic length (EQUATION_UNIT, STEP_UNIT). */
 
 
 #define CONTRACTION 0.3
-#define SETTLED 1e-13   /* a step this small, rad or m, is rounding */
+#define SETTLED 1e-13   /* a step this small, rad or characteristic lengths, is rounding */
 #define FLOOR 1e-9      /* steps below this that no longer shrink are rounding too, next to a singularity */
-#define LONGEST 0.5     /* longest first step, rad or m: beyond it the linear model says nothing */
+#define LONGEST 0.5     /* longest first step, rad or characteristic lengths: beyond it the linear model says nothing */
 #define SHORTEST 1e-4   /* share of the way to a sample below which it counts as lost */
 #define ITERATIONS 15
 
@@ -23,7 +25,7 @@ typedef struct {
   double lu[NP * NP + 1];
   int pivot[NP + 1];
   double sign; /* of det K: it changes across a type I singularity */
-  double gap;
+  double gap; /* largest residual, in characteristic lengths or rad */
 } Pose;
 
 static void copy(double *to, const double *from, int size) {
@@ -164,6 +166,7 @@ static int newton(const double *q, const double *x, const double *left, Pose *ou
       return 1;
     }
     if (!(size <= CONTRACTION * last)) return 0;
+    for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(out->q, step);
     last = size;
   }
@@ -199,22 +202,22 @@ static double rates(const Pose *pose, const double *xd, const double *xdd, doubl
   clear(gamma, NV * N);
   for (int i = 0; i < NP; ++i) {
     double sum = 0.0, speed = 0.0, *of = gamma + COLUMNS[i] * N;
-    for (int j = 0; j < NP; ++j) sum += ROW_WEIGHT[j] * X[i][j] * X[i][j];
+    for (int j = 0; j < NP; ++j) sum += X[i][j] * X[i][j];
     for (int j = 0; j < N; ++j) {
-      of[j] = X[i][R + j];
+      of[j] = X[i][R + j] * (STEP_UNIT[i] / EQUATION_UNIT[R + j]);
       speed += of[j] * xd[j];
     }
     v[COLUMNS[i]] = speed;
-    size += WEIGHT[i] * sum;
+    size += sum;
   }
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < M; ++j) W[i * M + j] = gamma[ACTUATED[j] * N + i];
   bias_of(pose->q, pose->trig, v, bias);
-  for (int i = 0; i < NP; ++i) rest[i] = (i < R ? 0.0 : xdd[i - R]) - bias[i];
+  for (int i = 0; i < NP; ++i) rest[i] = ((i < R ? 0.0 : xdd[i - R]) - bias[i]) / EQUATION_UNIT[i];
   for (int i = 0; i < NP; ++i) {
     double sum = 0.0;
     for (int j = 0; j < NP; ++j) sum += X[i][j] * rest[j];
-    a[COLUMNS[i]] = sum;
+    a[COLUMNS[i]] = sum * STEP_UNIT[i];
   }
   return size > 0.0 ? 1.0 / sqrt(size) : INFINITY;
 }
@@ -255,7 +258,7 @@ EXPORTED int rp_sample(double *state, const double *in, double *out) {
   copy(out, W, N * M);
   copy(out + N * M, f, N);
   copy(out + N * M + N, force, NK);
-  out[N * M + N + NK] = pose.gap;
+  out[N * M + N + NK] = pose.gap * LENGTH;
   out[N * M + N + NK + 1] = margin;
   return CLOSED;
 }

@@ -42,9 +42,8 @@ class Interpreter:
         self.trig_at = chain.trig_at
         self._external = chain.external.numel()
         self._n, self._r, self._columns = chain.robot.n, len(chain.closure_scale), chain.pose_columns
-        self._weights = np.outer(
-            chain.velocity_scale[self._columns] ** 2, 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2
-        )
+        self._step_unit, self._equation_unit = chain.step_unit, chain.equation_unit
+        self._length = float(chain.robot.characteristic_length)
 
     def call(self, name: str, *arguments: Any) -> int:
         """Call a function of the driver."""
@@ -69,7 +68,7 @@ class Interpreter:
         return trig
 
     def rows_at(self, q: Array, x: Array) -> tuple[Array, Array, Array]:
-        """Return residual, Jacobian and misalignments of the loops at one configuration."""
+        """Return residual and Jacobian without units, and misalignments, of the loops at one configuration."""
         residual, matrix, alignment = self._value("rp_rows", q, self._trig(q), x)
         size = len(residual)
         return residual[:, 0], matrix.reshape(size, size).T, alignment[:, 0]
@@ -95,7 +94,7 @@ class Interpreter:
                 return _Pose(q, inverse, sign, gap) if left is not None or (alignment > 0.0).all() else None
             if not size <= _CONTRACTION * last:
                 return None
-            q, last = self._moved(q, step), size
+            q, last = self._moved(q, step * self._step_unit), size
         return None
 
     def follow(self, pose: _Pose, x: Array) -> _Pose | None:
@@ -127,12 +126,13 @@ class Interpreter:
     def _rates(self, pose: _Pose, xd: Array, xdd: Array) -> tuple[Array, Array, Array, Array, float]:
         nv, r = self._robot.model.nv, self._r
         gamma, a = np.zeros((nv, self._n)), np.zeros(nv)
-        gamma[self._columns] = pose.inverse[:, r:]
+        inverse = pose.inverse * (self._step_unit[:, None] / self._equation_unit)
+        gamma[self._columns] = inverse[:, r:]
         v = gamma @ xd
         bias = self._value("rp_bias", pose.q, self._trig(pose.q), v)[0][:, 0]
-        a[self._columns] = pose.inverse @ (np.concatenate([np.zeros(r), xdd]) - bias)
+        a[self._columns] = inverse @ (np.concatenate([np.zeros(r), xdd]) - bias)
         with np.errstate(over="ignore"):
-            size = float((self._weights * pose.inverse**2).sum())
+            size = float((pose.inverse**2).sum())
         W = np.ascontiguousarray(gamma[self._robot.actuated_velocity].T)
         return v, a, gamma, W, 1.0 / np.sqrt(size) if size > 0.0 else np.inf
 
@@ -169,7 +169,7 @@ class Interpreter:
             pose = pose or self.follow(last, x[k])
             status[k] = _LOST
             if pose is not None:
-                q[k], trig[k], gap[k] = pose.q, self._trig(pose.q), pose.gap
+                q[k], trig[k], gap[k] = pose.q, self._trig(pose.q), pose.gap * self._length
                 v[k], a[k], gamma[k], W[k], margin[k] = self._rates(pose, xd[k], xdd[k])
                 status[k] = _SINGULAR if margin[k] < LEAST_MARGIN else _CLOSED if self._in_mode(pose.q) else _OTHER_MODE
             known = status[k] == _CLOSED
@@ -186,7 +186,7 @@ class Interpreter:
             normal = matrix.T @ matrix + damping * np.eye(len(residual))
             step = np.asarray(np.linalg.solve(normal, matrix.T @ residual), dtype=np.float64)
             longest = float(np.abs(step).max(initial=0.0))
-            trial = self._moved(q, step / max(longest, 1.0))
+            trial = self._moved(q, step / max(longest, 1.0) * self._step_unit)
             new_residual, new_matrix, _ = self.rows_at(trial, x)
             new_size = float(new_residual @ new_residual)
             if new_size < size:
@@ -201,7 +201,7 @@ class Interpreter:
                     break
         residual, _, alignment = self.rows_at(q, x)
         turned = np.arccos(np.clip(alignment, -1.0, 1.0))[alignment <= 0.0]
-        return float(max(np.abs(residual).max(initial=0.0), turned.max(initial=0.0)))
+        return float(max(np.abs(residual).max(initial=0.0), turned.max(initial=0.0))) * self._length
 
     def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
         """Return a function that evaluates one sample from and into fixed arrays."""
@@ -223,7 +223,7 @@ class Interpreter:
             if not (np.isfinite(f).all() and np.isfinite(force).all()):
                 return _NOT_FINITE
             state[:-1], state[-1] = pose.q, pose.sign
-            result[:] = np.concatenate([W.ravel(), f[:, 0], force[:, 0], [pose.gap, margin]])
+            result[:] = np.concatenate([W.ravel(), f[:, 0], force[:, 0], [pose.gap * self._length, margin]])
             return _CLOSED
 
         return sample

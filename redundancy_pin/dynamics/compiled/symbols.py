@@ -73,6 +73,8 @@ class SymbolicChain:
         pose_columns: (p,) velocity indices without the carriers'.
         row_scale, column_scale, velocity_scale, closure_scale: lengths that make rotations comparable with translations
             (n,), (m,), (nv,), (r,).
+        equation_unit, step_unit: (r + n,) and (p,) the characteristic length for lengths and 1 for angles: residuals
+            over the former and steps of the pose columns over the latter have no unit.
         angles: independent coordinates known up to full turns.
 
     Raises:
@@ -223,6 +225,8 @@ class SymbolicChain:
         self._coupled = [(joint.idx_q, of.idx_q) for joint, of in ends]
         scales = [*np.where(rows, length, 1.0), *(self.velocity_scale[joint.idx_v] for joint, _ in ends)]
         self.closure_scale = np.array(scales, dtype=float)
+        self.equation_unit = length / np.concatenate([self.closure_scale, self.row_scale])
+        self.step_unit = length / self.velocity_scale[self.pose_columns]
 
     def _joint_at(self, name: str) -> pin.JointModel:
         return self.model.joints[self.model.getJointId(name)]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
     Dynamics,
@@ -26,6 +26,7 @@ from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
 from redundancy_pin.robot.joint_ranges import ROUNDING, joint_ranges
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.named import require_matching
+from redundancy_pin.robot.scales import closure_tolerance, sample_scales
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
@@ -77,7 +78,7 @@ class VirtualWork(Dynamics):
         require_matching(self._robot, motion)
         legs = self._mechanism.legs(motion.x)
         gap = legs.gap.max(axis=0)
-        bad_leg = (legs.gap > CLOSURE_TOLERANCE) | (legs.margin <= self._mechanism.least_margin)
+        bad_leg = (legs.gap > closure_tolerance(self._robot)) | (legs.margin <= self._mechanism.least_margin)
         reachable: BoolArray = np.logical_not(bad_leg.any(axis=0))
         if not reachable.all():
             if unreachable == "raise":
@@ -121,7 +122,7 @@ class VirtualWorkAlongMotion(Frozen):
 
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
-        moved = self._leg_major(carriers)
+        moved, k = self._leg_major(carriers), self._robot.k
         f, force = self._dynamics.efforts(*moved)
         if self._robot.loads:
             loads = self._loads(moved)
@@ -130,12 +131,15 @@ class VirtualWorkAlongMotion(Frozen):
             t=self._motion.t,
             f=self._result(np.ascontiguousarray(f.T)),
             W=self._W,
-            carrier_force=self._result(np.ascontiguousarray(force[: self._robot.k].T)),
+            carrier_force=self._result(np.ascontiguousarray(force[:k].T)),
             reachable=self._reachable,
             gap=self._gap,
             row_scale=self._row_scale,
             column_scale=self._column_scale,
             out_of_range=self._out_of_range,
+            force_scale=sample_scales(
+                self._robot, self._motion.xd, self._motion.xdd, moved[1][:k].T, moved[2][:k].T, self._wrenches
+            ).force,
         )
 
     @cached_property
@@ -231,7 +235,7 @@ def _mechanism_of(robot: Robot) -> Mechanism:
 
 def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, least_margin: float) -> None:
     gap, margin = legs.gap[:, sample], legs.margin[:, sample]
-    if gap.max() > CLOSURE_TOLERANCE:
+    if gap.max() > closure_tolerance(robot):
         leg = int(gap.argmax())
         raise UnreachablePoseError(
             f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {gap[leg]:.3g} m.",

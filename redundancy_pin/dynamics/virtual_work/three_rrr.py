@@ -80,6 +80,11 @@ class ThreeRrrGeometry(Lengths):
     distal_length: float
 
     @property
+    def tolerance(self) -> float:
+        """Largest closure residual of a closed leg, m."""
+        return CLOSURE_TOLERANCE * (self.proximal_length + self.distal_length)
+
+    @property
     def base_points(self) -> Array:
         """(3, 2) base hinges G in the base frame, m."""
         triangle = np.array([[0.0, 0.0], [np.sqrt(3.0), 0.0], [np.sqrt(3.0) / 2.0, 1.5]])
@@ -118,7 +123,7 @@ class ThreeRrrLegs(Frozen):
     @property
     def reachable(self) -> BoolArray:
         """(3, N) whether the leg reaches its corner, to within the closure tolerance."""
-        return read_only(self.gap <= CLOSURE_TOLERANCE)
+        return read_only(self.gap <= self.geometry.tolerance)
 
     @property
     def theta(self) -> Array:
@@ -187,7 +192,7 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
     shortage = np.maximum(rho - (l1 + l2), abs(l1 - l2) - rho)
     sixteen_area_squared = (rho + (l1 + l2)) * ((l1 + l2) - rho) * (rho - (l1 - l2)) * (rho + (l1 - l2))
     c = sign * (0.5 * np.sqrt(np.maximum(sixteen_area_squared, 0.0)))
-    out_of_reach = shortage > CLOSURE_TOLERANCE
+    out_of_reach = shortage > geometry.tolerance
     if out_of_reach.any():
         c[out_of_reach] = np.nan
     q = 0.5 * (rho_squared + (l1 - l2) * (l1 + l2))

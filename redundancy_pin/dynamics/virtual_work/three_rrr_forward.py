@@ -84,7 +84,7 @@ def forward_displacement(geometry: ThreeRrrGeometry, theta: ArrayLike) -> tuple[
     poses, determinants, residuals = _polished(geometry, elbows, np.array(starts))
     kept: list[int] = []
     for k in np.argsort(residuals):
-        if residuals[k] <= CLOSURE_TOLERANCE and not any(_same(geometry, poses, determinants, k, j) for j in kept):
+        if residuals[k] <= geometry.tolerance and not any(_same(geometry, poses, determinants, k, j) for j in kept):
             kept.append(int(k))
     kept.sort(key=lambda k: float(poses[k, 2]))
     return tuple(
@@ -114,7 +114,7 @@ def _orientations(geometry: ThreeRrrGeometry, elbows: Array) -> Array:
 
     b2, b3, w2, w3 = B[1] - B[0], B[2] - B[0], corner[1] - corner[0], corner[2] - corner[0]
     z = -np.conj(w2) * b2 / abs(w2) ** 2  # where the first two centres coincide, if it has modulus 1
-    if max(abs(abs(z) - 1.0) * abs(w2), abs(b3 + w3 * z)) <= CLOSURE_TOLERANCE:
+    if max(abs(abs(z) - 1.0) * abs(w2), abs(b3 + w3 * z)) <= geometry.tolerance:
         alpha = float(np.angle(z))
         _refuse_self_motion(
             f"The elbows form the platform's own triangle: at α = {alpha:.9g} rad the platform moves on a circle"

@@ -167,10 +167,10 @@ class TwoRprMechanism:
     joints = tuple(f"{kind}_{leg}" for kind in ("swivel", "slide", "carrier") for leg in (1, 2))
     angular_rows: tuple[bool, ...] = (False, False)
     angular_columns: tuple[bool, ...] = (False, False)
-    least_margin = CLOSURE_TOLERANCE
 
     def __init__(self, parameters: Parameters, gravity: Sequence[float], mode: Sequence[int]) -> None:
         self.geometry = TwoRprGeometry.from_parameters(parameters)
+        self.least_margin = CLOSURE_TOLERANCE * self.geometry.base_distance  # a leg of no length, m
         self.gravity, self.mode = gravity, mode
         self.track_offset = float(parameters["track_offset"])
         self.carrier_mass = float(parameters["carrier_mass"]) if parameters["carriers"] else 0.0
