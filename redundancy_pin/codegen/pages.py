@@ -12,11 +12,13 @@ from numpy.typing import ArrayLike
 
 import redundancy_pin
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE
+from redundancy_pin.codegen.names import private
 from redundancy_pin.codegen.recorded import Recorded
 from redundancy_pin.dynamics.compiled.build import define, driver_source
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
 from redundancy_pin.kinematics.coordinates import is_revolute, mode_name, row_scale
+from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
@@ -26,14 +28,13 @@ _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project
 def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
     """Return the text of each file, by name."""
     facts = _facts(robot, prefix, recorded)
-    rendered = {
-        f"{prefix}.h": "controller.h.j2",
-        f"test_{prefix}.c": "test.c.j2",
-        "CMakeLists.txt": "CMakeLists.txt.j2",
-        "README.md": "README.md.j2",
-    }
-    return {f"{prefix}.c": source(robot, prefix)} | {
-        name: _rendered(template, facts) for name, template in rendered.items()
+    header = _rendered("controller.h.j2", facts)
+    return {
+        f"{prefix}.c": private(source(robot, prefix), prefix, header),
+        f"{prefix}.h": header,
+        f"test_{prefix}.c": private(_rendered("test.c.j2", facts), prefix, header),
+        "CMakeLists.txt": _rendered("CMakeLists.txt.j2", facts),
+        "README.md": _rendered("README.md.j2", facts),
     }
 
 
@@ -56,6 +57,7 @@ def source(robot: Robot, prefix: str) -> str:
     return "\n".join(
         [
             f"/* {_as_comment(robot.name)}, written by redundancy_pin {redundancy_pin.__version__}; see {prefix}.h. */",
+            NEEDS_INFINITY,
             f'#include "{prefix}.h"',
             driver_source(definition, functions, "static"),
             *(f"#define {name} {value!r}" for name, value in constants.items()),
