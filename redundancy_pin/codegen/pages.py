@@ -14,10 +14,11 @@ import redundancy_pin
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE
 from redundancy_pin.codegen.names import private
 from redundancy_pin.codegen.recorded import Recorded
-from redundancy_pin.dynamics.compiled.build import define, driver_source
+from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
-from redundancy_pin.kinematics.coordinates import is_revolute, mode_name, row_scale
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import coordinates, is_revolute, mode_name, row_scale
 from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
 
@@ -40,11 +41,8 @@ def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
 
 def source(robot: Robot, prefix: str) -> str:
     """Return the C source: expressions, driver and what a controller calls."""
-    definition = define(robot)
+    definition, functions = _written(robot)
     chain = definition.chain
-    functions = [definition.functions[f"rp_{name}"] for name in _FUNCTIONS]
-    if robot.m >= robot.n:
-        functions.append(_drives(chain))
     constants = {
         "RANK_TOLERANCE": RANK_TOLERANCE,
         "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
@@ -65,6 +63,35 @@ def source(robot: Robot, prefix: str) -> str:
             named,
         ]
     )
+
+
+def _written(robot: Robot) -> tuple[Definition, list[Any]]:
+    definition = define(robot)
+    functions = [definition.functions[f"rp_{name}"] for name in _FUNCTIONS]
+    return definition, [*functions, _drives(definition.chain)] if robot.m >= robot.n else functions
+
+
+_FRAMES = 2048
+"""Bytes of stack for what is not counted by name: registers, pointers and indices of eight functions that call one
+another (1 kB), and functions of math.h."""
+
+
+def stack_bytes(robot: Robot) -> int:
+    """Return how much stack, bytes, the deepest call takes at most: whatever is optimised, and all of it inlined.
+
+    It counts the arrays of all functions of the deepest call, forward kinematics or going to a pose, as if none shared
+    its place, and a place for each value of the largest expression, as unoptimised code has it.
+    """
+    definition, functions = _written(robot)
+    chain, n, m = definition.chain, robot.n, robot.m
+    nq, nv, rows = chain.model.nq, chain.model.nv, len(chain.pose_columns) + 1
+    short, long, state = min(n, m), max(n, m), nq + 2 * len(chain.turning)
+    matrices = 4 * rows**2  # of closures and platform: factors of two states, an inverse, what is factorised
+    tree = nv * (n + 4) + 3 * state + 8 * rows
+    spectra = 2 * (short * long + short**2 + 2 * short + 4)
+    arguments = 3 * (chain.x.numel() + n * m + 2 * n + 2 * m + 3 * robot.k + chain.alignment.numel())
+    values = max(function.n_instructions() for function in functions)
+    return 8 * (matrices + tree + spectra + arguments + values) + _FRAMES
 
 
 def _drives(chain: SymbolicChain) -> Any:
@@ -113,6 +140,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "title": _as_comment(robot.name),
         "prefix": prefix,
         "PREFIX": prefix.upper(),
+        "home": _listed(coordinates(robot, ConstraintSystem(robot).evaluate(robot.q_reference[None])).reshape(-1)),
         "n": robot.n,
         "m": robot.m,
         "k": robot.k,
@@ -121,6 +149,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "r": len(closures),
         "nx": 16 if pose else robot.n,
         "pose": pose,
+        "stack": stack_bytes(robot),
         "near": NEAR_SINGULAR_MARGIN,
         "tolerance": CLOSURE_TOLERANCE,
         "length": repr(float(robot.characteristic_length)),

@@ -142,11 +142,13 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
         from scipy.optimize import lsq_linear
 
         rest, box = goal - matrix[:, ~free] @ u[~free], (lower[free], upper[free])
+        size = float(np.abs(rest).max()) or 1.0  # the tolerance is one of gradients, which have a unit
+        problem = matrix[:, free], rest / size, (box[0] / size, box[1] / size)
         with np.errstate(divide="ignore", invalid="ignore"):
-            fit = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
+            fit = lsq_linear(*problem, method="bvls", tol=_ROUNDING, max_iter=1000)
         if not np.isfinite(fit.x).all():  # of columns that are the same but for rounding it may make 0/0
-            fit = lsq_linear(matrix[:, free], rest, box, method="trf", tol=_ROUNDING, max_iter=1000)
-        u[free] = np.clip(fit.x, *box)
+            fit = lsq_linear(*problem, method="trf", tol=_ROUNDING, max_iter=1000)
+        u[free] = np.clip(size * fit.x, *box)
     return u
 
 
