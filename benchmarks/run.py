@@ -21,6 +21,7 @@ import planners_switch_off
 import planners_whole
 import published_table
 import simulation
+import stack
 import start_up
 from plain_loop import PlainLoop, seconds, smooth_motion
 
@@ -169,6 +170,7 @@ def main():
     rows += engine_table.rows()
     rows += start_up.rows()
     rows += published_table.rows()
+    stack.rows()
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")
 

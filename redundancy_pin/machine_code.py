@@ -25,7 +25,13 @@ from typing import TypeVar
 from redundancy_pin.errors import shortened
 
 FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-fPIC", "-shared")
-"""No -ffast-math: NaN and infinities mean something here."""
+"""No -ffast-math: see ``NEEDS_INFINITY``."""
+
+NEEDS_INFINITY = """\
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "The statuses need NaN and infinity: compile without -ffast-math, -Ofast, -ffinite-math-only and /fp:fast."
+#endif"""
+"""Head of all C of this package: a compiler that assumes finite numbers leaves out the checks for others."""
 
 NATIVE = "-march=native"
 """Flag for what no other machine is to run; its library's name has to tell what this one can (``processor``)."""
@@ -99,7 +105,7 @@ def built(
         library = _opened(folder / name, load)
         if library is not None:
             return library, ""
-    text = f'{write()}\nconst char {_KEY}[] = "{own}";\n'
+    text = f'{NEEDS_INFINITY}\n{write()}\nconst char {_KEY}[] = "{own}";\n'
     reason = ""
     for place in [None] if folder is None else [folder, None]:
         try:

@@ -1,8 +1,8 @@
 /* What a controller calls; see the header. This text stands behind driver.c and the tables of one robot; robot_ and
    ROBOT_ in it become the prefix. Nothing is static but constants, nothing is allocated, every loop has a bound. */
 
-#define SWEEPS 30      /* over all pairs of columns; the convergence is quadratic, 6 x 6 takes some eight */
-#define OBLIQUE 1e-15  /* cosine of the angle between two columns below which they count as orthogonal */
+#define SWEEPS 30     /* over all pairs of columns; the convergence is quadratic, 6 x 6 takes some eight */
+#define OBLIQUE 1e-15 /* cosine of the angle between two columns below which they count as orthogonal */
 #define SHORT (N < M ? N : M)
 #define LONG (N < M ? M : N)
 
@@ -102,6 +102,15 @@ static void from_short(const Spectrum *s, const double *given, double *result) {
 }
 #endif
 
+/* Divides values (size) by a power of two that brings the largest to a size of one, so that their squares neither overflow
+   nor vanish; returns its exponent. Nothing is rounded: results times that power are those of the values themselves. */
+static int brought_down(double *values, int size) {
+  int exponent = 0; /* frexp leaves it where the largest is not finite */
+  frexp(largest(values, size), &exponent);
+  for (int i = 0; i < size; ++i) values[i] = ldexp(values[i], -exponent);
+  return exponent;
+}
+
 /* The least u with A u = g, and how much of g lies outside the range of A. */
 static double least_norm(const Spectrum *s, const double *g, double *u) {
   double outside = 0.0;
@@ -124,11 +133,30 @@ static double least_norm(const Spectrum *s, const double *g, double *u) {
   return sqrt(outside);
 }
 
-/* tau with W tau = f, or NaN; the decisions are those of redundancy_pin.distribute. */
-static int distribute(const double *W, const double *f, robot_efforts *out) {
+/* The size of the forces of a motion before they cancel, N: Scales.force of redundancy_pin. */
+static double force_scale_of(const robot_motion *motion) {
+  double rate = 0.0, acceleration = 0.0;
+  for (int i = 0; i < N; ++i) {
+    rate = fmax(rate, fabs(motion->xd[i]) / EQUATION_UNIT[R + i]);
+    acceleration = fmax(acceleration, fabs(motion->xdd[i]) / EQUATION_UNIT[R + i]);
+  }
+#if NK
+  for (int i = 0; i < NK; ++i) {
+    rate = fmax(rate, fabs(motion->sd[i]) / CARRIER_UNIT[i]);
+    acceleration = fmax(acceleration, fabs(motion->sdd[i]) / CARRIER_UNIT[i]);
+  }
+#endif
+  return MASS * (GRAVITY + LENGTH * (rate * rate + acceleration)) + VISCOUS * rate + STATIC;
+}
+
+/* tau with W tau = f, or NaN; the decisions are those of redundancy_pin.distribute. Nothing is written where a result is
+   beyond what a double holds. */
+static int distribute(const double *W, const double *f, double force_scale, robot_efforts *out) {
   Spectrum s;
   double g[N], u[M], missing = 0.0, size = 0.0;
   for (int i = 0; i < N; ++i) g[i] = f[i] / ROW_SCALE[i];
+  if (!finite(g, N)) return ROBOT_NOT_FINITE;
+  int exponent = brought_down(g, N);
   spectrum_of(W, &s);
   double outside = least_norm(&s, g, u);
   for (int i = 0; i < N; ++i) {
@@ -137,9 +165,13 @@ static int distribute(const double *W, const double *f, robot_efforts *out) {
     missing += row * row;
     size += g[i] * g[i];
   }
-  int consistent = outside <= CONSISTENCY_TOLERANCE * sqrt(size) + FORCE_TOLERANCE, full = s.rank == SHORT;
-  for (int j = 0; j < M; ++j) out->tau[j] = consistent ? u[j] * COLUMN_SCALE[j] : NAN;
-  out->residual = consistent ? sqrt(missing) : outside;
+  int consistent = outside <= CONSISTENCY_TOLERANCE * sqrt(size) + ldexp(FORCE_TOLERANCE * force_scale, -exponent);
+  int full = s.rank == SHORT;
+  double residual = ldexp(consistent ? sqrt(missing) : outside, exponent);
+  for (int j = 0; j < M; ++j) u[j] = ldexp(u[j] * COLUMN_SCALE[j], exponent);
+  if ((consistent && !finite(u, M)) || !isfinite(residual)) return ROBOT_NOT_FINITE;
+  for (int j = 0; j < M; ++j) out->tau[j] = consistent ? u[j] : NAN;
+  out->residual = residual;
   out->margin = s.margin;
   out->condition = s.condition;
   out->rank = s.rank;
@@ -216,6 +248,8 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
   int closed = rp_sample(from, in, out);
   if (closed != CLOSED) return status_of(closed);
   if (!finite(out, N * M + N + NK + 2)) return ROBOT_NOT_FINITE; /* rates so large that forces overflow */
+  int status = distribute(W, f, force_scale_of(motion), efforts);
+  if (status == ROBOT_NOT_FINITE) return status;
   copy(state->q, from, NQ);
   state->sign = from[NQ];
   for (int i = 0; i < N; ++i) copy(efforts->W[i], W + i * M, M);
@@ -225,7 +259,7 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
 #endif
   efforts->gap = rest[NK];
   efforts->type_I_margin = rest[NK + 1];
-  return distribute(W, f, efforts);
+  return status;
 }
 
 /* --- forward kinematics -------------------------------------------------------------------------------------------- */
@@ -240,13 +274,15 @@ static void drives(const double *q, const double *position, double *off) {
 /* The pseudo-inverse of W^T: rates of the coordinates whose actuated rates miss those given least. */
 static void back(const Spectrum *s, const double *rate, double *xd) {
   double scaled[M], result[N];
-  for (int j = 0; j < M; ++j) scaled[j] = rate[j] * COLUMN_SCALE[j];
+  copy(scaled, rate, M);
+  int exponent = brought_down(scaled, M);
+  for (int j = 0; j < M; ++j) scaled[j] *= COLUMN_SCALE[j];
 #if M > N
   from_long(s, scaled, result);
 #else
   from_short(s, scaled, result);
 #endif
-  for (int i = 0; i < N; ++i) xd[i] = result[i] / ROW_SCALE[i];
+  for (int i = 0; i < N; ++i) xd[i] = ldexp(result[i] / ROW_SCALE[i], exponent);
 }
 
 /* Newton's method for closures and actuated positions at once (of more actuators than freedoms Gauss and Newton's, with
@@ -291,7 +327,7 @@ static int forward(Pose *pose, const double *position, double *off) {
 int robot_forward_kinematics(robot_state *state, const robot_drives *given, robot_platform *platform) {
   Pose pose;
   Spectrum s;
-  double x[NX], none[N], off[M], v[NV], a[NV], gamma[NV * N], W[N * M], residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
+  double x[NX], xd[N], none[N], off[M], v[NV], a[NV], gamma[NV * N], W[N * M], residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
   if (!finite(given->position, M) || !finite(given->velocity, M)) return ROBOT_NOT_FINITE;
   int status = pose_of(state, &pose, x);
   if (status) return status;
@@ -307,10 +343,12 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
   if (!in_mode(&pose)) return ROBOT_OTHER_MODE;
   spectrum_of(W, &s);
   if (s.rank < N) return ROBOT_TYPE_II;
+  back(&s, given->velocity, xd);
+  if (!finite(xd, N)) return ROBOT_NOT_FINITE;
   copy(state->q, pose.q, NQ);
   state->sign = pose.sign;
   copy(platform->x, x, NX);
-  back(&s, given->velocity, platform->xd);
+  copy(platform->xd, xd, N);
   for (int j = 0; j < M; ++j) off[j] *= COLUMN_SCALE[j];
   platform->mismatch = sqrt(dot(off, off, M));
   platform->gap = pose.gap * LENGTH;

@@ -11,14 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import redundancy_pin
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE
+from redundancy_pin.codegen.names import private
 from redundancy_pin.codegen.recorded import Recorded
-from redundancy_pin.dynamics.compiled.build import define, driver_source
+from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
-from redundancy_pin.kinematics.coordinates import mode_name
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import coordinates, mode_name
+from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import is_revolute, row_scale
+from redundancy_pin.robot.scales import closure_tolerance, force_scale, is_revolute, row_scale, velocity_unit
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
 """Generated functions that ``driver.c`` and ``controller.c`` call; a static one without a caller is a warning."""
@@ -27,36 +30,40 @@ _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project
 def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
     """Return the text of each file, by name."""
     facts = _facts(robot, prefix, recorded)
-    rendered = {
-        f"{prefix}.h": "controller.h.j2",
-        f"test_{prefix}.c": "test.c.j2",
-        "CMakeLists.txt": "CMakeLists.txt.j2",
-        "README.md": "README.md.j2",
-    }
-    return {f"{prefix}.c": source(robot, prefix)} | {
-        name: _rendered(template, facts) for name, template in rendered.items()
+    header = _rendered("controller.h.j2", facts)
+    return {
+        f"{prefix}.c": private(source(robot, prefix), prefix, header),
+        f"{prefix}.h": header,
+        f"test_{prefix}.c": private(_rendered("test.c.j2", facts), prefix, header),
+        "CMakeLists.txt": _rendered("CMakeLists.txt.j2", facts),
+        "README.md": _rendered("README.md.j2", facts),
     }
 
 
 def source(robot: Robot, prefix: str) -> str:
     """Return the C source: expressions, driver and what a controller calls."""
-    definition = define(robot)
+    definition, functions = _written(robot)
     chain = definition.chain
-    functions = [definition.functions[f"rp_{name}"] for name in _FUNCTIONS]
-    if robot.m >= robot.n:
-        functions.append(_drives(chain))
+    forces = force_scale(robot)
     constants = {
         "RANK_TOLERANCE": RANK_TOLERANCE,
         "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
         "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
         "FORCE_TOLERANCE": FORCE_TOLERANCE,
+        "MASS": forces.mass,
+        "GRAVITY": forces.gravity,
+        "VISCOUS": forces.viscous,
+        "STATIC": forces.static,
     }
     tables = {"ROW_SCALE": chain.row_scale, "COLUMN_SCALE": chain.column_scale, "REFERENCE": robot.q_reference}
+    if robot.k:
+        tables["CARRIER_UNIT"] = velocity_unit(robot)[robot.carrier_velocity]
     text = importlib.resources.files(__package__).joinpath("controller.c").read_text(encoding="utf-8")
     named = re.sub(r"\brobot_(?=[a-z])", f"{prefix}_", re.sub(r"\bROBOT_(?=[A-Z])", f"{prefix.upper()}_", text))
     return "\n".join(
         [
             f"/* {_as_comment(robot.name)}, written by redundancy_pin {redundancy_pin.__version__}; see {prefix}.h. */",
+            NEEDS_INFINITY,
             f'#include "{prefix}.h"',
             driver_source(definition, functions, "static"),
             *(f"#define {name} {value!r}" for name, value in constants.items()),
@@ -64,6 +71,35 @@ def source(robot: Robot, prefix: str) -> str:
             named,
         ]
     )
+
+
+def _written(robot: Robot) -> tuple[Definition, list[Any]]:
+    definition = define(robot)
+    functions = [definition.functions[f"rp_{name}"] for name in _FUNCTIONS]
+    return definition, [*functions, _drives(definition.chain)] if robot.m >= robot.n else functions
+
+
+_FRAMES = 2048
+"""Bytes of stack for what is not counted by name: registers, pointers and indices of eight functions that call one
+another (1 kB), and functions of math.h."""
+
+
+def stack_bytes(robot: Robot) -> int:
+    """Return how much stack, bytes, the deepest call takes at most: whatever is optimised, and all of it inlined.
+
+    It counts the arrays of all functions of the deepest call, forward kinematics or going to a pose, as if none shared
+    its place, and a place for each value of the largest expression, as unoptimised code has it.
+    """
+    definition, functions = _written(robot)
+    chain, n, m = definition.chain, robot.n, robot.m
+    nq, nv, rows = chain.model.nq, chain.model.nv, len(chain.pose_columns) + 1
+    short, long, state = min(n, m), max(n, m), nq + 2 * len(chain.turning)
+    matrices = 4 * rows**2  # of closures and platform: factors of two states, an inverse, what is factorised
+    tree = nv * (n + 4) + 3 * state + 8 * rows
+    spectra = 2 * (short * long + short**2 + 2 * short + 4)
+    arguments = 3 * (chain.x.numel() + n * m + 2 * n + 2 * m + 3 * robot.k + chain.alignment.numel())
+    values = max(function.n_instructions() for function in functions)
+    return 8 * (matrices + tree + spectra + arguments + values) + _FRAMES
 
 
 def _drives(chain: SymbolicChain) -> Any:
@@ -112,6 +148,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "title": _as_comment(robot.name),
         "prefix": prefix,
         "PREFIX": prefix.upper(),
+        "home": _listed(coordinates(robot, ConstraintSystem(robot).evaluate(robot.q_reference[None])).reshape(-1)),
         "n": robot.n,
         "m": robot.m,
         "k": robot.k,
@@ -120,8 +157,9 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "r": len(closures),
         "nx": 16 if pose else robot.n,
         "pose": pose,
+        "stack": stack_bytes(robot),
         "near": NEAR_SINGULAR_MARGIN,
-        "tolerance": CLOSURE_TOLERANCE,
+        "tolerance": repr(closure_tolerance(robot)),
         "length": repr(float(robot.characteristic_length)),
         "mode": mode_name(robot.working_mode) or "that of the reference",
         "gravity": ", ".join(f"{value:g}" for value in robot.gravity),

@@ -143,12 +143,12 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
 
         rest, ends = goal - matrix[:, ~free] @ u[~free], np.concatenate([lower[free], upper[free]])
         # the solver's tolerances are of numbers of the size of one
-        size = max(float(np.linalg.norm(rest)), float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0))) or 1.0
-        rest, box = rest / size, (lower[free] / size, upper[free] / size)
+        size = max(float(np.abs(rest).max()), float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0))) or 1.0
+        problem = matrix[:, free], rest / size, (lower[free] / size, upper[free] / size)
         with np.errstate(divide="ignore", invalid="ignore"):
-            fit = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
+            fit = lsq_linear(*problem, method="bvls", tol=_ROUNDING, max_iter=1000)
         if not np.isfinite(fit.x).all():  # of columns that are the same but for rounding it may make 0/0
-            fit = lsq_linear(matrix[:, free], rest, box, method="trf", tol=_ROUNDING, max_iter=1000)
+            fit = lsq_linear(*problem, method="trf", tol=_ROUNDING, max_iter=1000)
         u[free] = np.clip(size * fit.x, lower[free], upper[free])
     return u
 

@@ -185,8 +185,8 @@ def distribute(
     the rank m.
 
     Args:
-        reduced: f (N, n), W (N, n, m) and their scales. Samples that are not reachable, or whose f or W is not
-            finite, get the status unreachable.
+        reduced: f (N, n), W (N, n, m) and their scales. Samples that are not reachable, and those whose f, W or
+            efforts are not finite or beyond what a double holds, get the status unreachable.
         weights: scalar or (m,) positive weights w, 1/N² or 1/(N·m)² by joint. Left out: 1/column_scale², which counts a
             motor torque as the force it exerts at the characteristic length, so that the sum is one of squared forces.
         lower: scalar, (m,) or (N, m) smallest efforts, N or N·m by joint; −inf for none.
@@ -218,10 +218,9 @@ def distribute(
         force_tolerance=force_tolerance,
     )
     problem = _with_rows(_problem(reduced, weights, lower, upper), rows, reduced.column_scale)
-    size = np.linalg.norm(problem.g, axis=1)
-    start = None
+    start, force = None, problem.g
     if preferred is not None:  # efforts are counted from there
-        start = _bound(preferred, "preferred", math.inf, len(size), problem.A.shape[2])
+        start = _bound(preferred, "preferred", math.inf, *problem.A.shape[::2])
         if not np.isfinite(start).all():
             raise InputError(
                 "preferred has values that are not finite.", remedy="Pass efforts, 0 where none is preferred."
@@ -235,6 +234,12 @@ def distribute(
             row_lower=problem.row_lower - np.einsum("Ncj,Nj->Nc", problem.rows, start),
             row_upper=problem.row_upper - np.einsum("Ncj,Nj->Nc", problem.rows, start),
         )
+    exponent = np.frexp(np.maximum(np.abs(force), np.abs(problem.g)).max(axis=1))[1]
+    exponent[np.abs(exponent) < _ORDINARY] = 0
+    extreme = exponent.any()
+    if extreme:
+        problem, force = problem.brought_down(exponent), _times_power(force, -exponent)
+    size = np.linalg.norm(force, axis=1)
     spectrum = spectrum_of(problem.A)
     rank = spectrum.rank(rank_tolerance)
     at = problem.solvable
@@ -242,7 +247,7 @@ def distribute(
     u[at], outside[at] = minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost)
     allowed = consistency_tolerance * size
     if reduced.force_scale is not None:
-        allowed = allowed + force_tolerance * reduced.force_scale
+        allowed = allowed + np.ldexp(force_tolerance * reduced.force_scale, -exponent)
     consistent = at & (outside <= allowed)
     u[~consistent] = np.nan
     u, infeasible = _within_bounds(problem, u, rank)
@@ -261,13 +266,32 @@ def distribute(
         SampleStatus.SINGULAR_INCONSISTENT,
     ).astype(np.intp)
     free_direction, uncontrolled = _directions(problem, rank, status)
+    residual = _residual(problem, u, outside, infeasible)
+    if extreme:
+        u, unbalanced = _times_power(u, exponent), _times_power(residual, exponent)
+        with np.errstate(over="ignore"):
+            beyond = np.isinf(u * reduced.column_scale).any(axis=1) | (np.isinf(unbalanced) & np.isfinite(residual))
+        if beyond.any():  # no double holds the answer: as where none holds f
+            return distribute(
+                replace(reduced, f=np.where(beyond[:, np.newaxis], np.nan, reduced.f)),
+                weights=weights,
+                lower=lower,
+                upper=upper,
+                preferred=preferred,
+                rows=rows,
+                near_singular=near_singular,
+                rank_tolerance=rank_tolerance,
+                consistency_tolerance=consistency_tolerance,
+                force_tolerance=force_tolerance,
+            )
+        residual = unbalanced
     if reduced.out_of_range is not None:
         status[solved_status(status) & reduced.out_of_range] = SampleStatus.OUT_OF_RANGE
     return Distribution(
         tau=read_only((u if start is None else u + start) * reduced.column_scale),
         status=read_only(status),
         rank=rank,
-        residual=read_only(_residual(problem, u, outside, infeasible)),
+        residual=read_only(residual),
         margin=spectrum.margin,
         condition=spectrum.condition,
         free_direction=read_only(free_direction * reduced.column_scale),
@@ -326,6 +350,11 @@ class _Problem:
     row_lower: Array
     row_upper: Array
 
+    def brought_down(self, exponent: IntArray) -> _Problem:
+        """Return the problem with all forces, u among them, divided by 2**exponent, (N,), which rounds nothing."""
+        names = ("g", "lower", "upper", "row_lower", "row_upper")
+        return replace(self, **{name: _times_power(getattr(self, name), -exponent) for name in names})
+
     def fitting(self, at: BoolArray) -> tuple[Array, Array, Array]:
         """Return lower and upper bounds of some samples and their rows, the unknowns' own bounds first."""
         count, m = int(at.sum()), self.A.shape[2]
@@ -350,7 +379,8 @@ def _problem(
     row_scale = _positive(reduced.row_scale, "row_scale", n)
     column_scale = _positive(reduced.column_scale, "column_scale", m)
     A = scaled(reduced.W, row_scale, column_scale)
-    g: Array = reduced.f / row_scale
+    with np.errstate(over="ignore"):
+        g: Array = reduced.f / row_scale
     solvable: BoolArray = reduced.reachable & np.isfinite(A).all(axis=(1, 2)) & np.isfinite(g).all(axis=1)
     A[~solvable] = np.nan
     g[~solvable] = np.nan
@@ -404,6 +434,17 @@ def _with_rows(problem: _Problem, rows: Sequence[EffortRows], column_scale: Arra
             row_upper=np.concatenate([problem.row_upper, bounds[1]], axis=1),
         )
     return problem
+
+
+_ORDINARY = 400
+"""Exponent of two of forces and of their inverses up to which squares are far from overflow, and from nothing: those
+of efforts too, which may be 1e14 times as large. What lies beyond is brought to a size of one before it is squared."""
+
+
+def _times_power(values: Array, exponent: IntArray) -> Array:
+    """Return (N, …) values times 2**exponent, (N,), infinite where no double holds them."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.ldexp(values, exponent.reshape(-1, *[1] * (values.ndim - 1))))
 
 
 def _positive(values: ArrayLike, name: str, length: int) -> Array:

@@ -121,6 +121,8 @@ MATH = {
     "floor",
     "fmax",
     "fmin",
+    "frexp",
+    "ldexp",
 }
 
 
@@ -162,14 +164,15 @@ def test_its_own_test_can_fail(tmp_path: Path) -> None:
     folder = folder_of(robot_of("2rpr"))
     text = (folder / "unit.c").read_text(encoding="utf-8")
     broken = {
-        "f": text.replace("copy(efforts->f, f, N);", "copy(efforts->f, f, N); efforts->f[1] *= 1.0 + 1e-9;"),
-        "tau": text.replace("u[j] * COLUMN_SCALE[j]", "u[j] * (1.0 + 1e-9)"),
-        "carrier force": text.replace("copy(efforts->carrier_force, rest, NK)", "copy(efforts->carrier_force, f, NK)"),
-        "xd": text.replace("xd[i] = result[i] / ROW_SCALE[i]", "xd[i] = result[i] * 1.000001"),
-        "closure Jacobian": text.replace("= K[i + j * NP];", "= -K[i + j * NP];"),
-        "status of a bad input": text.replace("if (!finite(in, NX + 2 * N + 3 * NK) ||", "if ("),
+        "f": text.replace("copy(efforts->f, f, UNIT_OWN_N);", "copy(efforts->f, f, 2); efforts->f[1] *= 1.0 + 1e-9;"),
+        "tau": text.replace("u[j] * UNIT_OWN_COLUMN_SCALE[j]", "u[j] * (1.0 + 1e-9)"),
+        "carrier force": text.replace("copy(efforts->carrier_force, rest,", "copy(efforts->carrier_force, f,"),
+        "xd": text.replace("ldexp(result[i] / UNIT_OWN_ROW_SCALE[i]", "ldexp(result[i] * 1.000001"),
+        "closure Jacobian": text.replace("= K[i + j * UNIT_OWN_NP];", "= -K[i + j * UNIT_OWN_NP];"),
+        "status of a bad input": re.sub(r"if \(!unit_own_finite\(in, .*?\) \|\|", "if (", text),
         "a state that was written to": text.replace(
-            "int closed = rp_sample(from, in, out);", "int closed = rp_sample(from, in, out); state->sign = 2.0;"
+            "int closed = unit_own_rp_sample(from, in, out);",
+            "int closed = unit_own_rp_sample(from, in, out); state->sign = 2.0;",
         ),
     }
     tests = compiled([folder / "test_unit.c"], tmp_path / "test_unit.o", "-c")
@@ -251,7 +254,7 @@ def test_through_type_two() -> None:
 PROBE = """
 #include "unit.c"
 int probe(const double *W, const double *f, unit_efforts *out);
-int probe(const double *W, const double *f, unit_efforts *out) { return distribute(W, f, out); }
+int probe(const double *W, const double *f, unit_efforts *out) { return unit_own_distribute(W, f, 1.0, out); }
 """
 
 
@@ -274,9 +277,11 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
         W = A * scales.row_scale[:, None] / scales.column_scale
         g = times(A, random.normal(size=(count, m)) / size) + off * times(U, random.normal(size=(count, n)))
         nothing = np.zeros((count, 0))
+        power = np.resize([0, 700, -700], count)  # of two: forces whose squares no double holds, and small ones
+        f = np.ldexp(g * scales.row_scale, power[:, None])
         reduced = ReducedDynamics(
-            np.arange(count, dtype=float), g * scales.row_scale, W, nothing, np.ones(count, dtype=bool),
-            np.zeros(count), scales.row_scale, scales.column_scale,
+            np.arange(count, dtype=float), f, W, nothing, np.ones(count, dtype=bool),
+            np.zeros(count), scales.row_scale, scales.column_scale, force_scale=np.ones(count),
         )  # fmt: skip
         want = rp.distribute(reduced)
         seen |= set(want.status.tolist())
@@ -288,12 +293,14 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
             assert status == want.status[k]
             assert out.rank == want.rank[k]
             condition = min(want.condition[k], 1e9)
-            assert_near(np.array(out.tau), want.tau[k], "tau", factor=condition)
+            got, wanted = (np.ldexp(values, -power[k]) for values in (np.array(out.tau), want.tau[k]))
+            assert_near(got, wanted, "tau", factor=condition)
             np.testing.assert_allclose(out.margin, want.margin[k], rtol=0.0, atol=1e-14)
             if status >= SampleStatus.SINGULAR_INCONSISTENT:
                 # the range of a matrix moves by rounding over its least singular value
                 allowed = 1e-14 / least * np.linalg.norm(g[k])
-                np.testing.assert_allclose(out.residual, want.residual[k], rtol=0.0, atol=allowed)
+                left, wanted = np.ldexp([out.residual, want.residual[k]], -power[k])
+                np.testing.assert_allclose(left, wanted, rtol=0.0, atol=allowed)
     expected = {SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR, SampleStatus.SINGULAR_CONSISTENT}
     if n > m:
         expected |= {SampleStatus.UNDERACTUATED_INCONSISTENT}
@@ -529,12 +536,14 @@ def test_names_from_a_file_cannot_leave_their_comments(tmp_path: Path) -> None:
     assert run(compiled(sources, tmp_path / "program")).returncode == 0
 
 
-@pytest.mark.parametrize(("name", "prefix"), [("rp", "robot_rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new")])
+@pytest.mark.parametrize(
+    ("name", "prefix"), [("rp", "rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new"), ("Math", "robot_math")]
+)
 def test_prefixes(name: str, prefix: str) -> None:
     assert codegen.prefix_of(name, None) == prefix
 
 
-@pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "rp", "x" * 41, "a\n"])
+@pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "x" * 41, "a\n", "a__b", "a_", "math", "TEST"])
 def test_prefixes_that_are_no_names(prefix: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="prefix"):
         codegen.write_c(robot_of("four_bar"), tmp_path / "code", prefix=prefix)

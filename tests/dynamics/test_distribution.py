@@ -1,5 +1,7 @@
 """Efforts at samples where W has full rank: unique, of least norm, or impossible for want of actuators."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -220,9 +222,10 @@ def test_edges_of_the_tolerances():
     assert distribute(large, rank_tolerance=0.25 - 1e-12).rank.tolist() == [2]
     assert distribute(small, rank_tolerance=0.125 + 1e-12).rank.tolist() == [1]  # and a number without unit
     lost = [np.diag([1.0, 0.0])]
-    given = {"consistency_tolerance": 0.5, "force_tolerance": 0.5}  # of 5 N, and half a newton: 3 N
-    assert distribute(reduced(lost, [[4.0, 2.999]]), **given).status_labels.tolist() == ["singular_consistent"]
-    over = distribute(reduced(lost, [[4.0, 3.001]]), **given)
+    given = {"consistency_tolerance": 0.5, "force_tolerance": 0.5}  # of 5 N, and of a scale of 1 N: 3 N
+    within, over = (replace(reduced(lost, [[4.0, off]]), force_scale=np.ones(1)) for off in (2.999, 3.001))
+    assert distribute(within, **given).status_labels.tolist() == ["singular_consistent"]
+    over = distribute(over, **given)
     assert over.status_labels.tolist() == ["singular_inconsistent"]
     assert over.residual[0] == pytest.approx(3.001)
     least = distribute(exact, rank_tolerance=1e-14, near_singular=0.0, consistency_tolerance=0.0, force_tolerance=0.0)

@@ -1,5 +1,7 @@
 """Efforts at singularities that are exact by construction, and the limits from both sides."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from examples import examples
@@ -150,8 +152,12 @@ def test_consistency_is_relative_to_the_force_down_to_the_smallest_force_that_co
     just = CONSISTENCY_TOLERANCE
     f = np.array([[1e6, 0.5e6 * just], [1e6, 2e6 * just], [1e-15, 1e-13], [0.0, 1e-6]])
     labels = ["singular_consistent", "singular_inconsistent", "singular_consistent", "singular_inconsistent"]
-    assert distribute(reduced(W, f)).status_labels.tolist() == labels
-    assert distribute(reduced(W, f), force_tolerance=1e-5).status[3] == SampleStatus.SINGULAR_CONSISTENT
+    given = replace(reduced(W, f), force_scale=np.ones(4))
+    assert distribute(given).status_labels.tolist() == labels
+    assert distribute(given, force_tolerance=1e-5).status[3] == SampleStatus.SINGULAR_CONSISTENT
+    # of a machine a thousand times as strong, and where nothing says how strong it is
+    assert distribute(replace(given, force_scale=np.full(4, 1e3))).status[3] == SampleStatus.SINGULAR_CONSISTENT
+    assert distribute(reduced(W, f)).status[2] == SampleStatus.SINGULAR_INCONSISTENT
 
 
 def test_a_singular_sample_among_thousands_of_regular_ones():

@@ -137,10 +137,11 @@ static void move(double *q, const double *pose_step) {
   copy(q, moved, NQ);
 }
 
+/* The largest magnitude; NaN where there is one. */
 static double largest(const double *values, int size) {
   double result = 0.0;
   for (int i = 0; i < size; ++i)
-    if (!(fabs(values[i]) <= result)) result = fabs(values[i]); /* NaN is large */
+    if (fabs(values[i]) > result || isnan(values[i])) result = fabs(values[i]);
   return result;
 }
 

@@ -60,10 +60,11 @@ static void copy(double *to, const double *from, int size) {
   for (int i = 0; i < size; ++i) to[i] = from[i];
 }
 
+/* The largest magnitude; NaN where there is one. */
 static double largest(const double *values, int size) {
   double result = 0.0;
   for (int i = 0; i < size; ++i)
-    if (!(fabs(values[i]) <= result)) result = fabs(values[i]); /* NaN is large */
+    if (fabs(values[i]) > result || isnan(values[i])) result = fabs(values[i]);
   return result;
 }
 

@@ -414,7 +414,8 @@ class SymbolicChain:
         ):
             joint = self.model.joints[self.model.getJointId(name)]
             q = self.q[joint.idx_q : joint.idx_q + joint.nq]
-            side = q[1] if joint.nq == 2 else q if slides(joint) else self._trig_of(joint.idx_q)[1]
+            length = self.robot.characteristic_length
+            side = q[1] if joint.nq == 2 else q / length if slides(joint) else self._trig_of(joint.idx_q)[1]
             values.append(float(sign * own) * side)
         return ca.vertcat(*values) if values else ca.SX(0, 1)
 

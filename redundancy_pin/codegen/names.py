@@ -1,0 +1,53 @@
+"""Names of generated C: every one that can be seen outside a function begins with the robot's prefix.
+
+What a program includes in front of the code, or behind it, is not known here: names of math.h differ between -std=c99
+and a compiler's own mode, headers of a vendor define what they like, and two robots may be compiled as one file. So
+no list of names that are taken is kept; all names of a file's scope are found and given the prefix.
+"""
+
+from __future__ import annotations
+
+import re
+
+_TEXTS = re.compile(r"""(/\*.*?\*/|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')""", re.S)
+"""Comments, strings and characters."""
+
+_BLOCK, _LIST = "\0", "\1"
+"""What stands for {…} and for (…) where only what is outside of them matters."""
+
+
+def names_of(text: str) -> set[str]:
+    """Return the names of a C file's scope: macros, types, enumerators, functions and variables, one a declaration."""
+    code = _TEXTS.sub(" ", text)
+    names = set(re.findall(r"^[ \t]*#[ \t]*define[ \t]+(\w+)", code, flags=re.M))
+    code = re.sub(r"#ifdef __cplusplus\n.*?#endif", "", code, flags=re.S)  # extern "C", which opens no scope
+    code = re.sub(r"^[ \t]*#.*", "", code, flags=re.M)
+    for listed in re.findall(r"\benum\b[^{};]*\{([^{}]*)\}", code):
+        names.update(re.findall(r"(\w+)[^,]*", listed))
+    code = _without(r"\([^()]*\)", _LIST, _without(r"\{[^{}]*\}", _BLOCK, code))
+    names.update(re.findall(rf"(\w+)\s*{_LIST}", code))
+    names.update(re.findall(r"(\w+)\s*(?:\[[^\]]*\]\s*)*(?:=[^;]*)?;", code))
+    return names
+
+
+def _without(pattern: str, mark: str, code: str) -> str:
+    """Return the code with what the pattern encloses, however deep, replaced by a mark."""
+    count = 1
+    while count:
+        code, count = re.subn(pattern, mark, code)
+    return code
+
+
+def private(text: str, prefix: str, header: str) -> str:
+    """Return a C file whose own names begin with ``prefix_own_`` or ``PREFIX_OWN_``.
+
+    Those that the header declares stay as they are, and those that belong to the compiler: with an underscore in front,
+    and main.
+    """
+    own = {name for name in names_of(text) - names_of(header) - {"main"} if not name.startswith("_")}
+    renamed = {name: f"{prefix.upper()}_OWN_{name}" if name.isupper() else f"{prefix}_own_{name}" for name in own}
+    # members of structures are names of their own
+    name = re.compile(r"(?<!->)(?<!\.)\b[A-Za-z]\w*")
+    parts = _TEXTS.split(text)
+    parts[::2] = [name.sub(lambda found: renamed.get(found[0], found[0]), code) for code in parts[::2]]
+    return "".join(parts)
