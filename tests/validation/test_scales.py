@@ -1,0 +1,262 @@
+"""A machine is the same machine whatever it is measured in: statuses, singular instants and efforts follow its units.
+
+Lengths, masses and times of a random machine and motion are multiplied by anything from 1e-6 to 1e6. Powers of two
+change no mantissa, so that efforts agree to rounding; other factors round every number of the machine anew.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from generated_c import COMPILERS, Code
+from scaled import Units, coordinate_units, effort_units, scaled_carriers, scaled_motion, scaled_robot
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.crosscheck.cases import RandomCase, random_case
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.distribution import SampleStatus
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.loads import JointForces, Spring, Wrench
+from redundancy_pin.robot.scales import force_scale, sample_scales
+from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
+
+EXACT, ROUNDED = 1e-12, 1e-9
+"""Relative, of efforts in units that are powers of two, times the condition number of W; and in others, times that over
+1e6: lengths are rounded anew, and a pose next to a singularity moves with them."""
+
+MACHINES = ("2rpr", "3rrr", "five_bar", "four_bar", "delta", "gough")
+BACKENDS = (rp.RneaDynamics, rp.CompiledDynamics)
+
+CHOICES = ((1e-3, 1e-9, 1.0), (1e-4, 1e-8, 1.0), (1e-6, 1e-9, 1e-3), (1e-6, 1e-12, 1.0), (1.0, 1e-9, 1.0))
+"""Lengths, masses and times that were wrong once: forces are small in them."""
+
+CORNERS = (*CHOICES, (1e6, 1e6, 1e-6), (1e-6, 1e-6, 1e6), (1e6, 1e-6, 1.0), (1.0, 1.0, 1e6), (1.0, 1.0, 1e-6))
+
+
+def units_of(seed: int, *, powers_of_two: bool) -> Units:
+    """Return random factors from 1e-6 to 1e6."""
+    exponents = np.random.default_rng(seed).uniform(-6.0, 6.0, 3)
+    if powers_of_two:
+        return Units(*(2.0 ** np.round(exponents * np.log2(10.0))).tolist())
+    return Units(*(10.0**exponents).tolist())
+
+
+@functools.cache
+def case_of(name: str, index: int) -> RandomCase:
+    return random_case(name, 30, 11, index)
+
+
+def solved(backend: Callable[[Robot], Dynamics], case: RandomCase, units: Units) -> rp.Distribution:
+    """Distribute the random motion of a machine in other units; efforts are returned in the machine's own."""
+    robot = scaled_robot(case.robot, units)
+    motion, carriers = case.motion(case.t), case.carriers(case.t)
+    reduced = backend(robot).reduce(
+        scaled_motion(case.robot, motion, units), scaled_carriers(carriers, units), check_track=False
+    )
+    return rp.distribute(reduced)
+
+
+def require_same(got: rp.Distribution, want: rp.Distribution, unit: Array, share: Array) -> None:
+    np.testing.assert_array_equal(got.status, want.status)
+    np.testing.assert_array_equal(got.rank, want.rank)
+    np.testing.assert_allclose(got.margin, want.margin, rtol=1e-9, atol=1e-12)
+    size = np.nanmax(np.abs(want.tau), axis=1, initial=0.0)
+    off = np.abs(got.tau / unit - want.tau).max(axis=1)
+    assert (off[want.solved] <= (share * size)[want.solved]).all()
+
+
+@pytest.mark.long_for(*(f"{name}-CompiledDynamics" for name in ("3rrr", "four_bar", "delta", "gough")))
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("name", MACHINES)
+def test_random_machines_have_the_same_efforts_in_all_units(name: str, backend: Callable[[Robot], Dynamics]) -> None:
+    case = case_of(name, 0)
+    want, unit = solved(backend, case, Units()), functools.partial(effort_units, case.robot)
+    for seed in range(1 if backend is rp.CompiledDynamics else 3):  # each is compiled anew
+        units = units_of(seed, powers_of_two=True)
+        require_same(solved(backend, case, units), want, unit(units), EXACT * want.condition)
+        units = units_of(seed, powers_of_two=False)
+        require_same(solved(backend, case, units), want, unit(units), ROUNDED * np.maximum(1.0, want.condition / 1e6))
+
+
+@pytest.mark.parametrize("choice", CORNERS[::3])
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_virtual_work_has_the_same_efforts_in_all_units(name: str, choice: tuple[float, float, float]) -> None:
+    """The closed forms take their lengths from the arguments of the model."""
+    units, robot = Units(*choice), rp.load_robot(name, end_effector_mass=0.3) if name == "2rpr" else rp.load_robot(name)
+    changed = {
+        key: value * (units.mass if key.endswith("_mass") else units.length)
+        for key, value in robot.parameters.items()
+        if isinstance(value, float)
+    }
+    other = rp.load_robot(name, **changed)
+    t = np.linspace(0.0, 0.5, 20)
+    motion = case_of(name, 1).motion(t)
+    still = CarrierMotion.parked(len(t), robot.k)
+    want, got = (
+        rp.distribute(rp.VirtualWork(one).reduce(moved, still, unreachable="mark"))
+        for one, moved in ((robot, motion), (other, scaled_motion(robot, motion, units)))
+    )
+    assert want.solved.any()
+    require_same(got, want, effort_units(robot, units), ROUNDED * np.maximum(1.0, want.condition / 1e6))
+
+
+# --- singular poses -------------------------------------------------------------------------------------------------
+
+
+def straight_down(units: Units) -> tuple[Robot, PlatformMotion]:
+    """A five-bar whose distal links are in line at the middle one of three samples, where f has a part across them."""
+    plain = rp.load_robot("five_bar", carriers=False)
+    robot = scaled_robot(plain, units)
+    t = np.linspace(-0.1, 0.1, 3)
+    # the elbows are at the same height: distal links of one length meet in line between them
+    low = singular_height()
+    x = np.stack([np.full(3, 0.25), low - 0.3 * t], axis=1)
+    motion = PlatformMotion(t + 0.1, x, np.tile([0.0, -0.3], (3, 1)), np.zeros((3, 2)))
+    return robot, scaled_motion(plain, motion, units)
+
+
+@functools.cache
+def singular_height() -> float:
+    plain = rp.load_robot("five_bar", carriers=False)
+    line = Trajectory(Line((0.25, 0.7), (0.25, 0.05)), SpeedProfile(0.65, 0.3, 0.1))
+    (crossing,) = rp.find_crossings(plain, line)
+    return float(crossing.x[1])
+
+
+@pytest.mark.parametrize("choice", CORNERS)
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_force_that_no_motor_balances_is_never_called_none(
+    backend: Callable[[Robot], Dynamics], choice: tuple[float, float, float]
+) -> None:
+    robot, motion = straight_down(Units(*choice))
+    d = rp.distribute(backend(robot).reduce(motion))
+    assert d.status[1] == SampleStatus.SINGULAR_INCONSISTENT
+    assert np.isnan(d.tau[1]).all()
+    assert d.solved[[0, 2]].all()
+
+
+@pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not installed")
+@pytest.mark.parametrize("choice", [(1e-3, 1e-9, 1.0), (1e6, 1e6, 1e-6)])
+def test_generated_c_has_the_statuses_and_efforts_of_python_in_all_units(choice: tuple[float, float, float]) -> None:
+    robot, motion = straight_down(Units(*choice))
+    code, want = Code(robot), rp.distribute(rp.RneaDynamics(robot).reduce(motion))
+    state = code.start()
+    for k in range(3):
+        assert code.go_to(state, motion.x[k]) == 0
+        got = code.efforts(state, motion.x[k], motion.xd[k], motion.xdd[k])
+        assert got.status == want.status[k]
+        if want.solved[k]:
+            np.testing.assert_allclose(got.tau, want.tau[k], rtol=1e-9)
+
+
+@pytest.mark.parametrize("choice", [(1.0, 1.0, 1.0), *CORNERS])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_forces_that_carriers_cancel_are_none_in_all_units(
+    backend: Callable[[Robot], Dynamics], choice: tuple[float, float, float]
+) -> None:
+    """On the line between its base hinges a 2-RPR's motors are in line; carriers can take all of f, or what is across.
+
+    h of each leg is linear in its carrier's s̈ (Parsa 2014, eq. 2.17): where both vanish f is rounding.
+    """
+    units, plain = Units(*choice), rp.load_robot("2rpr")
+    robot = scaled_robot(plain, units)
+    x, xd, xdd = np.array([[0.2, 0.0]]), np.array([[0.3, -0.4]]), np.array([[0.5, 1.5]])
+    offset, s, sd = 0.1, np.array([0.05, -0.07]), np.array([0.4, 0.2])
+    d = np.array([0.2, 0.3])
+    # legs at angles 0 and π: u = (±1, 0), n = (0, ±1); θ̇ = n·v/d, θ̈ = (n·a − 2 ḋ θ̇)/d
+    u, normal = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([[0.0, 1.0], [0.0, -1.0]])
+    rate = normal @ xd[0] / d
+    acceleration = (normal @ xdd[0] - 2.0 * (u @ xd[0]) * rate) / d
+    sign = np.array([1.0, -1.0])
+    sdd = -sign * ((offset**2 + s**2) * acceleration + 2.0 * s * sd * rate) / offset
+    motion, cancelled = PlatformMotion([0.0], x, xd, xdd), CarrierMotion(s[None], sd[None], sdd[None])
+    parked = CarrierMotion(s[None], sd[None], np.zeros((1, 2)))
+    for carriers, status in (
+        (cancelled, SampleStatus.SINGULAR_CONSISTENT),
+        (parked, SampleStatus.SINGULAR_INCONSISTENT),
+    ):
+        reduced = backend(robot).reduce(
+            scaled_motion(plain, motion, units), scaled_carriers(carriers, units), check_track=False
+        )
+        assert rp.distribute(reduced).status[0] == status
+    assert plain.parameters["track_offset"] == offset
+
+
+# --- singular instants, poses, loci ---------------------------------------------------------------------------------
+
+
+def singular_line(name: str, units: Units) -> tuple[Robot, Trajectory]:
+    ends = {"2rpr": ((0.1, 0.4), (0.42, -0.4)), "five_bar": ((0.25, 0.7), (0.25, 0.05))}[name]
+    plain = rp.load_robot(name, carriers=False) if name == "five_bar" else rp.load_robot(name)
+    L, T = units.length, units.time
+    path = Line(*(tuple(L * np.array(end)) for end in ends))
+    return scaled_robot(plain, units), Trajectory(path, SpeedProfile(path.length, 0.5 * L / T, 0.25 * T))
+
+
+@pytest.mark.parametrize("name", ["2rpr", "five_bar"])
+def test_singular_instants_scale_with_the_time(name: str) -> None:
+    want = rp.find_crossings(*singular_line(name, Units()))
+    assert want
+    for choice in CORNERS:
+        units = Units(*choice)
+        got = rp.find_crossings(*singular_line(name, units))
+        assert [each.kind for each in got] == [each.kind for each in want]
+        np.testing.assert_allclose([each.t / units.time for each in got], [each.t for each in want], rtol=1e-9)
+        np.testing.assert_allclose([each.slope for each in got], [each.slope for each in want], rtol=1e-5)
+
+
+@pytest.mark.parametrize("choice", [(1e-6, 1.0, 1.0), (1e6, 1.0, 1.0)])
+def test_poses_modes_and_workspaces_scale_with_the_length(choice: tuple[float, float, float]) -> None:
+    units, plain = Units(*choice), rp.load_robot("five_bar", carriers=False)
+    robot = scaled_robot(plain, units)
+    u = plain.q_reference[[plain.model.joints[plain.model.getJointId(name)].idx_q for name in plain.actuated]] + 0.1
+    one, other = rp.assembly_modes(plain, u), rp.assembly_modes(robot, u)
+    np.testing.assert_allclose(other.x / units.length, one.x, atol=1e-9)
+    one, other = rp.forward_kinematics(plain, [u]), rp.forward_kinematics(robot, [u])
+    np.testing.assert_array_equal(one.status, other.status)
+    np.testing.assert_allclose(other.x / units.length, one.x, atol=1e-9)
+    one, other = (rp.workspace(each, resolution=25) for each in (plain, robot))
+    np.testing.assert_array_equal(one.reachable, other.reachable)
+    one, other = (rp.singular_locus(each, resolution=40) for each in (plain, robot))
+    assert [curve.kind for curve in one.curves] == [curve.kind for curve in other.curves]
+
+
+# --- the sizes themselves -------------------------------------------------------------------------------------------
+
+
+def test_sizes_of_forces_are_those_of_a_mass_that_moves() -> None:
+    """mass (g + L (r² + r')) + viscous r + static, by hand for a 2-RPR with springs and friction in a joint."""
+    robot = rp.load_robot("2rpr", end_effector_mass=0.5, gravity=(0.0, -9.81, 0.0)).loaded(
+        JointForces("slide_1", damping=3.0, friction=2.0, stiffness=50.0, rest=0.1),
+        JointForces("swivel_2", damping=0.3, rotor_inertia=1e-3, gear=10.0),
+        Spring("base", "end_effector", stiffness=20.0, length=0.2),
+        Wrench("end_effector", [3.0, -4.0, 0.0, 0.0, 0.0, 0.0]),
+    )
+    L = robot.characteristic_length
+    size = force_scale(robot)
+    assert size.mass == pytest.approx(2.5 + 1e-3 * 100.0 / L**2)  # two carriers, the end-effector, and the rotor
+    assert size.viscous == pytest.approx(3.0 * L + 0.3 / L)
+    assert size.static == pytest.approx(2.0 + 50.0 * (L + 0.1) + 20.0 * (L + 0.2))
+    xd, xdd = np.array([[0.3, -0.6]]), np.array([[1.0, 2.0]])
+    sd, sdd = np.array([[0.1, 0.0]]), np.array([[5.0, 0.0]])
+    scales = sample_scales(robot, xd, xdd, sd, sdd, (np.array([[3.0, -4.0, 0.0, 0.0, 0.0, 0.0]]),))
+    rate, change = 0.6 / L, 5.0 / L
+    force = size.mass * (9.81 + L * (rate**2 + change)) + size.viscous * rate + size.static + 4.0
+    np.testing.assert_allclose(scales.force, force)
+    np.testing.assert_allclose(scales.time, 1.0 / np.sqrt(9.81 / L + rate**2 + change))
+    reduced = rp.RneaDynamics(robot).reduce(
+        PlatformMotion([0.0], [[0.2, 0.3]], xd, xdd), CarrierMotion(0.0 * sd, sd, sdd)
+    )
+    np.testing.assert_allclose(reduced.force_scale, force)
+
+
+def test_coordinates_are_over_the_length_and_angles_over_a_radian() -> None:
+    robot = rp.load_robot("3rrr")
+    np.testing.assert_allclose(coordinate_units(robot, Units(length=3.0)), [3.0, 3.0, 1.0])
+    other = scaled_robot(robot, Units(length=3.0))
+    assert other.characteristic_length == pytest.approx(3.0 * robot.characteristic_length)
