@@ -27,7 +27,8 @@ BEAD_RADIUS = 0.02  # of what is known of it ahead, likewise
 
 # Angle of an arc up to its head: long enough to tell the sense of rotation, short enough to see where it starts
 _ARC = 1.5 * np.pi
-_NOTHING = 1e-6  # least size of an arrow, m: viewers warn of objects without any
+_NOTHING = 1e-6  # least size of an arrow, in sizes of the machine: viewers warn of objects without any
+_CONSTANT = 1e-12  # relative change of a property below which it needs no key frames: rounding
 _MARGIN = 0.1  # free space about the machine, in its sizes: arrows need some
 _SAMPLED = 40  # frames from which the camera's view follows
 _DISTANCE = 1.4  # of the camera, in radii of what it must see: its view is 75 degrees high
@@ -131,13 +132,17 @@ def _add_arrow(viewer: Any, scene: scenes.Scene, item: scenes.Arrow, clips: dict
 
     path = arrow_path(item)
     placement = scene.placement[:, item.body] @ mechanism.place(mechanism.along_z(item.axis))
-    length = np.where(np.abs(item.length) < _NOTHING, _NOTHING, item.length)
-    # an arc is mirrored to turn the other way round; all arrows are equally wide but for short ones
+    least = _NOTHING * scene.size
+    length = np.where(np.abs(item.length) < least, least, item.length)
+    # a negative effort mirrors its arrow: straight ones point the other way, arcs turn the other way. All arrows are
+    # equally wide except short ones
     wide = np.abs(length) if item.turning else np.minimum(np.abs(length), 0.35 * scene.size)
     scale = np.stack([wide, length, wide] if item.turning else [wide, wide, length], axis=1)
     viewer[path].set_transform(placement[0])
     _animate(clips, viewer[path], scene.t, **_pose(placement))
-    viewer[f"{path}/effort"].set_transform(np.diag([*scale[0], 1.0]))
+    # as a property, like its key frames: viewers decompose a transform with a negative scale into a half turn and
+    # another scale, and key frames of the scale replace only the latter
+    viewer[f"{path}/effort"].set_property("scale", scale[0].tolist())
     _animate(clips, viewer[f"{path}/effort"], scene.t, scale=scale)
     shape = geometry.TriangularMeshGeometry(*(arc() if item.turning else arrow()))
     material = _on_top(color=_code(scenes.EFFORT_COLORS[item.group]))
@@ -224,7 +229,7 @@ def _animate(clips: dict[Any, Any], group: Any, t: Array, **tracks: Array | Bool
         if name == "visible":  # a key where it changes, and one at either end
             changes = np.flatnonzero(np.diff(values)) + 1
             keys = np.unique(np.concatenate([[0], changes, [len(t) - 1]]))
-        elif np.abs(values - values[0]).max(initial=0.0) < 1e-12:
+        elif np.abs(values - values[0]).max(initial=0.0) <= _CONSTANT * np.abs(values).max(initial=0.0):
             continue
         else:
             keys = np.arange(len(t))
