@@ -299,7 +299,7 @@ def test_values_stand_by_joint_name_under_the_cursor_and_in_the_list(page: Any) 
     tooltip = _under_the_cursor(page, *page.execute_script(PLACE, "wrist_1", "joint_wrist_1"))
     assert tooltip.startswith("wrist_1 (passive joint)\n")
     assert len(tooltip.splitlines()) == 2  # it has no effort
-    assert _under_the_cursor(page, *page.execute_script(PLACE, "carrier_1", "mass_1_0")).startswith(
+    assert _under_the_cursor(page, *page.execute_script(PLACE, "carrier_1", "visual_mass_1_0")).startswith(
         "carrier_1 (carrier)"
     )
     canvas = "document.querySelector('canvas').getBoundingClientRect()"

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import uuid
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -44,8 +45,8 @@ def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None
 
     clips: dict[Any, Any] = {}
     _set_stage(viewer, scene)
-    for j, name in enumerate(scene.names):
-        body = viewer[f"robot/{_step(name)}"]
+    for j in range(len(scene.names)):
+        body = viewer[_body_path(scene, j)]
         body.set_transform(scene.placement[0, j])
         _animate(clips, body, scene.t, **_pose(scene.placement[:, j]))
     for solid in scene.solids:
@@ -60,7 +61,7 @@ def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None
 
 def solid_path(scene: scenes.Scene, solid: Solid) -> str:
     """Return where a solid is in the tree of meshcat, below its root."""
-    return f"robot/{_step(scene.names[solid.body])}/{_step(solid.name)}"
+    return f"{_body_path(scene, solid.body)}/{_step(solid.name)}"
 
 
 def arrow_path(arrow: scenes.Arrow) -> str:
@@ -68,9 +69,14 @@ def arrow_path(arrow: scenes.Arrow) -> str:
     return f"forces/{arrow.group}_{_step(arrow.name)}"
 
 
+def _body_path(scene: scenes.Scene, body: int) -> str:
+    """Return where a body is, below the root: the name of its joint with a prefix, which the base lacks."""
+    return f"robot/joint_{_step(scene.names[body])}" if body else "robot/base"
+
+
 def _step(name: str) -> str:
-    """Return a name that is one step of a path."""
-    return name.replace("/", "_")
+    """Return a name as one step of a path; different names stay different."""
+    return quote(name, safe="")
 
 
 def _set_stage(viewer: Any, scene: scenes.Scene) -> None:
