@@ -198,19 +198,30 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
         if name in robot.carriers or model.joints[body].nv != 1:
             continue
         role: Role = "actuated" if name in robot.actuated else "passive"
-        # fixed to what carries the joint: a slide stays where it is while its rod moves
-        parent, home = int(model.parents[body]), model.jointPlacements[body].homogeneous
+        axis = place(along_z(joint_axis(model, body)))
         side = 2.0 * JOINT_RADIUS * size
         box: tuple[Shape, tuple[float, ...]] = ("box", (side, side, 1.2 * side))
         shape, form = box if slides(model.joints[body]) else ("cylinder", (JOINT_RADIUS * size, JOINT_LENGTH * size))
-        axis = place(along_z(joint_axis(model, body)))
-        solids.append(_solid(f"joint_{name}", parent, home @ axis, shape, form, role))
+        parent, placement = int(model.parents[body]), model.jointPlacements[body].homogeneous @ axis
+        if _is_carriage(model, body):
+            parent, placement = body, axis
+        solids.append(_solid(f"joint_{name}", parent, placement, shape, form, role))
     for closure in robot.closures:
         frame = _frame(model, closure.frame_a)
         ball = (1.3 * JOINT_RADIUS * size,)
         placement = frame.placement.homogeneous.copy()
         solids.append(_solid(f"closure_{closure.name}", int(frame.parentJoint), placement, "sphere", ball, "closure"))
     return solids
+
+
+def _is_carriage(model: pin.Model, body: int) -> bool:
+    """Return whether a joint slides on the base or on another slide: it is drawn on the body that it moves.
+
+    Where such a joint is at zero, often the origin of the world, nothing needs to be. On a body that turns, a slide is a
+    cylinder, drawn on its barrel.
+    """
+    parent = int(model.parents[body])
+    return slides(model.joints[body]) and (parent == 0 or slides(model.joints[parent]))
 
 
 def _carriers(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:
