@@ -49,12 +49,15 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
         advance(1, 3, "along the motion")
         crossings = find_crossings(loaded, followed) if followed is not None else ()
         advance(2, 3, "over the workspace")
-        if plot:
-            _draw(loaded, followed, crossings, plot)
+        locus = singular_locus(loaded) if plot else None
+        failed = output.drawn(plot, lambda path: save(_picture(locus, followed, crossings), path))
+        plot = None if failed else plot
     shown: list[Any] = [_table(loaded, crossings)] if followed is not None else []
     shown += [f"The picture is {plot}."] if plot else []
     data = [crossing_data(crossing) for crossing in crossings] if followed is not None else None
     output.report(as_json, {"robot": loaded.name, "crossings": data, "plot": plot}, *shown)
+    if failed:
+        raise failed
 
 
 def crossing_data(crossing: Crossing) -> dict[str, Any]:
@@ -82,8 +85,7 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> output.TextTable:
     return output.TextTable(f"{robot.name}: {len(crossings)} singular instant(s)", headings, rows)
 
 
-def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:
+def _picture(locus: Any, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing]) -> Any:
     # drawing only: instants come from the trajectory itself
     motion = followed.sample(_DRAWN_STEP * followed.duration) if isinstance(followed, Trajectory) else followed
-    drawn = draw_locus(singular_locus(robot), motion=None if motion is None else motion.x, crossings=crossings)
-    save(drawn, plot)
+    return draw_locus(locus, motion=None if motion is None else motion.x, crossings=crossings)

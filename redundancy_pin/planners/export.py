@@ -27,6 +27,7 @@ from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.trajectory.csv_file import guarded
 from redundancy_pin.trajectory.quaternions import quaternions_of
 from redundancy_pin.trajectory.trajectory import sample_times
 
@@ -228,7 +229,8 @@ def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, 
 def write_csv(table: PlanTable, path: str | Path) -> None:
     """Write a table as CSV: a row of names with units, such as ``elbow.effort [N m]``, then one for each instant."""
     columns, text = table.columns(), io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow([f"{name} [{unit}]" for name, (unit, _) in columns.items()])
+    names = [guarded(f"{name} [{unit}]") for name, (unit, _) in columns.items()]
+    csv.writer(text, lineterminator="\n").writerow(names)
     rows = np.stack([values for _, values in columns.values()], axis=1).tolist()
     text.writelines(",".join(map(repr, row)) + "\n" for row in rows)  # repr: floats come back bit by bit
     write_text(path, text.getvalue())

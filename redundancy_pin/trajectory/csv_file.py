@@ -184,7 +184,7 @@ def tables_of_csv(
             # The row number is that of the line in the file, as an editor shows it.
             rows = ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
             heading = [row for _, row in islice(rows, 1)]
-            names = [name.strip() for row in heading for name in row]
+            names = [unguarded(name.strip()) for row in heading for name in row]
             twice = sorted(name for name, count in Counter(names).items() if count > 1)
             some = list(islice(rows, block))
             if not some:
@@ -207,6 +207,24 @@ def tables_of_csv(
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise _bad(path, f" is not a text file with columns: {error}.") from error
+
+
+# What begins a formula in a cell of a spreadsheet, in full width too, and the apostrophe, which makes a cell plain text
+_FORMULA = "['=+\\-@＝＋－＠]"
+_STARTS = "(^|[,;|\\t])"  # of a cell, also where a program divides at something else than commas
+
+
+def guarded(text: str) -> str:
+    """Return the name of a column, or another text of a cell, as no spreadsheet takes it for a formula.
+
+    An apostrophe stands in front of what could begin one; ``unguarded`` takes it away again.
+    """
+    return re.sub(f"{_STARTS}(?={_FORMULA})", r"\1'", text)
+
+
+def unguarded(cell: str) -> str:
+    """Return the text whose ``guarded`` form stands in a cell."""
+    return re.sub(f"{_STARTS}'(?={_FORMULA})", r"\1", cell)
 
 
 def _lines(stream: TextIOWrapper, path: str | os.PathLike[str]) -> Iterator[str]:

@@ -78,9 +78,10 @@ def plot_feasibility(
         norm = _norm([tile.value for tiles in panels.values() for tile in tiles if tile.possible])
         for i, ((name, tiles), on) in enumerate(zip(panels.items(), axes, strict=True)):
             on.set(title=name, xlabel=x)
-            for which, scale in (("x", x_scale), ("y", y_scale)):
-                if scale == "log":
-                    log_scale(on, which)
+            if x_scale == "log":
+                log_scale(on, "x")
+            if y_scale == "log":
+                log_scale(on)
             on.set_xlim(min(tile.x0 for tile in tiles), max(tile.x1 for tile in tiles))
             on.set_ylim(min(tile.y0 for tile in tiles), max(tile.y1 for tile in tiles))
             on.grid(False)

@@ -217,8 +217,8 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
 def _is_carriage(model: pin.Model, body: int) -> bool:
     """Return whether a joint slides on the base or on another slide: it is drawn on the body that it moves.
 
-    Where such a joint is at zero, often the origin of the world, nothing needs to be. On a body that turns, a slide is a
-    cylinder, drawn on its barrel.
+    Where such a joint is at zero, often the origin of the world, no part of the machine needs to be. On a body that
+    turns, a slide is a cylinder, drawn on its barrel.
     """
     parent = int(model.parents[body])
     return slides(model.joints[body]) and (parent == 0 or slides(model.joints[parent]))
