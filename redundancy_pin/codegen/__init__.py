@@ -24,6 +24,15 @@ __all__ = ["GeneratedCode", "write_c"]
 _LONGEST_PREFIX = 40
 """Letters: compilers that count only the first 63 of a name still tell all functions apart."""
 
+_RESERVED = re.compile(
+    "rp|m|assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|stdalign|stdarg|"
+    "stdatomic|stdbool|stddef|stdint|stdio|stdlib|stdnoreturn|string|tgmath|threads|time|uchar|wchar|wctype|"
+    "all|clean|help|install|package|test",
+    re.IGNORECASE,
+)
+"""What is no prefix: that of all generated names; headers and library of C, which files of that name hide; targets of
+CMake."""
+
 
 @dataclass(frozen=True)
 class GeneratedCode:
@@ -95,13 +104,14 @@ def write_c(
 def prefix_of(robot: str, given: str | None) -> str:
     if given is None:
         name = re.sub(r"[^A-Za-z0-9]+", "_", robot).strip("_").lower()[:_LONGEST_PREFIX].strip("_")
-        # rp_ begins the names of what is generated; a digit begins no name
-        return name if re.match(r"[a-z]", name) and name != "rp" else f"robot_{name}".strip("_")[:_LONGEST_PREFIX]
+        fits = re.match(r"[a-z]", name) and not _RESERVED.fullmatch(name)  # a digit begins no name
+        return name if fits else f"robot_{name}".strip("_")[:_LONGEST_PREFIX]
     fits = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", given, flags=re.ASCII) and len(given) <= _LONGEST_PREFIX
-    if not fits or given == "rp":
+    if not fits or _RESERVED.fullmatch(given):
         raise InputError(
             f"prefix is {shown(given)}, which cannot begin names in C here.",
-            remedy=f"Choose a letter, then letters, digits and underscores, at most {_LONGEST_PREFIX}, and not rp.",
+            remedy=f"Choose a letter, then letters, digits and underscores, at most {_LONGEST_PREFIX}, and no "
+            "name of C or CMake, such as rp, math or test.",
             name="prefix",
         )
     return given

@@ -529,12 +529,22 @@ def test_names_from_a_file_cannot_leave_their_comments(tmp_path: Path) -> None:
     assert run(compiled(sources, tmp_path / "program")).returncode == 0
 
 
-@pytest.mark.parametrize(("name", "prefix"), [("rp", "robot_rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new")])
+@pytest.mark.parametrize(
+    ("name", "prefix"),
+    [
+        ("rp", "robot_rp"),
+        ("…", "robot"),
+        ("3-RRR (new)", "robot_3_rrr_new"),
+        ("Math", "robot_math"),
+        ("test", "robot_test"),
+        ("m", "robot_m"),
+    ],
+)
 def test_prefixes(name: str, prefix: str) -> None:
     assert codegen.prefix_of(name, None) == prefix
 
 
-@pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "rp", "x" * 41, "a\n"])
+@pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "rp", "math", "Test", "x" * 41, "a\n"])
 def test_prefixes_that_are_no_names(prefix: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="prefix"):
         codegen.write_c(robot_of("four_bar"), tmp_path / "code", prefix=prefix)
