@@ -6,7 +6,7 @@ import functools
 import io
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -285,17 +285,17 @@ EFFORTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 """Efforts over t from 0 to 1 s; the largest is 2."""
 
 
-def _chain(folder: Path) -> tuple[rp.Robot, list[J]]:
-    """Return a chain with a slide and a turning joint for each kind of effort, about axes that are nobody's z."""
-    joints = []
-    for i in range(2 * len(EFFORTS)):
-        kind, parent = ("prismatic", "revolute")[i % 2], joints[-1].child if joints else "base"
-        joints.append(J(f"j{i}", kind, parent, f"l{i}", (0.1, 0.2, -0.1), (0.3, -0.4, 0.5 + i), (1.0, 2.0, -2.0)))
-    names = [joint.name for joint in joints]
+def _chain(folder: Path, kinds: Mapping[str, str], name: str = "chain") -> tuple[rp.Robot, list[J]]:
+    """Return a chain of joints of some kinds, by name, about axes that are nobody's z."""
+    joints: list[J] = []
+    for i, (joint, kind) in enumerate(kinds.items()):
+        parent = joints[-1].child if joints else "base"
+        joints.append(J(joint, kind, parent, f"l{i}", (0.1, 0.2, -0.1), (0.3, -0.4, 0.5 + i), (1.0, 2.0, -2.0)))
     data = {
-        "actuated": names,
-        "independent": {"joints": names},
-        "reference": {"joints": dict.fromkeys(names, 0.0)},
+        "name": name,
+        "actuated": [*kinds],
+        "independent": {"joints": [*kinds]},
+        "reference": {"joints": dict.fromkeys(kinds, 0.0)},
     }
     return rp.load_robot(write_robot(folder, urdf_of(joints), data)), joints
 
@@ -328,7 +328,8 @@ def _tip_of_an_arc(corners: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray,
 
 def test_arrows_point_where_the_efforts_push(browser: Any, tmp_path: Path) -> None:
     """Along the axis of a slide and about that of a turning joint, times the sign of the effort, at any time."""
-    robot, joints = _chain(tmp_path)
+    kinds = {f"j{i}": ("prismatic", "revolute")[i % 2] for i in range(2 * len(EFFORTS))}  # of each, for each effort
+    robot, joints = _chain(tmp_path, kinds)
     t = np.linspace(0.0, 1.0, 11)  # each is a frame
     q = 0.3 * np.sin(np.outer(t, np.arange(1.0, len(joints) + 1.0)))
     efforts = [*EFFORTS.values()]
@@ -405,19 +406,44 @@ def test_the_block_of_a_slide_is_where_it_slides(browser: Any, tmp_path: Path) -
     crank = next(reading.position for reading in view.scene.readings if reading.name == "crank")
     for frame in (0, len(view.scene.t) // 2):
         _seek(browser, float(view.scene.t[frame]))
-        x, y, z = browser.execute_script(PART, "press", "joint_press")
+        x, y, z = browser.execute_script(JOINT, "press")
         wanted = CRANK * np.cos(crank[frame]) + np.sqrt(ROD**2 - (CRANK * np.sin(crank[frame])) ** 2)
         np.testing.assert_allclose([x, y, z], [wanted, 0.0, 0.0], atol=SINGLE)
     assert np.ptp(crank) > 0.05
 
 
-PART = """
-const [part] = [...jointOf].find(([part, joint]) => joint.name === arguments[0] && part.name === arguments[1]);
+HOSTILE = (
+    "</script><script>alert(1)</script>", "@VIEWER@", "@COMMANDS@", "a/b", "a_b", "a%2Fb", "base", "constructor",
+    "__proto__", "<object>", "<b>&amp;", "x" * 255, "関節 $"
+)  # fmt: skip
+"""Names of joints that a page could take for markup, for marks of its own, or for one another."""
+
+
+def test_names_are_text_and_every_joint_is_at_its_own_place(browser: Any, tmp_path: Path) -> None:
+    name = "@VIEWER@</title><script>alert(2)</script>"
+    robot, joints = _chain(tmp_path, dict.fromkeys(HOSTILE, "revolute"), name)
+    view = show(robot)
+    view.save(tmp_path / "names.html")
+    _open(browser, tmp_path / "names.html")
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    assert browser.title == name
+    assert browser.execute_script("return document.scripts.length") == 2
+    rows = "return [...byId('values').querySelectorAll('tr')].map(row => row.cells[0].textContent)"
+    assert browser.execute_script(rows) == [*HOSTILE]
+    frame = len(view.scene.t) // 2
+    _seek(browser, float(view.scene.t[frame]))
+    q = np.array([reading.position[frame] for reading in view.scene.readings])
+    for joint, (origin, _) in zip(joints, _frames_by_hand(joints, q), strict=True):
+        np.testing.assert_allclose(browser.execute_script(JOINT, joint.name), origin, atol=SINGLE, err_msg=joint.name)
+
+
+JOINT = """
+const [part] = [...jointOf].find(([part, joint]) => joint.name === arguments[0] && part.name.startsWith("joint_"));
 viewer.scene.updateMatrixWorld(true);
 const root = viewer.scene_tree.find(["meshcat"]).object;
 return root.worldToLocal(new MeshCat.THREE.Vector3().setFromMatrixPosition(part.matrixWorld)).toArray();
 """
-"""Where a part of a joint is, in the frame of the scene, m."""
+"""Where the solid of a joint is, in the frame of the scene, m."""
 
 PLACE = """
 const [part] = [...jointOf].find(([part, joint]) => joint.name === arguments[0] && part.name === arguments[1]);
