@@ -25,12 +25,13 @@ from scipy.io import loadmat
 
 import redundancy_pin as rp
 from redundancy_pin import codegen
+from redundancy_pin.io.csv_cells import guarded, unguarded
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.export import PlanTable, write_csv, write_json, write_mat, write_ros
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies.table import csv_text
-from redundancy_pin.trajectory.csv_file import guarded, table_of_csv, unguarded
+from redundancy_pin.trajectory.csv_file import table_of_csv
 from redundancy_pin.view import show
 
 HARMLESS = "plain"
@@ -259,6 +260,7 @@ def test_all_names_in_figures(part: int, tmp_path: Path) -> None:
     assert len(shown) == len(names) + 1
     assert max(map(len, shown)) < 50
     rp.plot.save(drawn, tmp_path / "all.svg", tmp_path / "all.png")
+    assert ElementTree.parse(tmp_path / "all.svg").getroot().tag.endswith("svg")
 
 
 def test_a_picture_of_a_robot_with_a_dollar_is_drawn_and_its_plan_kept(tmp_path: Path) -> None:

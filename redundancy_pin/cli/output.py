@@ -93,7 +93,7 @@ def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
 
 def warning(text: str) -> None:
     """Print a warning in one line on stderr."""
-    click.echo(f"warning: {text}", err=True)
+    click.echo(f"warning: {printable(' '.join(text.split()))}", err=True)
 
 
 def number(value: float) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli import options, output
-from redundancy_pin.cli.errors import BAD_INPUT, OPTIONS, in_words, printable
+from redundancy_pin.cli.errors import BAD_INPUT, OPTIONS, in_words
 from redundancy_pin.cli.plan import BREAKS_LIMITS, NOT_OPTIMAL
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.cli.show import robot_of
@@ -243,7 +243,7 @@ def warn(run: Simulation) -> None:
         text = f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}"
     else:
         return
-    output.warning(f"{printable(' '.join(text.split()))}")
+    output.warning(text)
 
 
 def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[str, Any]:

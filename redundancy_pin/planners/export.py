@@ -20,6 +20,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
 from redundancy_pin.errors import InputError, OutputError, optional
+from redundancy_pin.io.csv_cells import guarded
 from redundancy_pin.io.files import refusing, replacing_file, write_text
 from redundancy_pin.kinematics.coordinates import is_revolute, joint_position
 from redundancy_pin.kinematics.lift import lift
@@ -27,7 +28,6 @@ from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.trajectory.csv_file import guarded
 from redundancy_pin.trajectory.quaternions import quaternions_of
 from redundancy_pin.trajectory.trajectory import sample_times
 
@@ -227,7 +227,10 @@ def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, 
 
 
 def write_csv(table: PlanTable, path: str | Path) -> None:
-    """Write a table as CSV: a row of names with units, such as ``elbow.effort [N m]``, then one for each instant."""
+    """Write a table as CSV: a row of names with units, such as ``elbow.effort [N m]``, then one for each instant.
+
+    A name that a spreadsheet would take for a formula has an apostrophe in front of it.
+    """
     columns, text = table.columns(), io.StringIO()
     names = [guarded(f"{name} [{unit}]") for name, (unit, _) in columns.items()]
     csv.writer(text, lineterminator="\n").writerow(names)

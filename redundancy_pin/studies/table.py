@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from redundancy_pin.trajectory.csv_file import guarded
+from redundancy_pin.io.csv_cells import guarded
 
 if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
@@ -157,6 +157,8 @@ def json_data(value: Any) -> Any:
 
 def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None, *, heading: bool = True) -> str:
     """Return a CSV table: a row of names, then one row a sample; NaN as ``nan``.
+
+    A text that a spreadsheet would take for a formula has an apostrophe in front of it.
 
     Args:
         columns: by name: (N,) numbers or texts, or (N, c) numbers, which become name0, name1, ....

@@ -16,6 +16,7 @@ import numpy as np
 
 from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import InputError, numbered_from, shown
+from redundancy_pin.io.csv_cells import unguarded
 from redundancy_pin.io.reading import opened
 from redundancy_pin.motion import CarrierMotion, Consistency, PlatformMotion, require_consistent
 from redundancy_pin.trajectory.quaternions import poses_of
@@ -207,24 +208,6 @@ def tables_of_csv(
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise _bad(path, f" is not a text file with columns: {error}.") from error
-
-
-# What begins a formula in a cell of a spreadsheet, in full width too, and the apostrophe, which makes a cell plain text
-_FORMULA = "['=+\\-@＝＋－＠]"
-_STARTS = "(^|[,;|\\t])"  # of a cell, also where a program divides at something else than commas
-
-
-def guarded(text: str) -> str:
-    """Return the name of a column, or another text of a cell, as no spreadsheet takes it for a formula.
-
-    An apostrophe stands in front of what could begin one; ``unguarded`` takes it away again.
-    """
-    return re.sub(f"{_STARTS}(?={_FORMULA})", r"\1'", text)
-
-
-def unguarded(cell: str) -> str:
-    """Return the text whose ``guarded`` form stands in a cell."""
-    return re.sub(f"{_STARTS}'(?={_FORMULA})", r"\1", cell)
 
 
 def _lines(stream: TextIOWrapper, path: str | os.PathLike[str]) -> Iterator[str]:

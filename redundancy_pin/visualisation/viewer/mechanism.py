@@ -31,7 +31,7 @@ _ARM_RADIUS = 0.01  # of the arm that holds a turning carrier, and of the arc it
 _LONGEST_RAIL = 1.2  # half length at which the drawing of an unbounded track ends
 _BALANCED = 1e-3  # distance of the centre of mass from the axis below which it counts as on it
 _CLEAR = 0.35  # opacity of what other things must be seen through
-_NO_LENGTH = 1e-9  # m; points that are nearer are one
+_NO_LENGTH = 1e-9  # in characteristic lengths; points that are nearer are one
 
 
 # --- the solids of a mechanism --------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
         if robot.platform is not None and len(points) < 3:
             frame = _frame(model, robot.platform.frame)
             if int(frame.parentJoint) == body:
-                points = _distinct([*points, (data.oMi[body] * frame.placement).translation])
+                points = _distinct(robot, [*points, (data.oMi[body] * frame.placement).translation])
         pairs += _outline(_ordered(points))
     return tuple(pairs)
 
@@ -105,7 +105,7 @@ def _hinges(robot: Robot, body: int, data: pin.Data) -> Array:
     points += [data.oMi[j].translation for j in children]
     frames = [_frame(model, name) for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
     points += [(data.oMi[body] * frame.placement).translation for frame in frames if int(frame.parentJoint) == body]
-    return _distinct(points)
+    return _distinct(robot, points)
 
 
 def _floats(model: pin.Model, index: int) -> bool:
@@ -117,11 +117,12 @@ def _floats(model: pin.Model, index: int) -> bool:
     return bool(np.abs(motion_subspace(model, data, index)[:3]).max() > 0.0)
 
 
-def _distinct(points: Sequence[Array]) -> Array:
+def _distinct(robot: Robot, points: Sequence[Array]) -> Array:
     """Return (c, 3) points without those that are where an earlier one is."""
     distinct: list[Array] = []
+    least = _NO_LENGTH * robot.characteristic_length
     for point in points:
-        if all(np.linalg.norm(point - other) > _NO_LENGTH for other in distinct):
+        if all(np.linalg.norm(point - other) > least for other in distinct):
             distinct.append(point)
     return np.array(distinct).reshape(-1, 3)
 
