@@ -25,6 +25,7 @@ from scipy.io import loadmat
 
 import redundancy_pin as rp
 from redundancy_pin import codegen
+from redundancy_pin.cli.output import warning
 from redundancy_pin.io.csv_cells import guarded, unguarded
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.export import PlanTable, write_csv, write_json, write_mat, write_ros
@@ -296,3 +297,9 @@ def test_a_robot_named_as_a_header_of_c(named: Callable[[str], Named], tmp_path:
     check = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-I", str(tmp_path / "code")]
     done = subprocess.run([*check, str(tmp_path / "code" / f"{written.prefix}.c")], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_warning_is_one_line_that_no_terminal_obeys(capsys: pytest.CaptureFixture[str]) -> None:
+    """Names of closures come from YAML, which may hold any letter."""
+    warning("loop \x1b[31m of\nit is open")
+    assert capsys.readouterr().err == "warning: loop \N{REPLACEMENT CHARACTER}[31m of it is open\n"
