@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import xml.etree.ElementTree as ElementTree
@@ -51,6 +52,9 @@ _NO_LIMIT, _FAR = 1e300, 1e10
 has a limit."""
 
 _LARGEST = float(np.finfo(float).max)
+
+_LONGEST_NAME = 255
+"""Letters of a name that readers accept."""
 
 _MOST_COUPLED = 5
 """Numbers of the polynomial of an equality of MuJoCo."""
@@ -111,10 +115,11 @@ def mjcf(
         bodies.append(body)
     equality = _add(root, "equality")
     soft = {"solref": (time_constant, 1.0), "solimp": (impedance, impedance, 0.001, 0.5, 2.0)}
+    sites: set[str] = set()
     for closure in robot.closures:
         kind, places = constraint_of(robot, closure)
         for number, offset in enumerate(places):
-            names = [f"{closure.name}:{number}{side}" for side in "ab"]
+            names = [_free_name(closure.name, f":{number}{side}", sites) for side in "ab"]
             for name, frame in zip(names, (closure.frame_a, closure.frame_b), strict=True):
                 _site(bodies, model, name, frame, offset)
             _add(equality, kind, site1=names[0], site2=names[1], **soft)
@@ -130,7 +135,8 @@ def mjcf(
         other = {"joint2": coupling.of} if coupling.of else {}
         _add(equality, "joint", name=coupling.name, joint1=coupling.joint, **other, polycoef=powers, **soft)
     if robot.platform is not None:
-        _site(bodies, model, f"platform:{robot.platform.frame}", robot.platform.frame, np.zeros(3))
+        frame = robot.platform.frame
+        _site(bodies, model, _free_name(f"platform:{frame}", "", sites), frame, np.zeros(3))
     motors = _add(root, "actuator")
     strongest = np.array([limits.force for limits in robot.carrier_limits])
     efforts = np.hstack([robot.effort_limits, [-strongest, strongest]]).T
@@ -372,10 +378,11 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
             _urdf_inertial(link, inertia)
     for index in range(1, model.njoints):
         _urdf_joint(root, model, data, index, names, forces, mimics)
+    taken = {str(name) for name in model.names}
     for frame in _named_frames(robot):
         entry = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
         _add(root, "link", name=frame)
-        joint = _add(root, "joint", name=f"{frame}::fixed", type="fixed")
+        joint = _add(root, "joint", name=_free_name(frame, "::fixed", taken), type="fixed")
         _add(joint, "parent", link=names[entry.parentJoint])
         _add(joint, "child", link=frame)
         _origin(joint, entry.placement)
@@ -394,8 +401,16 @@ def _named_frames(robot: Robot) -> list[str]:
 def _link_names(robot: Robot) -> list[str]:
     """Return a name for the body behind each joint that no frame has; the base first."""
     taken = set(_named_frames(robot))
-    names = ["base", *(f"{name}::body" for name in list(robot.model.names)[1:])]
-    return [name if name not in taken else f"{name}::link" for name in names]
+    base = _free_name("base", "::link" if "base" in taken else "", taken)
+    return [base, *(_free_name(str(name), "::body", taken) for name in list(robot.model.names)[1:])]
+
+
+def _free_name(name: str, suffix: str, taken: set[str]) -> str:
+    """Return a name with a suffix that is not among those taken, and take it; readers allow 255 characters."""
+    ends = (f"{suffix}{number or ''}" for number in itertools.count())
+    free = next(free for end in ends if (free := name[: _LONGEST_NAME - len(end)] + end) not in taken)
+    taken.add(free)
+    return free
 
 
 def _urdf_inertial(link: ElementTree.Element, inertia: pin.Inertia) -> None:

@@ -12,7 +12,7 @@ import click
 
 from redundancy_pin.cli import options
 from redundancy_pin.cli.errors import FAILED_CHECK
-from redundancy_pin.cli.output import report, resumable, warning
+from redundancy_pin.cli.output import drawn, report, resumable, warning
 from redundancy_pin.cli.plan_problem import PARAMETERS, number, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded
@@ -79,7 +79,8 @@ def map(**given: Any) -> int:
     settings: dict[str, Any] = {name: given[name] for name in ("jobs", "refine", "along")}
     with cluster(given["scheduler"]), resumable("map", "cells", folder / FILE) as advance:
         result = feasibility.feasibility_map(problem, folder / FILE, **settings, progress=advance)
-    files = feasibility.write_map(result, folder)
+    files = [*feasibility.write_map(result, folder, pictures=False)]
+    undrawn = drawn(str(folder / "map.svg"), lambda _: files.extend(feasibility.write_pictures(result, folder)))
     facts = {**result.as_dict(), "folder": str(folder), "files": [str(path) for path in files]}
     del facts["cells"]
     written = f"Tables and pictures are in {folder}: {', '.join(path.name for path in files)}."
@@ -90,6 +91,8 @@ def map(**given: Any) -> int:
             where = f"{problem.x.name} {cells[0].x:g}, {problem.y.name} {cells[0].y:g}"
             why = f"in the first ({where}) with: {' '.join(cells[0].message.split())}"
             warning(f"{planner} failed in {len(cells)} cell(s), {why}")
+    if undrawn:
+        raise undrawn
     return FAILED_CHECK if any(len(cells) == len(result.of(planner)) for planner, cells in failed.items()) else 0
 
 

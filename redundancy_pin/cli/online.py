@@ -76,8 +76,8 @@ def online(
         advance(2, 3, "writing")
         if out:
             run.plan.save(out)
-        if html:
-            show(run.plan, robot=planner.robot, commands=run.commands).save(html)
+        failed = output.drawn(html, lambda path: show(run.plan, robot=planner.robot, commands=run.commands).save(path))
+        html = None if failed else html
     plan = run.plan
     seconds = 1e3 * np.percentile([command.seconds for command in run.commands], [50.0, 99.0])
     facts = {**summary(plan), "ticks": run.counts, "milliseconds": {"p50": seconds[0], "p99": seconds[1]}}
@@ -87,6 +87,8 @@ def online(
     left = sum(count for status, count in run.counts.items() if status not in ("planned", "slowed"))
     if left:
         output.warning(f"{left} of {len(run.commands)} ticks had no plan within every limit.")
+    if failed:
+        raise failed
     code = EXIT_CODES.get(plan.status, BREAKS_LIMITS)
     return code or (NOT_OPTIMAL if left else 0)
 

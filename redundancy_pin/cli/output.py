@@ -15,7 +15,7 @@ import click
 
 from redundancy_pin._startup import INTERRUPTED
 from redundancy_pin.cli.errors import printable
-from redundancy_pin.errors import OutputError
+from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.studies.table import json_data
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
@@ -93,7 +93,7 @@ def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
 
 def warning(text: str) -> None:
     """Print a warning in one line on stderr."""
-    click.echo(f"warning: {text}", err=True)
+    click.echo(f"warning: {printable(' '.join(text.split()))}", err=True)
 
 
 def number(value: float) -> str:
@@ -149,6 +149,26 @@ def require_outputs(out: str | None, plot: str | None, inputs: Iterable[str | Pa
     for flag, path in (("--out", out), ("--plot", plot)):
         if path and any(same_file(path, one) for one in given):
             raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
+
+
+def drawn(path: str | None, draw: Callable[[str], object]) -> RedundancyPinError | None:
+    """Draw a picture, page or video into a file if there is to be one; return the error where that fails.
+
+    A command that computes calls this after its results are written, reports them, and raises what is returned.
+    """
+    if path is None:
+        return None
+    try:
+        draw(path)
+    except RedundancyPinError as error:
+        return error
+    except Exception as error:  # whatever a drawing library raises: the results are there
+        return OutputError(
+            f"{path} cannot be drawn: {type(error).__name__}: {error}",
+            remedy="The results are complete without it. Please report this error.",
+            path=path,
+        )
+    return None
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +13,6 @@ from redundancy_pin.arrays import stretches
 from redundancy_pin.cli import options, output, plan_problem
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError
-from redundancy_pin.io.files import replacing_file
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
@@ -217,7 +215,8 @@ def plan(
     By one of the planners below, or as a problem file says. Exit codes: 0 the plan keeps all limits; 3 there is a plan
     and it is written, but it breaks limits or needs unbounded efforts (one line on stderr says which); 4 there is a
     plan and it is written, but the optimiser stopped before it had an optimum, or the efforts between its samples
-    exceed those at the samples by more than 5 %; 2 bad input, or no plan exists.
+    exceed those at the samples by more than 5 %; 2 bad input, no plan exists, or the picture cannot be drawn (the plan
+    is written before).
 
     \b
     Examples:
@@ -345,12 +344,10 @@ def _run(
         advance(1, 3, task.planner)
         result = task.solve(lambda text: advance(1, 3, text))
         advance(2, 3, "writing")
-        # both or neither: the picture, which is likelier to fail, takes its place only after the plan has been written
-        with ExitStack() as stack:
-            if plot:
-                save(plot_plan(result), stack.enter_context(replacing_file(plot)))
-            if out:
-                result.save(out)
+        if out:
+            result.save(out)
+        failed = output.drawn(plot, lambda path: save(plot_plan(result), path))
+        plot = None if failed else plot
     robot = task.dynamics.robot
     left = beyond_limits(robot, lift(robot, result.motion, mark_unreachable=True).q, result.t)
     point = task.parameters.get("base_point", (0.0, 0.0, 0.0))
@@ -362,4 +359,6 @@ def _run(
     for one in left:
         output.warning(f"{one}.")
     warn(result, ranges=not left)  # last, and on stderr: what is wrong with a plan is the line a user sees
+    if failed:
+        raise failed
     return EXIT_CODES.get(result.status, BREAKS_LIMITS)

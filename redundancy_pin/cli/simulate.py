@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli import options, output
-from redundancy_pin.cli.errors import BAD_INPUT, OPTIONS, in_words, printable
+from redundancy_pin.cli.errors import BAD_INPUT, OPTIONS, in_words
 from redundancy_pin.cli.plan import BREAKS_LIMITS, NOT_OPTIMAL
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.cli.show import robot_of
@@ -135,15 +135,23 @@ def simulate(robot: options.RobotOptions, **given: Any) -> int:
             run.to_csv(out, machine)
         elif out:
             run.save(out)
-        if plot:
-            title = run_title(run, CONTROLLERS[given["controller"]])
-            save(plot_simulation(run, plan, robot=machine, title=title), plot)
-        if video:
-            save_video(view(run, robot=machine), video, progress=lambda done, total: advance(done, total, "video"))
+        title = run_title(run, CONTROLLERS[given["controller"]])
+        failed = (
+            output.drawn(plot, lambda path: save(plot_simulation(run, plan, robot=machine, title=title), path)),
+            output.drawn(
+                video,
+                lambda path: save_video(
+                    view(run, robot=machine), path, progress=lambda done, total: advance(done, total, "video")
+                ),
+            ),
+        )
+        plot, video = (None if error else path for error, path in zip(failed, (plot, video), strict=True))
     facts = summary(run, reference, machine)
     facts |= {"controller": given["controller"], "out": out, "plot": plot, "video": video}
     output.report(given["as_json"], facts, _table(run, facts, machine))
     warn(run)
+    for error in filter(None, failed):
+        raise error
     return EXIT_CODES.get(run.status, BAD_INPUT)
 
 
@@ -236,7 +244,7 @@ def warn(run: Simulation) -> None:
         text = f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}"
     else:
         return
-    output.warning(f"{printable(' '.join(text.split()))}")
+    output.warning(text)
 
 
 def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
-from redundancy_pin.singularities.locus import singular_locus
+from redundancy_pin.singularities.locus import SingularLocus, singular_locus
 from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.visualisation.figures.paths import draw_locus
 from redundancy_pin.visualisation.figures.style import save
@@ -49,12 +49,17 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
         advance(1, 3, "along the motion")
         crossings = find_crossings(loaded, followed) if followed is not None else ()
         advance(2, 3, "over the workspace")
+        failed = None
         if plot:
-            _draw(loaded, followed, crossings, plot)
+            locus = singular_locus(loaded)
+            failed = output.drawn(plot, lambda path: _draw(locus, followed, crossings, path))
+            plot = None if failed else plot
     shown: list[Any] = [_table(loaded, crossings)] if followed is not None else []
     shown += [f"The picture is {plot}."] if plot else []
     data = [crossing_data(crossing) for crossing in crossings] if followed is not None else None
     output.report(as_json, {"robot": loaded.name, "crossings": data, "plot": plot}, *shown)
+    if failed:
+        raise failed
 
 
 def crossing_data(crossing: Crossing) -> dict[str, Any]:
@@ -82,8 +87,9 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> output.TextTable:
     return output.TextTable(f"{robot.name}: {len(crossings)} singular instant(s)", headings, rows)
 
 
-def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:
+def _draw(
+    locus: SingularLocus, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str
+) -> None:
     # drawing only: instants come from the trajectory itself
     motion = followed.sample(_DRAWN_STEP * followed.duration) if isinstance(followed, Trajectory) else followed
-    drawn = draw_locus(singular_locus(robot), motion=None if motion is None else motion.x, crossings=crossings)
-    save(drawn, plot)
+    save(draw_locus(locus, motion=None if motion is None else motion.x, crossings=crossings), plot)

@@ -13,7 +13,7 @@ import click
 from redundancy_pin.arrays import decimal
 from redundancy_pin.cli import options
 from redundancy_pin.cli.map import trajectory_of
-from redundancy_pin.cli.output import progress, report, resumable
+from redundancy_pin.cli.output import drawn, progress, report, resumable
 from redundancy_pin.cli.plan_problem import PARAMETERS, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
@@ -172,10 +172,13 @@ def trade(**given: Any) -> None:
         )
     facts = {"x": result.x, "y": result.y, "robot": case.robot, **case.as_dict(), "points": result.points}
     _write(folder, "trade", f"{result.y} against {result.x}", result.table(), facts)
-    for suffix in (".svg", ".png"):
-        save(result.draw(), folder / f"trade{suffix}")
-    written = f"Table and pictures are in {folder}: trade.md, trade.csv, trade.json, trade.svg, trade.png."
+    pictures = [folder / "trade.svg", folder / "trade.png"]
+    failed = drawn(str(pictures[0]), lambda _: save(result.draw(), *pictures))
+    files = ["trade.md", "trade.csv", "trade.json", *([] if failed else [path.name for path in pictures])]
+    written = f"Results are in {folder}: {', '.join(files)}."
     report(given["as_json"], {**facts, "folder": str(folder)}, result.table(), written)
+    if failed:
+        raise failed
 
 
 @click.command()

@@ -84,11 +84,8 @@ def workspace(
         advance(1, 2, "writing")
         if out:
             write_text(out, csv_text(_columns(space)))
-        if plot:
-            from redundancy_pin.visualisation.figures.style import save
-            from redundancy_pin.visualisation.figures.workspace_map import draw_workspace
-
-            save(draw_workspace(space), plot)
+        failed = output.drawn(plot, lambda path: _draw(space, path))
+        plot = None if failed else plot
     facts = _facts(space)
     unit = "·".join(space.units).replace("m·m·m", "m³").replace("m·m", "m²").replace("rad·rad", "rad²")
     rows = [
@@ -104,6 +101,15 @@ def workspace(
     rows += [("written to", path) for path in (out, plot) if path]
     facts |= {"out": out, "plot": plot}
     output.report(as_json, facts, output.TextTable(f"{loaded.name}: workspace over {', '.join(space.names)}", (), rows))
+    if failed:
+        raise failed
+
+
+def _draw(space: Workspace, plot: str) -> None:
+    from redundancy_pin.visualisation.figures.style import save
+    from redundancy_pin.visualisation.figures.workspace_map import draw_workspace
+
+    save(draw_workspace(space), plot)
 
 
 def _numbers(flag: str, text: str | None, between: str = ",", count: int | None = None) -> list[float] | None:

@@ -25,11 +25,11 @@ _LONGEST_PREFIX = 40
 """Letters: compilers that count only the first 63 of a name still tell all functions apart."""
 
 _TAKEN = re.compile(
-    "assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|std[a-z]+|string|tgmath|"
+    "m|assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|std[a-z]+|string|tgmath|"
     "threads|time|uchar|wchar|wctype|all|clean|help|install|package|test",
     flags=re.IGNORECASE,
 )
-"""Headers of the C library, which a header of that name would hide, and targets of CMake."""
+"""Headers and library of C, which files of that name would hide, and targets of CMake."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
 from redundancy_pin.errors import InputError, OutputError, optional
+from redundancy_pin.io.csv_cells import guarded
 from redundancy_pin.io.files import refusing, replacing_file, write_text
 from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.lift import lift
@@ -227,9 +228,13 @@ def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, 
 
 
 def write_csv(table: PlanTable, path: str | Path) -> None:
-    """Write a table as CSV: a row of names with units, such as ``elbow.effort [N m]``, then one for each instant."""
+    """Write a table as CSV: a row of names with units, such as ``elbow.effort [N m]``, then one for each instant.
+
+    A name that a spreadsheet would take for a formula has an apostrophe in front of it.
+    """
     columns, text = table.columns(), io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow([f"{name} [{unit}]" for name, (unit, _) in columns.items()])
+    names = [guarded(f"{name} [{unit}]") for name, (unit, _) in columns.items()]
+    csv.writer(text, lineterminator="\n").writerow(names)
     rows = np.stack([values for _, values in columns.values()], axis=1).tolist()
     text.writelines(",".join(map(repr, row)) + "\n" for row in rows)  # repr: floats come back bit by bit
     write_text(path, text.getvalue())

@@ -294,14 +294,19 @@ def write_map(found: FeasibilityMap, folder: str | Path, *, pictures: bool = Tru
     RedundancyPinError for pictures without matplotlib.
     """
     place = make_folder(folder)
-    drawn = [draw(found)] if pictures else []  # what may fail comes before the first file
     write_text(place / "map.csv", found.csv())
     write_text(place / "map.json", json.dumps(found.as_dict(), indent=1, allow_nan=False) + "\n")
     files = [place / "map.csv", place / "map.json"]
-    for figure in drawn:
-        save(figure, *(images := [place / "map.svg", place / "map.png"]))
-        files += images
+    if pictures:  # after the numbers, which a picture that fails must not take with it
+        files += write_pictures(found, place)
     return tuple(files)
+
+
+def write_pictures(found: FeasibilityMap, folder: Path) -> tuple[Path, ...]:
+    """Write the picture of a map into its folder, as SVG and PNG; errors as ``write_map``."""
+    files = folder / "map.svg", folder / "map.png"
+    save(draw(found), *files)
+    return files
 
 
 def draw(result: FeasibilityMap) -> Figure:

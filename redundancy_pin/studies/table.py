@@ -16,11 +16,16 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from redundancy_pin.io.csv_cells import guarded
+
 if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
 
 NONE = "–"
 """Stands for a number that does not exist."""
+
+_NO_FORMULA = re.compile(r"[-+]*(\d[\d.]*(e[-+]?\d+)?|nan|inf)?")
+"""Numbers and working modes: texts that may begin with a sign."""
 
 Record: TypeAlias = dict[str, Any]
 """A row: plain values by the name of their column."""
@@ -153,6 +158,8 @@ def json_data(value: Any) -> Any:
 def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None, *, heading: bool = True) -> str:
     """Return a CSV table: a row of names, then one row a sample; NaN as ``nan``.
 
+    A text that a spreadsheet would take for a formula has an apostrophe in front of it.
+
     Args:
         columns: by name: (N,) numbers or texts, or (N, c) numbers, which become name0, name1, ....
         digits: significant digits of numbers; the shortest text that brings the float back when left out.
@@ -163,7 +170,7 @@ def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None, *, 
     for name, values in columns.items():
         array = np.asarray(values)
         parts = [array] if array.ndim == 1 else list(array.T)
-        names += [name] if array.ndim == 1 else [f"{name}{i}" for i in range(len(parts))]
+        names += [guarded(name)] if array.ndim == 1 else [f"{guarded(name)}{i}" for i in range(len(parts))]
         cells += [_column_texts(part, digits) for part in parts]
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows([*([names] if heading else []), *zip(*cells, strict=True)])
@@ -172,7 +179,7 @@ def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None, *, 
 
 def _column_texts(values: NDArray[Any], digits: int | None) -> list[str]:
     if values.dtype.kind in "US":
-        return [str(value) for value in values.tolist()]
+        return [value if _NO_FORMULA.fullmatch(value) else guarded(value) for value in map(str, values.tolist())]
     return [repr(value) if digits is None else f"{value:.{digits}g}" for value in values.tolist()]
 
 

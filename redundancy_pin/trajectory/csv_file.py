@@ -16,6 +16,7 @@ import numpy as np
 
 from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import InputError, numbered_from, shown
+from redundancy_pin.io.csv_cells import unguarded
 from redundancy_pin.io.reading import opened
 from redundancy_pin.motion import CarrierMotion, Consistency, PlatformMotion, require_consistent
 from redundancy_pin.trajectory.quaternions import poses_of
@@ -184,7 +185,7 @@ def tables_of_csv(
             # The row number is that of the line in the file, as an editor shows it.
             rows = ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
             heading = [row for _, row in islice(rows, 1)]
-            names = [name.strip() for row in heading for name in row]
+            names = [unguarded(name.strip()) for row in heading for name in row]
             twice = sorted(name for name, count in Counter(names).items() if count > 1)
             some = list(islice(rows, block))
             if not some:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 
 import pytest
@@ -108,15 +107,3 @@ def test_a_robot_without_carriers_has_nothing_to_plan() -> None:
 def test_plan_alone_and_options_in_the_wrong_place(tmp_path: Path) -> None:
     assert "--problem" in refused("plan")
     assert "--problem" in refused("plan", "--out", tmp_path / "a.npz", *LINE[1:])
-
-
-def test_a_picture_that_fails_leaves_no_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan_output = importlib.import_module("redundancy_pin.cli.plan")  # the package has the command by that name
-    from redundancy_pin.errors import OutputError
-
-    def fail(*_: object) -> None:
-        raise OutputError("The disk is full.")
-
-    monkeypatch.setattr(plan_output, "save", fail)
-    assert "full" in refused(*LINE, "--out", tmp_path / "plan.npz", "--plot", tmp_path / "plan.png")
-    assert list(tmp_path.iterdir()) == []

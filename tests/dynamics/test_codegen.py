@@ -537,7 +537,8 @@ def test_names_from_a_file_cannot_leave_their_comments(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "prefix"), [("rp", "rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new"), ("Math", "robot_math")]
+    ("name", "prefix"),
+    [("rp", "rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new"), ("Math", "robot_math"), ("m", "robot_m")],
 )
 def test_prefixes(name: str, prefix: str) -> None:
     assert codegen.prefix_of(name, None) == prefix

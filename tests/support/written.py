@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import yaml
 
@@ -40,7 +41,7 @@ def urdf_of(joints: Sequence[J], mass: float = 1.0) -> str:
         )
         parts.append(f'<link name="{joint.child}">{inertial}</link>')
         parts.append(
-            f'<joint name="{joint.name}" type="{joint.kind}">'
+            f'<joint name={quoteattr(joint.name)} type="{joint.kind}">'
             f'<parent link="{joint.parent}"/><child link="{joint.child}"/>'
             f'<origin xyz="{_text(joint.xyz)}" rpy="{_text(joint.rpy)}"/>'
             f'<axis xyz="{_text(joint.axis)}"/>{limits}</joint>'

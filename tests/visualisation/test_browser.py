@@ -6,20 +6,28 @@ import functools
 import io
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zoo
+from scipy.spatial.transform import Rotation
 from test_ahead import HORIZON, run_and_view
+from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer.meshcat_scene import rgb
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS
+from redundancy_pin.visualisation.viewer.scene import (
+    EFFORT_COLORS,
+    LONGEST_FORCE,
+    LONGEST_TORQUE,
+    MARGIN_COLORS,
+    make_scene,
+)
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS
 
 pytest.importorskip("meshcat")
@@ -246,6 +254,197 @@ def test_forces_can_be_switched_and_scaled(page: Any) -> None:
     assert _is(_picture(page), color).sum() == usual
 
 
+ARROWS = """
+viewer.scene.updateMatrixWorld(true);
+const root = viewer.scene_tree.find(["meshcat"]).object.matrixWorld.clone().invert();
+return arguments[0].map(path => {
+  const corners = [];
+  viewer.scene_tree.find(["meshcat", ...path.split("/"), "effort", "arrow"]).object.traverse(part => {
+    if (!part.geometry) { return; }
+    const position = part.geometry.attributes.position, place = root.clone().multiply(part.matrixWorld);
+    for (let i = 0; i < position.count; i++) {
+      corners.push(new MeshCat.THREE.Vector3().fromBufferAttribute(position, i).applyMatrix4(place).toArray());
+    }
+  });
+  return corners;
+});
+"""
+"""The corners of arrows where they are drawn, in the frame of the scene, m."""
+
+SINGLE = 1e-5
+"""Relative: viewers keep corners and matrices in single precision; a chain of twelve joints adds some of it."""
+
+EFFORTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "positive": lambda t: 1.0 + t,
+    "negative": lambda t: -2.0 + t,
+    "rising through zero": lambda t: 2.5 * t - 1.0,
+    "falling through zero": lambda t: 1.0 - 2.5 * t,
+    "constant positive": lambda t: 0.8 + 0.0 * t,
+    "constant negative": lambda t: -0.8 + 0.0 * t,
+}
+"""Efforts over t from 0 to 1 s; the largest is 2."""
+
+
+def _chain(folder: Path, kinds: Mapping[str, str], name: str = "chain") -> tuple[rp.Robot, list[J]]:
+    """Return a chain of joints of some kinds, by name, about axes that are nobody's z."""
+    joints: list[J] = []
+    for i, (joint, kind) in enumerate(kinds.items()):
+        parent = joints[-1].child if joints else "base"
+        joints.append(J(joint, kind, parent, f"l{i}", (0.1, 0.2, -0.1), (0.3, -0.4, 0.5 + i), (1.0, 2.0, -2.0)))
+    data = {
+        "name": name,
+        "actuated": [*kinds],
+        "independent": {"joints": [*kinds]},
+        "reference": {"joints": dict.fromkeys(kinds, 0.0)},
+    }
+    return rp.load_robot(write_robot(folder, urdf_of(joints), data)), joints
+
+
+def _frames_by_hand(joints: list[J], q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return origin and axis of each joint of a chain in the world, by the definition of a URDF."""
+    rotation, origin, frames = Rotation.identity(), np.zeros(3), []
+    for joint, value in zip(joints, q.tolist(), strict=True):
+        origin = origin + rotation.apply(joint.xyz)
+        rotation = rotation * Rotation.from_euler("xyz", joint.rpy)
+        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        if joint.kind == "prismatic":
+            origin = origin + rotation.apply(value * axis)
+        else:
+            rotation = rotation * Rotation.from_rotvec(value * axis)
+        frames.append((origin, rotation.apply(axis)))
+    return frames
+
+
+def _tip_of_an_arc(corners: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return foot and tip of the head of an arc about an origin, seen from there."""
+    place = corners - origin
+    size = np.linalg.norm(place, axis=1)
+    # the outermost corner is on the rim of the head; a rim ends where all its corners meet: the tip, or the far end
+    rim = place[np.argmax(size)]
+    alike = np.linalg.norm(place[:, None] - place[None], axis=2) < 1e-3 * size.max()
+    ends = place[alike.sum(axis=1) >= 10]
+    return rim, ends[np.argmin(np.linalg.norm(ends - rim, axis=1))]
+
+
+def test_arrows_point_where_the_efforts_push(browser: Any, tmp_path: Path) -> None:
+    """Along the axis of a slide and about that of a turning joint, times the sign of the effort, at any time."""
+    kinds = {f"j{i}": ("prismatic", "revolute")[i % 2] for i in range(2 * len(EFFORTS))}  # of each, for each effort
+    robot, joints = _chain(tmp_path, kinds)
+    t = np.linspace(0.0, 1.0, 11)  # each is a frame
+    q = 0.3 * np.sin(np.outer(t, np.arange(1.0, len(joints) + 1.0)))
+    efforts = [*EFFORTS.values()]
+    tau = np.stack([efforts[i // 2](t) for i in range(len(joints))], axis=1)
+    scene = make_scene(robot, t, q, np.ones(len(t)), tau)
+    View(scene).save(tmp_path / "arrows.html")
+    _open(browser, tmp_path / "arrows.html")
+    for frame in (0, 2, 3, 5, 9, 10):
+        _seek(browser, float(t[frame]))
+        drawn = browser.execute_script(ARROWS, [f"forces/main_{joint.name}" for joint in joints])
+        frames = _frames_by_hand(joints, q[frame])
+        for i, (corners, (origin, axis)) in enumerate(zip(drawn, frames, strict=True)):
+            effort, case = float(tau[frame, i]), f"{[*EFFORTS][i // 2]}, {joints[i].kind}, t = {t[frame]:.1f} s"
+            if abs(effort) < 1e-9:
+                continue
+            longest = (LONGEST_TORQUE if i % 2 else LONGEST_FORCE) * robot.characteristic_length
+            length = longest * abs(effort) / 2.0
+            if i % 2:
+                rim, tip = _tip_of_an_arc(np.array(corners), origin)
+                assert np.sign(axis @ np.cross(rim, tip)) == np.sign(effort), case
+                assert abs(axis @ tip) < 1e-3 * length, case
+                assert np.linalg.norm(tip) == pytest.approx(length, rel=SINGLE), case
+            else:
+                away = np.array(corners) - origin
+                tip = away[np.argmax(np.linalg.norm(away, axis=1))]
+                np.testing.assert_allclose(tip, np.sign(effort) * length * axis, atol=SINGLE * longest, err_msg=case)
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_a_cylinder_that_pulls_is_drawn_pulling(browser: Any, tmp_path: Path) -> None:
+    """The excavator's: its force is negative throughout, and points from the rod's end to the barrel's hinge."""
+    view = show("excavator")
+    view.save(tmp_path / "excavator.html")
+    _open(browser, tmp_path / "excavator.html")
+    for frame in (0, len(view.scene.t) // 2):
+        _seek(browser, float(view.scene.t[frame]))
+        (corners,) = browser.execute_script(ARROWS, ["forces/main_cylinder"])
+        (force,) = [reading.effort[frame] for reading in view.scene.readings if reading.name == "cylinder"]
+        assert force < -1000.0
+        end = view.scene.placement[frame, view.scene.names.index("cylinder"), :3, 3]
+        away = np.array(corners) - end
+        tip = away[np.argmax(np.linalg.norm(away, axis=1))]
+        hinge = np.array([-1.7, 0.45, 0.0])  # of the barrel, as its file says
+        assert tip @ (hinge - end) == pytest.approx(np.linalg.norm(tip) * np.linalg.norm(hinge - end), rel=SINGLE)
+
+
+CRANK, ROD = 0.3, 0.8
+"""Lengths of a slider-crank, m."""
+
+
+def _slider_crank(folder: Path) -> rp.Robot:
+    """Return a press: its slide is at zero at the origin of the world, on the crank's axis."""
+    joints = [
+        J("crank", "revolute", "base", "crank_link"),
+        J("pin", "revolute", "crank_link", "rod", (CRANK, 0.0, 0.0)),
+        J("rod_mount", "fixed", "rod", "rod_end", (ROD, 0.0, 0.0)),
+        J("press", "prismatic", "base", "ram", axis=(1.0, 0.0, 0.0)),
+    ]
+    data = {
+        "closures": [{"frames": ["rod_end", "ram"], "axes": ["x", "y"]}],
+        "actuated": ["press"],
+        "independent": {"joints": ["press"]},
+        "reference": {"joints": {"press": 0.9}, "guess": {"crank": 0.9, "pin": -1.2}},
+    }
+    return rp.load_robot(write_robot(folder, urdf_of(joints), data))
+
+
+def test_the_block_of_a_slide_is_where_it_slides(browser: Any, tmp_path: Path) -> None:
+    """On the ram, at √(l² − r² sin² θ) + r cos θ from the crank, and not where the slide would be at zero."""
+    robot = _slider_crank(tmp_path)
+    view = show(robot)
+    view.save(tmp_path / "press.html")
+    _open(browser, tmp_path / "press.html")
+    crank = next(reading.position for reading in view.scene.readings if reading.name == "crank")
+    for frame in (0, len(view.scene.t) // 2):
+        _seek(browser, float(view.scene.t[frame]))
+        x, y, z = browser.execute_script(JOINT, "press")
+        wanted = CRANK * np.cos(crank[frame]) + np.sqrt(ROD**2 - (CRANK * np.sin(crank[frame])) ** 2)
+        np.testing.assert_allclose([x, y, z], [wanted, 0.0, 0.0], atol=SINGLE)
+    assert np.ptp(crank) > 0.05
+
+
+HOSTILE = (
+    "</script><script>alert(1)</script>", "@VIEWER@", "@COMMANDS@", "a/b", "a_b", "a%2Fb", "base", "constructor",
+    "__proto__", "<object>", "<b>&amp;", "x" * 255, "関節 $"
+)  # fmt: skip
+"""Names of joints that a page could take for markup, for marks of its own, or for one another."""
+
+
+def test_names_are_text_and_every_joint_is_at_its_own_place(browser: Any, tmp_path: Path) -> None:
+    name = "@VIEWER@</title><script>alert(2)</script>"
+    robot, joints = _chain(tmp_path, dict.fromkeys(HOSTILE, "revolute"), name)
+    view = show(robot)
+    view.save(tmp_path / "names.html")
+    _open(browser, tmp_path / "names.html")
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    assert browser.title == name
+    assert browser.execute_script("return document.scripts.length") == 2
+    rows = "return [...byId('values').querySelectorAll('tr')].map(row => row.cells[0].textContent)"
+    assert browser.execute_script(rows) == [*HOSTILE]
+    frame = len(view.scene.t) // 2
+    _seek(browser, float(view.scene.t[frame]))
+    q = np.array([reading.position[frame] for reading in view.scene.readings])
+    for joint, (origin, _) in zip(joints, _frames_by_hand(joints, q), strict=True):
+        np.testing.assert_allclose(browser.execute_script(JOINT, joint.name), origin, atol=SINGLE, err_msg=joint.name)
+
+
+JOINT = """
+const [part] = [...jointOf].find(([part, joint]) => joint.name === arguments[0] && part.name.startsWith("joint_"));
+viewer.scene.updateMatrixWorld(true);
+const root = viewer.scene_tree.find(["meshcat"]).object;
+return root.worldToLocal(new MeshCat.THREE.Vector3().setFromMatrixPosition(part.matrixWorld)).toArray();
+"""
+"""Where the solid of a joint is, in the frame of the scene, m."""
+
 PLACE = """
 const [part] = [...jointOf].find(([part, joint]) => joint.name === arguments[0] && part.name === arguments[1]);
 viewer.scene.updateMatrixWorld(true);
@@ -299,7 +498,7 @@ def test_values_stand_by_joint_name_under_the_cursor_and_in_the_list(page: Any) 
     tooltip = _under_the_cursor(page, *page.execute_script(PLACE, "wrist_1", "joint_wrist_1"))
     assert tooltip.startswith("wrist_1 (passive joint)\n")
     assert len(tooltip.splitlines()) == 2  # it has no effort
-    assert _under_the_cursor(page, *page.execute_script(PLACE, "carrier_1", "mass_1_0")).startswith(
+    assert _under_the_cursor(page, *page.execute_script(PLACE, "carrier_1", "visual_mass_1_0")).startswith(
         "carrier_1 (carrier)"
     )
     canvas = "document.querySelector('canvas').getBoundingClientRect()"

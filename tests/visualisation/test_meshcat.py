@@ -69,7 +69,7 @@ def test_every_clip_lasts_as_long_as_the_motion(name: str) -> None:
 
 def test_key_frames_are_the_placements_of_the_scene() -> None:
     scene = view_of("3rrr").scene
-    clip = clips_in(page_of("3rrr"))["robot/elbow_2"]
+    clip = clips_in(page_of("3rrr"))["robot/joint_elbow_2"]
     tracks = {track["name"]: [key["value"] for key in track["keys"]] for track in clip["tracks"]}
     placement = scene.placement[:, scene.names.index("elbow_2")]
     np.testing.assert_array_equal(tracks[".position"], placement[:, :3, 3])
@@ -140,7 +140,7 @@ def test_arrows_and_path_are_drawn_over_what_is_see_through() -> None:
 def test_only_what_covers_other_things_is_see_through() -> None:
     sent = [c for c in commands_in(page_of("3rrr")) if c["type"] == "set_object" and "/robot/" in c["path"]]
     clear = {c["path"] for c in sent if c["object"]["materials"][0]["opacity"] < 1.0}
-    assert clear == {"/meshcat/robot/base/plate", "/meshcat/robot/wrist_1/platform_0"}
+    assert clear == {"/meshcat/robot/base/plate", "/meshcat/robot/joint_wrist_1/visual_platform_0"}
 
 
 def test_animations_touch_groups_only() -> None:
@@ -260,5 +260,5 @@ def test_names_of_joints_neither_end_a_script_nor_stand_for_a_part_of_the_page()
     assert text.count("</script") == usual.count("</script")
     assert text.count("MeshCat=") == usual.count("MeshCat=")
     assert "<b>" not in text.partition("const readings")[2].partition("\n")[0]
-    assert "\\u003c/script>\\u003cb>\\u0040VIEWER\\u0040" in text
+    assert "\\u003c/script>\\u003cb>@VIEWER@" in text
     assert "NaN" not in text.partition("const readings")[2].partition("\n")[0]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.visualisation.figures.style import figure, legend_below
+from redundancy_pin.visualisation.figures.style import figure, legend_below, log_scale, write_numbers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,11 +72,16 @@ def plot_feasibility(
     borders = [border_of(tiles) for tiles in panels.values()]
     with figure(1.4 + 4.3 * len(panels), 5.4, title) as drawn:
         from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import LogNorm
 
         axes = list(drawn.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0])
         norm = _norm([tile.value for tiles in panels.values() for tile in tiles if tile.possible])
         for i, ((name, tiles), on) in enumerate(zip(panels.items(), axes, strict=True)):
-            on.set(title=name, xlabel=x, xscale=x_scale, yscale=y_scale)
+            on.set(title=name, xlabel=x)
+            if x_scale == "log":
+                log_scale(on, "x")
+            if y_scale == "log":
+                log_scale(on)
             on.set_xlim(min(tile.x0 for tile in tiles), max(tile.x1 for tile in tiles))
             on.set_ylim(min(tile.y0 for tile in tiles), max(tile.y1 for tile in tiles))
             on.grid(False)
@@ -86,7 +91,9 @@ def plot_feasibility(
             _draw_border(on, borders[i], own=True)
         axes[0].set_ylabel(y)
         if norm is not None:
-            drawn.colorbar(ScalarMappable(norm, _COLORS), ax=axes, label=value, fraction=0.04, pad=0.02)
+            bar = drawn.colorbar(ScalarMappable(norm, _COLORS), ax=axes, label=value, fraction=0.04, pad=0.02)
+            if isinstance(norm, LogNorm):
+                write_numbers(bar.ax.yaxis)
         # letters need to know how large the tiles have become
         drawn.draw_without_rendering()
         for tiles, on in zip(panels.values(), axes, strict=True):

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 import textwrap
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from redundancy_pin.errors import OutputError, optional
+from redundancy_pin.errors import OutputError, optional, shortened
 from redundancy_pin.io.files import refusing, replacing_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,9 @@ _FORMATS = ("png", "svg", "pdf")
 
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
 _TITLE_LETTERS = 12.0  # letters of a title on an inch
+_LONGEST_LABEL = 44  # letters of a label; longer ones lose their middle
+# What legends accept before a name: matplotlib leaves out labels that begin with an underscore
+_ZERO_WIDTH = "\N{ZERO WIDTH SPACE}"
 SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
@@ -86,20 +92,45 @@ SETTINGS: dict[str, Any] = {
     "path.simplify_threshold": 0.2,
     "svg.fonttype": "path",
     "svg.hashsalt": "redundancy_pin",  # identifiers inside an SVG are random without it
+    "text.parse_math": False,  # a $ in the name of a joint or a robot is a letter
 }
 
 
 @contextmanager
 def figure(width: float, height: float, title: str = "") -> Iterator[Figure]:
-    """Give an empty figure, inches, in the common style; no window and no global state. Long titles are broken."""
+    """Give an empty figure, inches, in the common style; no window and no global state.
+
+    When the block ends, long titles are broken, and long labels of axes lose their middle.
+    """
     require_matplotlib()
     from redundancy_pin.visualisation.figures.page import Page, RepeatableLayout
 
     with _styled():
         page = Page(figsize=(width, height), layout=RepeatableLayout())
         if title:
-            page.suptitle(textwrap.fill(title, int(_TITLE_LETTERS * width)))
+            page.suptitle(break_lines(title, width))
         yield page
+        for axes in page.axes:
+            place = axes.get_subplotspec()
+            axes.title.set_text(break_lines(axes.get_title(), width / place.get_gridspec().ncols if place else width))
+            for label in (axes.xaxis.label, axes.yaxis.label):
+                label.set_text(brief(label.get_text()))
+
+
+def break_lines(text: str, width: float) -> str:
+    """Return a title with its lines broken where they are longer than ``width``, inches."""
+    most = max(int(_TITLE_LETTERS * width), 1)
+    return "\n".join(textwrap.fill(line, most) if len(line) > most else line for line in text.split("\n"))
+
+
+def legend_label(name: str) -> str:
+    """Return a name as a label that a legend shows: not too long, and though it begins with an underscore."""
+    return (_ZERO_WIDTH if name.startswith("_") else "") + brief(name)
+
+
+def brief(text: str) -> str:
+    """Return a text of a picture; a long one loses its middle."""
+    return shortened(text, _LONGEST_LABEL)
 
 
 @contextmanager
@@ -107,7 +138,9 @@ def _styled() -> Iterator[None]:
     """Apply the common style, whatever the user's own defaults are."""
     import matplotlib.style
 
-    with matplotlib.style.context(["default", SETTINGS]):
+    with matplotlib.style.context(["default", SETTINGS]), warnings.catch_warnings():
+        # a letter that the font lacks is drawn as a box
+        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from")
         yield
 
 
@@ -161,13 +194,18 @@ def picture_format(path: str | Path) -> str:
     return kind
 
 
-def log_scale(axes: Axes) -> None:
-    """Make the ordinate logarithmic with numbers a reader need not translate: 20 in place of 2×10¹."""
+def log_scale(axes: Axes, which: Literal["x", "y"] = "y") -> None:
+    """Make an axis logarithmic."""
+    axes.set(**{f"{which}scale": "log"})
+    write_numbers(axes.xaxis if which == "x" else axes.yaxis)
+
+
+def write_numbers(axis: Axis) -> None:
+    """Give a logarithmic axis numbers a reader need not translate: 20 in place of 2×10¹."""
     from matplotlib.ticker import LogFormatter
 
-    axes.set_yscale("log")
     # decades on the axis below which some, and below which all numbers between powers of ten are written
-    for set_formatter in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+    for set_formatter in (axis.set_major_formatter, axis.set_minor_formatter):
         set_formatter(LogFormatter(minor_thresholds=(2.0, 0.6)))
 
 
@@ -176,14 +214,20 @@ def legend_above(axes: Axes, width: float) -> None:
     labels = axes.get_legend_handles_labels()[1]
     if labels:
         columns = _columns(labels, width)
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0, 1.0, 0.1), ncols=columns, borderaxespad=0.1)
+        legend = axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0, 1.0, 0.1), ncols=columns, borderaxespad=0.1)
+        _show_names(legend)
 
 
 def legend_below(drawn: Figure, handles: Sequence[Any]) -> None:
     """Put a legend under all axes of a figure; none without entries."""
     if handles:
         columns = _columns([str(handle.get_label()) for handle in handles], drawn.get_figwidth())
-        drawn.legend(handles=list(handles), loc="outside lower center", ncols=columns)
+        _show_names(drawn.legend(handles=list(handles), loc="outside lower center", ncols=columns))
+
+
+def _show_names(legend: Legend) -> None:
+    for text in legend.get_texts():
+        text.set_text(text.get_text().removeprefix(_ZERO_WIDTH))
 
 
 def _columns(labels: Sequence[str], width: float) -> int:

@@ -27,9 +27,12 @@ from redundancy_pin.visualisation.figures.style import (
     INSTANT,
     STROKES,
     WINDOW,
+    brief,
     figure,
     legend_above,
     legend_below,
+    legend_label,
+    log_scale,
 )
 
 if TYPE_CHECKING:
@@ -189,7 +192,7 @@ def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel]
         style: dict[str, Any] = {"color": stroke.color, "linestyle": stroke.dash, "zorder": 2.2}
         if curve.reference:
             style = {"color": "#6E6E6E", "linestyle": "-", "linewidth": 1.0, "zorder": 2.0}
-        axes.plot(curve.t, curve.value, label=curve.label, **{**style, **curve.style})
+        axes.plot(curve.t, curve.value, label=legend_label(curve.label), **{**style, **curve.style})
     for i, (level, name) in enumerate(panel.levels):
         stroke = STROKES[1 + i % (len(STROKES) - 1)]
         axes.axhline(level, color=stroke.color, linestyle=stroke.dash, linewidth=1.1, zorder=1.9, label=name)
@@ -198,7 +201,9 @@ def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel]
                   markeredgecolor="#000000", zorder=3.0, clip_on=False)  # fmt: skip
         axes.annotate(text, (t, value), xytext=(6, -1), textcoords="offset points", fontsize=7.5, va="center",
                       zorder=3.0, bbox=_BOX)  # fmt: skip
-    axes.set(ylabel=panel.label, yscale="log" if panel.log else "linear")
+    axes.set_ylabel(panel.label)
+    if panel.log:
+        log_scale(axes)
     axes.set_title(panel.title, fontsize=8.5)
     if panel.log or panel.within is not None:
         axes.set_ylim(panel.within or (1.0, _CONDITION_TOP))
@@ -238,7 +243,7 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
     axes.set_ylim(ends)
     limits = np.reshape(panel.limits, (-1, 2))
     shown = in_reach(limits)
-    _draw_limits(axes, shown, ends, [curve.label for curve in panel.curves if not curve.reference])
+    _draw_limits(axes, shown, ends, [brief(curve.label) for curve in panel.curves if not curve.reference])
     if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
         low, high = limits[0]
         text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
@@ -263,7 +268,7 @@ def _draw_limits(axes: Axes, shown: Array, ends: tuple[float, float], names: Seq
 def _unnamed(columns: Sequence[Sequence[Panel]], axes: Any) -> list[Any]:
     """Return the curves, one of a name, that no legend of a panel names."""
     panels = [(panel, axes[i, j]) for j, column in enumerate(columns) for i, panel in enumerate(column)]
-    named = {curve.label for panel, _ in panels if panel.legend for curve in panel.curves}
+    named = {legend_label(curve.label) for panel, _ in panels if panel.legend for curve in panel.curves}
     handles = {
         label: handle
         for panel, axis in panels

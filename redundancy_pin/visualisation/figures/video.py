@@ -13,7 +13,7 @@ from redundancy_pin.arrays import IntArray, positive
 from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, require_writable
 from redundancy_pin.visualisation.figures import paths
-from redundancy_pin.visualisation.figures.style import figure, legend_below, require_matplotlib
+from redundancy_pin.visualisation.figures.style import break_lines, figure, legend_below, require_matplotlib
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import Scene
 from redundancy_pin.visualisation.viewer.solids import extent_of
@@ -24,6 +24,7 @@ RATE = 25.0
 MOST_FRAMES = 3000
 
 _DPI = 100
+_WIDTH = 6.0  # of a frame, inches
 _ROOM = 0.05  # about everything that moves, as a fraction of it
 
 
@@ -60,14 +61,14 @@ def save_video(
     low, high = extent_of(scene.solids, scene.placement, scene.path, paths.projection(plane))
     room = _ROOM * float((high - low).max())
     low, high = low - room, high + room
-    with figure(6.0, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
+    with figure(_WIDTH, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
         axes = drawn.subplots()
         legend_below(drawn, paths.scene_handles(scene, range(len(scene.t))))
         writer = _writer(path, rate)
         with writer.saving(drawn, str(temporary), _DPI):
             for done, frame in enumerate(frames.tolist()):
                 axes.clear()
-                axes.set_title(scene.title if title is None else title)
+                axes.set_title(break_lines(scene.title if title is None else title, _WIDTH))
                 paths.draw_frame(axes, scene, frame, plane=plane)
                 paths.draw_path(axes, scene, plane=plane)
                 axes.update_datalim([low, high])

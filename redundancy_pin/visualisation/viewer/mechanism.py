@@ -31,7 +31,7 @@ _ARM_RADIUS = 0.01  # of the arm that holds a turning carrier, and of the arc it
 _LONGEST_RAIL = 1.2  # half length at which the drawing of an unbounded track ends
 _BALANCED = 1e-3  # distance of the centre of mass from the axis below which it counts as on it
 _CLEAR = 0.35  # opacity of what other things must be seen through
-_NO_LENGTH = 1e-9  # m; points that are nearer are one
+_NO_LENGTH = 1e-9  # in characteristic lengths; points that are nearer are one
 
 
 # --- the solids of a mechanism --------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
         if robot.platform is not None and len(points) < 3:
             frame = _frame(model, robot.platform.frame)
             if int(frame.parentJoint) == body:
-                points = _distinct([*points, (data.oMi[body] * frame.placement).translation])
+                points = _distinct(robot, [*points, (data.oMi[body] * frame.placement).translation])
         pairs += _outline(_ordered(points))
     return tuple(pairs)
 
@@ -105,7 +105,7 @@ def _hinges(robot: Robot, body: int, data: pin.Data) -> Array:
     points += [data.oMi[j].translation for j in children]
     frames = [_frame(model, name) for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
     points += [(data.oMi[body] * frame.placement).translation for frame in frames if int(frame.parentJoint) == body]
-    return _distinct(points)
+    return _distinct(robot, points)
 
 
 def _floats(model: pin.Model, index: int) -> bool:
@@ -117,11 +117,12 @@ def _floats(model: pin.Model, index: int) -> bool:
     return bool(np.abs(motion_subspace(model, data, index)[:3]).max() > 0.0)
 
 
-def _distinct(points: Sequence[Array]) -> Array:
+def _distinct(robot: Robot, points: Sequence[Array]) -> Array:
     """Return (c, 3) points without those that are where an earlier one is."""
     distinct: list[Array] = []
+    least = _NO_LENGTH * robot.characteristic_length
     for point in points:
-        if all(np.linalg.norm(point - other) > _NO_LENGTH for other in distinct):
+        if all(np.linalg.norm(point - other) > least for other in distinct):
             distinct.append(point)
     return np.array(distinct).reshape(-1, 3)
 
@@ -198,19 +199,30 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
         if name in robot.carriers or model.joints[body].nv != 1:
             continue
         role: Role = "actuated" if name in robot.actuated else "passive"
-        # fixed to what carries the joint: a slide stays where it is while its rod moves
-        parent, home = int(model.parents[body]), model.jointPlacements[body].homogeneous
+        axis = place(along_z(joint_axis(model, body)))
         side = 2.0 * JOINT_RADIUS * size
         box: tuple[Shape, tuple[float, ...]] = ("box", (side, side, 1.2 * side))
         shape, form = box if slides(model.joints[body]) else ("cylinder", (JOINT_RADIUS * size, JOINT_LENGTH * size))
-        axis = place(along_z(joint_axis(model, body)))
-        solids.append(_solid(f"joint_{name}", parent, home @ axis, shape, form, role))
+        parent, placement = int(model.parents[body]), model.jointPlacements[body].homogeneous @ axis
+        if _is_carriage(model, body):
+            parent, placement = body, axis
+        solids.append(_solid(f"joint_{name}", parent, placement, shape, form, role))
     for closure in robot.closures:
         frame = _frame(model, closure.frame_a)
         ball = (1.3 * JOINT_RADIUS * size,)
         placement = frame.placement.homogeneous.copy()
         solids.append(_solid(f"closure_{closure.name}", int(frame.parentJoint), placement, "sphere", ball, "closure"))
     return solids
+
+
+def _is_carriage(model: pin.Model, body: int) -> bool:
+    """Return whether a joint slides on the base or on another slide: it is drawn on the body that it moves.
+
+    Where such a joint is at zero, often the origin of the world, no part of the machine needs to be. On a body that
+    turns, a slide is a cylinder, drawn on its barrel.
+    """
+    parent = int(model.parents[body])
+    return slides(model.joints[body]) and (parent == 0 or slides(model.joints[parent]))
 
 
 def _carriers(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:

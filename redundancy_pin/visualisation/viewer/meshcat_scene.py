@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import uuid
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,7 +28,8 @@ BEAD_RADIUS = 0.02  # of what is known of it ahead, likewise
 
 # Angle of an arc up to its head: long enough to tell the sense of rotation, short enough to see where it starts
 _ARC = 1.5 * np.pi
-_NOTHING = 1e-6  # least size of an arrow, m: viewers warn of objects without any
+_NOTHING = 1e-6  # least size of an arrow, in sizes of the machine: viewers warn of objects without any
+_CONSTANT = 1e-12  # relative change of a property below which it needs no key frames: rounding
 _MARGIN = 0.1  # free space about the machine, in its sizes: arrows need some
 _SAMPLED = 40  # frames from which the camera's view follows
 _DISTANCE = 1.4  # of the camera, in radii of what it must see: its view is 75 degrees high
@@ -43,8 +45,8 @@ def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None
 
     clips: dict[Any, Any] = {}
     _set_stage(viewer, scene)
-    for j, name in enumerate(scene.names):
-        body = viewer[f"robot/{_step(name)}"]
+    for j in range(len(scene.names)):
+        body = viewer[_body_path(scene, j)]
         body.set_transform(scene.placement[0, j])
         _animate(clips, body, scene.t, **_pose(scene.placement[:, j]))
     for solid in scene.solids:
@@ -59,7 +61,7 @@ def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None
 
 def solid_path(scene: scenes.Scene, solid: Solid) -> str:
     """Return where a solid is in the tree of meshcat, below its root."""
-    return f"robot/{_step(scene.names[solid.body])}/{_step(solid.name)}"
+    return f"{_body_path(scene, solid.body)}/{_step(solid.name)}"
 
 
 def arrow_path(arrow: scenes.Arrow) -> str:
@@ -67,9 +69,14 @@ def arrow_path(arrow: scenes.Arrow) -> str:
     return f"forces/{arrow.group}_{_step(arrow.name)}"
 
 
+def _body_path(scene: scenes.Scene, body: int) -> str:
+    """Return where a body is, below the root: the name of its joint with a prefix, which the base lacks."""
+    return f"robot/joint_{_step(scene.names[body])}" if body else "robot/base"
+
+
 def _step(name: str) -> str:
-    """Return a name that is one step of a path."""
-    return name.replace("/", "_")
+    """Return a name as one step of a path; different names stay different."""
+    return quote(name, safe="")
 
 
 def _set_stage(viewer: Any, scene: scenes.Scene) -> None:
@@ -131,13 +138,17 @@ def _add_arrow(viewer: Any, scene: scenes.Scene, item: scenes.Arrow, clips: dict
 
     path = arrow_path(item)
     placement = scene.placement[:, item.body] @ mechanism.place(mechanism.along_z(item.axis))
-    length = np.where(np.abs(item.length) < _NOTHING, _NOTHING, item.length)
-    # an arc is mirrored to turn the other way round; all arrows are equally wide but for short ones
+    least = _NOTHING * scene.size
+    length = np.where(np.abs(item.length) < least, least, item.length)
+    # a negative effort mirrors its arrow: straight ones point the other way, arcs turn the other way. All arrows are
+    # equally wide except short ones
     wide = np.abs(length) if item.turning else np.minimum(np.abs(length), 0.35 * scene.size)
     scale = np.stack([wide, length, wide] if item.turning else [wide, wide, length], axis=1)
     viewer[path].set_transform(placement[0])
     _animate(clips, viewer[path], scene.t, **_pose(placement))
-    viewer[f"{path}/effort"].set_transform(np.diag([*scale[0], 1.0]))
+    # as a property, like its key frames: viewers decompose a transform with a negative scale into a half turn and
+    # another scale, and key frames of the scale replace only the latter
+    viewer[f"{path}/effort"].set_property("scale", scale[0].tolist())
     _animate(clips, viewer[f"{path}/effort"], scene.t, scale=scale)
     shape = geometry.TriangularMeshGeometry(*(arc() if item.turning else arrow()))
     material = _on_top(color=_code(scenes.EFFORT_COLORS[item.group]))
@@ -224,7 +235,7 @@ def _animate(clips: dict[Any, Any], group: Any, t: Array, **tracks: Array | Bool
         if name == "visible":  # a key where it changes, and one at either end
             changes = np.flatnonzero(np.diff(values)) + 1
             keys = np.unique(np.concatenate([[0], changes, [len(t) - 1]]))
-        elif np.abs(values - values[0]).max(initial=0.0) < 1e-12:
+        elif np.abs(values - values[0]).max(initial=0.0) <= _CONSTANT * np.abs(values).max(initial=0.0):
             continue
         else:
             keys = np.arange(len(t))

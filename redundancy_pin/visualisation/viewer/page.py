@@ -13,6 +13,7 @@ import json
 import logging
 import math
 import os
+import re
 import warnings
 import webbrowser
 from collections.abc import Sequence
@@ -139,15 +140,13 @@ def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
         "VIEWER": (folder / "dist" / "main.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script"),
     }
     text = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-    for name, value in parts.items():  # the viewer last: what it contains is not to be replaced
-        text = text.replace(f"@{name}@", value)
-    return text
+    # in one pass: a value that looks like a mark stays as it is
+    return re.sub(r"@([A-Z_]+)@", lambda mark: parts[mark[1]], text)
 
 
 def _script(data: Any) -> str:
-    """Return plain data for a script: names come from files of strangers, and may not end it nor look like a mark."""
-    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace("@", "\\u0040")
+    """Return plain data for a script: names come from files of strangers, and must not end the script."""
+    return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _readings(scene: Scene) -> dict[str, Any]:

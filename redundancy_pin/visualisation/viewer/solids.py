@@ -152,7 +152,7 @@ def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
             mesh = meshes[key]
         opacity = 1.0 if mesh is None else MESH_OPACITY
         placement = item.placement.homogeneous.copy()
-        solids.append(Solid(str(item.name), body, placement, shape, size, role, color, mesh, opacity))
+        solids.append(Solid(f"visual_{item.name}", body, placement, shape, size, role, color, mesh, opacity))
     return tuple(solids)
 
 

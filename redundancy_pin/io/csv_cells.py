@@ -1,0 +1,22 @@
+"""Texts in the cells of CSV files, which people open with spreadsheets: a name from a file is never a formula."""
+
+from __future__ import annotations
+
+import re
+
+# What begins a formula in a cell of a spreadsheet, in full width too, and the apostrophe, which makes a cell plain text
+_FORMULA = "['=+\\-@＝＋－＠]"
+_STARTS = "(^|[,;|\\t])"  # of a cell, also where a program divides at something else than commas
+
+
+def guarded(text: str) -> str:
+    """Return the name of a column, or another text of a cell, as no spreadsheet takes it for a formula.
+
+    An apostrophe stands in front of what could begin one; ``unguarded`` takes it away again.
+    """
+    return re.sub(f"{_STARTS}(?={_FORMULA})", r"\1'", text)
+
+
+def unguarded(cell: str) -> str:
+    """Return the text whose ``guarded`` form stands in a cell."""
+    return re.sub(f"{_STARTS}'(?={_FORMULA})", r"\1", cell)
