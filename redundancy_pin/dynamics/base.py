@@ -374,7 +374,7 @@ def _stacked(part: ArrayLike) -> ArrayLike:
 
 
 _TRACK_ROUNDING = 1e-12
-"""A carrier parked at the very end of its track may overshoot it by rounding, m."""
+"""A carrier parked at the end of its track may overshoot it by this part of the characteristic length, by rounding."""
 
 
 def require_choice(unreachable: str) -> None:
@@ -418,7 +418,7 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
     lower = np.array([limits.lower for limits in robot.carrier_limits])
     upper = np.array([limits.upper for limits in robot.carrier_limits])
     outside = np.maximum(lower - carriers.s, carriers.s - upper)
-    if outside.size and outside.max() > _TRACK_ROUNDING:
+    if outside.size and outside.max() > _TRACK_ROUNDING * robot.characteristic_length:
         k, i = (int(j) for j in np.unravel_index(int(outside.argmax()), outside.shape))
         raise CarrierLimitError(
             f"Carrier {robot.carriers[i]!r} leaves its track [{lower[i]:g}, {upper[i]:g}] m by {outside[k, i]:.3g} m "

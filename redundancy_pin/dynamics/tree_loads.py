@@ -25,6 +25,7 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.robot.types import slides
 
 
@@ -158,11 +159,14 @@ class TreeLoads:
         robot = self.robot
         samples, nv = state.v.shape
         derivatives = [np.zeros((samples, nv, robot.k)) for _ in range(3)]
-        reach = _STEP * np.clip(self._shortest(state), 1e-4, 1.0)
+        unit = velocity_unit(robot)
+        reach = _STEP * np.clip(self._shortest(state) / robot.characteristic_length, 1e-4, 1.0)
+        rates = [np.abs(rate / unit).max(axis=1, initial=0.0) for rate in (state.v, state.a)]
+        sizes = reach, *(np.where(rate > 0.0, rate, 1.0) for rate in rates)
         places = (robot.carrier_position, robot.carrier_velocity, robot.carrier_velocity)
         for i, column in enumerate(robot.carrier_velocity.tolist()):
             for order, (name, derivative) in enumerate(zip("qva", derivatives, strict=True)):
-                weights, step = (_EIGHTH, reach) if order == 0 else ({1: 0.5}, np.ones(samples))
+                weights, step = _EIGHTH if order == 0 else {1: 0.5}, sizes[order] * unit[column]
                 for distance, weight in weights.items():
                     for sign in (1.0, -1.0):
                         moved = np.array(getattr(state, name))
@@ -215,6 +219,7 @@ _EIGHTH = {1: 4.0 / 5.0, 2: -1.0 / 5.0, 3: 4.0 / 105.0, 4: -1.0 / 280.0}
 """Weights of central differences of order eight, by distance in steps (Fornberg 1988)."""
 
 _STEP = 0.02
+"""Of those differences, in lengths of the shortest spring, at most characteristic lengths or rad."""
 
 
 @dataclass(frozen=True, eq=False)

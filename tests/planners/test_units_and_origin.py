@@ -227,3 +227,38 @@ def test_a_plan_does_not_depend_on_when_it_begins(name: str) -> None:
     planner, _ = PLANNERS[name]
     later = Units(origin=64.0)
     require_same(planner(later), planner(Units(origin=-1.0)), later, SAMPLED)
+
+
+SMALL, FAST, SLOW = (
+    Units(2.0**-20, 2.0**-30, 1.0),
+    Units(2.0**20, 2.0**20, 2.0**-20),
+    Units(2.0**-20, 2.0**-20, 2.0**20),
+)
+"""A machine of a micrometre and a nanogram; one of a megametre whose motion takes microseconds; a slow small one."""
+
+WITH_UNITS = {
+    SMALL: ("switch_off", "differences", "least time", "online"),
+    FAST: tuple(PLANNERS),
+    SLOW: ("switch_off", "differences", "stepwise", "least time", "online"),
+}
+"""Planners that have tolerances with units yet: their plans are others there."""
+
+
+@pytest.mark.parametrize(
+    ("units", "name"),
+    [
+        pytest.param(
+            units,
+            name,
+            id=f"{label}-{name}",
+            marks=[pytest.mark.xfail(strict=True, reason="absolute tolerances of this planner"), pytest.mark.long]
+            if name in WITH_UNITS[units]
+            else pytest.mark.long_for("small-peak", "slow-effort"),
+        )
+        for label, units in (("small", SMALL), ("fast", FAST), ("slow", SLOW))
+        for name in PLANNERS
+    ],
+)
+def test_a_plan_is_the_same_for_machines_of_any_size(units: Units, name: str) -> None:
+    planner, share = PLANNERS[name]
+    require_same(planner(units), plain(name)[0], units, max(share, 1e-9))

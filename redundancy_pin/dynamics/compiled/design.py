@@ -271,7 +271,7 @@ def _moving(columns: dict[str, Array]) -> dict[str, Array]:
 
 
 def _require_same(one: Complex, other: Array) -> None:
-    if not np.allclose(one.real, other, rtol=_SAME, atol=_SAME):
+    if not np.allclose(one.real, other, rtol=_SAME, atol=_SAME * float(np.abs(other).max(initial=0.0))):
         raise ValueError("The tree is another than the robot's.")
 
 

@@ -172,11 +172,16 @@ def load_derivatives(
     eight, which reaches rounding for springs too. Arguments as of ``load_efforts``.
     """
     samples, result = carriers[0].shape[1], []
-    reach = 0.02 * np.clip(_shortest(robot, now, carriers), 1e-4, 1.0)
+    length = robot.characteristic_length
+    rates = [np.abs(part).max(axis=0, initial=0.0) for part in carriers[1:]]
+    sizes = (
+        0.02 * length * np.clip(_shortest(robot, now, carriers) / length, 1e-4, 1.0),
+        *(np.where(rate > 0.0, rate, length) for rate in rates),
+    )
     for order in range(3):
         by_f, by_force = np.zeros((samples, robot.n, robot.k)), np.zeros((samples, robot.k, robot.k))
         for i in range(robot.k):
-            step = reach if order == 0 else np.ones(samples)
+            step = sizes[order]
             for distance, weight in _DIFFERENCES if order == 0 else ((1.0, 0.5), (-1.0, -0.5)):
                 moved = [np.array(part) for part in carriers]
                 moved[order][i] += distance * step
