@@ -57,7 +57,7 @@ def run(
         robots: names or paths; all shipped robots when left out.
         samples: random states for each robot.
         seed: seed of the random states; the same seed gives the same report.
-        progress: called as batches get ready.
+        progress: called at the start, and as batches get ready.
         jobs: processes that share the work; the report does not depend on it.
         trust: as for ``load_robot``.
         settings: arguments of the robots, as ``load_robot`` takes them; shipped ones are then taken as they are, too.
@@ -76,6 +76,8 @@ def run(
     work = [(*each, trust, given) for each in _batches(names, samples, seed, vary=not given)]
     total, done = sum(size for _, _, size, *_ in work), 0
     rows: tuple[CheckRow, ...] = ()
+    if progress:
+        progress(0, total)
     # in order, so that the report does not depend on which process was faster
     for (_, _, size, *_), checked in zip(work, parallel(checked_batch, work, jobs, ordered=True), strict=True):
         rows = merged((*rows, *checked))  # a million states are thousands of batches
