@@ -2,6 +2,9 @@
 
 A library's name is a hash of all that goes into it, the compiler and its flags included. It is built in a folder of its
 own and renamed, so that two processes may build at once; what cannot be loaded is built again.
+
+Whoever can change a library that is loaded runs code as this user. So its folder and its file belong to this user, who
+alone may write to them, and no other user but root can rename a folder above. What is otherwise is not loaded.
 """
 
 from __future__ import annotations
@@ -10,19 +13,26 @@ import contextlib
 import ctypes
 import hashlib
 import importlib.resources
+import itertools
+import logging
 import os
 import platform
 import shlex
 import shutil
 import signal
+import stat
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
 from redundancy_pin.errors import shortened
+from redundancy_pin.io.files import remove_leftovers, temporary_folder
+
+_LOG = logging.getLogger(__name__)
 
 FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-fPIC", "-shared")
 """No -ffast-math: see ``NEEDS_INFINITY``."""
@@ -40,7 +50,7 @@ PATIENCE = 120.0
 """Seconds after which a compiler counts as hanging."""
 
 CACHE = "REDUNDANCY_PIN_CACHE"
-"""Environment variable: the folder for compiled libraries; empty for none that is kept."""
+"""Environment variable: the folder for compiled libraries, an absolute path; empty for none that is kept."""
 
 T = TypeVar("T")
 
@@ -102,6 +112,7 @@ def built(
     name = f"{own}.so"
     folder = cache_folder()
     if folder is not None:
+        remove_leftovers(folder)
         library = _opened(folder / name, load)
         if library is not None:
             return library, ""
@@ -109,8 +120,8 @@ def built(
     reason = ""
     for place in [None] if folder is None else [folder, None]:
         try:
-            with tempfile.TemporaryDirectory(prefix="redundancy_pin-", dir=place) as work:
-                made = Path(work) / name
+            with temporary_folder(place or Path(tempfile.gettempdir())) as work:
+                made = work / name
                 reason = _compile(compiler, flags, text, made)
                 # opened where it was made: under its final name this process may have another one open, which it would
                 # get again; what is open stays in memory when its file has gone
@@ -145,25 +156,60 @@ def cache_folder() -> Path | None:
     if named == "":
         return None
     try:
-        root = (
-            Path(named)
-            if named
-            else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "redundancy_pin"
-        )
-        root.mkdir(parents=True, exist_ok=True, mode=0o700)
+        folder = Path(named) if named else _user_cache() / "redundancy_pin"
+        reason = _make_trusted(folder := folder.resolve()) if folder.is_absolute() else f"{folder} is a relative path"
     except (OSError, RuntimeError):  # read-only, or no home
         return None
-    # code is loaded from here: whoever else may write here may run code as this user
-    status = root.stat()
-    shared = hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o022)
-    return root if not shared and os.access(root, os.W_OK | os.X_OK) else None
+    if reason:
+        _note(f"No compiled library is loaded or kept: {reason}. Change that, or name another folder in ${CACHE}.")
+        return None
+    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def _user_cache() -> Path:
+    """Return ``$XDG_CACHE_HOME``, or ``~/.cache`` where it is no absolute path: its specification ignores those."""
+    named = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return named if named.is_absolute() else Path.home() / ".cache"
+
+
+def _make_trusted(folder: Path) -> str:
+    """Make a folder where it is missing, and return why other users could change what it holds; empty if they cannot.
+
+    From the root down: what is above a folder is known to be safe before that folder is looked at, so that nobody can
+    replace it between this check and its use.
+    """
+    if not hasattr(os, "geteuid"):
+        return ""
+    user = os.geteuid()
+    for each in (*reversed(folder.parents), folder):
+        if not each.exists():
+            with contextlib.suppress(FileExistsError):  # another process was quicker
+                each.mkdir(0o700)
+                each.chmod(0o700)  # the umask may have taken rights of the user
+        status, last = each.lstat(), each == folder
+        if not stat.S_ISDIR(status.st_mode):
+            return f"{each} is no folder"
+        if status.st_uid != user and (last or status.st_uid != 0):
+            return f"{each} belongs to user {status.st_uid}"
+        # in a folder that has the sticky bit, such as /tmp, others cannot rename what is not theirs
+        if status.st_mode & 0o022 and (last or not status.st_mode & stat.S_ISVTX):
+            return f"others may write to {each} (mode {stat.S_IMODE(status.st_mode):04o})"
+    return ""
+
+
+@lru_cache(maxsize=100)  # once for each process
+def _note(text: str) -> None:
+    _LOG.warning(text)
 
 
 def _opened(path: Path, load: Callable[[Path], T]) -> T | None:
     try:
-        return load(path) if path.is_file() else None
-    except (OSError, AttributeError, ValueError):  # half a file, another machine's, or of another name
-        return None
+        return load(path)
+    except PermissionError as error:
+        _note(f"A compiled library is not loaded, and is compiled again: {error}.")
+    except (OSError, AttributeError, ValueError):  # none, half a file, another machine's, or of another name
+        pass
+    return None
 
 
 def _compile(compiler: Compiler, flags: Sequence[str], text: str, target: Path) -> str:
@@ -171,11 +217,20 @@ def _compile(compiler: Compiler, flags: Sequence[str], text: str, target: Path) 
     try:
         written = target.with_suffix(".c")
         written.write_text(text, encoding="utf-8")
-        command = [*compiler.command, *flags, str(written), "-o", str(target), "-lm"]
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
-        )
-        with process:
+        command = [*_WATCHED, *compiler.command, *flags, str(written), "-o", str(target), "-lm"]
+        # its own temporary files too go where they are removed
+        environment = {**os.environ, "TMPDIR": str(target.parent)}
+        with (
+            _pipe() as end,
+            subprocess.Popen(
+                command[0 if os.name == "posix" else len(_WATCHED) :],
+                env=environment,
+                stdin=end,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            ) as process,
+        ):
             try:
                 _, complaints = process.communicate(timeout=PATIENCE)
             except subprocess.TimeoutExpired:
@@ -184,10 +239,41 @@ def _compile(compiler: Compiler, flags: Sequence[str], text: str, target: Path) 
             except BaseException:  # an interrupt
                 _end(process)
                 raise
+        if process.returncode == 0 and target.exists():
+            target.chmod(0o600)  # whatever the umask
     except OSError as error:
         return f"{compiler.command[0]} cannot be used: {error}"
     message = complaints.decode(errors="replace").strip() or "no message"
     return "" if process.returncode == 0 else f"{compiler.command[0]} failed: {shortened(message)}"
+
+
+_WATCHED = (
+    "/bin/sh",
+    "-c",
+    """exec 3<&0 </dev/null
+{ read -r line <&3; kill -KILL 0; } >/dev/null 2>&1 &
+"$@"
+status=$?
+kill -KILL $! 2>/dev/null
+exit $status""",
+    "compiler",
+)
+"""Runs a command, and kills its process group when the pipe that is its standard input is closed at the other end.
+
+The kernel closes it when the caller is killed, by SIGKILL too. The death signal of ``prctl`` would reach the compiler's
+driver and not what that has started; and what Python runs between fork and exec may deadlock where there are threads.
+"""
+
+
+@contextlib.contextmanager
+def _pipe() -> Iterator[int]:
+    """Give the end of a pipe for a child to read, whose other end no child has and closes with this process."""
+    reading, writing = os.pipe()
+    try:
+        yield reading
+    finally:
+        os.close(reading)
+        os.close(writing)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -201,14 +287,50 @@ def loaded(path: Path) -> ctypes.CDLL:
     """Return a shared library that says itself that it is the one of its name.
 
     Raises:
-        OSError, AttributeError, ValueError: it is half a file, another machine's, or of another name.
+        OSError, AttributeError, ValueError: it is half a file, another machine's, or of another name. PermissionError:
+            it is no file of this user's, or others may write to it.
     """
-    library = ctypes.CDLL(str(path))
+    with _checked(path) as name:
+        library = ctypes.CDLL(name)
     own = (ctypes.c_char * (len(path.stem) + 1)).in_dll(library, _KEY).value.decode(errors="replace")
     if own != path.stem:
         raise ValueError(f"{path} is the library {own}.")
     return library
 
+
+@contextlib.contextmanager
+def _checked(path: Path) -> Iterator[str]:
+    """Give the name under which to load a file that only this user can have written."""
+    if not hasattr(os, "geteuid"):
+        yield str(path)
+        return
+    if path.is_symlink():
+        raise PermissionError(f"{path} is a link")
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            raise PermissionError(f"{path} is no file")
+        if status.st_uid != os.geteuid():
+            raise PermissionError(f"{path} belongs to user {status.st_uid}")
+        if status.st_mode & 0o022:
+            raise PermissionError(f"others may write to {path} (mode {stat.S_IMODE(status.st_mode):04o})")
+        # through its descriptor: the file that was checked, whatever has that path now. Without /proc, as on macOS, the
+        # folder has to do, in which nobody else can put another file there (``_make_trusted``)
+        yield f"{_DESCRIPTORS}{_unused()}/{handle}" if os.path.isdir(_DESCRIPTORS) else str(path)
+    finally:
+        os.close(handle)
+
+
+def _unused() -> str:
+    """Return slashes and dots that change no path, never the same twice.
+
+    glibc takes a name that it has loaded for the library of then, and numbers of descriptors are given again.
+    """
+    return "".join("/." if digit == "1" else "/" for digit in f"{next(_LOADS):b}")
+
+
+_DESCRIPTORS, _LOADS = "/proc/self/fd", itertools.count(1)
 
 _KEY = "rp_key"
 """In every library: the name that it was compiled under."""

@@ -5,15 +5,22 @@ The library is one function that returns a number.
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
+import shutil
+import signal
 import stat
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -87,14 +94,14 @@ def test_on_a_full_disk_it_is_compiled_elsewhere(what: str, tmp_path: Path, monk
         monkeypatch.setenv("CC", script(tmp_path, full))
         monkeypatch.setattr(machine_code.shutil, "disk_usage", lambda folder: SimpleNamespace(free=4096))
     else:
-        make = tempfile.TemporaryDirectory
+        make = machine_code.temporary_folder
 
-        def refused(prefix: str, dir: Path | None) -> tempfile.TemporaryDirectory[str]:
-            if dir is not None:
+        def refused(parent: Path) -> AbstractContextManager[Path]:
+            if parent == kept:
                 raise OSError(errno.ENOSPC, "No space left on device")
-            return make(prefix=prefix)
+            return make(parent)
 
-        monkeypatch.setattr(machine_code.tempfile, "TemporaryDirectory", refused)
+        monkeypatch.setattr(machine_code, "temporary_folder", refused)
     assert works()
     assert list(kept.iterdir()) == []
 
@@ -115,10 +122,12 @@ def test_a_compiler_may_be_named_with_its_arguments(tmp_path: Path, monkeypatch:
         assert len(other.command) == 1
 
 
-def test_two_processes_build_at_once(tmp_path: Path) -> None:
+def test_two_processes_build_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither takes the folder in which the other one compiles for a leftover."""
+    monkeypatch.setenv("CC", script(tmp_path, 'sleep 0.4; exec cc "$@"'))
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(elsewhere, [tmp_path / "shared"] * 2)) == [f"({NUMBER}, '')"] * 2
-    assert len(list((tmp_path / "shared").iterdir())) == 1
+    assert [path.suffix for path in (tmp_path / "shared").iterdir()] == [".so"]
 
 
 @pytest.mark.parametrize(
@@ -161,8 +170,279 @@ def test_a_home_that_cannot_be_written_to(home: str, tmp_path: Path, monkeypatch
     assert works()
 
 
-def test_a_folder_that_others_may_write_to_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tmp_path.chmod(0o777)
-    monkeypatch.setenv(machine_code.CACHE, str(tmp_path))
+# --- who may write what is loaded ------------------------------------------------------------------------------------
+
+POISON = 13
+NOBODY = 65534
+as_root = pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="needs files of another user")
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache whose library is not the one of its name: whoever calls it gets POISON."""
+    folder = tmp_path / "above" / "kept"
+    monkeypatch.setenv(machine_code.CACHE, str(folder))
+    assert compile_as(POISON) == (POISON, "")
+    return folder
+
+
+def compile_as(number: int) -> tuple[int | None, str]:
+    """As ``answer``, under the name of the function that returns NUMBER."""
+    return machine_code.built(
+        lambda compiler: machine_code.digest([compiler, str(NUMBER)]),
+        lambda: f"int rp_answer(void) {{ return {number}; }}",
+        lambda path: int(machine_code.loaded(path).rp_answer()),
+    )
+
+
+def library_in(folder: Path) -> Path:
+    (library,) = folder.iterdir()
+    return library
+
+
+def link_to_a_copy(folder: Path) -> None:
+    library = library_in(folder)
+    library.symlink_to(library.rename(folder.parent / "copy.so"))
+
+
+def to_nobody(path: Path) -> None:
+    os.chown(path, NOBODY, NOBODY)
+
+
+HARMLESS: dict[str, Callable[[Path], object]] = {
+    "as it is": lambda folder: None,
+    "others may read it": lambda folder: (library_in(folder).chmod(0o755), folder.chmod(0o755)),
+    "a sticky folder above": lambda folder: folder.parent.chmod(0o1777),
+}
+OF_A_FILE: dict[str, Callable[[Path], object]] = {
+    "all may write the file": lambda folder: library_in(folder).chmod(0o666),
+    "the group may write the file": lambda folder: library_in(folder).chmod(0o660),
+    "a link": link_to_a_copy,
+    "the file of another user": lambda folder: to_nobody(library_in(folder)),
+}
+OF_A_FOLDER: dict[str, Callable[[Path], object]] = {
+    "all may write to the folder": lambda folder: folder.chmod(0o777),
+    "all may write to the folder, which is sticky": lambda folder: folder.chmod(0o1777),
+    "the group may write to the folder": lambda folder: folder.chmod(0o770),
+    "the folder of another user": to_nobody,
+    "all may write to the folder above": lambda folder: folder.parent.chmod(0o777),
+    "the folder above of another user": lambda folder: to_nobody(folder.parent),
+    "the sticky folder above of another user": lambda folder: (folder.parent.chmod(0o1777), to_nobody(folder.parent)),
+}
+
+
+def cases(*tables: Mapping[str, object]) -> list[Any]:
+    return [
+        pytest.param(name, marks=[as_root] if "another user" in name else [], id=name)
+        for table in tables
+        for name in table
+    ]
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_what_only_this_user_may_write_is_loaded(name: str, kept: Path, caplog: pytest.LogCaptureFixture) -> None:
+    HARMLESS[name](kept)
+    assert answer() == (POISON, "")
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("name", cases(OF_A_FILE))
+def test_a_file_that_others_may_have_written_is_built_again(
+    name: str, kept: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    OF_A_FILE[name](kept)
     assert works()
-    assert list(tmp_path.iterdir()) == []
+    assert works()
+    library = library_in(kept)
+    assert not library.is_symlink()
+    status = library.stat()
+    assert (status.st_uid, stat.S_IMODE(status.st_mode)) == (os.geteuid(), 0o600)
+    (note,) = caplog.messages
+    assert str(library) in note
+    assert "not loaded" in note
+
+
+@pytest.mark.parametrize("name", cases(OF_A_FOLDER))
+def test_a_folder_that_others_may_change_is_not_used(name: str, kept: Path, caplog: pytest.LogCaptureFixture) -> None:
+    library = library_in(kept)
+    OF_A_FOLDER[name](kept)
+    assert works()
+    assert works()
+    assert library_in(kept) == library
+    (note,) = caplog.messages
+    assert str(kept.parent if "above" in name else kept) in note
+    assert machine_code.CACHE in note
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="loads by path")
+def test_the_file_that_was_checked_is_the_one_that_is_loaded(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    poisoned = library_in(kept)
+    monkeypatch.setenv(machine_code.CACHE, str(tmp_path / "sound"))
+    assert works()
+    sound, load = library_in(tmp_path / "sound"), ctypes.CDLL
+
+    def load_late(name: str) -> ctypes.CDLL:
+        os.replace(poisoned, sound)
+        return load(name)
+
+    monkeypatch.setattr(machine_code.ctypes, "CDLL", load_late)
+    assert machine_code.loaded(sound).rp_answer() == NUMBER
+    assert not poisoned.exists()
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o002, 0o077, 0o177])
+def test_modes_do_not_depend_on_the_umask(mask: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if mask == 0o177 and os.geteuid() != 0:
+        pytest.skip("a compiler cannot enter the folders that this user makes")
+    monkeypatch.setenv(machine_code.CACHE, str(tmp_path / "above" / "kept"))
+    before = os.umask(mask)
+    try:
+        assert works()
+    finally:
+        os.umask(before)
+    folder = tmp_path / "above" / "kept"
+    modes = [stat.S_IMODE(path.stat().st_mode) for path in (folder.parent, folder, library_in(folder))]
+    assert modes == [0o700, 0o700, 0o600]
+
+
+def test_relative_folders_are_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A folder that somebody is in may come from anywhere; XDG's specification has relative paths ignored."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.delenv(machine_code.CACHE)
+    assert works()
+    assert machine_code.cache_folder() == tmp_path / "home" / ".cache" / "redundancy_pin"
+    assert library_in(tmp_path / "home" / ".cache" / "redundancy_pin").suffix == ".so"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "absolute"))
+    assert machine_code.cache_folder() == tmp_path / "absolute" / "redundancy_pin"
+    assert not caplog.records
+    for variable, value in ((machine_code.CACHE, "relative"), ("HOME", "relative")):
+        monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+        monkeypatch.delenv(machine_code.CACHE, raising=False)
+        monkeypatch.setenv(variable, value)
+        assert works()
+        assert machine_code.cache_folder() is None
+    assert len(caplog.records) == 2
+    assert "relative" in caplog.text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["absolute", "home"]
+
+
+@as_root
+def test_another_user_than_root_trusts_only_its_own(kept: Path) -> None:
+    """In a process that becomes somebody else; folders above belong to root, as everywhere."""
+    poisoned = library_in(kept)
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        place.chmod(0o755)
+        own = place / "own"
+        own.mkdir(0o700)
+        to_nobody(own)
+        file = own / poisoned.name
+        os.environ[machine_code.CACHE] = str(own)
+        for owner, expected in ((NOBODY, POISON), (0, NUMBER)):
+            shutil.copyfile(poisoned, file)
+            file.chmod(0o644)
+            os.chown(file, owner, owner)
+            child = os.fork()
+            if child == 0:
+                try:
+                    os.setgroups([])
+                    os.setgid(NOBODY)
+                    os.setuid(NOBODY)
+                    os._exit(answer()[0] or 0)
+                finally:
+                    os._exit(1)
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == expected
+        assert (file.stat().st_uid, stat.S_IMODE(file.stat().st_mode)) == (NOBODY, 0o600)
+        # root does not trust what is nobody's
+        assert works()
+
+
+# --- compilers whose caller is gone ----------------------------------------------------------------------------------
+
+
+def alive(process: int) -> bool:
+    """Return whether a process runs; one that has ended may wait for its parent to ask."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def compiler_that_hangs(folder: Path) -> tuple[str, Path]:
+    """Return a compiler as gcc is, which starts another program and has temporary files; and where it says who runs."""
+    log = folder / "processes"
+    text = f'sleep 300 & touch "$TMPDIR/half.s"; echo $$ $! > {log}.new; mv {log}.new {log}; wait'
+    return script(folder, text), log
+
+
+def running(log: Path) -> list[int]:
+    for _ in range(1000):
+        if log.exists():
+            return [int(word) for word in log.read_text().split()]
+        time.sleep(0.01)
+    raise AssertionError("no compiler has been started")
+
+
+def ended(processes: list[int]) -> bool:
+    for _ in range(500):
+        if not any(map(alive, processes)):
+            return True
+        time.sleep(0.01)
+    return False
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes in /proc")
+@pytest.mark.parametrize(
+    ("how", "where"),
+    [(signal.SIGKILL, "cache"), (signal.SIGKILL, "temporary"), (signal.SIGTERM, "cache"), (signal.SIGINT, "cache")],
+)
+def test_a_killed_compile_leaves_no_compiler_and_nothing_that_stays(
+    how: signal.Signals, where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary, kept = tmp_path / "temporary", tmp_path / "cache"
+    temporary.mkdir()
+    compiler, log = compiler_that_hangs(tmp_path)
+    monkeypatch.setenv(machine_code.CACHE, str(kept) if where == "cache" else "")
+    environment = {**os.environ, "CC": compiler, "TMPDIR": str(temporary)}
+    code = (
+        "from redundancy_pin import machine_code as m\n"
+        "m.built(lambda compiler: 'x', lambda: 'int rp_answer(void) { return 1; }', m.loaded)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL) as process:
+        processes = running(log)
+        assert all(map(alive, processes))
+        process.send_signal(how)
+        process.wait()
+        assert ended(processes)
+    place = tmp_path / where
+    assert len(list(place.iterdir())) == (how != signal.SIGINT)
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    assert works()
+    assert [path.suffix for path in place.iterdir()] == ([".so"] if where == "cache" else [])
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_leftover_goes_where_the_next_library_is_loaded(kept: Path) -> None:
+    left = kept / ".redundancy_pin-left"
+    left.mkdir()
+    (left / "half.c").touch()
+    assert answer() == (POISON, "")  # nothing is compiled
+    assert not left.exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes in /proc")
+def test_a_compiler_that_hangs_is_killed_with_what_it_has_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiler, log = compiler_that_hangs(tmp_path)
+    monkeypatch.setenv("CC", compiler)
+    monkeypatch.setattr(machine_code, "PATIENCE", 0.5)
+    made, why = answer()
+    assert (made, "did not end" in why) == (None, True)
+    assert ended(running(log))

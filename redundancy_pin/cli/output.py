@@ -1,13 +1,16 @@
-"""What commands print: tables for people, JSON for machines, progress on a terminal only."""
+"""What commands print: tables for people, JSON for machines, progress as a bar on a terminal and as lines elsewhere."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +29,9 @@ if TYPE_CHECKING:  # rich is imported where something is printed by it: `--help`
 
 Advance = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
+
+EVERY = 10.0
+"""Time between two lines of progress where there is no terminal, s."""
 
 _ROUNDING = 1e-12  # coordinates and directions below this are shown as zero
 _PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: wide enough that nothing is cut
@@ -173,12 +179,21 @@ def drawn(path: str | None, draw: Callable[[str], object]) -> RedundancyPinError
 
 @contextmanager
 def progress(title: str) -> Iterator[Advance]:
-    """Show a progress bar on stderr while the block runs; nothing unless stdout and stderr are terminals.
+    """Show progress on stderr while the block runs: a bar if stdout and stderr are terminals, else a line now and then.
 
-    What is yielded takes steps done, steps in all, and what is being done.
+    What is yielded takes steps done, steps in all, and what is being done. The lines come every ``EVERY`` seconds, none
+    for shorter work.
     """
     if not (_is_terminal(sys.stderr) and _is_terminal(sys.stdout)):
-        yield lambda done, total, what: None  # not a terminal: a bar in a log file is noise
+        lines, ended = _Lines(title), threading.Event()
+        # a step may take minutes
+        watch = threading.Thread(target=lines.print_until, args=(ended,), daemon=True)
+        watch.start()
+        try:
+            yield lines.advance
+        finally:
+            ended.set()
+            watch.join()
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -199,6 +214,37 @@ def progress(title: str) -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, description=f"{title}: {what}" if what else title)
 
         yield advance
+
+
+class _Lines:
+    """Progress of a command as lines of a log."""
+
+    def __init__(self, title: str) -> None:
+        self._title, self._state, self._lock = title, (0, 0, ""), threading.Lock()
+        self._start = self._last = time.monotonic()
+
+    def advance(self, done: int, total: int, what: str = "") -> None:
+        """Note how far the command is; print it if a line is due."""
+        self._state = done, total, what
+        self._print_if_due()
+
+    def print_until(self, ended: threading.Event) -> None:
+        """Print a line whenever one is due, until the event."""
+        while not ended.wait(max(0.0, self._last + EVERY - time.monotonic())):
+            self._print_if_due()
+
+    def _print_if_due(self) -> None:
+        with self._lock:
+            now = time.monotonic()
+            if now - self._last < EVERY:
+                return
+            self._last = now
+            done, total, what = self._state
+            steps = f"{done} of {total}" if total else ""
+            parts = what, steps, f"{timedelta(seconds=int(now - self._start))} elapsed"
+            text = f"{self._title}: {', '.join(filter(None, parts))}"
+            with suppress(OSError, ValueError):  # stderr is full, or closed
+                click.echo(printable(" ".join(text.split())), err=True)
 
 
 @contextmanager

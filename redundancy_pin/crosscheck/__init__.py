@@ -20,7 +20,6 @@ from redundancy_pin.crosscheck.checks import (
     check_round_trip,
     checked_row,
     merged,
-    round_trip_needs,
 )
 from redundancy_pin.crosscheck.load_power import load_efforts
 from redundancy_pin.dynamics.base import Dynamics
@@ -58,7 +57,7 @@ def run(
         robots: names or paths; all shipped robots when left out.
         samples: random states for each robot.
         seed: seed of the random states; the same seed gives the same report.
-        progress: called as batches get ready.
+        progress: called at the start, and as batches get ready.
         jobs: processes that share the work; the report does not depend on it.
         trust: as for ``load_robot``.
         settings: arguments of the robots, as ``load_robot`` takes them; shipped ones are then taken as they are, too.
@@ -77,13 +76,15 @@ def run(
     work = [(*each, trust, given) for each in _batches(names, samples, seed, vary=not given)]
     total, done = sum(size for _, _, size, *_ in work), 0
     rows: tuple[CheckRow, ...] = ()
+    if progress:
+        progress(0, total)
     # in order, so that the report does not depend on which process was faster
     for (_, _, size, *_), checked in zip(work, parallel(checked_batch, work, jobs, ordered=True), strict=True):
         rows = merged((*rows, *checked))  # a million states are thousands of batches
         done += size
         if progress:
             progress(done, total)
-    return CrossCheckReport(rows, seed)
+    return CrossCheckReport(tuple(row for row in rows if row.skipped or not row.note), seed)
 
 
 def _batches(
@@ -115,19 +116,12 @@ def checked_batch(
         name, samples, seed, index, vary=vary, carriers=carriers, masses=masses, trust=trust, settings=settings
     )
     deviations = _massless_deviations(case) if massless else _deviations(case)
-    rows = [checked_row(case.robot.name, *deviation) for deviation in deviations]
-    if vary:  # the shipped ones have states for every check
-        return rows
-    why = round_trip_needs(case.robot)
-    missing = [
-        replace(row, note=(why if row.check.startswith("inverse") else "") or "all states are next to singularities")
-        for row in rows
-        if not row.samples
-    ]
-    if case.left_out:
-        note = "out of reach, or next to a singularity, and drawn again"
-        missing.append(CheckRow(case.robot.name, "random motions", case.left_out, 0.0, 0.0, True, note))
-    return [row for row in rows if row.samples] + missing
+    rows = [checked_row(case.robot.name, deviation) for deviation in deviations]
+    if not vary:  # the shipped ones have states for every check
+        rows = [row if row.samples else replace(row, note="every state is skipped") for row in rows]
+    note = "those that cannot be followed are drawn again"
+    rows.append(CheckRow(case.robot.name, "random motions", 1, 0.0, 0.0, True, note, case.skipped))
+    return sorted(rows, key=lambda row: bool(row.note))
 
 
 def _deviations(case: RandomCase) -> Iterator[Deviation]:
@@ -140,7 +134,7 @@ def _deviations(case: RandomCase) -> Iterator[Deviation]:
     for label, dynamics in backends.items():
         yield from check_power(case, dynamics, label)
         yield from check_round_trip(case, dynamics, label)
-        if case.robot.k:
+        if case.robot.k or "carriers" in case.robot.parameters:
             yield from check_derivatives(case, dynamics.along(case.motion(case.t)), label)
 
 

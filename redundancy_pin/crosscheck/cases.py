@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import lru_cache
 
@@ -10,7 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.errors import DeclarationError, RedundancyPinError, UnreachablePoseError
+from redundancy_pin.errors import (
+    DeclarationError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+)
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.continuation import closed_around
@@ -34,6 +43,34 @@ enough that most draws still close."""
 TRIES, _PLAIN_TRIES = 60, 55
 """Draws; of a robot that does not vary, those whose motion has to be far from singularities all along. That is judged
 in a hundredth of the time that a lift takes to be lost beside one."""
+
+
+REASONS: Mapping[str, str] = {
+    "unreachable": "a pose is unreachable: the chains do not close",
+    "branch_lost": "the branch is lost: another one is nearer, or in another working mode",
+    "near_type_i": "near a type I singularity",
+    "near_type_ii": "near a type II singularity",
+    "not_singular": "the determinant of W is not zero to rounding",
+    "not_closed": "the drawn lengths do not close",
+    "underactuated": "fewer motors than degrees of freedom of the platform",
+    "not_finite": "the forces of the independent joints are not finite",
+    "ill_conditioned": "the forward dynamics have less than three digits",
+    "too_close": "too close in time to another state for differences",
+    "no_carriers": "drawn without carriers",
+    "refused": "refused for another reason",
+}
+"""Why states and motions are skipped, by the name of the reason."""
+
+
+def reason_of(error: RedundancyPinError) -> str:
+    """Return the reason (a key of ``REASONS``) for which a motion cannot be used."""
+    kinds = {
+        UnreachablePoseError: "unreachable",
+        WorkingModeError: "branch_lost",
+        SingularPoseError: "near_type_i",
+        DeclarationError: "not_closed",
+    }
+    return kinds.get(type(error), "refused")
 
 
 class Masses(Enum):
@@ -74,14 +111,14 @@ class RandomCase:
         t: (N,) times at which it is looked at, s.
         path: motion of the independent coordinates (three translations and two angles for poses).
         tracks: motion of the carriers.
-        left_out: motions that were drawn before and left out: out of reach, or next to a singularity.
+        skipped: how many motions were drawn before and not used, by reason (a key of ``REASONS``).
     """
 
     robot: Robot
     t: Array
     path: Wave
     tracks: Wave
-    left_out: int = 0
+    skipped: Mapping[str, int] = field(default_factory=dict)
 
     def motion(self, t: Array) -> PlatformMotion:
         """Return the platform motion at strictly increasing times (N,)."""
@@ -123,29 +160,31 @@ def random_case(
     # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
     with_carriers = True if carriers is None and index == 0 else carriers
     rng = np.random.default_rng([seed, index])
-    failure: RedundancyPinError | None = None
+    skipped: Counter[str] = Counter()
     # what does not vary is what its files say, draw after draw
     nominal = None if vary else load_with(source, dict(settings), trust=trust) if settings else _nominal(source, trust)
     for attempt in range(TRIES):
         try:
             robot = nominal or random_robot(source, rng, with_carriers, masses)
         except DeclarationError as error:
-            failure = error  # these lengths do not close in this mode: draw again
+            skipped[reason_of(error)] += 1  # these lengths do not close in this mode: draw again
             continue
         if not vary and attempt % 2 and robot.working_modes is None:
             robot = _elsewhere(robot, rng)
         case = _random_motion(robot, samples, rng, amplitude=0.6 * 0.9**attempt)
         try:
-            if not vary and attempt < _PLAIN_TRIES and not _plainly_regular(case):
+            if not vary and attempt < _PLAIN_TRIES and (reason := _why_not_followed(case)):
+                skipped[reason] += 1
                 continue
             lift(robot, case.motion(np.linspace(0.0, case.t[-1], 200)))
             lift(robot, case.motion(case.t))  # these are farther apart in places
         except RedundancyPinError as error:
-            failure = error  # the swing leaves the workspace: draw again, smaller
+            skipped[reason_of(error)] += 1  # the swing leaves the workspace: draw again, smaller
             continue
-        return replace(case, left_out=attempt)
+        return replace(case, skipped=dict(skipped))
+    why = "; ".join(f"{REASONS[reason]}: {count}" for reason, count in skipped.most_common())
     raise UnreachablePoseError(
-        f"No random motion of {source} stays reachable after {TRIES} draws; the last one failed with: {failure}",
+        f"No random motion of {source} can be followed in {TRIES} draws ({why}).",
         remedy="Check the robot's reference and its workspace.",
     )
 
@@ -181,16 +220,20 @@ def _elsewhere(robot: Robot, rng: np.random.Generator) -> Robot:
     return replace(robot, q_reference=read_only(around.q[rng.choice(choice)])) if len(choice) else robot
 
 
-def _plainly_regular(case: RandomCase) -> bool:
-    """Return whether a motion can be followed from the reference without a second look."""
+def _why_not_followed(case: RandomCase) -> str:
+    """Return why a motion cannot be followed from the reference by Newton's method alone; empty if it can."""
     follower = tracker(case.robot)
     here = follower.home
     for pose in case.motion(np.linspace(0.0, case.t[-1], 200)).x:
         reached = follower.towards(here, pose)
         if reached is None:
-            return False
+            closed = assemble(constraint_system(case.robot), here.q[None], pose[None])
+            if not closed.closed[0]:
+                return "unreachable"
+            # on its branch, which turns too fast for steps: as near a singularity
+            return "near_type_i" if closed.in_mode[0] else "branch_lost"
         here = reached.point
-    return True
+    return ""
 
 
 def _random_motion(robot: Robot, samples: int, rng: np.random.Generator, amplitude: float) -> RandomCase:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.markup import escape
@@ -11,7 +13,7 @@ from rich.table import Table
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
-from redundancy_pin.crosscheck.cases import RandomCase
+from redundancy_pin.crosscheck.cases import REASONS, RandomCase, reason_of
 from redundancy_pin.crosscheck.closed_forward import ClosedForward, confined_to_planes
 from redundancy_pin.crosscheck.load_power import energy_rate, load_efforts
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
@@ -23,8 +25,32 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 
-Deviation = tuple[str, Array, float]
-"""What was compared, the deviation (N,) of each state, and the largest that passes."""
+
+class Deviation(NamedTuple):
+    """The outcome of one check on many states.
+
+    Attributes:
+        check: what was compared.
+        values: (N,) deviation of each state.
+        tolerance: the largest that passes.
+        skipped: how many more states there are, by the reason (a key of ``REASONS``) for which they were skipped.
+    """
+
+    check: str
+    values: Array
+    tolerance: float
+    skipped: Mapping[str, int]
+
+
+def select(states: int, **reasons: BoolArray) -> tuple[IntArray, dict[str, int]]:
+    """Return the states for which no reason (N,) holds, and how many are skipped for each: for the first that holds."""
+    left, skipped = np.ones(states, dtype=bool), {}
+    for name, holds in reasons.items():
+        if count := int((left & holds).sum()):
+            skipped[name] = count
+        left &= ~holds
+    return np.flatnonzero(left), skipped
+
 
 PARITY = 1e-10
 """Rounding through two different routes: about 1e-14 times the condition of the closures, at most 1e3 here."""
@@ -37,7 +63,7 @@ def check_parity(case: RandomCase) -> Iterator[Deviation]:
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     rnea = RneaDynamics(case.robot).along(motion)
     manual = VirtualWork(case.robot).along(motion)
-    keep = rnea.tree.serial_margin_bound > AWAY_FROM_TYPE_ONE
+    keep, skipped = select(len(case.t), near_type_i=rnea.tree.serial_margin_bound <= AWAY_FROM_TYPE_ONE)
     first, second = rnea.reduce(carriers), manual.reduce(carriers)
     for label, a, b in (
         ("f", first.f, second.f),
@@ -46,14 +72,15 @@ def check_parity(case: RandomCase) -> Iterator[Deviation]:
         ("base wrench", rnea.base_wrench(carriers), manual.base_wrench(carriers)),
         ("energy", rnea.energy(carriers)[:, None], manual.energy(carriers)[:, None]),
     ):
-        yield f"parity: {label}", relative(a[keep], b[keep]), PARITY
+        yield Deviation(f"parity: {label}", relative(a[keep], b[keep]), PARITY, skipped)
     derivatives = rnea.carrier_derivatives(carriers), manual.carrier_derivatives(carriers)
     for block in ("f", "force"):
         a, b = (
             np.concatenate([getattr(d, f"{block}_{argument}")[keep] for argument in ("s", "sd", "sdd")], axis=2)
             for d in derivatives
         )
-        yield f"parity: derivatives of {'carrier ' if block == 'force' else ''}{block}", relative(a, b), PARITY
+        check = f"parity: derivatives of {'carrier ' if block == 'force' else ''}{block}"
+        yield Deviation(check, relative(a, b), PARITY, skipped)
 
 
 def check_parity_on_singularities(case: RandomCase) -> Iterator[Deviation]:
@@ -62,22 +89,30 @@ def check_parity_on_singularities(case: RandomCase) -> Iterator[Deviation]:
     if len(poses) == 0:
         return
     motion, carriers = case.motion(case.t[: len(poses)]), case.carriers(case.t[: len(poses)])
+    skipped: Counter[str] = Counter()
+    compared: dict[str, list[Array]] = {"f": [], "carrier force": []}
     for k in range(len(poses)):
         # one sample each: singular poses of one case do not lie on one path
         here = PlatformMotion(motion.t[k : k + 1], poses[k : k + 1], motion.xd[k : k + 1], motion.xdd[k : k + 1])
         try:
             rnea = RneaDynamics(case.robot).along(here)
-        except RedundancyPinError:
-            continue  # not reached from the reference without crossing type I
+        except RedundancyPinError as error:
+            skipped[reason_of(error)] += 1  # not reached from the reference without crossing type I
+            continue
         if rnea.tree.serial_margin_bound[0] < AWAY_FROM_TYPE_ONE:
+            skipped["near_type_i"] += 1
             continue
         first = rnea.reduce(carriers[k : k + 1])
         second = VirtualWork(case.robot).along(here).reduce(carriers[k : k + 1])
         singular = np.linalg.svd(first.W[0], compute_uv=False)
-        if singular[-1] < 1e-9 * singular[0]:
-            yield "parity: f at type II poses", relative(first.f, second.f), PARITY
-            force = relative(first.carrier_force, second.carrier_force)
-            yield "parity: carrier force at type II poses", force, PARITY
+        if not singular[-1] < 1e-9 * singular[0]:
+            skipped["not_singular"] += 1
+            continue
+        compared["f"].append(relative(first.f, second.f))
+        compared["carrier force"].append(relative(first.carrier_force, second.carrier_force))
+    for label, values in compared.items():
+        if values:
+            yield Deviation(f"parity: {label} at type II poses", np.concatenate(values), PARITY, skipped)
 
 
 def _singular_poses(case: RandomCase, wanted: int = 8) -> Array:
@@ -135,10 +170,10 @@ def check_motion(case: RandomCase) -> Iterator[Deviation]:
     motion = case.motion(case.t)
     tree = RneaDynamics(case.robot).along(motion)
     q, v, a = tree.tree_motion(case.carriers(case.t))
-    keep = np.flatnonzero(_regular(tree.tree.serial_margin_bound))
+    keep, skipped = select(len(case.t), near_type_i=~_regular(tree.tree.serial_margin_bound))
     frames = ClosedForward(case.robot)
     missed = [frames.missed(q[:, k], v[:, k], a[:, k], motion.xd[k], motion.xdd[k]) for k in keep]
-    yield "rates and accelerations of the joints", np.array(missed), MOTION
+    yield Deviation("rates and accelerations of the joints", np.array(missed), MOTION, skipped)
 
 
 def check_power(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
@@ -149,13 +184,14 @@ def check_power(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[De
     """
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     tree, along = RneaDynamics(case.robot).along(motion), dynamics.along(motion)
-    keep = _regular(tree.tree.serial_margin_bound)
+    keep, skipped = select(len(case.t), near_type_i=~_regular(tree.tree.serial_margin_bound))
     reduced, states = along.reduce(carriers), tree.tree_motion(carriers)
     power = (reduced.f * motion.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
     rate, energy, lost = energy_rate(case.robot, motion, *states, _TURN, _STENCIL)
     size = np.maximum(np.maximum(np.abs(reduced.f * motion.xd).sum(axis=1), np.abs(energy)), 1e-3)
-    yield f"power balance ({label})", (np.abs(rate + lost - power) / size)[keep], POWER
-    yield f"energy ({label})", (np.abs(along.energy(carriers) - energy) / size)[keep], PARITY
+    yield Deviation(f"power balance ({label})", (np.abs(rate + lost - power) / size)[keep], POWER, skipped)
+    missed = np.abs(along.energy(carriers) - energy) / size
+    yield Deviation(f"energy ({label})", missed[keep], PARITY, skipped)
 
 
 def check_leg_momentum(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
@@ -190,8 +226,12 @@ def check_leg_momentum(case: RandomCase, dynamics: Dynamics, label: str) -> Iter
         weight = mass * robot.gravity[:2]
         moment = place[:, 6, 0] * weight[1] - place[:, 6, 1] * weight[0]
         expected -= normal * moment[:, None] / length
-    keep = _away(case, t)
-    yield f"angular momentum of each leg ({label})", relative(reduced.f[keep], expected[keep]), 100 * MOMENTUM
+    margin = RneaDynamics(robot).along(motion).tree.serial_margin_bound
+    keep, skipped = select(len(t), near_type_i=~_regular(margin))
+    if len(t) < len(case.t):
+        skipped["too_close"] = len(case.t) - len(t)
+    check = f"angular momentum of each leg ({label})"
+    yield Deviation(check, relative(reduced.f[keep], expected[keep]), 100 * MOMENTUM, skipped)
 
 
 def check_round_trip(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
@@ -202,14 +242,14 @@ def check_round_trip(case: RandomCase, dynamics: Dynamics, label: str) -> Iterat
     it leaves without three digits are not judged.
     """
     robot, name = case.robot, f"inverse -> forward ({label})"
-    if round_trip_needs(robot):
-        yield name, np.zeros(0), ROUND_TRIP
+    if robot.m < robot.n and robot.platform is not None:
+        yield Deviation(name, np.zeros(0), ROUND_TRIP, {"underactuated": len(case.t)})
         return
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     rnea = RneaDynamics(robot).along(motion)
     reduced = dynamics.along(motion).reduce(carriers)
-    driven, tau, solvable = _efforts(robot, reduced)
-    keep = np.flatnonzero(solvable & _regular(rnea.tree.serial_margin_bound))
+    driven, tau, unsolvable = _efforts(robot, reduced)
+    keep, skipped = select(len(case.t), near_type_i=~_regular(rnea.tree.serial_margin_bound), **unsolvable)
     q, v, a = rnea.tree_motion(carriers)
     effort = np.zeros_like(v)
     effort[driven] = tau.T
@@ -226,22 +266,21 @@ def check_round_trip(case: RandomCase, dynamics: Dynamics, label: str) -> Iterat
         closed = ClosedForward(robot)
         for i, k in enumerate(keep):
             forward[i], rounding[i] = closed(q[:, k], v[:, k], effort[:, k])
-    judged = rounding <= _JUDGED * np.abs(a.T[keep]).max(axis=1)
+    coarse = ~(rounding <= _JUDGED * np.abs(a.T[keep]).max(axis=1))
+    judged, more = select(len(keep), ill_conditioned=coarse)
     floor = np.maximum(rounding / ROUND_TRIP, 1e-6)
-    yield name, relative(forward, a.T[keep], floor)[judged], ROUND_TRIP
-
-
-def round_trip_needs(robot: Robot) -> str:
-    """Return why there is no round trip for a robot; empty if there is one."""
-    weak = robot.m < robot.n and robot.platform is not None
-    return "fewer motors than freedoms of the platform" if weak else ""
+    yield Deviation(name, relative(forward, a.T[keep], floor)[judged], ROUND_TRIP, {**skipped, **more})
 
 
 def check_derivatives(case: RandomCase, along: DynamicsAlongMotion, label: str) -> Iterator[Deviation]:
     """Derivatives of f and carrier force by s, ṡ, s̈ against central differences (exact for a quadratic)."""
+    check = f"derivatives by s, s', s'' ({label})"
+    if not case.robot.k:
+        yield Deviation(check, np.zeros(0), DERIVATIVES, {"no_carriers": len(case.t)})
+        return
     carriers = case.carriers(case.t)
     exact = along.carrier_derivatives(carriers)
-    step = 1e-3
+    step, worst = 1e-3, np.zeros(len(case.t))
     for argument in ("s", "sd", "sdd"):
         for k in range(case.robot.k):
             shifted = []
@@ -249,12 +288,13 @@ def check_derivatives(case: RandomCase, along: DynamicsAlongMotion, label: str) 
                 parts = {name: np.array(getattr(carriers, name)) for name in ("s", "sd", "sdd")}
                 parts[argument][:, k] += sign * step
                 shifted.append(along.reduce(CarrierMotion(parts["s"], parts["sd"], parts["sdd"])))
-            for field, quantity in (("f", "f"), ("force", "carrier_force")):
+            for name, quantity in (("f", "f"), ("force", "carrier_force")):
                 difference = (getattr(shifted[0], quantity) - getattr(shifted[1], quantity)) / (2.0 * step)
-                whole = getattr(exact, f"{field}_{argument}")
+                whole = getattr(exact, f"{name}_{argument}")
                 size = np.maximum(np.abs(whole).max(axis=(1, 2)), np.abs(getattr(shifted[0], quantity)).max(axis=1))
                 deviation = np.abs(whole[:, :, k] - difference).max(axis=1) / np.maximum(size, 1.0)
-                yield f"derivatives by s, s', s'' ({label})", deviation, DERIVATIVES
+                worst = np.maximum(worst, deviation)  # a NaN stays
+    yield Deviation(check, worst, DERIVATIVES, {})
 
 
 def _differentiate(values: Array) -> Array:
@@ -273,18 +313,14 @@ def _apart(t: Array) -> Array:
     return np.asarray(slots * spacing)
 
 
-def _away(case: RandomCase, t: Array) -> BoolArray:
-    return _regular(RneaDynamics(case.robot).along(case.motion(t)).tree.serial_margin_bound)
-
-
 def _regular(margin: Array) -> BoolArray:
     """Return (N,) where a motion keeps away from type I; the bound falls with joints: of legs it is low everywhere."""
     typical = float(np.median(margin[margin > 0.0])) if (margin > 0.0).any() else 0.0
     return np.asarray(margin > min(NEAR_SINGULAR_MARGIN, 0.3 * typical))
 
 
-def _efforts(robot: Robot, reduced: ReducedDynamics) -> tuple[IntArray, Array, BoolArray]:
-    """Return driven velocities, their minimum-norm efforts where W has full row rank by a margin, and where it has.
+def _efforts(robot: Robot, reduced: ReducedDynamics) -> tuple[IntArray, Array, dict[str, BoolArray]]:
+    """Return driven velocities, their minimum-norm efforts where W has full row rank by a margin, and where it has not.
 
     Where the motors cannot do it, as of a machine whose arms are not driven, the independent joints are, whose efforts
     are f.
@@ -293,10 +329,11 @@ def _efforts(robot: Robot, reduced: ReducedDynamics) -> tuple[IntArray, Array, B
     solvable: BoolArray = (robot.m >= robot.n) & (singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0])
     if robot.platform is None and not solvable.any():
         joints = (robot.model.joints[robot.model.getJointId(name)] for name in robot.independent_joints)
-        return np.array([each.idx_v for each in joints]), reduced.f, np.asarray(np.isfinite(reduced.f).all(axis=1))
+        unknown = ~np.isfinite(reduced.f).all(axis=1)
+        return np.array([each.idx_v for each in joints]), reduced.f, {"not_finite": np.asarray(unknown)}
     safe = np.where(solvable[:, None, None], reduced.W, np.eye(*reduced.W.shape[1:]))
     tau: Array = (np.linalg.pinv(safe) @ reduced.f[:, :, None])[:, :, 0]
-    return robot.actuated_velocity, tau, solvable
+    return robot.actuated_velocity, tau, {"near_type_ii": ~solvable}
 
 
 # --- report --------------------------------------------------------------------------------------------------------
@@ -309,11 +346,12 @@ class CheckRow:
     Attributes:
         robot: robot it was made on.
         check: what was compared.
-        samples: number of states.
+        samples: number of states that were checked (of the row "random motions": motions that were used).
         worst: largest deviation, relative to the size of what was compared.
         tolerance: largest deviation that passes.
         passed: whether it does; false for a check without samples or with NaN.
-        note: what was left out, and why; such a row is no check and does not count.
+        note: why the row is no check and does not count; empty for a check.
+        skipped: number of states that were skipped, by reason (a key of ``REASONS``).
     """
 
     robot: str
@@ -323,6 +361,16 @@ class CheckRow:
     tolerance: float
     passed: bool
     note: str = ""
+    skipped: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int:
+        """Number of states, those that were skipped included."""
+        return self.samples + sum(self.skipped.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, for JSON and tables."""
+        return {**asdict(self), "total": self.total}
 
 
 @dataclass(frozen=True)
@@ -346,7 +394,7 @@ class CrossCheckReport:
 
     def as_dict(self) -> dict[str, object]:
         """Return plain numbers, for JSON."""
-        return {"passed": self.passed, "seed": self.seed, "rows": [asdict(row) for row in self.rows]}
+        return {"passed": self.passed, "seed": self.seed, "rows": [row.as_dict() for row in self.rows]}
 
     def table(self) -> Table:
         """Return the report as a table for the terminal."""
@@ -354,19 +402,23 @@ class CrossCheckReport:
         for heading in ("states", "worst", "allowed", ""):
             table.add_column(heading, justify="right")
         for row in self.rows:
+            states = f"{row.samples} of {row.total}" if row.skipped else str(row.samples)
             if row.note:
-                table.add_row(row.robot, f"{row.check}: {escape(row.note)}", str(row.samples), "", "", "left out")
-                continue
-            verdict = "[green]ok[/green]" if row.passed else "[red]FAILED[/red]"
-            cells = (str(row.samples), f"{row.worst:.1e}", f"{row.tolerance:.0e}", verdict)
-            table.add_row(row.robot, row.check, *cells)
+                table.add_row(row.robot, f"{row.check}: {escape(row.note)}", states, "", "", "left out")
+            else:
+                verdict = "[green]ok[/green]" if row.passed else "[red]FAILED[/red]"
+                table.add_row(row.robot, row.check, states, f"{row.worst:.1e}", f"{row.tolerance:.0e}", verdict)
+            for reason, count in row.skipped.items():
+                table.add_row("", f"  skipped: {REASONS[reason]}", str(count), "", "", "")
         return table
 
 
-def checked_row(robot: str, check: str, deviation: Array, tolerance: float) -> CheckRow:
-    """Return the row of one check from its deviations (N,); one that is not finite makes the worst NaN."""
-    worst = float(np.max(deviation, initial=0.0)) if np.isfinite(deviation).all() else float("nan")
-    return CheckRow(robot, check, len(deviation), worst, tolerance, bool(len(deviation) > 0 and worst <= tolerance))
+def checked_row(robot: str, deviation: Deviation) -> CheckRow:
+    """Return the row of one check; a deviation that is not finite makes the worst NaN."""
+    check, values, tolerance, skipped = deviation
+    worst = float(np.max(values, initial=0.0)) if np.isfinite(values).all() else float("nan")
+    passed = bool(len(values) > 0 and worst <= tolerance)
+    return CheckRow(robot, check, len(values), worst, tolerance, passed, skipped=dict(skipped))
 
 
 def merged(rows: Iterable[CheckRow]) -> tuple[CheckRow, ...]:
@@ -378,7 +430,10 @@ def merged(rows: Iterable[CheckRow]) -> tuple[CheckRow, ...]:
         worst = float(np.maximum(before.worst, row.worst))
         passed = samples > 0 and worst <= row.tolerance
         note = row.note and before.note  # one batch with states is a check
-        total[row.robot, row.check] = CheckRow(row.robot, row.check, samples, worst, row.tolerance, passed, note)
+        skipped = dict(Counter(row.skipped) + Counter(before.skipped if before is not row else {}))
+        total[row.robot, row.check] = replace(
+            row, samples=samples, worst=worst, passed=passed, note=note, skipped=skipped
+        )
     return tuple(total.values())
 
 

@@ -10,19 +10,20 @@ from __future__ import annotations
 import errno
 import glob
 import os
+import secrets
 import shutil
 import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from redundancy_pin.errors import OutputError, shortened
 from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 
 MANIFEST = "summary.json"
-"""File of a results folder that lists, under the key ``io.files``, everything the folder holds."""
+"""File of a results folder that lists, under the key ``files``, everything the folder holds."""
 
 # What a name that is too long, a NUL in it, and a loop of links raise
 _BAD_NAME = (OSError, ValueError, RuntimeError)
@@ -49,20 +50,18 @@ def replacing_file(target: str | Path) -> Iterator[Path]:
         OutputError: as ``require_writable``, or the disk refuses.
     """
     path = require_writable(target)
-    _collect(path.parent)
-    # in a folder of its own: writers may rename over the file, which would lose a lock on it
-    with refusing(path):
-        folder, lock = _made_locked(path.parent)
-        temporary = folder / path.name
-        temporary.touch(0o600)
-    try:
+    with ExitStack() as stack:
+        with refusing(path):
+            # in a folder of its own: writers may rename over the file, which would lose a lock on it
+            temporary = stack.enter_context(temporary_folder(path.parent)) / path.name
+            # the kernel applies the umask: reading it otherwise means to set it, for all threads of the process
+            temporary.touch(0o666)
+            usual = temporary.stat().st_mode
+            temporary.chmod(0o600)
         yield temporary
         with refusing(path):
-            _give_permissions(temporary, path)
+            _give_permissions(temporary, path, usual)
             os.replace(temporary, path)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        _unlock(lock)
 
 
 def require_writable(target: str | Path) -> Path:
@@ -126,17 +125,12 @@ def replacing_folder(target: str | Path) -> Iterator[Path]:
         OutputError: as ``require_replaceable``, or the disk refuses; the target is then as it was before.
     """
     path = require_replaceable(target)
-    _collect(path.parent)
     _restore(path)
-    with refusing(path):
-        temporary, lock = _made_locked(path.parent)
-        temporary.chmod(0o777 & ~_umask())
-    try:
+    with ExitStack() as stack:
+        with refusing(path):
+            temporary = stack.enter_context(temporary_folder(path.parent, 0o777))
         yield temporary
         _swap(temporary, path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        _unlock(lock)
 
 
 def require_replaceable(target: str | Path) -> Path:
@@ -207,12 +201,12 @@ def refusing(path: str | Path, kinds: tuple[type[Exception], ...] = (OSError,)) 
         raise _refused(path, f"{reason}.") from error
 
 
-def _give_permissions(temporary: Path, target: Path) -> None:
-    """Give a file those of the one it is to replace, or the usual ones: it was its owner's alone so far."""
+def _give_permissions(temporary: Path, target: Path, usual: int) -> None:
+    """Give a file those of the one it replaces, or the usual ones: until now only its owner may read and write it."""
     try:
         there = target.stat()
     except FileNotFoundError:
-        temporary.chmod(0o666 & ~_umask())
+        temporary.chmod(stat.S_IMODE(usual))
         return
     with suppress(PermissionError):  # only the superuser can give files away
         if sys.platform != "win32":
@@ -223,10 +217,41 @@ def _give_permissions(temporary: Path, target: Path) -> None:
 # --- what a writer that was killed leaves ---------------------------------------------------------------------------
 
 
-def _made_locked(parent: Path) -> tuple[Path, int | None]:
-    """Make a temporary folder and lock it; once more where another writer collected it in between."""
+@contextmanager
+def temporary_folder(parent: Path, mode: int = 0o700) -> Iterator[Path]:
+    """Give a new folder that is removed at the end, or by the next call for ``parent`` if this process is killed.
+
+    Args:
+        parent: the folder to make it in.
+        mode: its permissions, less those of the umask.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    remove_leftovers(parent)
+    folder, lock = _made_locked(parent, mode)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _unlock(lock)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary folders whose process has ended without removing them: their locks are free."""
+    for left in folder.glob(f"{_TEMPORARY}*"):
+        with suppress(OSError):  # in use, or of another user
+            lock = _lock(left)
+            if lock is not None:
+                shutil.rmtree(left)
+                _unlock(lock)
+
+
+def _made_locked(parent: Path, mode: int) -> tuple[Path, int | None]:
+    """Make a temporary folder and lock it; once more where another process has removed it in between."""
     while True:
-        path = Path(tempfile.mkdtemp(prefix=_TEMPORARY, dir=parent))
+        path = parent / f"{_TEMPORARY}{secrets.token_hex(8)}"
+        path.mkdir(mode)
         with suppress(FileNotFoundError):
             lock = _lock(path, wait=True)
             if lock is None or os.path.samestat(os.fstat(lock), path.stat()):
@@ -244,7 +269,8 @@ def _lock(path: Path, *, wait: bool = False) -> int | None:
         return None
     import fcntl
 
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+    # a pipe of that name would keep us waiting for its writer
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError as error:
@@ -258,16 +284,6 @@ def _lock(path: Path, *, wait: bool = False) -> int | None:
 def _unlock(lock: int | None) -> None:
     if lock is not None:
         os.close(lock)
-
-
-def _collect(folder: Path) -> None:
-    """Remove temporary folders of writers that are gone."""
-    for left in folder.glob(f"{_TEMPORARY}*"):
-        with suppress(OSError):  # being written, or somebody else's
-            lock = _lock(left)
-            if lock is not None:
-                shutil.rmtree(left)
-                _unlock(lock)
 
 
 def _restore(target: Path) -> None:
@@ -317,9 +333,3 @@ def _listed(folder: Path) -> set[str]:
         return {MANIFEST, *(str(name) for name in read_json(text, constants=True)["files"])}
     except (OutputError, ValueError, KeyError, TypeError):
         return set()
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -41,6 +42,14 @@ def test_tables(tmp_path: Path) -> None:
 def test_json_is_the_summary(tmp_path: Path) -> None:
     result = call("reproduce", "--out", str(tmp_path / "results"), "--json")
     assert json.loads(result.stdout) == json.loads((tmp_path / "results" / "summary.json").read_text())
+
+
+def test_a_log_shows_how_far_it_is(tmp_path: Path) -> None:
+    result = call("reproduce", "--out", str(tmp_path / "results"), "--json", every=0.05)
+    assert json.loads(result.stdout)["cross_check"]["passed"]
+    lines = result.stderr.splitlines()
+    assert any(re.fullmatch(r"reproduce: .+, \d+ of \d+, 0:00:\d\d elapsed", line) for line in lines)
+    assert all(line.startswith("reproduce: ") and line.endswith(" elapsed") for line in lines)
 
 
 def test_failed_cross_check_is_exit_code_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

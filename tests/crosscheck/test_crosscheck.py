@@ -1,6 +1,7 @@
 """The cross-check itself: it passes on what is right and fails on every fault put into a backend."""
 
 import io
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +13,11 @@ from mjcf_models import GEARED, write
 from rich.console import Console
 
 from redundancy_pin import crosscheck
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN
+from redundancy_pin.crosscheck import cases
 from redundancy_pin.crosscheck import checks as physics
-from redundancy_pin.crosscheck.cases import Masses, Wave, random_case
-from redundancy_pin.crosscheck.checks import CheckRow, CrossCheckReport, checked_row, merged, relative
+from redundancy_pin.crosscheck.cases import REASONS, Masses, RandomCase, Wave, random_case
+from redundancy_pin.crosscheck.checks import CheckRow, CrossCheckReport, Deviation, checked_row, merged, relative
 from redundancy_pin.crosscheck.closed_forward import ClosedForward, confined_to_planes
 from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
@@ -65,7 +68,7 @@ def test_progress_counts_every_state_of_every_batch():
     seen = []
     crosscheck.run(["four_bar"], samples=10, progress=lambda done, total: seen.append((done, total)))
     assert [total for _, total in seen] == [10] * len(seen)
-    assert [done for done, _ in seen] == [3, 6, 9, 10]
+    assert [done for done, _ in seen] == [0, 3, 6, 9, 10]
 
 
 def test_a_million_states_leave_no_more_behind_than_ten(monkeypatch):
@@ -76,7 +79,7 @@ def test_a_million_states_leave_no_more_behind_than_ten(monkeypatch):
     ])  # fmt: skip
     monkeypatch.setattr(crosscheck, "merged", lambda rows: kept.append(len(rows)) or merged(rows))
     report = crosscheck.run(["four_bar"], samples=1_000_000, progress=lambda done, total: seen.append(done))
-    assert seen == list(range(250, 1_000_001, 250))
+    assert seen == list(range(0, 1_000_001, 250))
     assert max(kept) == 4
     assert [(row.samples, row.worst, row.passed) for row in report.rows] == [(1_000_000, 4e-9, True)] * 2
 
@@ -84,7 +87,7 @@ def test_a_million_states_leave_no_more_behind_than_ten(monkeypatch):
 def test_power_of_the_fastest_state_of_the_long_run():
     """One state in 1e5 that differences along the motion, of sixth order with 0.5 ms, could not follow."""
     case = random_case("five_bar", 250, 2000, 101, masses=Masses.ALL)
-    (_, deviation, tolerance), _ = physics.check_power(case, RneaDynamics(case.robot), "rnea")
+    (_, deviation, tolerance, _), _ = physics.check_power(case, RneaDynamics(case.robot), "rnea")
     assert 0.0 < deviation.max() < 1e-11 < tolerance
 
 
@@ -114,7 +117,7 @@ def test_power_and_round_trip_judge_what_loads_ask_of_joints(monkeypatch, load, 
 
     def deviations():
         deviations = [next(iter(check(case, RneaDynamics(case.robot), "rnea"))) for check in checks]
-        return np.array([deviation.max() / tolerance for _, deviation, tolerance in deviations])
+        return np.array([deviation.max() / tolerance for _, deviation, tolerance, _ in deviations])
 
     assert (deviations() < 1.0).all()
     monkeypatch.setattr(TreeLoads, "efforts", lambda *a, **k: 1.001 * efforts(*a, **k))
@@ -173,7 +176,7 @@ def test_a_short_lever_neither_fails_nor_hides_a_fault(monkeypatch):
             *physics.check_power(case, rnea, ""),
             *physics.check_round_trip(case, rnea, ""),
         ]
-        return np.array([deviation.max() / tolerance for _, deviation, tolerance in every])
+        return np.array([deviation.max() / tolerance for _, deviation, tolerance, _ in every])
 
     assert (deviations() < [0.1, 0.1, 0.1, 0.3]).all()
     efforts = TreeLoads.efforts
@@ -196,7 +199,7 @@ def test_joints_that_do_not_move_with_the_platform_are_noticed(monkeypatch, robo
         return q, v, a
 
     def worst():
-        ((_, deviation, tolerance),) = physics.check_motion(case)
+        ((_, deviation, tolerance, _),) = physics.check_motion(case)
         return deviation.max() / tolerance
 
     assert worst() < 1e-3
@@ -228,10 +231,6 @@ def test_a_chain_without_loops_is_checked_too(tmp_path):
 
 
 def test_what_could_not_be_checked_is_named_and_does_not_fail():
-    robot = load_robot("gough")
-    weak = replace(robot, actuated=robot.actuated[:5], actuated_velocity=robot.actuated_velocity[:5])
-    assert "fewer motors than freedoms" in physics.round_trip_needs(weak)
-    assert not physics.round_trip_needs(robot)
     note = CheckRow("robot", "inverse -> forward", 0, 0.0, 1.0, False, "a closure [red]is[/red] about one axis")
     good = CheckRow("robot", "power", 3, 0.1, 1.0, True)
     assert CrossCheckReport((good, note), 0).passed
@@ -333,12 +332,12 @@ def test_a_fault_in_one_backend_is_found(monkeypatch, name):
 
 def test_a_report_without_rows_or_samples_does_not_pass():
     assert not CrossCheckReport((), 0).passed
-    assert not CrossCheckReport((checked_row("robot", "check", np.zeros(0), 1.0),), 0).passed
+    assert not CrossCheckReport((checked_row("robot", Deviation("check", np.zeros(0), 1.0, {})),), 0).passed
 
 
 def test_the_worst_of_several_batches_counts_and_nan_stays():
     def row(check, *deviation):
-        return checked_row("robot", check, np.array(deviation), 2.5)
+        return checked_row("robot", Deviation(check, np.array(deviation), 2.5, {}))
 
     rows = [row("check", 1.0, 3.0), row("check", 2.0), row("other", 1.0)]
     assert [(r.check, r.samples, r.worst, r.passed) for r in merged(rows)] == [
@@ -398,15 +397,105 @@ def test_bad_input_is_refused():
 
 
 def test_a_robot_without_workspace_is_reported(monkeypatch):
-    from redundancy_pin.crosscheck import cases
-
     def never(*_, **__):
         raise UnreachablePoseError("too far")
 
     monkeypatch.setattr(cases, "lift", never)
     monkeypatch.setattr(cases, "TRIES", 2)
-    with pytest.raises(UnreachablePoseError, match="No random motion of 2rpr stays reachable after 2 draws"):
+    with pytest.raises(UnreachablePoseError, match=r"motion of 2rpr .* in 2 draws .*do not close: 2"):
         crosscheck.run(["2rpr"], samples=5)
+
+
+# --- what is skipped, and why -----------------------------------------------------------------------------------------
+
+FIVE_BAR = str(Path(__file__).parents[2] / "models" / "five_bar" / "robot.yaml")
+"""By its path it is taken as it is. Its hinges are at (0, 0) and (0.5, 0), the reach of each leg is 1 m."""
+
+
+def test_every_state_is_counted_once(report):
+    """Checked, or skipped for one reason."""
+    states = 25 * FACTOR if FACTOR > 1 else 2
+    for row in report.rows:
+        assert row.total == row.samples + sum(row.skipped.values())
+        assert all(count > 0 for count in row.skipped.values())
+        assert set(row.skipped) <= set(REASONS)
+        if "type II" not in row.check and not row.note:
+            assert row.total == (max(1, states // 4) if "momentum" in row.check else states), row
+
+
+def test_round_trips_skip_singular_states():
+    """Where W is near a loss of rank, by the other backend."""
+    skipped, singular = Counter(), 0
+    for index in range(4):
+        case = random_case("3rrr", 2, 1, index, masses=Masses.ALL)
+        manual = virtual_work.VirtualWork(case.robot)
+        values = np.linalg.svd(manual.along(case.motion(case.t)).reduce(case.carriers(case.t)).W, compute_uv=False)
+        singular += int((values[:, -1] <= NEAR_SINGULAR_MARGIN * values[:, 0]).sum())
+        (deviation,) = physics.check_round_trip(case, RneaDynamics(case.robot), "rnea")
+        skipped += Counter({**deviation.skipped, "checked": len(deviation.values)})
+    assert skipped == {"near_type_ii": singular, "checked": 8 - singular}
+    assert 0 < singular < 8
+
+
+def test_motions_that_are_not_used_are_counted_by_reason(monkeypatch):
+    """A pose of the five-bar is out of reach where it is more than 1 m from a hinge."""
+    refused = []
+
+    def assemble(system, guess, target):
+        refused.append(np.array(target).reshape(2))
+        return closing(system, guess, target)
+
+    closing = cases.assemble
+    monkeypatch.setattr(cases, "assemble", assemble)
+    skipped = sum((Counter(random_case(FIVE_BAR, 4, seed, vary=False).skipped) for seed in (0, 8, 16)), Counter())
+    reach = [max(np.hypot(x, y), np.hypot(x - 0.5, y)) for x, y in refused]
+    beyond = sum(distance > 1.0 for distance in reach)
+    assert min(reach) > 0.97
+    assert 0 < beyond < len(reach)
+    assert skipped == {"unreachable": beyond, "near_type_i": len(reach) - beyond}
+
+
+def test_states_near_a_stretched_leg_are_skipped_as_such():
+    """Three states where both legs reach 0.8 m, and two 1e-5 m from full stretch."""
+    low, high = (np.sqrt(reach**2 - 0.25**2) for reach in (0.8, 1.0 - 1e-5))
+    middle, swing = 0.5 * (low + high), 0.5 * (high - low)
+    path = Wave(np.array([0.25, middle]), np.array([[0.0, swing]]), np.array([[0.0, -0.5 * np.pi]]), np.ones(1))
+    robot = load_robot("five_bar", carriers=False)
+    case = RandomCase(robot, np.pi * np.arange(5.0), path, Wave(np.zeros(0), *np.zeros((2, 1, 0)), np.ones(1)))
+    rnea = RneaDynamics(robot)
+    for deviation in (*physics.check_motion(case), *physics.check_power(case, rnea, "rnea")):
+        assert (len(deviation.values), deviation.skipped) == (3, {"near_type_i": 2}), deviation.check
+    (trip,) = physics.check_round_trip(case, rnea, "rnea")
+    assert trip.skipped["near_type_i"] == 2
+    assert len(trip.values) + sum(trip.skipped.values()) == 5
+    (derivatives,) = physics.check_derivatives(case, rnea.along(case.motion(case.t)), "rnea")
+    assert (len(derivatives.values), derivatives.skipped) == (0, {"no_carriers": 5})
+
+
+def test_states_that_the_other_checks_skip_are_counted(monkeypatch):
+    case = random_case("2rpr", 3, 0, masses=Masses.ZERO_STAYS_ZERO, carriers=True)
+    case = replace(case, t=np.array([0.1, 0.1001, 0.3]))  # the differences take 7 ms
+    (momentum,) = physics.check_leg_momentum(case, RneaDynamics(case.robot), "rnea")
+    assert (len(momentum.values), momentum.skipped) == (2, {"too_close": 1})
+    assert all(len(parity.values) == 3 and not parity.skipped for parity in physics.check_parity(case))
+    monkeypatch.setattr(physics, "AWAY_FROM_TYPE_ONE", np.inf)
+    for parity in physics.check_parity(case):
+        assert (len(parity.values), parity.skipped) == (0, {"near_type_i": 3}), parity.check
+
+
+def test_a_machine_with_too_few_motors_has_no_round_trip():
+    case = random_case("gough", 3, 0, masses=Masses.ALL)
+    robot = case.robot
+    weak = replace(robot, actuated=robot.actuated[:5], actuated_velocity=robot.actuated_velocity[:5])
+    (deviation,) = physics.check_round_trip(replace(case, robot=weak), RneaDynamics(weak), "rnea")
+    assert (len(deviation.values), deviation.skipped) == (0, {"underactuated": 3})
+
+
+def test_a_state_is_skipped_for_the_first_reason_that_holds():
+    first, second = np.array([True, True, False, False]), np.array([True, False, True, False])
+    keep, skipped = physics.select(4, near_type_i=first, near_type_ii=second, not_finite=first)
+    assert keep.tolist() == [3]
+    assert skipped == {"near_type_i": 2, "near_type_ii": 1}
 
 
 @pytest.mark.parametrize("axes", [("x", "y", "rz"), ("z", "rx", "ry"), ("rx", "ry", "rz")], ids=str)

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import os
 import signal
+import stat
+import sys
+import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -35,13 +41,55 @@ def test_file_is_written_and_replaced(tmp_path: Path) -> None:
     assert _names(tmp_path) == ["a.txt"]
 
 
-def test_file_gets_the_usual_permissions(tmp_path: Path) -> None:
-    mask = os.umask(0o022)
+def _modes(folder: Path) -> set[int]:
+    return {stat.S_IMODE(path.stat().st_mode) for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002, 0o000])
+def test_new_files_and_folders_get_what_the_umask_leaves(mask: int, tmp_path: Path) -> None:
+    before = os.umask(mask)
     try:
         write_text(tmp_path / "a.txt", "")
+        with replacing_file(tmp_path / "b.txt") as temporary:
+            temporary.unlink()  # writers may put another file in its place
+            temporary.touch(0o600)
+        _write_results(tmp_path / "results")
     finally:
+        os.umask(before)
+    for name in ("a.txt", "b.txt"):
+        assert (tmp_path / name).stat().st_mode & 0o777 == 0o666 & ~mask
+    assert (tmp_path / "results").stat().st_mode & 0o777 == 0o777 & ~mask
+
+
+def test_files_of_other_threads_keep_the_umask(tmp_path: Path) -> None:
+    """A writer that sets the umask of the process to read it lets other threads make files that all may write."""
+    places = [tmp_path / name for name in ("writers", "others", "results")]
+    for place in places:
+        place.mkdir()
+    end = time.monotonic() + 0.7
+    write: list[Callable[[int], object]] = [
+        lambda i: write_text(places[0] / f"{i}", ""),
+        lambda i: _write_results(places[2] / f"{i}"),
+        lambda i: (places[1] / f"a{i}").touch(),
+        lambda i: (places[1] / f"b{i}").touch(),
+    ]
+
+    def repeat(one: Callable[[int], object]) -> None:
+        for i in itertools.count():
+            one(i)
+            if time.monotonic() > end:
+                break
+
+    mask, interval = os.umask(0o027), sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(len(write)) as pool:
+            list(pool.map(repeat, write))
+    finally:
+        sys.setswitchinterval(interval)
         os.umask(mask)
-    assert (tmp_path / "a.txt").stat().st_mode & 0o777 == 0o644
+    assert [_modes(place) for place in places] == [{0o640}] * 3
+    assert {stat.S_IMODE(path.stat().st_mode) for path in places[2].iterdir()} == {0o750}
 
 
 def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -221,6 +269,17 @@ def test_what_a_killed_writer_leaves_is_gone_after_the_next_one(tmp_path: Path) 
             inner.write_text("b")
         write_text(tmp_path / "a.txt", "once more")
     assert _names(tmp_path) == [".hidden-1.txt", "a.txt", "b.txt"]
+
+
+def test_a_pipe_that_is_named_like_a_leftover_keeps_nobody_waiting(tmp_path: Path) -> None:
+    """In a folder that others write to anybody can make one; who opens it waits for a process that writes to it."""
+    pipe = tmp_path / ".redundancy_pin-pipe"
+    os.mkfifo(pipe)
+    writing = threading.Thread(target=write_text, args=(tmp_path / "a.txt", "text"), daemon=True)
+    writing.start()
+    writing.join(timeout=5.0)
+    assert not writing.is_alive()
+    assert _names(tmp_path) == [pipe.name, "a.txt"]
 
 
 def test_results_survive_a_kill_between_the_two_renames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

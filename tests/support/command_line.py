@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from click.testing import CliRunner, Result
 
-from redundancy_pin.cli import main
+from redundancy_pin.cli import main, output
 from redundancy_pin.trajectory import Trajectory
 
 
-def call(*arguments: str) -> Result:
-    """Run ``redundancy-pin`` with arguments; an exception that is not an exit is raised, not swallowed."""
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+def call(*arguments: str, every: float = 3600.0) -> Result:
+    """Run ``redundancy-pin`` with arguments; an exception that is not an exit is raised, not swallowed.
+
+    ``every`` so many seconds progress is printed on stderr: on a slow machine too, tests read there what they expect.
+    """
+    with patch.object(output, "EVERY", every):
+        result = CliRunner().invoke(main, [str(argument) for argument in arguments])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result
