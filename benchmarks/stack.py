@@ -57,8 +57,8 @@ def rows():
 
     robots = {name: rp.load_robot(name) for name in shipped_robots(gallery=True)}
     robots[f"row of {LOOPS} four-bars"] = row_of_four_bars(LOOPS)
-    head = "| machine | closures | nv | `…_STACK_BYTES` | used, `-O2` | used, worst level |\n| --- " + "| ---: " * 5 + "|\n"
-    table = head + "\n".join(row(name, robot) for name, robot in robots.items())
+    head = "| machine | closures | nv | `…_STACK_BYTES` | used, `-O2` | used, worst level |"
+    table = "\n".join([head, "| --- " + "| ---: " * 5 + "|", *(row(name, robot) for name, robot in robots.items())])
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     PAGE.write_text(f"{before}{BEGIN}\n{table}\n\n{END}{rest.split(END)[1]}", encoding="utf-8")
 

@@ -24,10 +24,10 @@ __all__ = ["GeneratedCode", "write_c"]
 _LONGEST_PREFIX = 40
 """Letters: compilers that count only the first 63 of a name still tell all functions apart."""
 
-_TAKEN = frozenset(
-    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
-    "stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype "
-    "all clean help install package test".split()
+_TAKEN = re.compile(
+    "assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|std[a-z]+|string|tgmath|"
+    "threads|time|uchar|wchar|wctype|all|clean|help|install|package|test",
+    flags=re.IGNORECASE,
 )
 """Headers of the C library, which a header of that name would hide, and targets of CMake."""
 
@@ -102,17 +102,17 @@ def write_c(
 def prefix_of(robot: str, given: str | None) -> str:
     if given is None:
         name = re.sub(r"[^A-Za-z0-9]+", "_", robot).strip("_").lower()[:_LONGEST_PREFIX].strip("_")
-        if re.match(r"[a-z]", name) and name not in _TAKEN:  # a digit begins no name
+        if re.match(r"[a-z]", name) and not _TAKEN.fullmatch(name):  # a digit begins no name
             return name
         return f"robot_{name}"[:_LONGEST_PREFIX].strip("_")
     # two underscores in a row belong to compilers
     if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", given, flags=re.ASCII) or len(given) > _LONGEST_PREFIX:
         raise InputError(
             f"prefix is {shown(given)}, which cannot begin names in C here.",
-            remedy=f"Choose a letter, then letters, digits and single underscores between them, at most {_LONGEST_PREFIX}.",
+            remedy=f"Choose a letter, then letters, digits and single underscores between, at most {_LONGEST_PREFIX}.",
             name="prefix",
         )
-    if given.lower() in _TAKEN:
+    if _TAKEN.fullmatch(given):
         raise InputError(
             f"prefix is {given}: the header {given}.h or the target {given} is there already.",
             remedy=f"Choose another one, such as robot_{given}.",

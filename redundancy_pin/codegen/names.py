@@ -46,7 +46,8 @@ def private(text: str, prefix: str, header: str) -> str:
     """
     own = {name for name in names_of(text) - names_of(header) - {"main"} if not name.startswith("_")}
     renamed = {name: f"{prefix.upper()}_OWN_{name}" if name.isupper() else f"{prefix}_own_{name}" for name in own}
-    parts = _TEXTS.split(text)
     # members of structures are names of their own
-    parts[::2] = [re.sub(r"(?<!->)(?<!\.)\b[A-Za-z]\w*", lambda name: renamed.get(name[0], name[0]), part) for part in parts[::2]]
+    name = re.compile(r"(?<!->)(?<!\.)\b[A-Za-z]\w*")
+    parts = _TEXTS.split(text)
+    parts[::2] = [name.sub(lambda found: renamed.get(found[0], found[0]), code) for code in parts[::2]]
     return "".join(parts)
