@@ -91,7 +91,7 @@ def stack_bytes(robot: Robot) -> int:
     spectra = 2 * (short * long + short**2 + 2 * short + 4)
     arguments = 3 * int(chain.x.numel() + n * m + 2 * n + 2 * m + 3 * robot.k + chain.alignment.numel())
     values = max(int(function.n_instructions()) for function in functions)
-    return 8 * (matrices + tree + spectra + arguments + values) + _FRAMES
+    return int(8 * (matrices + tree + spectra + arguments + values)) + _FRAMES
 
 
 def _drives(chain: SymbolicChain) -> Any:
