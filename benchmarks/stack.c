@@ -22,7 +22,7 @@
 #define NAMED(prefix, name) JOINED(prefix, _, name)
 #define NAME(name) NAMED(ROBOT, name)
 
-static const int SAMPLES_TAKEN = (int)(sizeof RECORDED / sizeof RECORDED[0]);
+enum { RECORDS = sizeof RECORDED / sizeof RECORDED[0], TAKEN = RECORDS < 20 ? RECORDS : 20 };
 static NAME(state) state;
 static volatile double angle = 1.0;
 
@@ -33,13 +33,13 @@ static void *run_nothing(void *unused) {
 
 static void *run_go_to(void *unused) {
   NAME(reset)(&state);
-  for (int k = 0; k < SAMPLES_TAKEN; ++k) NAME(go_to)(&state, RECORDED[k].motion.x);
+  for (int k = 0; k < TAKEN; ++k) NAME(go_to)(&state, RECORDED[k].motion.x);
   return unused;
 }
 
 static void *run_inverse_dynamics(void *unused) {
   static NAME(efforts) efforts;
-  for (int k = SAMPLES_TAKEN; k-- > 0;) {
+  for (int k = TAKEN; k-- > 0;) {
     NAME(inverse_dynamics)(&state, &RECORDED[k].motion, &efforts);
   }
   return unused;
@@ -57,7 +57,7 @@ static void *run_at(void *unused) {
 static void *run_forward_kinematics(void *unused) {
   static NAME(platform) platform;
   static NAME(drives) drives;
-  for (int k = SAMPLES_TAKEN; k-- > 0;) {
+  for (int k = TAKEN; k-- > 0;) {
     memcpy(drives.position, RECORDED[k].position, sizeof drives.position);
     memcpy(drives.velocity, RECORDED[k].velocity, sizeof drives.velocity);
     NAME(forward_kinematics)(&state, &drives, &platform);

@@ -274,15 +274,13 @@ static void drives(const double *q, const double *position, double *off) {
 /* The pseudo-inverse of W^T: rates of the coordinates whose actuated rates miss those given least. */
 static void back(const Spectrum *s, const double *rate, double *xd) {
   double scaled[M], result[N];
-  copy(scaled, rate, M);
-  int exponent = brought_down(scaled, M);
-  for (int j = 0; j < M; ++j) scaled[j] *= COLUMN_SCALE[j];
+  for (int j = 0; j < M; ++j) scaled[j] = rate[j] * COLUMN_SCALE[j];
 #if M > N
   from_long(s, scaled, result);
 #else
   from_short(s, scaled, result);
 #endif
-  for (int i = 0; i < N; ++i) xd[i] = ldexp(result[i] / ROW_SCALE[i], exponent);
+  for (int i = 0; i < N; ++i) xd[i] = result[i] / ROW_SCALE[i];
 }
 
 /* Newton's method for closures and actuated positions at once (of more actuators than freedoms Gauss and Newton's, with
@@ -327,7 +325,8 @@ static int forward(Pose *pose, const double *position, double *off) {
 int robot_forward_kinematics(robot_state *state, const robot_drives *given, robot_platform *platform) {
   Pose pose;
   Spectrum s;
-  double x[NX], xd[N], none[N], off[M], v[NV], a[NV], gamma[NV * N], W[N * M], residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
+  double x[NX], xd[N], none[N], off[M], rate[M], v[NV], a[NV], gamma[NV * N], W[N * M];
+  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
   if (!finite(given->position, M) || !finite(given->velocity, M)) return ROBOT_NOT_FINITE;
   int status = pose_of(state, &pose, x);
   if (status) return status;
@@ -343,7 +342,10 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
   if (!in_mode(&pose)) return ROBOT_OTHER_MODE;
   spectrum_of(W, &s);
   if (s.rank < N) return ROBOT_TYPE_II;
-  back(&s, given->velocity, xd);
+  copy(rate, given->velocity, M);
+  int exponent = brought_down(rate, M);
+  back(&s, rate, xd);
+  for (int i = 0; i < N; ++i) xd[i] = ldexp(xd[i], exponent);
   if (!finite(xd, N)) return ROBOT_NOT_FINITE;
   copy(state->q, pose.q, NQ);
   state->sign = pose.sign;

@@ -97,9 +97,9 @@ def stack_bytes(robot: Robot) -> int:
     matrices = 4 * rows**2  # of closures and platform: factors of two states, an inverse, what is factorised
     tree = nv * (n + 4) + 3 * state + 8 * rows
     spectra = 2 * (short * long + short**2 + 2 * short + 4)
-    arguments = 3 * (chain.x.numel() + n * m + 2 * n + 2 * m + 3 * robot.k + chain.alignment.numel())
-    values = max(function.n_instructions() for function in functions)
-    return 8 * (matrices + tree + spectra + arguments + values) + _FRAMES
+    arguments = 3 * int(chain.x.numel() + n * m + 2 * n + 2 * m + 3 * robot.k + chain.alignment.numel())
+    values = max(int(function.n_instructions()) for function in functions)
+    return int(8 * (matrices + tree + spectra + arguments + values)) + _FRAMES
 
 
 def _drives(chain: SymbolicChain) -> Any:

@@ -352,8 +352,9 @@ class _Problem:
 
     def brought_down(self, exponent: IntArray) -> _Problem:
         """Return the problem with all forces, u among them, divided by 2**exponent, (N,), which rounds nothing."""
-        names = ("g", "lower", "upper", "row_lower", "row_upper")
-        return replace(self, **{name: _times_power(getattr(self, name), -exponent) for name in names})
+        forces = (self.g, self.lower, self.upper, self.row_lower, self.row_upper)
+        g, lower, upper, row_lower, row_upper = (_times_power(force, -exponent) for force in forces)
+        return replace(self, g=g, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper)
 
     def fitting(self, at: BoolArray) -> tuple[Array, Array, Array]:
         """Return lower and upper bounds of some samples and their rows, the unknowns' own bounds first."""

@@ -370,8 +370,21 @@ def test_a_call_takes_no_more_stack_than_the_header_says(name: str, level: str, 
     used = stack.measured(program)
     assert {"go_to", "inverse_dynamics", "at"} <= set(used)
     assert max(used.values()) <= promised
-    assert promised <= 4 * max(used.values())  # and is of use
+    if level == "-O0":
+        assert promised <= 3 * max(used.values())  # and is of use
     assert run(program, str(promised + SYSTEM)).returncode == 0
     if name == "40 loops":  # what 128 kB are too few for: the page behind the stack is touched
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
         assert run(program, str(128 << 10)).returncode == -11
+
+
+def test_the_table_of_the_documentation_is_of_the_code_as_it_is() -> None:
+    number = r"([\d,]+)"
+    row = rf"^\| (.+?) \| \d+ \| \d+ \| {number} \| {number} \| {number} "
+    rows = re.findall(row, stack.PAGE.read_text(encoding="utf-8"), re.M)
+    table = {name: [int(number.replace(",", "")) for number in numbers] for name, *numbers in rows}
+    assert set(zoo.SHIPPED) <= set(shipped_robots()) <= set(table)
+    assert all(used <= worst <= promised for promised, used, worst in table.values())
+    for name in zoo.SHIPPED:
+        promised = promised_of(folder_of(robot_of(name)))
+        assert abs(table[name][0] - promised) <= 0.05 * promised, "run python benchmarks/stack.py"

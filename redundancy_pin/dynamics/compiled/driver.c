@@ -141,7 +141,10 @@ static void move(double *q, const double *pose_step) {
 static double largest(const double *values, int size) {
   double result = 0.0;
   for (int i = 0; i < size; ++i)
-    if (fabs(values[i]) > result || isnan(values[i])) result = fabs(values[i]);
+    if (!(fabs(values[i]) <= result)) {
+      result = fabs(values[i]);
+      if (isnan(result)) return result; /* no number would be larger than it */
+    }
   return result;
 }
 
