@@ -1,4 +1,4 @@
-"""Ranges of joints, passive ones too: which configurations are beyond them, and where a motion leaves them."""
+"""Joints by kind: which turn, how far random starts scatter them, which ranges they have and where a motion leaves them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import pinocchio as pin
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.robot.types import Robot, slides
@@ -19,6 +20,32 @@ ROUNDING = 1e-9
 
 _A_TURN = 2.0 * np.pi + 0.01
 """rad; limits farther apart count turns."""
+
+
+@lru_cache(maxsize=64)
+def turning_velocities(robot: Robot) -> BoolArray:
+    """Return (nv,) which tree velocities are rotations."""
+    model = robot.model
+    turning = np.zeros(model.nv, dtype=bool)
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        subspace = np.reshape(data.joints[index].S, (6, joint.nv))
+        turning[joint.idx_v : joint.idx_v + joint.nv] = np.abs(subspace[3:]).max(axis=0) > 0
+    return read_only(turning)
+
+
+@lru_cache(maxsize=64)
+def random_spread(robot: Robot) -> Array:
+    """Return (nv,) the half-width of the range in which random starts lie about a configuration.
+
+    It is π for rotations and the robot's characteristic length for translations, so that the scale of a robot does not
+    decide whether a start finds a branch. Carriers have none: they do not change the pose.
+    """
+    spread = np.where(turning_velocities(robot), np.pi, robot.characteristic_length)
+    spread[robot.carrier_velocity] = 0.0
+    return read_only(spread)
 
 
 @dataclass(frozen=True)

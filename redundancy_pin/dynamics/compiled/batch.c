@@ -155,14 +155,24 @@ int rp_follow(double *q, const double *x0, const double *x) {
   return in_mode(&pose) ? CLOSED : OTHER_MODE;
 }
 
+/* Rows and their derivatives at a configuration, without units: lengths in characteristic lengths. */
+static void unitless(const double *q, const double *x, double *residual, double *K) {
+  double alignment[NALIGN], trig[2 * NT + 1];
+  turns_of(q, trig);
+  rows(q, trig, x, residual, K, alignment);
+  for (int i = 0; i < NP; ++i) {
+    residual[i] /= ROW_UNIT[i];
+    for (int j = 0; j < NP; ++j) K[i + j * NP] *= UNIT[j] / ROW_UNIT[i];
+  }
+}
+
 /* The configuration near q that misses x least (Levenberg and Marquardt); returns the largest residual left, m or rad. */
 double rp_assemble(double *q, const double *x) {
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], trial[NQ], trig[2 * NT + 1], damping = 1e-3, size = 0.0;
-  turns_of(q, trig);
-  rows(q, trig, x, residual, K, alignment);
+  unitless(q, x, residual, K);
   for (int i = 0; i < NP; ++i) size += residual[i] * residual[i];
   for (int iteration = 0; iteration < 200 && size > 0.0; ++iteration) {
-    double H[NP * NP + 1], step[NP + 1], new_residual[NP + 1], new_K[NP * NP + 1], new_size = 0.0;
+    double H[NP * NP + 1], step[NP + 1], scaled[NP + 1], new_residual[NP + 1], new_K[NP * NP + 1], new_size = 0.0;
     int pivot[NP + 1];
     for (int i = 0; i < NP; ++i) {
       step[i] = 0.0;
@@ -176,12 +186,10 @@ double rp_assemble(double *q, const double *x) {
     if (decompose(H, pivot) == 0.0) break;
     solve(H, pivot, step);
     double longest = largest(step, NP);
-    if (longest > 1.0)
-      for (int i = 0; i < NP; ++i) step[i] /= longest;
+    for (int i = 0; i < NP; ++i) scaled[i] = step[i] * UNIT[i] / fmax(longest, 1.0);
     copy(trial, q, NQ);
-    move(trial, step);
-    turns_of(trial, trig);
-    rows(trial, trig, x, new_residual, new_K, alignment);
+    move(trial, scaled);
+    unitless(trial, x, new_residual, new_K);
     for (int i = 0; i < NP; ++i) new_size += new_residual[i] * new_residual[i];
     if (new_size < size) {
       copy(q, trial, NQ);

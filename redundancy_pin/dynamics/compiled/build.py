@@ -107,11 +107,16 @@ def _defined(robot: Robot) -> Definition:
 
 def source(definition: Definition) -> str:
     """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
-    turning = ", ".join(map(str, definition.chain.turning)) or "0"
+    chain = definition.chain
+    turning = ", ".join(map(str, chain.turning)) or "0"
     return "\n".join(
         [
             driver_source(definition, definition.functions.values()),
             f"const int rp_turning[] = {{{turning}}};",
+            *(
+                f"static const double {name}[] = {{{', '.join(map(repr, units.tolist()))}}};"
+                for name, units in zip(("ROW_UNIT", "UNIT"), chain.units, strict=True)
+            ),
             text_of("batch.c"),
         ]
     )
@@ -167,10 +172,7 @@ _WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "driver.c", 
 
 
 def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Sequence[str] = FLAGS) -> str:
-    """Return what tells one library from another: a hash of all that goes into it.
-
-    The reference does not: it only tells which frame axis of a planar platform lies in its plane, in every pose alike.
-    """
+    """Return what tells one library from another: a hash of all that goes into it. The reference does not."""
     model = robot.model
     roles = [
         robot.closures,

@@ -42,6 +42,7 @@ class Interpreter:
         self.trig_at = chain.trig_at
         self._external = chain.external.numel()
         self._n, self._r, self._columns = chain.robot.n, len(chain.closure_scale), chain.pose_columns
+        self._units = chain.units
         self._weights = np.outer(
             chain.velocity_scale[self._columns] ** 2, 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2
         )
@@ -178,16 +179,20 @@ class Interpreter:
             last = pose
         return samples
 
+    def _unitless(self, q: Array, x: Array) -> tuple[Array, Array]:
+        (residual, matrix, _), (rows, columns) = self.rows_at(q, x), self._units
+        return residual / rows, matrix * columns / rows[:, None]
+
     def assemble(self, q: Array, x: Array) -> float:
         """Bring q (nq), in place, to where it misses x least; return what is left."""
-        residual, matrix, _ = self.rows_at(q, x)
+        residual, matrix = self._unitless(q, x)
         damping, size = 1e-3, float(residual @ residual)
         for _ in range(200):
             normal = matrix.T @ matrix + damping * np.eye(len(residual))
             step = np.asarray(np.linalg.solve(normal, matrix.T @ residual), dtype=np.float64)
             longest = float(np.abs(step).max(initial=0.0))
-            trial = self._moved(q, step / max(longest, 1.0))
-            new_residual, new_matrix, _ = self.rows_at(trial, x)
+            trial = self._moved(q, step * self._units[1] / max(longest, 1.0))
+            new_residual, new_matrix = self._unitless(trial, x)
             new_size = float(new_residual @ new_residual)
             if new_size < size:
                 stalled = new_size > 0.999999 * size and longest < 1e-6
