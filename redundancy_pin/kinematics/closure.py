@@ -178,7 +178,9 @@ class RowSet:
             axis: (3, R) or (3, R, N) the axis of each row and its derivatives, as many as the order.
         """
         if self._at_angles:
-            moments[-3:, self._at_angles] = angles.direction(self._kinds, order, [part[:, self._at_angles] for part in axis])
+            moments[-3:, self._at_angles] = angles.direction(
+                self._kinds, order, [part[:, self._at_angles] for part in axis]
+            )
 
     def residuals(self, placed: PlacedRows, vectors: list[Array]) -> Array:
         """Return (R, N) Φ at N configurations; the rows are the first of the placed ones."""

@@ -1,0 +1,130 @@
+"""Platforms whose coordinates are height, roll and pitch, against closed forms, energy and forward dynamics."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from tilting_platforms import NAMES, actuators, in_coordinates, motion, poses, robot_called, slopes
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.robot import Robot
+
+ROUNDING = 1e-11
+"""Chains are closed to 1e-11 m; conditions of W are below 100."""
+DIFFERENCES = 1e-7
+"""Central differences over 2 ms of motions with periods of 2 s: h² / 6 times the third rate, against the largest."""
+TIMES = np.linspace(0.0, 2.0, 41)
+
+
+@cache
+def robot_of(name: str) -> Robot:
+    return robot_called(name, Path(mkdtemp()))
+
+
+@cache
+def lifted(name: str) -> TreeMotion:
+    return lift(robot_of(name), motion(name, TIMES))
+
+
+@cache
+def reduced(name: str) -> tuple[rp.dynamics.base.ReducedDynamics, ...]:  # type: ignore[name-defined]
+    along = motion(name, TIMES)
+    return tuple(kind(robot_of(name)).reduce(along) for kind in (rp.RneaDynamics, CompiledDynamics))
+
+
+def near(found: Array, expected: Array, share: float = ROUNDING) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=share * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_pose_and_the_actuators_are_those_of_the_closed_form(name: str) -> None:
+    tree, robot = lifted(name), robot_of(name)
+    rotation, origin = poses(tree.motion.x)
+    assert np.abs(origin[:, :2]).max() > 0.01  # parasitic motions are there
+    assert np.abs(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])).max() > 0.04
+    near(tree.q[:, _positions(robot)], actuators(name, tree.motion.x))
+    data, frame = robot.model.createData(), robot.model.getFrameId("platform", pin.FrameType.BODY)
+    for q, turned, place in zip(tree.q, rotation, origin, strict=True):
+        pin.framesForwardKinematics(robot.model, data, q)
+        near(data.oMf[frame].rotation, turned)
+        near(data.oMf[frame].translation, place)
+
+
+def _positions(robot: Robot) -> list[int]:
+    return [int(robot.model.joints[robot.model.getJointId(name)].idx_q) for name in robot.actuated]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_W_is_the_derivative_of_the_actuators_by_the_coordinates(name: str) -> None:
+    for result in reduced(name):
+        near(result.W, slopes(name, motion(name, TIMES).x))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_f_is_dual_to_the_rates_of_the_coordinates(name: str) -> None:
+    """The power f · ẋ, and that of the actuators, is the rate of the energy."""
+    robot, h = robot_of(name), 1e-3
+    along = motion(name, TIMES)
+    energy = [_energy(robot, lift(robot, motion(name, TIMES + step))) for step in (-2 * h, -h, h, 2 * h)]
+    rate = (energy[0] - 8.0 * energy[1] + 8.0 * energy[2] - energy[3]) / (12.0 * h)
+    for result in reduced(name):
+        tau = rp.distribute(result).tau
+        speeds = np.einsum("nij,ni->nj", slopes(name, along.x), along.xd)
+        near((result.f * along.xd).sum(axis=1), rate, DIFFERENCES)
+        near((tau * speeds).sum(axis=1), rate, DIFFERENCES)
+
+
+def _energy(robot: Robot, tree: TreeMotion) -> Array:
+    data = robot.model.createData()
+    return np.array(
+        [
+            pin.computeKineticEnergy(robot.model, data, q, v) + pin.computePotentialEnergy(robot.model, data, q)
+            for q, v in zip(tree.q, tree.v, strict=True)
+        ]
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_accelerations_of_the_actuators_are_those_of_the_closed_form(name: str) -> None:
+    h, tree = 1e-3, lifted(name)
+    places = [actuators(name, motion(name, TIMES + step).x) for step in (-2 * h, -h, 0.0, h, 2 * h)]
+    second = (-places[0] + 16 * places[1] - 30 * places[2] + 16 * places[3] - places[4]) / (12.0 * h * h)
+    near(tree.a[:, robot_of(name).actuated_velocity], second, DIFFERENCES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_compiled_and_rnea_agree(name: str) -> None:
+    one, other = reduced(name)
+    near(other.W, one.W)
+    near(other.f, one.f)
+
+
+OTHERS = {
+    ("x", "z", "rz"): False,
+    ("x", "z", "ry"): True,
+    ("y", "z", "rx"): False,
+    ("z", "rx", "rz"): False,
+    ("z", "ry", "rz"): True,
+    ("x", "y", "z"): False,
+}
+"""Other coordinates that fit where the platform is tilted, and whether they are tried in compiled dynamics too."""
+TILTED = np.array([0.62, 0.28, 0.39])
+SPAN = np.linspace(0.0, 0.2, 9)
+DIFFERENTIATED = 1e-7
+"""Rates of the other coordinates are good to 1e-9; their conditions are up to 100."""
+
+
+@pytest.mark.parametrize("axes", OTHERS, ids="-".join)
+def test_other_coordinates_of_the_same_motion_give_the_same_efforts(axes: tuple[str, ...], tmp_path: Path) -> None:
+    robot = robot_called("3prs", tmp_path, axes=axes, at=TILTED)
+    expected = rp.distribute(rp.RneaDynamics(robot_of("3prs")).reduce(motion("3prs", SPAN))).tau
+    for kind in (rp.RneaDynamics, CompiledDynamics)[: 1 + OTHERS[axes]]:
+        near(rp.distribute(kind(robot).reduce(in_coordinates(axes, "3prs", SPAN))).tau, expected, DIFFERENTIATED)
