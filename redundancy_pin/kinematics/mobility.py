@@ -123,6 +123,15 @@ def _fitting(robot: Robot, count: int) -> str:
     return f" These axes of {robot.platform.frame!r} fit: [{', '.join(axes)}]." if robot.platform and axes else ""
 
 
+def other_axes(robot: Robot) -> str:
+    """Return a remedy where the platform's axes do not determine the configuration near the guess, else nothing."""
+    system = ConstraintSystem(robot)
+    near = assemble(system, np.array(robot.q_reference)[None])
+    if robot.platform is None or not near.closed[0] or near.projection.margin[0] > RANK_TOLERANCE:
+        return ""
+    return _fitting(replace(robot, q_reference=near.q[0]), robot.n).strip()
+
+
 def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[str]]:
     """Return the rank of the closure rows and the names of those that depend on the others (pivoted QR of Jᵀ)."""
     jacobian = state.Jc[0][:, system.pose_columns] / velocity_scale(system.robot)[system.pose_columns]

@@ -1,4 +1,4 @@
-"""Joints by kind: which turn, how far random starts scatter them, which ranges they have and where a motion leaves them."""
+"""Joints: which turn, how far random starts scatter them, their ranges, and where a motion leaves these."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -9,13 +10,20 @@ from tempfile import mkdtemp
 import numpy as np
 import pinocchio as pin
 import pytest
-from tilting_platforms import NAMES, actuators, in_coordinates, motion, poses, robot_called, slopes
+import yaml
+from command_line import call
+from generated_c import COMPILERS, Code
+from tilting_platforms import HOME, NAMES, actuators, in_coordinates, motion, poses, robot_called, slopes
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.simulation import FeedForward, motion_reference
 
 ROUNDING = 1e-11
 """Chains are closed to 1e-11 m; conditions of W are below 100."""
@@ -35,7 +43,7 @@ def lifted(name: str) -> TreeMotion:
 
 
 @cache
-def reduced(name: str) -> tuple[rp.dynamics.base.ReducedDynamics, ...]:  # type: ignore[name-defined]
+def reduced(name: str) -> tuple[ReducedDynamics, ...]:
     along = motion(name, TIMES)
     return tuple(kind(robot_of(name)).reduce(along) for kind in (rp.RneaDynamics, CompiledDynamics))
 
@@ -128,3 +136,63 @@ def test_other_coordinates_of_the_same_motion_give_the_same_efforts(axes: tuple[
     expected = rp.distribute(rp.RneaDynamics(robot_of("3prs")).reduce(motion("3prs", SPAN))).tau
     for kind in (rp.RneaDynamics, CompiledDynamics)[: 1 + OTHERS[axes]]:
         near(rp.distribute(kind(robot).reduce(in_coordinates(axes, "3prs", SPAN))).tau, expected, DIFFERENTIATED)
+
+
+# --- what is made of it ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_forward_dynamics_follow_the_motion_that_the_efforts_are_for(name: str) -> None:
+    robot = robot_of(name)
+    points = np.array([[0.0, 0.0, 0.0], [0.04, 0.3, -0.2], [0.0, -0.25, 0.3]]) + np.array([HOME[name], 0.0, 0.0])
+    course = rp.trajectory.from_points(points, [0.0, 0.5, 1.0])
+    run = rp.simulate(robot, FeedForward(motion_reference(robot, course)), dt=0.05)
+    assert run.status.value == "completed"
+    np.testing.assert_allclose(run.x, course.evaluate(np.minimum(run.t, course.duration)).x, atol=1e-6)
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no compiler is installed")
+def test_generated_c_agrees() -> None:
+    code, along, (expected, _) = Code(robot_of("3rps")), motion("3rps", TIMES), reduced("3rps")
+    state = code.start()
+    assert code.go_to(state, along.x[0]) == 0
+    tau = rp.distribute(expected).tau
+    for k in range(len(along)):
+        got = code.efforts(state, along.x[k], along.xd[k], along.xdd[k])
+        near(got.tau, tau[k])
+        near(got.W.reshape(3, 3), expected.W[k])
+        feet = code.platform(
+            state, actuators("3rps", along.x[k : k + 1])[0], slopes("3rps", along.x[k : k + 1])[0].T @ along.xd[k]
+        )
+        near(feet.x, along.x[k])
+        near(feet.xd, along.xd[k], 1e-9)
+
+
+def test_the_commands_take_it(tmp_path: Path) -> None:
+    way = tmp_path / "way.csv"
+    way.write_text("t,z,rx,ry\n0,0.5,0,0\n0.2,0.53,0.1,-0.1\n0.4,0.5,0,0.2\n", encoding="utf-8")
+    assert "z, rx, ry of platform" in call("info", "--robot", "3rps").stdout
+    for given in (
+        ("inverse-dynamics", "--dt", "0.02", "--out", str(tmp_path / "efforts.csv")),
+        ("singularities",),
+        ("simulate", "--controller", "computed-torque", "--dt", "0.1"),
+    ):
+        done = call(*given, "--robot", "3rps", "--trajectory", str(way))
+        assert done.exit_code == 0, done.stderr
+    assert call("workspace", "--robot", "3rps", "--resolution", "9").exit_code == 0
+    page = tmp_path / "page.html"
+    assert call("show", "--robot", "3rps", "--out", str(page)).exit_code == 0
+    assert page.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("axes", [("x", "y", "z"), ("rx", "ry", "rz"), ("y", "z", "rx"), ("z", "rx")], ids="-".join)
+def test_axes_that_do_not_fit_are_refused_with_some_that_do(axes: tuple[str, ...], tmp_path: Path) -> None:
+    folder = shutil.copytree(models_root() / "gallery" / "3rps", tmp_path / "3rps")
+    data = yaml.safe_load((folder / "robot.yaml").read_text(encoding="utf-8"))
+    data["independent"]["axes"] = list(axes)
+    pose = {"xyz": [0, 0, 0.5]} if axes == ("rx", "ry", "rz") else [0.5 if axis == "z" else 0 for axis in axes]
+    data["reference"]["platform"] = pose
+    (folder / "robot.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(DeclarationError) as caught:
+        rp.load_robot(folder)
+    assert "These axes of 'platform' fit: [z, rx, ry]." in caught.value.remedy
