@@ -181,7 +181,7 @@ def test_the_commands_take_it(tmp_path: Path) -> None:
         assert done.exit_code == 0, done.stderr
     assert call("workspace", "--robot", "3rps", "--resolution", "9").exit_code == 0
     page = tmp_path / "page.html"
-    assert call("show", "--robot", "3rps", "--out", str(page)).exit_code == 0
+    assert call("show", "--robot", "3rps", "--html", str(page)).exit_code == 0
     assert page.stat().st_size > 1000
 
 

@@ -45,13 +45,13 @@ def poses(x: Array, size: float = 1.0) -> tuple[Array, Array]:
     return rotation, origin
 
 
-def actuators(name: str, x: Array, size: float = 1.0) -> Array:
+def actuators(name: str, x: Array, size: float = 1.0, link: float = LINK) -> Array:
     """Return (N, 3) the positions of the actuators: lengths of legs, or heights of slides; NaN out of reach."""
     balls = _balls(x, size)
     if name == "3rps":
         return np.sqrt(((balls - BASE * size * _OUTWARD) ** 2).sum(axis=1))
     with np.errstate(invalid="ignore"):
-        return balls[:, 2] - np.sqrt((LINK * size) ** 2 - _across(x, size) ** 2)
+        return balls[:, 2] - np.sqrt((link * size) ** 2 - _across(x, size) ** 2)
 
 
 def _balls(x: Array, size: float) -> Array:
@@ -108,7 +108,12 @@ def _slope(axes: tuple[str, ...], x: Array) -> Array:
 
 
 def robot_called(
-    name: str, folder: Path, size: float = 1.0, axes: tuple[str, ...] = NATURAL, at: Array | None = None
+    name: str,
+    folder: Path,
+    size: float = 1.0,
+    axes: tuple[str, ...] = NATURAL,
+    at: Array | None = None,
+    link: float = LINK,
 ) -> Robot:
     """Return a robot: the 3-RPS that is shipped, or a 3-PRS, whose platform hangs on a ball joint.
 
@@ -116,12 +121,12 @@ def robot_called(
     """
     if name == "3rps":
         return rp.load_robot(name, base_radius=BASE * size, platform_radius=PLATFORM * size, height=HEIGHT * size)
-    (folder / "3prs.urdf").write_text(_prs(size), encoding="utf-8")
+    (folder / "3prs.urdf").write_text(_prs(size, link), encoding="utf-8")
     x = np.array([[HOME["3prs"], 0.0, 0.0]] if at is None else [at])
     place = coordinates(axes, x)[0] * [1.0 if axis.startswith("r") else size for axis in axes]
-    swing = -np.arcsin(_across(x)[0] / LINK)
+    swing = -np.arcsin(_across(x)[0] / link)
     guess: dict[str, float] = {}
-    for i, (slide, angle) in enumerate(zip(actuators("3prs", x)[0] * size, swing, strict=True), start=1):
+    for i, (slide, angle) in enumerate(zip(actuators("3prs", x, link=link)[0] * size, swing, strict=True), start=1):
         guess |= {f"slide_{i}": float(slide), f"swing_{i}": float(angle)}
     data = {
         "urdf": "3prs.urdf",
@@ -137,7 +142,7 @@ def robot_called(
     return rp.load_robot(path)
 
 
-def _prs(size: float) -> str:
+def _prs(size: float, link: float) -> str:
     parts = ['<robot name="3prs"><link name="base"/>']
     for i, azimuth in enumerate(AZIMUTHS.tolist(), start=1):
         at = f"{BASE * size * cos(azimuth)!r} {BASE * size * sin(azimuth)!r} 0"
@@ -145,10 +150,10 @@ def _prs(size: float) -> str:
             _joint(f"slide_{i}", "prismatic", "base", f"cart_{i}", "0 0 1", at, f"0 0 {azimuth!r}"),
             _body(f"cart_{i}", 0.8, (0.0, 0.0, 0.0), 1e-3, size),
             _joint(f"swing_{i}", "revolute", f"cart_{i}", f"link_{i}", "0 1 0"),
-            _body(f"link_{i}", 0.5, (0.0, 0.0, 0.5 * LINK), 8e-3, size),
+            _body(f"link_{i}", 0.5, (0.0, 0.0, 0.5 * link), 8e-3, size),
         ]
     parts += [
-        _joint("ball", "revolute", "link_1", "corner_1", "0 0 1", f"0 0 {LINK * size!r}"),
+        _joint("ball", "revolute", "link_1", "corner_1", "0 0 1", f"0 0 {link * size!r}"),
         '<link name="corner_1"/>',
         _joint("plate", "fixed", "corner_1", "platform", "0 0 1", f"{-PLATFORM * size!r} 0 0"),
         _body("platform", 3.0, (0.01, -0.02, 0.03), 2e-2, size),
@@ -157,7 +162,7 @@ def _prs(size: float) -> str:
         at = f"{PLATFORM * size * cos(azimuth)!r} {PLATFORM * size * sin(azimuth)!r} 0"
         parts += [_joint(f"mount_{i}", "fixed", "platform", f"corner_{i}", "0 0 1", at), f'<link name="corner_{i}"/>']
         parts += [
-            _joint(f"end_{i}", "fixed", f"link_{i}", f"tip_{i}", "0 0 1", f"0 0 {LINK * size!r}"),
+            _joint(f"end_{i}", "fixed", f"link_{i}", f"tip_{i}", "0 0 1", f"0 0 {link * size!r}"),
             f'<link name="tip_{i}"/>',
         ]
     return "".join([*parts, "</robot>"])

@@ -150,7 +150,7 @@ int rp_terms(int samples, const double *in, int width, double *near, double *out
 /* From one configuration to other coordinates; q is replaced. */
 int rp_follow(double *q, const double *x0, const double *x) {
   Pose pose;
-  if (!start_at(&pose, q, x0) || !follow(&pose, x)) return LOST;
+  if (!start_at(&pose, q, x0) || !go_far(&pose, x0, x)) return LOST;
   copy(q, pose.q, NQ);
   return in_mode(&pose) ? CLOSED : OTHER_MODE;
 }

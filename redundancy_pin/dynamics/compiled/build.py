@@ -26,6 +26,7 @@ from redundancy_pin.dynamics.compiled.load_symbols import shape_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.machine_code import FLAGS, built, digest, loaded
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.whole_turns import turns_of
 
 LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
@@ -127,7 +128,17 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
 
     With ``storage`` "static" nothing of it is seen from other files; who stands behind it calls all of it.
     """
-    return "\n".join([*tables(definition.chain, functions, storage), text_of("driver.c")])
+    turns = turns_of(definition.chain.robot)
+    listed = ", ".join(map(str, turns.coordinates.tolist()))
+    counted = [
+        f"#define TURNS {len(turns.coordinates)}",
+        f"#define REPEAT {int(turns.repeat)}",
+        f"#define COUNTED_COORDINATES {{{listed}}}",
+    ]
+    if len(turns.coordinates):
+        angles = ", ".join(map(str, (turns.angles.astype(int) + turns.kept).tolist()))
+        counted.append(f"static const int ANGLE[] = {{{angles}}};")
+    return "\n".join([*tables(definition.chain, functions, storage), *counted, text_of("driver.c")])
 
 
 def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list[str]:
