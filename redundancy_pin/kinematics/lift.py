@@ -414,6 +414,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
 
 def _straight(system: ConstraintSystem, home: Point, x: Array) -> tuple[Point, bool]:
     """Return what the straight way from the reference leads to, and whether it leads to the coordinates."""
+    gamma = home.gamma
 
     def follow(q: Array, start: Array, target: Array) -> Array | None:
         nonlocal gamma
@@ -421,7 +422,6 @@ def _straight(system: ConstraintSystem, home: Point, x: Array) -> tuple[Point, b
         gamma = anchors.gamma[-1]
         return anchors.q[-1] if anchors.valid[-1] else None
 
-    gamma = home.gamma
     q = turned_to(system.robot, home.q, home.x, x, follow)
     return Point(x, home.q if q is None else q, gamma), q is not None
 

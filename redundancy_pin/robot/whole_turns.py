@@ -37,14 +37,12 @@ class Turns(NamedTuple):
 
     Attributes:
         coordinates: columns of x that do.
-        positions: their columns of q.
         angles: (nq,) entries of q that are angles whose turns count.
         kept: (nq,) those whose turns count for others: independent joints and coupled ones.
         repeat: whether turns repeat: not where one joint is a curved function of another.
     """
 
     coordinates: IntArray
-    positions: IntArray
     angles: BoolArray
     kept: BoolArray
     repeat: bool
@@ -56,14 +54,13 @@ def turns_of(robot: Robot) -> Turns:
     model = robot.model
     joints = {str(name): joint for name, joint in zip(model.names, model.joints, strict=True)}
     bounded = {name: int(joint.idx_q) for name, joint in joints.items() if joint.nq == 1 and not slides(joint)}
-    columns = [(i, bounded[name]) for i, name in enumerate(robot.independent_joints) if name in bounded]
-    coordinates, positions = np.array(columns, dtype=np.intp).reshape(-1, 2).T
+    coordinates = np.array([i for i, name in enumerate(robot.independent_joints) if name in bounded], dtype=np.intp)
     angles, kept = np.zeros((2, model.nq), dtype=bool)
     angles[list(bounded.values())] = True
     coupled = {name for each in robot.couplings for name in (each.joint, each.of)}
     kept[[place for name, place in bounded.items() if name in coupled or name in robot.independent_joints]] = True
     repeat = all(len(each.polynomial) <= 2 for each in robot.couplings)
-    return Turns(*map(read_only, (coordinates, positions, angles, kept)), repeat)
+    return Turns(read_only(coordinates), read_only(angles), read_only(kept), repeat)
 
 
 def turned_to(robot: Robot, q: Array, x: Array, target: Array, follow: Follow) -> Array | None:

@@ -175,7 +175,6 @@ def test_the_commands_take_it(tmp_path: Path) -> None:
     for given in (
         ("inverse-dynamics", "--dt", "0.02", "--out", str(tmp_path / "efforts.csv")),
         ("singularities",),
-        ("simulate", "--controller", "computed-torque", "--dt", "0.1"),
     ):
         done = call(*given, "--robot", "3rps", "--trajectory", str(way))
         assert done.exit_code == 0, done.stderr
