@@ -113,6 +113,8 @@ def test_compiled_and_rnea_agree(name: str) -> None:
     one, other = reduced(name)
     near(other.W, one.W)
     near(other.f, one.f)
+    along, dynamics = motion(name, TIMES), rp.RneaDynamics(robot_of(name))
+    near(np.array([dynamics.reduce(along[k : k + 1]).f[0] for k in range(0, 41, 5)]), one.f[::5])
 
 
 OTHERS = {

@@ -128,6 +128,15 @@ def test_turns_that_never_repeat_are_followed_one_by_one(polynomial: tuple[float
         CompiledDynamics(geared(*polynomial)).reduce(motion_at(angle_after(1_000_000)))
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_turn_that_happens_to_be_whole_is_not_taken_for_all(backend: str) -> None:
+    """The first turn adds one more turn of the second joint, the next ones add others."""
+    polynomial = (0.2, 1.0, 1.0 / (2.0 * HERE + TURN))
+    x = angle_after(4)
+    found = BACKENDS[backend](geared(*polynomial)).reduce(motion_at(x)).f[0, 0]
+    near(found, holding(x, *polynomial), x, 100.0)
+
+
 def test_one_sample_after_another_and_a_motion_agree() -> None:
     """A motion counts the turns of a dependent joint as it goes; a sample far away has as many."""
     t = np.linspace(0.0, 1.0, 200)
