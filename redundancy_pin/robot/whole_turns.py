@@ -39,13 +39,11 @@ class Turns(NamedTuple):
         coordinates: columns of x that do.
         angles: (nq,) entries of q that are angles whose turns count.
         kept: (nq,) those whose turns count for others: independent joints and coupled ones.
-        repeat: whether turns repeat: not where one joint is a curved function of another.
     """
 
     coordinates: IntArray
     angles: BoolArray
     kept: BoolArray
-    repeat: bool
 
 
 @lru_cache(maxsize=64)
@@ -59,8 +57,7 @@ def turns_of(robot: Robot) -> Turns:
     angles[list(bounded.values())] = True
     coupled = {name for each in robot.couplings for name in (each.joint, each.of)}
     kept[[place for name, place in bounded.items() if name in coupled or name in robot.independent_joints]] = True
-    repeat = all(len(each.polynomial) <= 2 for each in robot.couplings)
-    return Turns(read_only(coordinates), read_only(angles), read_only(kept), repeat)
+    return Turns(read_only(coordinates), read_only(angles), read_only(kept))
 
 
 def turned_to(robot: Robot, q: Array, x: Array, target: Array, follow: Follow) -> Array | None:
@@ -112,9 +109,6 @@ def _turned(robot: Robot, q: Array, at: Array, column: int, count: float, follow
 
 def _whole(robot: Robot, start: Array, end: Array) -> Array | None:
     """Return (nq,) the whole turns from one configuration to another, rad; None where they are not whole."""
-    turns = turns_of(robot)
-    if not turns.repeat:
-        return None
-    shift = np.where(turns.angles, TURN * np.round((end - start) / TURN), 0.0)
+    shift = np.where(turns_of(robot).angles, TURN * np.round((end - start) / TURN), 0.0)
     rest = pin.difference(robot.model, start, end - shift)
     return shift if np.abs(rest).max(initial=0.0) < WHOLE else None

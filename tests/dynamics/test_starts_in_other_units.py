@@ -16,8 +16,8 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.robot import Robot
 
-SIZES = (0.01, 0.1, 100.0)
-"""Of machines whose platforms have radii of 3 mm to 30 m."""
+SIZES = (0.001, 0.01, 100.0)
+"""Of machines whose platforms have radii of 0.3 mm to 30 m."""
 LENGTHS = (
     "base_radius",
     "platform_radius",

@@ -132,7 +132,6 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
     listed = ", ".join(map(str, turns.coordinates.tolist()))
     counted = [
         f"#define TURNS {len(turns.coordinates)}",
-        f"#define REPEAT {int(turns.repeat)}",
         f"#define COUNTED_COORDINATES {{{listed}}}",
     ]
     if len(turns.coordinates):

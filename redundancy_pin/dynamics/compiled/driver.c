@@ -204,7 +204,7 @@ static int follow(Pose *pose, const double *x) {
    turns of their own, does so again. With gears several turns may pass until it does. */
 static int turn(Pose *pose, double *at, int c, double count) {
   double step = copysign(TURN, count), left = fabs(count), followed = 0.0, start[NQ], shift[NQ];
-  int repeats = REPEAT;
+  int known = 0;
   copy(start, pose->q, NQ);
   while (left > 0.0) {
     at[c] += step;
@@ -212,7 +212,7 @@ static int turn(Pose *pose, double *at, int c, double count) {
     left -= 1.0;
     followed += 1.0;
     if (followed > MOST_TURNS) return 0;
-    if (!repeats || left == 0.0) continue;
+    if (known || left == 0.0) continue;
     int whole = 1;
     for (int j = 0; j < NQ; ++j) {
       double moved = pose->q[j] - start[j];
@@ -227,7 +227,7 @@ static int turn(Pose *pose, double *at, int c, double count) {
     }
     at[c] += times * followed * step;
     left -= times * followed;
-    repeats = 0;
+    known = 1;
     Pose next;
     if (!newton(pose->q, at, 0, &next) || next.sign != pose->sign) return 0;
     *pose = next;
