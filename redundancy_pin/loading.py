@@ -26,7 +26,7 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
-from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank
+from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
 from redundancy_pin.robot import Closure, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
@@ -299,7 +299,7 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),
-            remedy="Correct `reference` in the declaration, or the lengths given as arguments.",
+            remedy=other_axes(robot) or "Correct `reference` in the declaration, or the lengths given as arguments.",
             gap=gap,
         )
     robot = replace(

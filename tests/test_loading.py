@@ -108,7 +108,10 @@ BAD_DECLARATIONS = {
     "wrong axis": ({"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "q"]}]}, "subset of x, y, z, rx, ry, rz"),
     "axis twice": ({"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "x"]}]}, "without repetitions"),
     "three frames": ({"closures": [{"frames": ["tip1", "tip2", "l1"], "axes": ["x"]}]}, "two different frames"),
-    "two rotations": ({"independent": {"platform": "tip1", "axes": ["rx", "ry"]}}, "no rotation, one rotation, or all"),
+    "axes that do not fit": (
+        {"independent": {"platform": "tip1", "axes": ["rx", "ry"]}},
+        r"These axes of 'tip1' fit: \[x, y\]",
+    ),
     "platform and joints": (
         {"independent": {"platform": "tip1", "axes": ["x"], "joints": ["a1"]}},
         "either `joints`, or `platform`",

@@ -42,6 +42,8 @@ VARIANTS: list[tuple[str, dict[str, object]]] = [
     ("gough", {}),
     ("gough", {"payload_mass": 2.0, "payload_height": 0.3, "base_angle": 0.15, "height": 0.7}),
     ("gough", {"carriers": True, "track_angle": 0.4, "track_offset": 0.25}),
+    ("3rps", {}),
+    ("3rps", {"platform_radius": 0.15, "height": 0.6}),
     ("ankle", {}),
     ("delta", {}),
     ("delta", {"carriers": True}),

@@ -222,7 +222,7 @@ int robot_go_to(robot_state *state, const double x[ROBOT_NX]) {
   if (!finite(x, NX)) return ROBOT_NOT_FINITE;
   int status = pose_of(state, &pose, here);
   if (status) return status;
-  if (!follow(&pose, x)) return ROBOT_UNREACHABLE;
+  if (!go_far(&pose, here, x)) return ROBOT_UNREACHABLE;
   if (!in_mode(&pose)) return ROBOT_OTHER_MODE;
   copy(state->q, pose.q, NQ);
   state->sign = pose.sign;

@@ -18,9 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot import AXES, Closure, Platform, Robot
 
 _IDLE = 1e-12
 """Rounding of a row of a one-metre machine."""
@@ -112,8 +113,15 @@ class ClosedForward:
         frame = model.getFrameId(platform.frame, pin.FrameType.BODY)
         rows = [AXES.index(axis) for axis in platform.axes]
         J = pin.getFrameJacobian(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
-        bias = pin.getFrameClassicalAcceleration(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
-        return J[rows], bias.vector[rows]
+        bias = pin.getFrameClassicalAcceleration(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED).vector
+        if platform.is_pose or not platform.rotations:
+            return J[rows], bias[rows]
+        rotation = pin.updateFramePlacement(model, self._data, frame).rotation
+        turning = J[3:].copy()
+        of_angles = _of_angles(platform, rotation, turning @ v, bias[3:])
+        for k, (rate, bend) in zip(platform.rotations, of_angles, strict=True):
+            J[3 + k], bias[3 + k] = rate @ turning, bend
+        return J[rows], bias[rows]
 
     def _closure(self, closure: Closure) -> list[tuple[Array, float]]:
         model, data, world = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
@@ -147,3 +155,32 @@ class ClosedForward:
                 bias = e @ (seconds[1].angular - alpha) + turned @ (speeds[1].angular - omega)
             rows.append((row, float(bias)))
         return rows
+
+
+def _of_angles(platform: Platform, rotation: Array, omega: Array, alpha: Array) -> list[tuple[Array, float]]:
+    """Return of each rotation its rate per unit of angular velocity (3,), and its second rate at v̇ = 0.
+
+    Args:
+        platform: one or two rotations are among its axes.
+        rotation: (3, 3) of its frame.
+        omega: (3,) its angular velocity.
+        alpha: (3,) its angular acceleration at v̇ = 0.
+    """
+    if len(platform.rotations) == 1:  # polar coordinates of an axis of the frame, seen along the base axis k
+        k = platform.rotations[0]
+        i, j, c = (k + 1) % 3, (k + 2) % 3, rotation[:, platform.pointer]
+        length, across = np.hypot(c[i], c[j]), np.zeros(3)
+        across[i], across[j] = -c[j] / length, c[i] / length
+        rate = np.cross(c, across) / length
+        along = c[[i, j]] @ np.cross(omega, c)[[i, j]] / length
+        second = np.cross(alpha, c) + np.cross(omega, np.cross(omega, c))
+        return [(rate, float(across @ second - 2.0 * along * (rate @ omega)) / length)]
+    yaw, pitch, _ = Rotation.from_matrix(rotation).as_euler("ZYX")
+    turned = Rotation.from_euler("Z", yaw).as_matrix()
+    # ω = B (roll, pitch, yaw)˙ with the axes of the three turns as columns
+    B = np.column_stack([turned @ [np.cos(pitch), 0.0, -np.sin(pitch)], turned[:, 1], [0.0, 0.0, 1.0]])
+    rates = np.linalg.solve(B, omega)
+    of_yaw, of_pitch = rates[2] * B[:, 2], rates[1] * B[:, 1]
+    second = np.cross(of_yaw + of_pitch, B[:, 0]) * rates[0] + np.cross(of_yaw, B[:, 1]) * rates[1]
+    inverse, bends = np.linalg.inv(B), np.linalg.solve(B, alpha - second)
+    return [(inverse[k], float(bends[k])) for k in platform.rotations]

@@ -31,7 +31,7 @@ from redundancy_pin.kinematics.continuation import (
     Point,
     near_rank_loss,
 )
-from redundancy_pin.kinematics.coordinates import angle_columns, measured_axes, mode_indicators, pose_rows
+from redundancy_pin.kinematics.coordinates import angle_columns, mode_indicators, pose_rows, readings
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
@@ -76,7 +76,7 @@ class ClosedChain:
             platform = data.oMf[model.getFrameId(robot.platform.frame, pin.FrameType.BODY)]
         self._platform_pose = None if platform is None else (platform.rotation, platform.translation)
         self._is_pose = is_pose(robot)
-        self._axes = measured_axes(robot, np.eye(3) if platform is None else platform.rotation)
+        self._readings = readings(robot)
         joints = (model.joints[model.getJointId(name)] for name in robot.independent_joints)
         self._joints = [(int(joint.idx_q), joint.nq == 2) for joint in joints]
         self.J, self.dJ = (part.reshape(6, -1) for part in (data.J, data.dJ))  # Pinocchio drops the axis of one column
@@ -120,7 +120,7 @@ class ClosedChain:
         return self.closures.jacobian_rate(self.J, self.dJ, self.v)
 
     def platform_position(self) -> Array:
-        """Return the independent coordinates: (n,), or a pose (4, 4). A single rotation lies in (−π, π]."""
+        """Return the independent coordinates: (n,), or a pose (4, 4); see ``Platform``."""
         return self.coordinates(self.q)
 
     def coordinates(self, q: Array) -> Array:
@@ -132,12 +132,15 @@ class ClosedChain:
             pose = np.eye(4)
             pose[:3, :3], pose[:3, 3] = rotation, origin
             return pose
-        return np.array(
-            [
-                origin[k] if column < 0 else math.atan2(rotation[j, column], rotation[k, column])
-                for k, j, column in self._axes
-            ]
-        )
+        values = []
+        for sine, cosine in self._readings:
+            if cosine is None:
+                values.append(origin[sine[0]])
+            elif cosine == sine:
+                values.append(math.atan2(-rotation[sine], math.hypot(rotation[0, 0], rotation[1, 0])))
+            else:
+                values.append(math.atan2(rotation[sine], rotation[cosine]))
+        return np.array(values)
 
     def platform_rows(self) -> PlacedRows:
         """Return the rows of the platform's twist, at the state."""

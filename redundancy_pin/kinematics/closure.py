@@ -14,7 +14,8 @@ the two bodies and A_A, A_B their accelerations at v̇ = 0 (see ``kinematics.tre
     ẅ = (σ ä, c̈ × a + 2 ċ × ȧ + c × ä),   J̇_c = mask ∘ (ẇ J + w J̇),   J̈_c = mask ∘ (ẅ J + 2 ẇ J̇ + w J̈).
 
 Rows of a platform's twist are such rows too. Their axis is one of the world; the partner of a translation is the
-platform's origin, that of a rotation about a third axis of the world.
+platform's origin, that of a rotation about a third axis of the world. The row of an angle whose rate is no component of
+the twist has an axis of the platform, and w = (0, g) in place of c × a, with the rates of g (``kinematics.angles``).
 
 Which axes a rotation row pairs depends on what else is constrained: with one rotation left free (a hinge) both rows
 use the free axis of B, so that they stay independent at every hinge angle. Every row is exact at every configuration,
@@ -41,6 +42,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
 from redundancy_pin.kinematics.tree import AFTER, NEXT, TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
@@ -63,13 +65,17 @@ _PAIRED = np.array([0, 1, 1, 0])
 
 
 class Row(NamedTuple):
-    """One row: its axis and partner as (frame, column), and the frames between which it acts."""
+    """One row: its axis and partner as (frame, column), and the frames between which it acts.
+
+    ``angle`` is the kind and the base axis of one that is the rate of an angle.
+    """
 
     axis: tuple[int, int]
     partner: tuple[int, int]
     first: int
     second: int
     sign: float
+    angle: tuple[str, int] | None = None
 
     @property
     def rotation(self) -> bool:
@@ -92,6 +98,10 @@ class RowSet:
     ) -> None:
         self.size = size = len(rows)
         self.couplings = couplings
+        self.angles = [row.angle for row in rows]
+        """Which rows are rates of angles: kind and base axis, or None."""
+        self._at_angles = [i for i, angle in enumerate(self.angles) if angle]
+        self._kinds = [angle for angle in self.angles if angle]
         # axes of all rows, then their partners
         pairs = np.array([[row.axis for row in rows], [row.partner for row in rows]], dtype=np.intp).reshape(2, size, 2)
         frames, columns = pairs[:, :, 0], pairs[:, :, 1]
@@ -139,6 +149,7 @@ class RowSet:
         wrench = np.empty((6, self.size))
         np.multiply(pairs[:, 0], self._moving[1], out=wrench[:3])
         np.subtract(products[:3], products[3:], out=wrench[3:])
+        self.set_angles(wrench, 0, pairs[:, 0])
         return PlacedRows(self, pairs, taken[18:], self._moving, wrench, q)
 
     def place_many(self, vectors: list[Array], q: Array) -> PlacedRows:
@@ -156,7 +167,21 @@ class RowSet:
         axis, partner = pairs[:, 0], pairs[:, 1]
         np.multiply(axis, self._moving[1, :, None], out=wrench[:3])
         cross(partner, axis, wrench[3:])
+        self.set_angles(wrench, 0, axis)
         return PlacedRows(self, pairs, vectors[0][:, :0], self._moving[:, :, None], wrench, q)
+
+    def set_angles(self, moments: Array, order: int, *axis: Array) -> None:
+        """Set the last three components (3, R) or (3, R, N) of rows of angles to g or a time derivative of it.
+
+        Args:
+            moments: components of all rows.
+            order: 0, 1 or 2.
+            axis: (3, R) or (3, R, N) the axis of each row and its derivatives, as many as the order.
+        """
+        if self._at_angles:
+            moments[-3:, self._at_angles] = angles.direction(
+                self._kinds, order, [part[:, self._at_angles] for part in axis]
+            )
 
     def residuals(self, placed: PlacedRows, vectors: list[Array]) -> Array:
         """Return (R, N) Φ at N configurations; the rows are the first of the placed ones."""
@@ -194,6 +219,10 @@ class RowSet:
         twists = J.dot(moved).reshape(6, 4, self.size)
         parts = cross(twists[3:], placed.pairs.take(_PAIRED, 1)) + twists[:3] * self._slides
         products = (parts[:, :2] * parts[:, 2:]).reshape(6, self.size)
+        if self._at_angles:
+            products[:, self._at_angles] = 0.0
+            self.set_angles(products, 1, placed.pairs[:, 0], parts[:, 0])
+            products[3:, self._at_angles] *= twists[3:, 2, self._at_angles]
         rest = placed.wrench * dJ.dot(moved[:, 2 * self.size : 3 * self.size])
         bias: Array = np.add.reduce(products + rest)
         if self.couplings is not None:
@@ -257,6 +286,7 @@ class PlacedRows(NamedTuple):
         rate = np.empty(self.wrench.shape)
         np.multiply(first[:, 0], self.moving[1], out=rate[:3])
         np.subtract(parts[:, 0], parts[:, 1], out=rate[3:])
+        self.rows.set_angles(rate, 1, self.pairs[:, 0], first[:, 0])
         return first, rate
 
     def jacobian_rate(self, J: Array, dJ: Array, v: Array) -> Array:
@@ -277,6 +307,7 @@ class PlacedRows(NamedTuple):
         (axis, partner), (da, dc), (dda, ddc) = (np.swapaxes(part, 0, 1) for part in (self.pairs, first, second))
         curve = cross(ddc, axis) + 2.0 * cross(dc, da) + cross(partner, dda)
         bend = np.concatenate((dda * self.moving[1], curve))
+        rows.set_angles(bend, 2, axis, da, dda)
         first_rate = rows.times(rate, J) + rows.times(self.wrench, dJ)
         second_rate = rows.times(bend, J) + 2.0 * rows.times(rate, dJ) + rows.times(self.wrench, ddJ)
         if rows.couplings is not None:
@@ -420,8 +451,13 @@ class ConstraintSystem:
                 two[:, None] - one[:, None] for one, two in zip(motions[first], motions[second], strict=True)
             )
             total = np.add.reduce(state.rows.wrench[:, rows] * rest)
+            kinds = [kind for kind in self.all_rows.angles[rows] if kind]
+            if kinds:
+                axis = pairs[:, 0]
+                turned = angles.direction(kinds, 1, [axis, cross(relative[3:], axis)])
+                total += np.add.reduce(turned * relative[3:])
             for k, body in enumerate(carriers):  # the formula of ``RowSet.bias_at``; the world stands still
-                if body == len(motions) - 1:
+                if kinds or body == len(motions) - 1:
                     continue
                 rate = cross(motions[body][0][3:, None], pairs[:, k])
                 if k == 0:
@@ -481,8 +517,12 @@ def _platform_rows(robot: Robot, at: dict[str, int]) -> list[Row]:
     if robot.platform is None:
         return []
     world, platform = len(at), at[robot.platform.frame]
-    rows = []
+    rows, rates = [], angles.angle_rows(robot)
     for rotation, k in (divmod(AXES.index(axis), 3) for axis in robot.platform.axes):
+        if rotation and k in rates:
+            pointer = angles.pointer(robot.platform)
+            rows.append(Row((platform, pointer), (world, 0), world, platform, 1.0, rates[k]))
+            continue
         axis = (k + 2) % 3 if rotation else k  # e_{k+1} × e_{k+2} = e_k
         partner = (world, (k + 1) % 3) if rotation else (platform, _ORIGIN)
         rows.append(Row((world, axis), partner, world, platform, 1.0))

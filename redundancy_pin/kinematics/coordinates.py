@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -20,12 +21,7 @@ from redundancy_pin.robot.scales import is_revolute, row_scale
 
 
 def coordinates(robot: Robot, state: ConstraintState) -> Array:
-    """Return the independent coordinates of configurations: (N, n), or poses (N, 4, 4).
-
-    A single rotation is the angle, in (−π, π], by which the platform frame is turned about that base axis: for rz the
-    angle of the frame's x axis from the base's x axis. Where that axis is normal to the plane the next one in the
-    plane serves, so that any mounting of the frame will do.
-    """
+    """Return the independent coordinates of configurations: (N, n), or poses (N, 4, 4); see ``Platform``."""
     if robot.platform is None:
         return np.stack([joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
     frame = robot.platform.frame
@@ -36,34 +32,39 @@ def coordinates(robot: Robot, state: ConstraintState) -> Array:
         poses[:, :3, 3] = origin.T
         poses[:, 3, 3] = 1.0
         return poses
-    # without samples there is nothing to read off: any axis will do
-    axes = measured_axes(robot, rotation[:, :, 0] if rotation.shape[2] else np.eye(3))
-    parts = [origin[i] if k < 0 else np.arctan2(rotation[j, k], rotation[i, k]) for i, j, k in axes]
+    parts = []
+    for sine, cosine in readings(robot):
+        if cosine is None:
+            parts.append(origin[sine[0]])
+        elif cosine == sine:
+            parts.append(np.arctan2(-rotation[sine], np.hypot(rotation[0, 0], rotation[1, 0])))
+        else:
+            parts.append(np.arctan2(rotation[sine], rotation[cosine]))
     return np.stack(parts, axis=1)
 
 
-def measured_axes(robot: Robot, rotation: Array) -> list[tuple[int, int, int]]:
-    """Return how each coordinate of a platform is read off its placement.
+Entry: TypeAlias = tuple[int, int]
+"""Row and column of a rotation matrix."""
 
-    An angle in the plane of the base axes i and j is that of one of the platform's axes: (i, j, axis). A translation
-    along the base axis k is (k, k, −1).
 
-    Args:
-        robot: the robot; nothing is returned where it has no platform.
-        rotation: (3, 3) any orientation that the platform takes.
+def readings(robot: Robot) -> list[tuple[Entry, Entry | None]]:
+    """Return how each coordinate of a platform is read off its placement (R, p); nothing without a platform.
+
+    An angle has the entries of R that are its sine and its cosine, times one positive number. For the pitch they are
+    one entry: its sine is −R[2, 0], its cosine the length of R[0, 0] and R[1, 0]. A translation along the base axis k
+    is ((k, k), None).
     """
-    axes = []
-    for is_rotation, k in (divmod(AXES.index(axis), 3) for axis in (robot.platform.axes if robot.platform else ())):
+    result: list[tuple[Entry, Entry | None]] = []
+    platform = robot.platform
+    for is_rotation, k in (divmod(AXES.index(axis), 3) for axis in (platform.axes if platform else ())):
         i, j = (k + 1) % 3, (k + 2) % 3
-        in_plane = np.hypot(rotation[i], rotation[j]) > _IN_PLANE
-        column = next((axis for axis in (i, j) if in_plane[axis]), k)
-        axes.append((i, j, column) if is_rotation else (k, k, -1))
-    return axes
-
-
-_IN_PLANE = 0.5
-"""Length of the part of a unit axis in the plane of rotation from which it serves to measure the angle. It does not
-change as the platform turns: a platform with one rotation does not tilt."""
+        if not is_rotation or platform is None:
+            result.append(((k, k), None))
+        elif len(platform.rotations) == 1:
+            result.append(((j, platform.pointer), (i, platform.pointer)))
+        else:
+            result.append({0: ((2, 1), (2, 2)), 1: ((2, 0), (2, 0)), 2: ((1, 0), (0, 0))}[k])
+    return result
 
 
 def difference(robot: Robot, target: Array, start: Array) -> Array:

@@ -39,7 +39,7 @@ from redundancy_pin.kinematics.inverse_kinematics import wrapped
 from redundancy_pin.kinematics.lift import TreeMotion, anchors_along, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, range_excess
+from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, random_spread, range_excess
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, turning_velocities, velocity_unit
 
@@ -502,7 +502,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     followed = _followed(system, reference)
     motors = constraint_system(_driven(robot, tuple(robot.actuated[j] for j in followed)))
     model, columns, rng = robot.model, motors.pose_columns, np.random.default_rng(_SEED)
-    spread = np.where(turning_velocities(robot)[columns], np.pi, robot.characteristic_length)
+    spread = random_spread(robot)[columns]
     q, keys, hits = np.zeros((0, model.nq)), np.zeros((0, 0)), np.zeros(0, dtype=np.intp)
     gap, starts = np.inf, 0
     while starts < (most_starts if len(q) else min(most_starts, _IN_VAIN)):

@@ -17,7 +17,8 @@ from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import position_unit, turning_velocities
+from redundancy_pin.robot.joint_ranges import random_spread
+from redundancy_pin.robot.scales import position_unit
 from redundancy_pin.robot.types import slides
 
 _STARTS = (1, 16, 240)
@@ -153,8 +154,7 @@ def _around(system: ConstraintSystem, guess: Array, starts: int, rng: np.random.
     model, columns = system.robot.model, system.pose_columns
     steps = np.zeros((starts, model.nv))
     if starts > 1:
-        spread = np.where(turning_velocities(system.robot)[columns], np.pi, 1.0) * system.step_unit
-        steps[:, columns] = rng.uniform(-1.0, 1.0, (starts, len(columns))) * spread
+        steps[:, columns] = rng.uniform(-1.0, 1.0, (starts, len(columns))) * random_spread(system.robot)[columns]
     return integrate(model, np.repeat(guess[None], starts, axis=0), steps)
 
 

@@ -45,6 +45,7 @@ from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
+from redundancy_pin.robot.whole_turns import turned_to
 
 _FAR_STARTS = 5
 """Samples of a motion that no Newton from the reference closes anywhere at which multistart is tried before it is
@@ -368,8 +369,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
     if direct is not None:
         reached, valid = direct.point, True
     else:
-        anchors = anchors_along(system, np.stack([home.x, x]), reference, None, False)
-        reached, valid = Point(x, anchors.q[-1], anchors.gamma[-1]), bool(anchors.valid[-1])
+        reached, valid = _straight(system, home, x)
     # a configuration where working modes meet belongs to both
     if valid and (
         in_working_mode(robot, reached.q[None])[0] or (np.abs(mode_indicator(robot, reached.q[None])) < _NO_SIDE).any()
@@ -399,6 +399,20 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
             gap=gap,
         )
     return Point(x, q, projection.gamma[0])
+
+
+def _straight(system: ConstraintSystem, home: Point, x: Array) -> tuple[Point, bool]:
+    """Return what the straight way from the reference leads to, and whether it leads to the coordinates."""
+    gamma = home.gamma
+
+    def follow(q: Array, start: Array, target: Array) -> Array | None:
+        nonlocal gamma
+        anchors = anchors_along(system, np.stack([start, target]), q, None, False)
+        gamma = anchors.gamma[-1]
+        return anchors.q[-1] if anchors.valid[-1] else None
+
+    q = turned_to(system.robot, home.q, home.x, x, follow)
+    return Point(x, home.q if q is None else q, gamma), q is not None
 
 
 def guesses_along(

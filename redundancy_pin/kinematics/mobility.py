@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import combinations
+
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.arrays import RANK_TOLERANCE
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.robot import AXES, Robot
-from redundancy_pin.robot.scales import coordinate_unit
+from redundancy_pin.robot.build import with_pointer
 
 _MOVES = 1e-6
 """Part of a unit motion, scaled, that a joint must have in it to be said to move."""
-
-_LEVEL_TOLERANCE = 1e-9
-"""rad per characteristic length, or per rad, of an independent coordinate; rounding stays below 1e-12."""
 
 
 def check_mobility(system: ConstraintSystem) -> None:
@@ -32,7 +32,8 @@ def check_mobility(system: ConstraintSystem) -> None:
         )
     if freedoms == robot.n:
         return
-    rank, redundant = _rank(system, assemble(system, np.array(robot.q_reference)[None]).state)
+    reference = assemble(system, np.array(robot.q_reference)[None])
+    rank, redundant = _rank(system, reference.state)
     if freedoms < robot.n:
         kind, only = "over", ""
         where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
@@ -43,6 +44,8 @@ def check_mobility(system: ConstraintSystem) -> None:
     else:
         kind, only, where = "under", "only ", _left_free(system)
         remedy = "Add the missing closure axes, declare more independent velocities, or list carriers as carriers."
+    if not redundant and freedoms > 0:
+        remedy += _fitting(replace(robot, q_reference=reference.q[0]), freedoms)
     raise DeclarationError(
         f"{robot.name} is {kind}-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
         f"freedoms, but {only}{robot.n} independent velocities are declared.{where}",
@@ -94,27 +97,38 @@ def check_reference_rank(system: ConstraintSystem) -> None:
         raise DeclarationError(
             f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
             "joint velocities.",
-            remedy="Move the reference, or declare other independent velocities.",
+            remedy="Move the reference, or declare other independent velocities." + _fitting(robot, robot.n),
         )
-    _check_platform_stays_level(system, state, projection.gamma)
 
 
-def _check_platform_stays_level(system: ConstraintSystem, state: ConstraintState, gamma: Array) -> None:
-    """A platform with one rotation as coordinate must turn about that axis alone, or the angle is no integral of it."""
-    platform = system.robot.platform
-    rotations = [axis for axis in platform.axes if axis.startswith("r")] if platform else []
-    if platform is None or len(rotations) != 1:
-        return
-    columns = list(system.tree.support[platform.frame])
-    omega = state.pose.jacobian[3:, columns, 0] @ gamma[0, columns]
-    omega[AXES.index(rotations[0]) - 3] = 0.0
-    if np.abs(omega * coordinate_unit(system.robot)).max() > _LEVEL_TOLERANCE:
-        raise DeclarationError(
-            f"The platform {platform.frame!r} of {system.robot.name} tilts: {rotations[0]} is declared as its only "
-            "rotation, but it turns about other axes too.",
-            remedy="Declare all three rotations, or none.",
-            tilt=float(np.abs(omega).max()),
-        )
+def fitting_axes(robot: Robot, count: int) -> tuple[str, ...] | None:
+    """Return the platform axes, so many, that determine the reference best; None where none do, or for joints."""
+    platform = robot.platform
+    if platform is None:
+        return None
+    q, margins = np.array(robot.q_reference)[None], {}
+    for axes in combinations(AXES, count):
+        other = replace(platform, axes=axes)
+        system = ConstraintSystem(replace(robot, platform=with_pointer(other, robot.model, q[0])))
+        if len(system.rows) + count == len(system.pose_columns):
+            margins[axes] = float(project(system, system.evaluate(q)).margin[0])
+    best = max(margins, key=lambda axes: round(margins[axes], 9), default=())
+    return best if margins.get(best, 0.0) > RANK_TOLERANCE else None
+
+
+def _fitting(robot: Robot, count: int) -> str:
+    """Return a remedy that names axes that fit, empty where none do."""
+    axes = fitting_axes(robot, count)
+    return f" These axes of {robot.platform.frame!r} fit: [{', '.join(axes)}]." if robot.platform and axes else ""
+
+
+def other_axes(robot: Robot) -> str:
+    """Return a remedy where the platform's axes do not determine the configuration near the guess, else nothing."""
+    system = ConstraintSystem(robot)
+    near = assemble(system, np.array(robot.q_reference)[None])
+    if robot.platform is None or not near.closed[0] or near.projection.margin[0] > RANK_TOLERANCE:
+        return ""
+    return _fitting(replace(robot, q_reference=near.q[0]), robot.n).strip()
 
 
 def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[str]]:

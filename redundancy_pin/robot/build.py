@@ -23,7 +23,7 @@ from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, Ca
 from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
 from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, Tree, impossible_moments, read_tree, require_same
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot, slides
+from redundancy_pin.robot.types import CarrierLimits, Coupling, Platform, Robot, slides
 from redundancy_pin.robot.urdf import Argument, source_of
 
 
@@ -139,7 +139,7 @@ def robot_of_tree(
         model=model,
         closures=declaration.loops,
         couplings=coupled,
-        platform=declaration.platform,
+        platform=with_pointer(declaration.platform, model, guess),
         independent_joints=declaration.independent.joints,
         actuated=declaration.actuated,
         carriers=carriers,
@@ -382,6 +382,26 @@ def _guess(model: pin.Model, positions: Mapping[str, float], start: Array | None
         # a continuous joint has the cosine and the sine of its angle as coordinates
         q[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
     return q
+
+
+def with_pointer(platform: Platform | None, model: pin.Model, q: Array) -> Platform | None:
+    """Return a platform with the frame axis that tells its angle: of a single rotation, the first in its plane.
+
+    The order is that of the base axes behind the axis of rotation. So rz is the angle of the frame's x axis, unless
+    the frame is mounted with that axis along z; any mounting will do.
+    """
+    if platform is None or len(platform.rotations) != 1:
+        return platform
+    data, k = model.createData(), platform.rotations[0]
+    pin.framesForwardKinematics(model, data, q)
+    rotation = data.oMf[model.getFrameId(platform.frame, pin.FrameType.BODY)].rotation
+    i, j = (k + 1) % 3, (k + 2) % 3
+    in_plane = np.hypot(rotation[i], rotation[j]) > _IN_PLANE
+    return replace(platform, pointer=next((axis for axis in (i, j) if in_plane[axis]), k))
+
+
+_IN_PLANE = 0.5
+"""Length of the part of a unit axis in the plane of rotation from which it serves to measure the angle."""
 
 
 def characteristic_length(model: pin.Model, q: Array, carriers: Sequence[str]) -> float:

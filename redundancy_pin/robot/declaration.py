@@ -202,7 +202,7 @@ class WrenchEntry(Schema):
 
 
 class Independent(Schema):
-    """The independent velocities: rows of the platform's twist, or joints."""
+    """The independent coordinates: part of the platform's pose, or joints."""
 
     joints: Names = ()
     platform: str | None = Field(None, description="the name of a frame (a URDF link)", validate_default=True)
@@ -214,13 +214,6 @@ class Independent(Schema):
         if bool(platform) == bool(info.data.get("joints")):
             raise ValueError("the name of a frame (a URDF link), given with `axes`: either `joints`, or `platform`")
         return platform
-
-    @field_validator("axes")
-    @classmethod
-    def _integrable(cls, axes: tuple[str, ...]) -> tuple[str, ...]:
-        if sum(axis.startswith("r") for axis in axes) == 2:
-            raise ValueError("translations with no rotation, one rotation, or all three")
-        return axes
 
 
 class WorkingModesEntry(Schema):

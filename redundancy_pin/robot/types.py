@@ -78,21 +78,35 @@ class CarrierLimits:
 
 @dataclass(frozen=True)
 class Platform:
-    """The platform frame and the rows of its twist that are the independent velocities.
+    """The platform frame and the part of its pose that is the independent coordinates.
+
+    With all three rotations among the axes, coordinates are poses (4, 4) and velocities are components of the twist, in
+    world-aligned axes at the platform origin. With fewer, coordinates are numbers and velocities their rates:
+
+    - one rotation about the base axis k: the angle, about that axis, of one axis of the platform frame (``pointer``),
+      seen along k. If the platform turns about k only, its rate is the component of the angular velocity.
+    - two rotations: those of roll, pitch, yaw that the axes name, R = Rz(rz) Ry(ry) Rx(rx), as in URDF. The closures
+      determine the third angle. The pitch lies in [−π/2, π/2].
 
     Attributes:
         frame: name of the frame (URDF link).
-        axes: subset of ``AXES`` in world-aligned axes at the platform origin: none or all or one of the
-            rotations. With all three rotations the platform coordinates are poses (4, 4).
+        axes: subset of ``AXES``, in that order.
+        pointer: number of the axis of the platform frame that tells the angle of a single rotation.
     """
 
     frame: str
     axes: tuple[str, ...]
+    pointer: int = 0
+
+    @property
+    def rotations(self) -> tuple[int, ...]:
+        """Base axes of the rotations among the axes: 0, 1, 2 for rx, ry, rz."""
+        return tuple(k for k, axis in enumerate(AXES[3:]) if axis in self.axes)
 
     @property
     def is_pose(self) -> bool:
         """Whether the platform coordinates are homogeneous poses."""
-        return {"rx", "ry", "rz"} <= set(self.axes)
+        return len(self.rotations) == 3
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def values(chain: SymbolicChain, expressions, *, q, v=None, a=None, x=None):
     names = [chain.q, chain.v, chain.a, chain.x, chain.trig]
     zero = np.zeros(chain.model.nv)
     given = [q, zero if v is None else v, zero if a is None else a, np.zeros(chain.x.shape[0]) if x is None else x]
-    function = ca.Function("f", [*names, chain.external], [chain.nominal(part) for part in expressions])
+    function = ca.Function("f", [*names, chain.external], list(expressions))
     found = function.call([*given, chain.trig_at(q[None])[0], np.zeros(chain.external.shape[0])])
     return [np.asarray(part) for part in found]
 

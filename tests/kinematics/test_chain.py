@@ -14,7 +14,7 @@ from redundancy_pin.robot import Robot
 ROUNDING = 1e-13
 """Sums of a dozen products of order 1."""
 
-ROBOTS = [*zoo.SHIPPED, *CHAINS]
+ROBOTS = [*zoo.SHIPPED, "3rps", *CHAINS]
 
 
 def robot_called(name: str) -> Robot:

@@ -11,8 +11,10 @@ import pinocchio as pin
 import pytest
 from written import J, urdf_of, write_robot
 
+import redundancy_pin as rp
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.build import model_of
 from redundancy_pin.robot.formats.urdf_tree import read_tree
@@ -126,18 +128,25 @@ def test_a_reference_at_a_type_i_singularity_is_refused(tmp_path: Path) -> None:
     assert "Move the reference" in caught.value.remedy
 
 
-def test_a_platform_that_tilts_needs_all_its_rotations(tmp_path: Path) -> None:
-    """A hinge about a slanted axis cannot be told by its rz alone."""
+def test_a_platform_that_tilts_has_the_angle_about_one_base_axis(tmp_path: Path) -> None:
+    """A hinge at q about (0, 0.6, 0.8) brings the hand's x axis to (cos q, 0.8 sin q, ·): tan rz = 0.8 tan q."""
     slanted = [J("arm", "revolute", "base", "arm_link", axis=(0, 0.6, 0.8)), J("mount", "fixed", "arm_link", "hand")]
-    with pytest.raises(DeclarationError, match=r"'hand' of .* tilts: rz is declared as its only rotation"):
-        load(
-            tmp_path,
-            slanted,
-            closures=[],
-            actuated=["arm"],
-            independent={"platform": "hand", "axes": ["rz"]},
-            reference={"platform": [0.0]},
-        )
+    robot = load(
+        tmp_path,
+        slanted,
+        closures=[],
+        actuated=["arm"],
+        independent={"platform": "hand", "axes": ["rz"]},
+        reference={"platform": [0.5]},
+    )
+    rz = np.linspace(0.5, 6.5, 60)
+    tree = lift(robot, rp.PlatformMotion(rz, rz[:, None], np.full((60, 1), 1.5), np.full((60, 1), -2.0)))
+    sine, cosine = np.sin(rz), np.cos(rz)
+    square = 0.64 * cosine**2 + sine**2
+    slope, bend = 0.8 / square, -0.8 * 2.0 * sine * cosine * 0.36 / square**2
+    np.testing.assert_allclose(np.tan(tree.q[:, 0]), np.tan(rz) / 0.8, rtol=1e-9)
+    np.testing.assert_allclose(tree.v[:, 0], 1.5 * slope, rtol=1e-11)
+    np.testing.assert_allclose(tree.a[:, 0], -2.0 * slope + 2.25 * bend, rtol=1e-11)
 
 
 def test_an_open_chain_is_the_closed_chain_without_closures(tmp_path: Path) -> None:

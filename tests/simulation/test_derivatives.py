@@ -82,7 +82,7 @@ def require_linearisation(state: State, force: Array) -> None:
     assert (linear.A[:d, d:] == np.eye(d)).all()
 
 
-@pytest.mark.parametrize("name", zoo.SHIPPED)
+@pytest.mark.parametrize("name", [*zoo.SHIPPED, "3rps"])
 def test_forward_dynamics_are_linearised_along_the_closures(name: str) -> None:
     robot = moving.massive(name)
     for i, state in enumerate(moving.random_states(robot, 21, 2)):

@@ -157,7 +157,7 @@ int rp_terms(int samples, const double *in, int width, double *near, double *out
 /* From one configuration to other coordinates; q is replaced. */
 int rp_follow(double *q, const double *x0, const double *x) {
   Pose pose;
-  if (!start_at(&pose, q, x0) || !follow(&pose, x)) return LOST;
+  if (!start_at(&pose, q, x0) || !go_far(&pose, x0, x)) return LOST;
   copy(q, pose.q, NQ);
   return in_mode(&pose) ? CLOSED : OTHER_MODE;
 }
@@ -170,7 +170,7 @@ double rp_assemble(double *q, const double *x) {
   rows(q, trig, x, residual, K, alignment);
   for (int i = 0; i < NP; ++i) size += residual[i] * residual[i];
   for (int iteration = 0; iteration < 200 && size > 0.0; ++iteration) {
-    double H[NP * NP + 1], step[NP + 1], new_residual[NP + 1], new_K[NP * NP + 1], new_size = 0.0;
+    double H[NP * NP + 1], step[NP + 1], scaled[NP + 1], new_residual[NP + 1], new_K[NP * NP + 1], new_size = 0.0;
     int pivot[NP + 1];
     for (int i = 0; i < NP; ++i) {
       step[i] = 0.0;
@@ -184,11 +184,9 @@ double rp_assemble(double *q, const double *x) {
     if (decompose(H, pivot) == 0.0) break;
     solve(H, pivot, step);
     double longest = largest(step, NP);
-    if (longest > 1.0)
-      for (int i = 0; i < NP; ++i) step[i] /= longest;
+    for (int i = 0; i < NP; ++i) scaled[i] = step[i] * STEP_UNIT[i] / fmax(longest, 1.0);
     copy(trial, q, NQ);
-    for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
-    move(trial, step);
+    move(trial, scaled);
     turns_of(trial, trig);
     rows(trial, trig, x, new_residual, new_K, alignment);
     for (int i = 0; i < NP; ++i) new_size += new_residual[i] * new_residual[i];

@@ -26,6 +26,8 @@ from redundancy_pin.dynamics.compiled.load_symbols import shape_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.machine_code import FLAGS, built, digest, loaded
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import position_unit
+from redundancy_pin.robot.whole_turns import turns_of
 
 LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
@@ -109,7 +111,8 @@ def _defined(robot: Robot) -> Definition:
 
 def source(definition: Definition) -> str:
     """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
-    turning = ", ".join(map(str, definition.chain.turning)) or "0"
+    chain = definition.chain
+    turning = ", ".join(map(str, chain.turning)) or "0"
     return "\n".join(
         [
             driver_source(definition, definition.functions.values()),
@@ -124,7 +127,16 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
 
     With ``storage`` "static" nothing of it is seen from other files; who stands behind it calls all of it.
     """
-    return "\n".join([*tables(definition.chain, functions, storage), text_of("driver.c")])
+    turns = turns_of(definition.chain.robot)
+    listed = ", ".join(map(str, turns.coordinates.tolist()))
+    counted = [
+        f"#define TURNS {len(turns.coordinates)}",
+        f"#define COUNTED_COORDINATES {{{listed}}}",
+    ]
+    if len(turns.coordinates):
+        angles = ", ".join(map(str, (turns.angles.astype(int) + turns.kept).tolist()))
+        counted.append(f"static const int ANGLE[] = {{{angles}}};")
+    return "\n".join([*tables(definition.chain, functions, storage), *counted, text_of("driver.c")])
 
 
 def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list[str]:
@@ -151,6 +163,7 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
         "static const int ACTUATED": robot.actuated_velocity,
         "static const double STEP_UNIT": chain.step_unit,
         "static const double EQUATION_UNIT": chain.equation_unit,
+        "static const double POSITION_UNIT": position_unit(robot),
     }
     text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
     text += [f"#define {name} {value!r}" for name, value in sizes.items()]
@@ -170,10 +183,7 @@ _WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "driver.c", 
 
 
 def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Sequence[str] = FLAGS) -> str:
-    """Return what tells one library from another: a hash of all that goes into it.
-
-    The reference does not: it only tells which frame axis of a planar platform lies in its plane, in every pose alike.
-    """
+    """Return what tells one library from another: a hash of all that goes into it. The reference does not."""
     model = robot.model
     roles = [
         robot.closures,

@@ -24,6 +24,7 @@ from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.joint_ranges import random_spread
 from redundancy_pin.robot.scales import closure_tolerance, position_unit, velocity_unit
 
 CLOSED, _LOST, _SINGULAR, _OTHER_MODE, NOT_FINITE = range(5)
@@ -231,13 +232,10 @@ def _multistart(loops: Loops, x: Array) -> tuple[Array | None, float]:
     """Return the configuration nearest to the reference in the working mode, and the smallest gap that was met."""
     kernel, robot = loops.kernel, loops.robot
     reference, _ = loops.reference
-    random = np.random.default_rng(0)
+    random, spread = np.random.default_rng(0), random_spread(robot)
     best, nearest, least = None, np.inf, np.inf
     for trial in range(_STARTS):
-        step = np.zeros(robot.model.nv)
-        if trial:
-            step = random.uniform(-np.pi, np.pi, robot.model.nv)
-        step[robot.carrier_velocity] = 0.0
+        step = random.uniform(-1.0, 1.0, len(spread)) * spread if trial else np.zeros(len(spread))
         q: Array = pin.integrate(robot.model, reference, step)
         gap = kernel.assemble(q, x)
         least = min(least, gap)

@@ -189,10 +189,6 @@ class DesignChain(SymbolicChain):
         moment += inertia @ dw + ca.cross(first, du) + ca.cross(w, inertia @ w + ca.cross(first, u))
         return force, moment + ca.cross(u, momentum)
 
-    def nominal(self, expression: SX) -> SX:
-        """Return an expression at the parameters' values."""
-        return casadi().substitute(expression, self.change, casadi().DM.zeros(self.change.numel()))
-
 
 def _sparse(columns: Array) -> Any:
     return casadi().sparsify(casadi().DM(columns))

@@ -11,6 +11,7 @@
 
 #define CONTRACTION 0.3
 #define SETTLED 1e-13   /* a step this small, rad or characteristic lengths, is rounding */
+#define ROUNDED 4e-16   /* so are steps that are this share of the largest coordinate and no longer shrink */
 #define FLOOR 1e-9      /* steps below this that no longer shrink are rounding too, next to a singularity */
 #define LONGEST 0.5     /* longest first step, rad or characteristic lengths: beyond it the linear model says nothing */
 #define SHORTEST 1e-4   /* share of the way to a sample below which it counts as lost */
@@ -148,6 +149,13 @@ static double largest(const double *values, int size) {
   return result;
 }
 
+/* The largest coordinate of a configuration, rad or characteristic lengths. */
+static double largest_position(const double *q) {
+  double result = 0.0;
+  for (int i = 0; i < NQ; ++i) result = fmax(result, fabs(q[i]) / POSITION_UNIT[i]);
+  return result;
+}
+
 /* Newton's method from q, to coordinates that miss x by left (N); returns whether it contracted all the way. */
 static int newton(const double *q, const double *x, const double *left, Pose *out) {
   double step[NP + 1], alignment[NALIGN], last = LONGEST / CONTRACTION;
@@ -162,7 +170,8 @@ static int newton(const double *q, const double *x, const double *left, Pose *ou
     if (out->sign == 0.0) return 0;
     solve(out->lu, out->pivot, step);
     double size = largest(step, NP);
-    int settled = size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && out->gap < TOLERANCE);
+    int stalled = size > CONTRACTION * last && size <= FLOOR;
+    int settled = size <= SETTLED || (stalled && (out->gap < TOLERANCE || size <= ROUNDED * largest_position(out->q)));
     if (settled) {
       if (!left)
         for (int i = 0; i < NALIGN; ++i)
@@ -195,6 +204,77 @@ static int follow(Pose *pose, const double *x) {
     }
   }
   return 1;
+}
+
+/* --- whole turns: as in robot/whole_turns.py ----------------------------------------------------------------------- */
+
+#if TURNS
+#define TURN 6.283185307179586
+#define MOST_TURNS 10000.0 /* turns that are followed one by one where they do not repeat */
+#define WHOLE 1e-9         /* rad or characteristic lengths by which joints may miss whole turns */
+#define EXACT 32768.0      /* rad beyond which a dependent joint loses its turns */
+
+/* Bring a pose so many turns of coordinate c on; at is moved along. A turn that brings all joints back, but for whole
+   turns of their own, does so again. With gears several turns may pass until it does. */
+static int turn(Pose *pose, double *at, int c, double count) {
+  double step = copysign(TURN, count), left = fabs(count), followed = 0.0, start[NQ], shift[NQ];
+  int known = 0;
+  copy(start, pose->q, NQ);
+  while (left > 0.0) {
+    at[c] += step;
+    if (!follow(pose, at)) return 0;
+    left -= 1.0;
+    followed += 1.0;
+    if (followed > MOST_TURNS) return 0;
+    if (known || left == 0.0) continue;
+    int whole = 1;
+    for (int j = 0; j < NQ; ++j) {
+      double moved = pose->q[j] - start[j];
+      shift[j] = ANGLE[j] ? TURN * round(moved / TURN) : 0.0;
+      if (!(fabs(moved - shift[j]) < WHOLE * POSITION_UNIT[j])) whole = 0;
+    }
+    if (!whole) continue;
+    double times = floor(left / followed);
+    for (int j = 0; j < NQ; ++j) {
+      double moved = pose->q[j] + times * shift[j];
+      pose->q[j] = ANGLE[j] == 2 || fabs(moved) < EXACT ? moved : pose->q[j] - shift[j];
+    }
+    at[c] += times * followed * step;
+    left -= times * followed;
+    known = 1;
+    Pose next;
+    if (!newton(pose->q, at, 0, &next) || next.sign != pose->sign) return 0;
+    *pose = next;
+  }
+  return 1;
+}
+#endif
+
+/* From a pose closed at here to the coordinates x, however many turns away. */
+static int go_far(Pose *pose, const double *here, const double *x) {
+#if TURNS
+  static const int COUNTED[] = COUNTED_COORDINATES;
+  double at[NX], count[TURNS];
+  int far = 0;
+  Pose next = *pose;
+  copy(at, x, NX);
+  for (int i = 0; i < TURNS; ++i) {
+    count[i] = trunc((x[COUNTED[i]] - here[COUNTED[i]]) / TURN);
+    at[COUNTED[i]] -= TURN * count[i];
+    far = far || count[i] != 0.0;
+  }
+  if (far) {
+    int there = follow(&next, at);
+    for (int i = 0; i < TURNS; ++i) there = there && turn(&next, at, COUNTED[i], count[i]);
+    if (there && follow(&next, x)) {
+      *pose = next;
+      return 1;
+    }
+  }
+#else
+  (void)here;
+#endif
+  return follow(pose, x);
 }
 
 /* Velocity and acceleration of the tree at a closed pose, Γ, W and the margin; K v = (0, xd), K a = (0, xdd) - bias. */

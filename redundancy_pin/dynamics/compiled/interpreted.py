@@ -13,8 +13,10 @@ import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray
 from redundancy_pin.dynamics.compiled.build import LEAST_MARGIN, Definition
+from redundancy_pin.robot.scales import position_unit
+from redundancy_pin.robot.whole_turns import turned_to
 
-_CONTRACTION, _SETTLED, _FLOOR, _LONGEST, _SHORTEST, _ITERATIONS = 0.3, 1e-13, 1e-9, 0.5, 1e-4, 15
+_CONTRACTION, _SETTLED, _ROUNDED, _FLOOR, _LONGEST, _SHORTEST, _ITERATIONS = 0.3, 1e-13, 4e-16, 1e-9, 0.5, 1e-4, 15
 _CLOSED, _LOST, _SINGULAR, _OTHER_MODE, _NOT_FINITE = range(5)
 
 
@@ -43,7 +45,7 @@ class Interpreter:
         self._external = chain.external.numel()
         self._n, self._r, self._columns = chain.robot.n, len(chain.closure_scale), chain.pose_columns
         self._step_unit, self._equation_unit = chain.step_unit, chain.equation_unit
-        self._length = float(chain.robot.characteristic_length)
+        self._length, self._position_unit = float(chain.robot.characteristic_length), position_unit(chain.robot)
 
     def call(self, name: str, *arguments: Any) -> int:
         """Call a function of the driver."""
@@ -90,7 +92,9 @@ class Interpreter:
             inverse: Array = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
             step = inverse @ residual
             size, gap = float(np.abs(step).max()), float(np.abs(residual).max())
-            if size <= _SETTLED or (_CONTRACTION * last < size <= _FLOOR and gap < CLOSURE_TOLERANCE):
+            stalled = _CONTRACTION * last < size <= _FLOOR
+            rounding = _ROUNDED * float(np.abs(q / self._position_unit).max(initial=0.0))
+            if size <= _SETTLED or (stalled and (gap < CLOSURE_TOLERANCE or size <= rounding)):
                 return _Pose(q, inverse, sign, gap) if left is not None or (alignment > 0.0).all() else None
             if not size <= _CONTRACTION * last:
                 return None
@@ -113,11 +117,15 @@ class Interpreter:
         return pose
 
     def _follow_to(self, q: Array, home: Array, x: Array) -> int:
-        start = self._newton(q, home, None)
-        pose = None if start is None else self.follow(start, x)
-        if pose is None:
+        def follow(q: Array, home: Array, x: Array) -> Array | None:
+            start = self._newton(q, home, None)
+            pose = None if start is None else self.follow(start, x)
+            return None if pose is None else pose.q
+
+        reached = turned_to(self._robot, q, home, x, follow)
+        if reached is None:
             return _LOST
-        q[:] = pose.q
+        q[:] = reached
         return _CLOSED if self._in_mode(q) else _OTHER_MODE
 
     def _in_mode(self, q: Array) -> bool:

@@ -187,10 +187,6 @@ class SymbolicChain:
         )
         return push + ca.cross(w, momentum), moment
 
-    def nominal(self, expression: SX) -> SX:
-        """Return an expression at the robot's own numbers."""
-        return expression
-
     def _trig_of(self, index: int) -> tuple[SX, SX]:
         """Return cosine and sine of an entry of q."""
         if index in self.turning:
@@ -350,18 +346,26 @@ class SymbolicChain:
         return _wrapped(self.x[i] - ca.atan2(q[1], q[0])) if joint.nq == 2 else self.x[i] - q
 
     def _angle(self, rotation: SX, k: int) -> SX:
-        """Return the angle about base axis k: of the first frame axis, from i = k + 1 on, that lies in the plane."""
-        ca = casadi()
-        i, j = (k + 1) % 3, (k + 2) % 3
-        reference = self._at_reference(rotation)
-        # a platform with one rotation does not tilt: what lies in the plane does so in every pose
-        column = next((c for c in (i, j) if np.hypot(reference[i, c], reference[j, c]) > 0.5), 3 - i - j)
-        return ca.atan2(rotation[j, column], rotation[i, column])
+        """Return the coordinate that is a rotation about base axis k, of fewer than three; see ``Platform``."""
+        ca, platform = casadi(), self.robot.platform
+        if platform is None or len(platform.rotations) == 1:
+            column = platform.pointer if platform else 0
+            return ca.atan2(rotation[(k + 2) % 3, column], rotation[(k + 1) % 3, column])
+        level = ca.sqrt(rotation[0, 0] ** 2 + rotation[1, 0] ** 2)
+        sine, cosine = {
+            0: (rotation[2, 1], rotation[2, 2]),
+            1: (-rotation[2, 0], level),
+            2: (rotation[1, 0], rotation[0, 0]),
+        }[k]
+        return ca.atan2(sine, cosine)
 
-    def _at_reference(self, expression: SX) -> Array:
-        ca = casadi()
-        q = np.array(self.robot.q_reference)
-        return np.array(ca.Function("at", [self.q, self.trig], [self.nominal(expression)])(q, self.trig_at(q[None])[0]))
+    def _angle_rate(self, rotation: SX, spin: SX, k: int) -> SX:
+        """Return the rate of that coordinate: of a platform that nothing else turns, a component of its spin."""
+        platform = self.robot.platform
+        across = [spin[axis] for axis in range(3) if axis != k]
+        if self.is_pose or (platform and len(platform.rotations) == 1 and all(part.is_zero() for part in across)):
+            return spin[k]
+        return self.rate_of(self._angle(rotation, k))
 
     @cached_property
     def coordinates(self) -> SX:
@@ -385,9 +389,10 @@ class SymbolicChain:
         closures = self.rate_of(self.closure_rows) if len(self.closure_scale) else ca.SX(0, 1)
         if platform is None:
             return ca.vertcat(closures, *(self.v[column] for column in self.independent))
-        *_, spin, speed = self.frame(platform.frame)
-        twist = ca.vertcat(speed, spin)
-        return ca.vertcat(closures, *(twist[AXES.index(axis)] for axis in platform.axes))
+        rotation, _, spin, speed = self.frame(platform.frame)
+        axes = [divmod(AXES.index(axis), 3) for axis in platform.axes]
+        own = [self._angle_rate(rotation, spin, k) if turning else speed[k] for turning, k in axes]
+        return ca.vertcat(closures, *own)
 
     @cached_property
     def K(self) -> SX:

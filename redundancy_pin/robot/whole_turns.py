@@ -1,0 +1,115 @@
+"""Targets whole turns of a joint away: one turn is followed, and the others are multiples of it.
+
+A bounded revolute joint counts its turns: as an independent joint it has any number of them for a coordinate. The
+loops do not see whole turns. Where a turn of that joint brings every other one back but for whole turns of its own, the
+next turn does the same. With gears several turns may pass until it does; they are followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
+from redundancy_pin.robot.scales import velocity_unit
+from redundancy_pin.robot.types import Robot, slides
+
+TURN = 2.0 * np.pi
+
+MOST_TURNS = 10_000
+"""Turns that are followed one by one where they do not repeat."""
+
+WHOLE = 1e-9
+"""rad or characteristic lengths by which joints may miss whole turns; Newton's method comes to 1e-13."""
+
+EXACT = 2.0**15
+"""rad beyond which a dependent joint loses its turns: the rounding of the angle, 4e-12, would open loops."""
+
+Follow = Callable[[Array, Array, Array], Array | None]
+"""From a configuration closed at coordinates to others, straight; None where that fails."""
+
+
+class Turns(NamedTuple):
+    """What counts turns.
+
+    Attributes:
+        coordinates: columns of x that do.
+        angles: (nq,) entries of q that are angles whose turns count.
+        kept: (nq,) those whose turns count for others: independent joints and coupled ones.
+    """
+
+    coordinates: IntArray
+    angles: BoolArray
+    kept: BoolArray
+
+
+@lru_cache(maxsize=64)
+def turns_of(robot: Robot) -> Turns:
+    """Return what counts turns in a robot."""
+    model = robot.model
+    joints = {str(name): joint for name, joint in zip(model.names, model.joints, strict=True)}
+    bounded = {name: int(joint.idx_q) for name, joint in joints.items() if joint.nq == 1 and not slides(joint)}
+    coordinates = np.array([i for i, name in enumerate(robot.independent_joints) if name in bounded], dtype=np.intp)
+    angles, kept = np.zeros((2, model.nq), dtype=bool)
+    angles[list(bounded.values())] = True
+    coupled = {name for each in robot.couplings for name in (each.joint, each.of)}
+    kept[[place for name, place in bounded.items() if name in coupled or name in robot.independent_joints]] = True
+    return Turns(read_only(coordinates), read_only(angles), read_only(kept))
+
+
+def turned_to(robot: Robot, q: Array, x: Array, target: Array, follow: Follow) -> Array | None:
+    """Return the configuration at target coordinates on the straight way from others, or None.
+
+    Args:
+        robot: the robot.
+        q: (nq,) a closed configuration.
+        x: (n,) its coordinates, or a pose.
+        target: (n,) coordinates, or a pose.
+        follow: what follows the branch.
+    """
+    turns = turns_of(robot)
+    counts = np.trunc((target[turns.coordinates] - x[turns.coordinates]) / TURN)
+    if counts.any():
+        at = target.copy()
+        at[turns.coordinates] -= TURN * counts
+        reached = follow(q, x, at)
+        for column, count in zip(turns.coordinates, counts, strict=True):
+            reached = None if reached is None else _turned(robot, reached, at, int(column), float(count), follow)
+        reached = None if reached is None else follow(reached, at, target)
+        if reached is not None:
+            return reached
+    return follow(q, x, target)
+
+
+def _turned(robot: Robot, q: Array, at: Array, column: int, count: float, follow: Follow) -> Array | None:
+    """Return the configuration so many turns of one coordinate on; ``at`` is moved along."""
+    start, here, left, period = q, q, abs(count), 0.0
+    step, followed = np.copysign(TURN, count), 0.0
+    while left:
+        before = at.copy()
+        at[column] += step
+        there = follow(here, before, at)
+        followed += 1.0
+        if there is None or followed > MOST_TURNS:
+            return None
+        here, left = there, left - 1.0
+        shift = None if period or not left else _whole(robot, start, here)
+        if shift is not None:
+            period, repeats = followed, float(left // followed)
+            further = here + repeats * shift
+            keeps = turns_of(robot).kept | (np.abs(further) < EXACT)
+            here = np.where(keeps, further, here - shift)
+            at[column] += repeats * period * step
+            left -= repeats * period
+    return here
+
+
+def _whole(robot: Robot, start: Array, end: Array) -> Array | None:
+    """Return (nq,) the whole turns from one configuration to another, rad; None where they are not whole."""
+    shift = np.where(turns_of(robot).angles, TURN * np.round((end - start) / TURN), 0.0)
+    rest = pin.difference(robot.model, start, end - shift)
+    return shift if np.abs(rest / velocity_unit(robot)).max(initial=0.0) < WHOLE else None

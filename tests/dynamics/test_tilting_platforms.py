@@ -1,0 +1,199 @@
+"""Platforms whose coordinates are height, roll and pitch, against closed forms, energy and forward dynamics."""
+
+from __future__ import annotations
+
+import shutil
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from command_line import call
+from generated_c import COMPILERS, Code
+from tilting_platforms import HOME, NAMES, actuators, in_coordinates, motion, poses, robot_called, slopes
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.simulation import FeedForward, motion_reference
+
+ROUNDING = 1e-11
+"""Chains are closed to 1e-11 m; conditions of W are below 100."""
+DIFFERENCES = 1e-7
+"""Central differences over 2 ms of motions with periods of 2 s: h² / 6 times the third rate, against the largest."""
+TIMES = np.linspace(0.0, 2.0, 41)
+
+
+@cache
+def robot_of(name: str) -> Robot:
+    return robot_called(name, Path(mkdtemp()))
+
+
+@cache
+def lifted(name: str) -> TreeMotion:
+    return lift(robot_of(name), motion(name, TIMES))
+
+
+@cache
+def reduced(name: str) -> tuple[ReducedDynamics, ...]:
+    along = motion(name, TIMES)
+    return tuple(kind(robot_of(name)).reduce(along) for kind in (rp.RneaDynamics, CompiledDynamics))
+
+
+def near(found: Array, expected: Array, share: float = ROUNDING) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=share * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_pose_and_the_actuators_are_those_of_the_closed_form(name: str) -> None:
+    tree, robot = lifted(name), robot_of(name)
+    rotation, origin = poses(tree.motion.x)
+    assert np.abs(origin[:, :2]).max() > 0.01  # parasitic motions are there
+    assert np.abs(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])).max() > 0.04
+    near(tree.q[:, _positions(robot)], actuators(name, tree.motion.x))
+    data, frame = robot.model.createData(), robot.model.getFrameId("platform", pin.FrameType.BODY)
+    for q, turned, place in zip(tree.q, rotation, origin, strict=True):
+        pin.framesForwardKinematics(robot.model, data, q)
+        near(data.oMf[frame].rotation, turned)
+        near(data.oMf[frame].translation, place)
+
+
+def _positions(robot: Robot) -> list[int]:
+    return [int(robot.model.joints[robot.model.getJointId(name)].idx_q) for name in robot.actuated]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_W_is_the_derivative_of_the_actuators_by_the_coordinates(name: str) -> None:
+    for result in reduced(name):
+        near(result.W, slopes(name, motion(name, TIMES).x))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_f_is_dual_to_the_rates_of_the_coordinates(name: str) -> None:
+    """The power f · ẋ, and that of the actuators, is the rate of the energy."""
+    robot, h = robot_of(name), 1e-3
+    along = motion(name, TIMES)
+    energy = [_energy(robot, lift(robot, motion(name, TIMES + step))) for step in (-2 * h, -h, h, 2 * h)]
+    rate = (energy[0] - 8.0 * energy[1] + 8.0 * energy[2] - energy[3]) / (12.0 * h)
+    for result in reduced(name):
+        tau = rp.distribute(result).tau
+        speeds = np.einsum("nij,ni->nj", slopes(name, along.x), along.xd)
+        near((result.f * along.xd).sum(axis=1), rate, DIFFERENCES)
+        near((tau * speeds).sum(axis=1), rate, DIFFERENCES)
+
+
+def _energy(robot: Robot, tree: TreeMotion) -> Array:
+    data = robot.model.createData()
+    return np.array(
+        [
+            pin.computeKineticEnergy(robot.model, data, q, v) + pin.computePotentialEnergy(robot.model, data, q)
+            for q, v in zip(tree.q, tree.v, strict=True)
+        ]
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_accelerations_of_the_actuators_are_those_of_the_closed_form(name: str) -> None:
+    h, tree = 1e-3, lifted(name)
+    places = [actuators(name, motion(name, TIMES + step).x) for step in (-2 * h, -h, 0.0, h, 2 * h)]
+    second = (-places[0] + 16 * places[1] - 30 * places[2] + 16 * places[3] - places[4]) / (12.0 * h * h)
+    near(tree.a[:, robot_of(name).actuated_velocity], second, DIFFERENCES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_compiled_and_rnea_agree(name: str) -> None:
+    one, other = reduced(name)
+    near(other.W, one.W)
+    near(other.f, one.f)
+    along, dynamics = motion(name, TIMES), rp.RneaDynamics(robot_of(name))
+    near(np.array([dynamics.reduce(along[k : k + 1]).f[0] for k in range(0, 41, 5)]), one.f[::5])
+
+
+OTHERS = {
+    ("x", "z", "rz"): False,
+    ("x", "z", "ry"): True,
+    ("y", "z", "rx"): False,
+    ("z", "rx", "rz"): False,
+    ("z", "ry", "rz"): True,
+    ("x", "y", "z"): False,
+}
+"""Other coordinates that fit where the platform is tilted, and whether they are tried in compiled dynamics too."""
+TILTED = np.array([0.62, 0.28, 0.39])
+SPAN = np.linspace(0.0, 0.2, 9)
+DIFFERENTIATED = 1e-7
+"""Rates of the other coordinates are good to 1e-9; their conditions are up to 100."""
+
+
+@pytest.mark.parametrize("axes", OTHERS, ids="-".join)
+def test_other_coordinates_of_the_same_motion_give_the_same_efforts(axes: tuple[str, ...], tmp_path: Path) -> None:
+    robot = robot_called("3prs", tmp_path, axes=axes, at=TILTED)
+    expected = rp.distribute(rp.RneaDynamics(robot_of("3prs")).reduce(motion("3prs", SPAN))).tau
+    for kind in (rp.RneaDynamics, CompiledDynamics)[: 1 + OTHERS[axes]]:
+        near(rp.distribute(kind(robot).reduce(in_coordinates(axes, "3prs", SPAN))).tau, expected, DIFFERENTIATED)
+
+
+# --- what is made of it ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_forward_dynamics_follow_the_motion_that_the_efforts_are_for(name: str) -> None:
+    robot = robot_of(name)
+    points = np.array([[0.0, 0.0, 0.0], [0.04, 0.3, -0.2], [0.0, -0.25, 0.3]]) + np.array([HOME[name], 0.0, 0.0])
+    course = rp.trajectory.from_points(points, [0.0, 0.5, 1.0])
+    run = rp.simulate(robot, FeedForward(motion_reference(robot, course)), dt=0.05)
+    assert run.status.value == "completed"
+    np.testing.assert_allclose(run.x, course.evaluate(np.minimum(run.t, course.duration)).x, atol=1e-6)
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no compiler is installed")
+def test_generated_c_agrees() -> None:
+    code, along, (expected, _) = Code(robot_of("3rps")), motion("3rps", TIMES), reduced("3rps")
+    state = code.start()
+    assert code.go_to(state, along.x[0]) == 0
+    tau = rp.distribute(expected).tau
+    for k in range(len(along)):
+        got = code.efforts(state, along.x[k], along.xd[k], along.xdd[k])
+        near(got.tau, tau[k])
+        near(got.W.reshape(3, 3), expected.W[k])
+        feet = code.platform(
+            state, actuators("3rps", along.x[k : k + 1])[0], slopes("3rps", along.x[k : k + 1])[0].T @ along.xd[k]
+        )
+        near(feet.x, along.x[k])
+        near(feet.xd, along.xd[k], 1e-9)
+
+
+def test_the_commands_take_it(tmp_path: Path) -> None:
+    way = tmp_path / "way.csv"
+    way.write_text("t,z,rx,ry\n0,0.5,0,0\n0.2,0.53,0.1,-0.1\n0.4,0.5,0,0.2\n", encoding="utf-8")
+    assert "z, rx, ry of platform" in call("info", "--robot", "3rps").stdout
+    for given in (
+        ("inverse-dynamics", "--dt", "0.02", "--out", str(tmp_path / "efforts.csv")),
+        ("singularities",),
+    ):
+        done = call(*given, "--robot", "3rps", "--trajectory", str(way))
+        assert done.exit_code == 0, done.stderr
+    assert call("workspace", "--robot", "3rps", "--resolution", "9").exit_code == 0
+    page = tmp_path / "page.html"
+    assert call("show", "--robot", "3rps", "--html", str(page)).exit_code == 0
+    assert page.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("axes", [("x", "y", "z"), ("rx", "ry", "rz"), ("y", "z", "rx"), ("z", "rx")], ids="-".join)
+def test_axes_that_do_not_fit_are_refused_with_some_that_do(axes: tuple[str, ...], tmp_path: Path) -> None:
+    folder = shutil.copytree(models_root() / "gallery" / "3rps", tmp_path / "3rps")
+    data = yaml.safe_load((folder / "robot.yaml").read_text(encoding="utf-8"))
+    data["independent"]["axes"] = list(axes)
+    pose = {"xyz": [0, 0, 0.5]} if axes == ("rx", "ry", "rz") else [0.5 if axis == "z" else 0 for axis in axes]
+    data["reference"]["platform"] = pose
+    (folder / "robot.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(DeclarationError) as caught:
+        rp.load_robot(folder)
+    assert "These axes of 'platform' fit: [z, rx, ry]." in caught.value.remedy
