@@ -216,7 +216,7 @@ static int follow(Pose *pose, const double *x) {
 
 /* Bring a pose so many turns of coordinate c on; at is moved along. A turn that brings all joints back, but for whole
    turns of their own, does so again. With gears several turns may pass until it does. */
-static int turn(Pose *pose, double *at, int c, double count) {
+static int go_round(Pose *pose, double *at, int c, double count) {
   double step = copysign(TURN, count), left = fabs(count), followed = 0.0, start[NQ], shift[NQ];
   int known = 0;
   copy(start, pose->q, NQ);
@@ -265,7 +265,7 @@ static int go_far(Pose *pose, const double *here, const double *x) {
   }
   if (far) {
     int there = follow(&next, at);
-    for (int i = 0; i < TURNS; ++i) there = there && turn(&next, at, COUNTED[i], count[i]);
+    for (int i = 0; i < TURNS; ++i) there = there && go_round(&next, at, COUNTED[i], count[i]);
     if (there && follow(&next, x)) {
       *pose = next;
       return 1;
