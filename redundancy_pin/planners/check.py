@@ -204,13 +204,14 @@ def _jerk_events(
         return (), ()
     if position is None:
         t, step = along.motion.t[:-1], np.diff(along.motion.t)
-        inside = step > 0.0
-        t, jerk = t[inside], np.diff(carriers.sdd, axis=0)[inside] / step[inside, None]
+        moving = step > 0.0
+        t, jerk = t[moving], np.diff(carriers.sdd, axis=0)[moving] / step[moving, None]
     else:
         edges, (least, largest) = position.edges, position.derivative(3).ranges()
         sdd, step = position.derivative(2), np.diff(edges)
         jump = (sdd(edges[1:-1]) - sdd(edges[1:-1], "left")) / np.minimum(step[:-1], step[1:])[:, None]
-        t, jerk = np.append(edges[:-1], edges[1:-1]), np.append(np.where(-least > largest, least, largest), jump, axis=0)
+        inside = np.where(-least > largest, least, largest)
+        t, jerk = np.append(edges[:-1], edges[1:-1]), np.append(inside, jump, axis=0)
     return limit_events("jerk", along.robot.carriers, t, jerk, most)
 
 
@@ -240,7 +241,7 @@ def _ranges_left(robot: Robot, motion: PlatformMotion, platform: ContinuousMotio
 
 
 def _touched(at_samples: Events, between: Events, violated: Events) -> Events:
-    """Return limits that are touched: those of carriers at samples, and of other quantities unless they are exceeded."""
+    """Return limits that are touched: those of carriers at samples, and of others unless they are exceeded."""
     known = {(event.carrier, event.quantity) for event in (*at_samples, *violated)}
     others = (event for event in between if (event.carrier, event.quantity) not in known)
     return tuple(sorted((*at_samples, *others), key=lambda event: event.start))

@@ -179,8 +179,8 @@ ALLOWED = 1.05
 """Largest effort between the samples over the largest at the samples up to which the samples show the efforts."""
 
 MARKED = 1.02
-"""Ratio to that, or to a limit, from which a grid is refined; what exceeds a limit by less is met by lower limits at the
-nodes (``BetweenSamples.shares``)."""
+"""Ratio to that, or to a limit, from which a grid is refined; what exceeds a limit by less is met by lower limits at
+the nodes (``BetweenSamples.shares``)."""
 
 LOWERED = 6
 """Rounds with lower limits at the nodes."""
@@ -375,7 +375,7 @@ class BetweenSamples:
     """What is between the samples of a plan: in P pieces, c columns of efforts, forces and limited rates.
 
     ``check``: the peaks; ``violated``: limits that are exceeded; ``touched``: limits that are met; ``middle`` (P,) of
-    the pieces, s; ``ratio`` (P,) largest effort over the largest at the samples; ``use`` (P, c) fractions of the limits.
+    the pieces, s; ``ratio`` (P,) largest effort over the largest at the samples; ``use`` (P, c) fractions of limits.
     """
 
     check: DenseCheck
@@ -407,7 +407,7 @@ class BetweenSamples:
         return marked
 
     def shares(self, t: Array, before: Array | None) -> Array:
-        """Return (M, c) fractions of their limits that nodes at (M,) times, s, may use so that none is exceeded between.
+        """Return (M, c) fractions of their limits that nodes at (M,) times, s, may use so that none is exceeded inside.
 
         ``before``: those with which this motion was planned, if there were any.
         """

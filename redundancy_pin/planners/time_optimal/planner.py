@@ -103,7 +103,8 @@ def plan_time_optimal(
 
     At places p on the path, type II singularities and jumps of the curvature among them, unknown are ṗ, p̈, s, ṡ, s̈ and
     τ, and between them the durations of the steps, in which p̈ and s̈ are linear. W is known at each place and may lose
-    rank there; the rest is as in ``plan_whole_trajectory``, dense check and refinement included. p̈ and s̈ jump where the
+    rank there; the rest is as in ``plan_whole_trajectory``: a plan within limits exceeds none by more than 0.1 %,
+    between the nodes too. p̈ and s̈ jump where the
     curvature does.
 
     Args:
@@ -128,7 +129,8 @@ def plan_time_optimal(
         limits: track, speed, acceleration, jerk, effort and carrier_force as one group in place of the keywords.
 
     Returns:
-        A plan whose samples are the nodes, from t = 0; ``plan.t[-1]`` is the time it takes.
+        A plan whose samples are the nodes, from t = 0; ``plan.t[-1]`` is the time it takes. ``limits.binding`` names
+        the limits that it touches.
 
     Raises:
         InputError: a setting out of its domain; neither an effort nor an actuator's speed is limited; a lap of a path

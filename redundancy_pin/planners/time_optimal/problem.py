@@ -75,7 +75,7 @@ class TimeOptimalProblem:
 
     @property
     def parts(self) -> tuple[Array, Array, Array]:
-        """Fractions of the limits of efforts (M, m), of forces (M, k) and of the speed (M, 1) that the nodes may use."""
+        """Fractions of the limits of efforts (M, m), forces (M, k) and of the speed (M, 1) that the nodes may use."""
         nodes, m, k = len(self.grid.t), self.model.W.shape[2], self.model.k
         shares = np.ones((nodes, m + k)) if self.shares is None else self.shares
         return shares[:, :m], shares[:, m : m + k], shares[:, m + k :].min(axis=1, initial=1.0)[:, None]

@@ -96,11 +96,12 @@ def plan_whole_trajectory(
     Carriers that turn add waves of their angles. Where f has yet other terms, as with carriers on carriers, it is the
     backend's own expression (``CompiledDynamics``) or fitted around each course in turn (``multistart``).
 
-    The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
-    included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits,
-    by more than 5 %, the steps get a node in the middle across which the jerk is continuous, and the plan is made again
-    (``refinements``). ``diagnostics["dense_check"]`` has what is left of it; limits left exceeded by more make the
-    status violates_limits, and ``limits.violated`` has them.
+    The plan is then judged by the backend between the nodes, right beside the singularities included. Where efforts
+    there exceed the peak at the nodes by more than 5 %, or efforts or carrier forces their limits by more than 2 %, the
+    steps get a node in the middle across which the jerk is continuous, and the plan is made again (``refinements``).
+    What exceeds a limit by less is met by lower limits at the nodes beside it. ``diagnostics["dense_check"]`` has what
+    is left of it; limits left exceeded by more than 0.1 % make the status violates_limits, and ``limits.violated`` has
+    them.
 
     Args:
         dynamics: either backend.
