@@ -393,7 +393,7 @@ class BetweenSamples:
     @property
     def worst(self) -> Array:
         """(P,) the larger of ratio and use."""
-        return np.maximum(self.ratio, self.use.max(axis=1, initial=0.0))
+        return np.asarray(np.maximum(self.ratio, self.use.max(axis=1, initial=0.0)))
 
     def too_coarse(self, before: Sequence[float]) -> BoolArray:
         """Return (P,) where a finer grid is needed rather than lower limits at its nodes.
@@ -401,10 +401,9 @@ class BetweenSamples:
         ``before``: the largest ``worst`` of this look and of those before; lower limits that took off less than half of
         the excess are not enough.
         """
-        marked: BoolArray = self.worst > MARKED
-        if not marked.any() and len(before) > 1 and before[-1] - 1.0 > 0.5 * (before[-2] - 1.0):
-            marked = (self.use > 1.0 + LIMIT_TOLERANCE).any(axis=1)
-        return marked
+        coarse: BoolArray = self.worst > MARKED
+        stuck = len(before) > 1 and before[-1] - 1.0 > 0.5 * (before[-2] - 1.0)
+        return np.asarray((self.use > 1.0 + LIMIT_TOLERANCE).any(axis=1)) if stuck and not coarse.any() else coarse
 
     def shares(self, t: Array, before: Array | None) -> Array:
         """Return (M, c) fractions of their limits that nodes at (M,) times, s, may use so that none is exceeded inside.
