@@ -22,9 +22,8 @@ from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.receding_horizon import run_online
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import range_excess
-from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
+from redundancy_pin.trajectory import SpeedProfile, SplinePath, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
-from redundancy_pin.trajectory.waypoints import through_points
 
 pytest.importorskip("casadi")
 
@@ -114,7 +113,7 @@ def drawn(planner: str, seed: int) -> tuple[Plan, Robot, dict[str, Any]]:
         motion = reference.corner(radius=float(10.0 ** rng.uniform(-2.2, -1.4)))
     else:
         points = home + rng.uniform(-1.0, 1.0, (4, len(home))) * reach
-        path: Any = through_points(points) if rng.random() < 0.5 else Line(tuple(points[0]), tuple(points[1]))
+        path: Any = SplinePath(points) if rng.random() < 0.5 else Line(tuple(points[0]), tuple(points[1]))
         motion = Trajectory(path, SpeedProfile(path.length, min(0.3, 3.0 * path.length), 0.1))
     given: dict[str, Any] = {}
 
