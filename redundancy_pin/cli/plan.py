@@ -30,7 +30,7 @@ _LISTED_PHASES = 10  # a stepwise plan may change its phase at every step
 _MANY_SWINGS = 10  # of an effort beside singularities: a motion itself makes a few
 _CALMING = 0.01  # weight of "effort_rate" that takes the 2-RPR's circle from 35 reversals to 6, for 8 % more peak
 
-BREAKS_LIMITS = 3  # exit code of a plan that breaks limits of the carriers or needs unbounded efforts
+BREAKS_LIMITS = 3  # exit code of a plan that breaks limits or needs unbounded efforts
 NOT_OPTIMAL = 4  # exit code of a plan that keeps all limits, but is no optimum or whose samples do not show it
 # others: BREAKS_LIMITS
 EXIT_CODES = {PlanStatus.WITHIN_LIMITS: 0, PlanStatus.STOPPED_EARLY: NOT_OPTIMAL, PlanStatus.UNRESOLVED: NOT_OPTIMAL}
@@ -212,11 +212,11 @@ def plan(
 ) -> int | None:
     r"""Plan the motion of the carriers.
 
-    By one of the planners below, or as a problem file says. Exit codes: 0 the plan keeps all limits; 3 there is a plan
-    and it is written, but it breaks limits or needs unbounded efforts (one line on stderr says which); 4 there is a
-    plan and it is written, but the optimiser stopped before it had an optimum, or the efforts between its samples
-    exceed those at the samples by more than 5 %; 2 bad input, no plan exists, or the picture cannot be drawn (the plan
-    is written before).
+    By one of the planners below, or as a problem file says. Exit codes: 0 the plan keeps all limits, between its
+    samples too, to 0.1 %; 3 there is a plan and it is written, but it breaks limits or needs unbounded efforts (one
+    line on stderr says which); 4 there is a plan and it is written, but the optimiser stopped before it had an optimum,
+    or the efforts between its samples exceed those at the samples by more than 5 %; 2 bad input, no plan exists, or the
+    picture cannot be drawn (the plan is written before).
 
     \b
     Examples:

@@ -16,31 +16,30 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedD
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute, solved_status
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import (
-    ALLOWED,
     PIECE_DEGREE,
     SINGULAR_SAMPLE,
+    BetweenSamples,
     DenseCheck,
     PlanFunctions,
-    actuator_rates,
     dense_check,
     least_effort,
 )
 from redundancy_pin.planners.limits import (
     QUANTITIES,
-    ROUNDING,
     LimitEvent,
     check_limits,
     limit_bounds,
-    limits_broken,
+    limit_events,
     motion_broken,
     ranges_left,
 )
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.planners.samples_only import reconstruction_error
-from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.singularities.roots import zeros
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -57,9 +56,6 @@ SAME_PEAK = 1e-3
 RANK_LOST = 1e-6
 """Smallest over largest singular value of the closures at which their rank counts as lost: known to 1e-8 there."""
 
-Between = tuple[DenseCheck, tuple[LimitEvent, ...]]
-"""What the continuous motion needs, and the limits of efforts and forces that it exceeds."""
-
 
 def finish_plan(
     along: DynamicsAlongMotion,
@@ -75,7 +71,7 @@ def finish_plan(
     functions: PlanFunctions | None = None,
     position: PiecewisePolynomial | None = None,
     dynamics: Dynamics | None = None,
-    between: Between | None = None,
+    between: BetweenSamples | None = None,
     singular: IntArray | None = None,
     reconstructed: Array | None = None,
 ) -> Plan:
@@ -108,26 +104,28 @@ def finish_plan(
     if singular is not None:  # however well W τ = f looks at one instant
         regular = singular[status[singular] == SampleStatus.REGULAR]
         status[regular] = SampleStatus.SINGULAR_CONSISTENT
-    effort = np.array(parameters.get("effort", np.full(robot.m, np.inf)), dtype=float)
+    effort, rate = (
+        np.array(parameters.get(name, np.full(robot.m, np.inf)), dtype=float) for name in ("effort", "actuator_speed")
+    )
     findings = dict(diagnostics)
+    limits = check_limits(judged, t, carriers, reduced.carrier_force)
+    at_samples, touched = limit_events("effort", robot.actuated, t, tau, effort)
     if functions is not None and dynamics is not None:
         findings["closure_rank"] = closure_rank_losses(dynamics, along, functions.platform)
         if between is None:
             on_it = np.unique(t[solved.margin <= SINGULAR_SAMPLE * solved.margin.max(initial=0.0)])
-            between = dense_check(dynamics, functions, judged, t, tau, least_effort(reduced), effort, on_it)[:2]
-    check, exceeded = between or (None, ())
-    if functions is not None and dynamics is not None:
-        exceeded = (*exceeded, *_too_fast(dynamics, functions, t, parameters))
-    limits = check_limits(judged, t, carriers, reduced.carrier_force)
-    at_samples = limits_broken("effort", robot.actuated, t, tau, effort, 1.0 + ROUNDING)
+            between = dense_check(dynamics, functions, judged, t, tau, least_effort(reduced), effort, on_it, rate)
+        touched = between.touched
     position = position if functions is None else functions.carriers
+    exceeded: tuple[LimitEvent, ...] = () if between is None else between.violated
     if position is not None:
         exceeded = (*exceeded, *motion_broken(judged, position, reconstructed))
-    at_samples = (*limits.violated, *at_samples, *_jerk_broken(along, carriers, parameters))
-    if reduced.out_of_range is not None and reduced.out_of_range.any():
-        at_samples = (*at_samples, *ranges_left(robot, t, lift(robot, along.motion, mark_unreachable=True).q))
+    jerks = _jerk_events(along, carriers, position, parameters)
+    platform = None if functions is None else functions.platform
+    at_samples = (*limits.violated, *at_samples, *jerks[0], *_ranges_left(robot, along.motion, platform))
     violated = merged_events(at_samples, exceeded)
     overall = PlanStatus.WITHIN_LIMITS if diagnostics.get("optimal", True) else PlanStatus.STOPPED_EARLY
+    check = None if between is None else between.check
     if check is not None:
         findings["dense_check"] = _summary(check, tau)
         overall = overall if check.passed else PlanStatus.UNRESOLVED
@@ -148,7 +146,7 @@ def finish_plan(
         condition=solved.condition,
         phase=read_only(np.array(phase, dtype=np.intp)),
         phases=phases,
-        limits=replace(limits, violated=violated),
+        limits=replace(limits, violated=violated, binding=_touched(limits.binding, (*touched, *jerks[1]), violated)),
         status=overall,
         planner=planner,
         backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
@@ -187,26 +185,66 @@ def closure_rank_losses(
     return [{"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in roots]
 
 
-def _too_fast(
-    dynamics: Dynamics, functions: PlanFunctions, t: Array, parameters: Mapping[str, object]
-) -> tuple[LimitEvent, ...]:
-    most = np.array(parameters.get("actuator_speed", np.inf), dtype=float)
+Events = tuple[LimitEvent, ...]
+
+
+def _jerk_events(
+    along: DynamicsAlongMotion,
+    carriers: CarrierMotion,
+    position: PiecewisePolynomial | None,
+    parameters: Mapping[str, object],
+) -> tuple[Events, Events]:
+    """Return where jerks exceed their limit, and where they touch it.
+
+    ``position``: of the carriers as a function of time; without it s̈ is linear between samples. Where s̈ jumps it is
+    changed within the shorter of the pieces that meet there.
+    """
+    most = np.array(np.inf if parameters.get("jerk") is None else parameters["jerk"], dtype=float)
     if not np.isfinite(most).any():
-        return ()
-    times, rates = actuator_rates(dynamics, functions.platform, t)
-    return limits_broken("speed", dynamics.robot.actuated, times, rates, most, ALLOWED)
+        return (), ()
+    if position is None:
+        t, step = along.motion.t[:-1], np.diff(along.motion.t)
+        moving = step > 0.0
+        t, jerk = t[moving], np.diff(carriers.sdd, axis=0)[moving] / step[moving, None]
+    else:
+        edges, (least, largest) = position.edges, position.derivative(3).ranges()
+        sdd, step = position.derivative(2), np.diff(edges)
+        jump = (sdd(edges[1:-1]) - sdd(edges[1:-1], "left")) / np.minimum(step[:-1], step[1:])[:, None]
+        inside = np.where(-least > largest, least, largest)
+        t, jerk = np.append(edges[:-1], edges[1:-1]), np.append(inside, jump, axis=0)
+    return limit_events("jerk", along.robot.carriers, t, jerk, most)
 
 
-def _jerk_broken(
-    along: DynamicsAlongMotion, carriers: CarrierMotion, parameters: Mapping[str, object]
-) -> tuple[LimitEvent, ...]:
-    if parameters.get("jerk") is None:
+INSIDE = 8
+"""Parts of a step, at whose ends joints are looked at that come near the end of their range there."""
+
+
+def _ranges_left(robot: Robot, motion: PlatformMotion, platform: ContinuousMotion | None) -> Events:
+    """Return where joints, passive ones too, leave their ranges: at the samples, and between them along a platform."""
+    joints = joint_ranges(robot)
+    if not joints:
         return ()
-    t, step = along.motion.t[:-1], np.diff(along.motion.t)
-    inside = step > 0.0
-    jerk = np.diff(carriers.sdd, axis=0)[inside] / step[inside, None]
-    most = np.array(parameters["jerk"], dtype=float)
-    return limits_broken("jerk", along.robot.carriers, t[inside], jerk, most, 1.0 + ROUNDING)
+    t, q = motion.t, lift(robot, motion, mark_unreachable=True).q
+    known = np.isfinite(q).all(axis=1)
+    if platform is not None and known.sum() > 1:
+        at, near = t[known], np.zeros(known.sum() - 1, dtype=bool)
+        for joint in joints:
+            beyond, step = joint.excess(q[known, joint.at], True), np.abs(np.diff(q[known, joint.at]))
+            near |= np.maximum(beyond[:-1], beyond[1:]) > -step
+        near &= np.diff(at) > 0.0
+        if near.any():
+            parts = np.linspace(0.0, 1.0, INSIDE + 1)[1:-1]
+            inside = (at[:-1, None][near] + np.diff(at)[near, None] * parts).ravel()
+            t = np.sort(np.concatenate([t, inside]))
+            q = lift(robot, platform.sample_at(t), mark_unreachable=True).q
+    return ranges_left(robot, t, q)
+
+
+def _touched(at_samples: Events, between: Events, violated: Events) -> Events:
+    """Return limits that are touched: those of carriers at samples, and of others unless they are exceeded."""
+    known = {(event.carrier, event.quantity) for event in (*at_samples, *violated)}
+    others = (event for event in between if (event.carrier, event.quantity) not in known)
+    return tuple(sorted((*at_samples, *others), key=lambda event: event.start))
 
 
 def _summary(check: DenseCheck, tau: Array) -> dict[str, object]:

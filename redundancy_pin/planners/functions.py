@@ -13,7 +13,7 @@ are infinite.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.limits import LimitEvent, limits_broken
+from redundancy_pin.planners.limits import LIMIT_TOLERANCE, LimitEvent, limit_events
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import (
@@ -176,10 +176,14 @@ def apart(times: Array) -> Array:
 # --- the dense check ---
 
 ALLOWED = 1.05
-"""Largest effort between the samples over the largest at the samples that is accepted."""
+"""Largest effort between the samples over the largest at the samples up to which the samples show the efforts."""
 
 MARKED = 1.02
-"""Ratio from which a piece is named once any exceeds what is accepted: a grid is refined there."""
+"""Ratio to that, or to a limit, from which a grid is refined; what exceeds a limit by less is met by lower limits at
+the nodes (``BetweenSamples.shares``)."""
+
+LOWERED = 6
+"""Rounds with lower limits at the nodes."""
 
 SMALL = 1e-3
 """Efforts below this fraction of those that f takes count as zero here."""
@@ -214,10 +218,10 @@ _FINE = np.cos(np.linspace(np.pi, 0.0, 65))
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """The extremes of main efforts and carrier forces in each of P pieces; m actuators, k carriers.
+    """The extremes of main efforts, carrier forces and limited rates in each of P pieces; c columns of these.
 
-    ``left``, ``right`` (P,) ends of the pieces, s; ``time`` (P, m + k) of the extremes, s; ``value`` (P, m + k) their
-    signed values, N or N·m, infinite where there is none; ``points``: number of points evaluated.
+    ``left``, ``right`` (P,) ends of the pieces, s; ``time`` (P, c) of the extremes, s; ``value`` (P, c) their signed
+    values, N or N·m, m/s or rad/s, infinite where there is none; ``points``: number of points evaluated.
     """
 
     left: Array
@@ -235,8 +239,8 @@ class DenseCheck:
         peak: (m,) largest |τ| of each main actuator, N or N·m; infinite where the efforts grow beyond all bounds.
         time: (m,) when, s.
         force_peak: (k,) largest force of each carrier's actuator, N.
-        ratio: largest |τ| of the motion over the largest at the samples, at least 1; of an actuator whose limit is
-            below that, over its limit. Efforts that are negligible beside those that f takes count as equal.
+        ratio: largest |τ| of the motion over the largest at the samples, at least 1. Efforts that are negligible beside
+            those that f takes count as equal.
         points: number of points at which the dynamics were evaluated.
     """
 
@@ -253,13 +257,20 @@ class DenseCheck:
 
 
 def peaks_between(
-    dynamics: Dynamics, functions: PlanFunctions, start: float, end: float, singular: Array | None = None
+    dynamics: Dynamics,
+    functions: PlanFunctions,
+    start: float,
+    end: float,
+    singular: Array | None = None,
+    rate: Array | None = None,
 ) -> Peaks:
-    """Return the extremes of efforts and forces in pieces from ``start`` to ``end``, s.
+    """Return the extremes of efforts, forces and limited rates in pieces from ``start`` to ``end``, s.
 
     ``singular`` (q,) instants at which W lacks rank and the efforts are finite all the same, s: beside them W⁻¹ f
-    magnifies rounding, so pieces that end there are not halved towards them.
+    magnifies rounding, so pieces that end there are not halved towards them; ``rate`` (m,) limits of the main
+    actuators' rates, m/s or rad/s: those that are finite have a column behind the forces.
     """
+    most = np.full(dynamics.robot.m, np.inf) if rate is None else rate
     fixed = np.empty(0) if singular is None else np.asarray(singular)
     edges = _edges(functions, start, end, fixed)
     left, right = edges[:-1], edges[1:]
@@ -271,10 +282,12 @@ def peaks_between(
         left, right, beside = left[order], right[order], beside[order]
         ends = np.stack([left, right], axis=1)
         times = chebyshev_points(left, right, PIECE_DEGREE)
-        values = _values(dynamics, functions, times).reshape(len(left), PIECE_DEGREE + 1, -1)
+        values = _values(dynamics, functions, times, most).reshape(len(left), PIECE_DEGREE + 1, -1)
         points += len(times)
         if not size.size:
             size = np.abs(values).max(axis=(0, 1), initial=0.0, where=np.isfinite(values))
+            limited = most[np.isfinite(most)]  # an actuator that stands has a rate of rounding
+            size[len(size) - len(limited) :] = np.maximum(size[len(size) - len(limited) :], SMALL * limited)
         finite: BoolArray = np.logical_and.reduce(np.isfinite(values), axis=(1, 2))
         series = chebyshev_series(np.where(finite[:, None, None], values, 0.0))
         tail, largest = np.abs(series[:, -2:]).max(axis=1), np.abs(values).max(axis=1)
@@ -317,10 +330,12 @@ def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) 
     return edges
 
 
-def _values(dynamics: Dynamics, functions: PlanFunctions, times: Array) -> Array:
-    """Return (N, m + k) main efforts and carrier forces at (N,) times; NaN where there are none."""
-    reduced = dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times))
-    return np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force)], axis=1)
+def _values(dynamics: Dynamics, functions: PlanFunctions, times: Array, rate: Array) -> Array:
+    """Return (N, c) main efforts, carrier forces and limited rates at (N,) times; NaN where there are none."""
+    motion = functions.platform.sample_at(times)
+    reduced = dynamics.along(motion).reduce(functions.carriers_at(times))
+    turning = np.einsum("nim,ni->nm", reduced.W, motion.xd)[:, np.isfinite(rate)]
+    return np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force), turning], axis=1)
 
 
 def _crosses(dynamics: Dynamics, functions: PlanFunctions, ends: Array) -> BoolArray:
@@ -355,6 +370,53 @@ def _extremes(ends: Array, series: Array, values: Array, finite: BoolArray) -> t
     return middle + half * place, lost
 
 
+@dataclass(frozen=True, eq=False)
+class BetweenSamples:
+    """What is between the samples of a plan: in P pieces, c columns of efforts, forces and limited rates.
+
+    ``check``: the peaks; ``violated``: limits that are exceeded; ``touched``: limits that are met; ``middle`` (P,) of
+    the pieces, s; ``ratio`` (P,) largest effort over the largest at the samples; ``use`` (P, c) fractions of limits.
+    """
+
+    check: DenseCheck
+    violated: tuple[LimitEvent, ...]
+    touched: tuple[LimitEvent, ...]
+    middle: Array
+    ratio: Array
+    use: Array
+
+    @property
+    def passed(self) -> bool:
+        """Whether the samples show the efforts, and limits hold between them."""
+        return self.check.passed and not self.violated
+
+    @property
+    def worst(self) -> Array:
+        """(P,) the larger of ratio and use."""
+        return np.asarray(np.maximum(self.ratio, self.use.max(axis=1, initial=0.0)))
+
+    def too_coarse(self, before: Sequence[float]) -> BoolArray:
+        """Return (P,) where a finer grid is needed rather than lower limits at its nodes.
+
+        ``before``: the largest ``worst`` of this look and of those before; lower limits that took off less than half of
+        the excess are not enough.
+        """
+        coarse: BoolArray = self.worst > MARKED
+        stuck = len(before) > 1 and before[-1] - 1.0 > 0.5 * (before[-2] - 1.0)
+        return np.asarray((self.use > 1.0 + LIMIT_TOLERANCE).any(axis=1)) if stuck and not coarse.any() else coarse
+
+    def shares(self, t: Array, before: Array | None) -> Array:
+        """Return (M, c) fractions of their limits that nodes at (M,) times, s, may use so that none is exceeded inside.
+
+        ``before``: those with which this motion was planned, if there were any.
+        """
+        needed = np.ones((len(t) + 1, self.use.shape[1]))
+        over = np.where(self.use > 1.0 + LIMIT_TOLERANCE, 1.0 / np.maximum(self.use, 1.0), 1.0)
+        np.minimum.at(needed, np.searchsorted(t, self.middle, side="right"), over)
+        shares: Array = np.minimum(needed[:-1], needed[1:])
+        return shares if before is None else shares * before
+
+
 def dense_check(
     dynamics: Dynamics,
     functions: PlanFunctions,
@@ -364,49 +426,44 @@ def dense_check(
     floor: float,
     effort: Array,
     singular: Array,
-) -> tuple[DenseCheck, tuple[LimitEvent, ...], Array, Array]:
+    rate: Array | None = None,
+) -> BetweenSamples:
     """Look between the samples of a plan, and compare with the samples and with limits.
 
     ``robot``: with the limits of the carriers' forces that count; ``t`` (N,) and ``tau`` (N, m) samples; ``floor``:
-    effort that counts as zero; ``effort`` (m,) limits, infinite for none; ``singular`` as for ``peaks_between``.
-    Returned are the check, the limits that are exceeded by more than is accepted, and (p,) middles of the pieces, s,
-    in which efforts or forces exceed by more than ``MARKED`` what the samples or the limits allow, and (p,) the ratios.
+    effort that counts as zero; ``effort`` (m,) and ``rate`` (m,) limits of main actuators, infinite for none;
+    ``singular`` as for ``peaks_between``.
     """
-    peaks = peaks_between(dynamics, functions, float(t[0]), float(t[-1]), singular)
-    m, size = robot.m, np.abs(peaks.value)
-    force = np.array([limit.force for limit in robot.carrier_limits])
+    peaks = peaks_between(dynamics, functions, float(t[0]), float(t[-1]), singular, rate)
+    m, k, size = robot.m, robot.k, np.abs(peaks.value)
+    limited = [j for j in range(m) if rate is not None and np.isfinite(rate[j])]
     at_samples = np.abs(tau[np.isfinite(tau).all(axis=1)])
     largest = max(float(at_samples.max(initial=0.0)), floor)
-    with np.errstate(invalid="ignore"):
-        relative = size[:, :m] / np.maximum(np.minimum(largest, effort), floor or 1.0)
-        excess = np.concatenate([relative, size[:, m:] / force], axis=1).max(axis=1, initial=0.0)
     worst = size.argmax(axis=0)
     check = DenseCheck(
         peak=frozen(np.maximum(size.max(axis=0)[:m], at_samples.max(axis=0, initial=0.0))),
         time=frozen(peaks.time[worst, range(len(worst))][:m]),
-        force_peak=frozen(size.max(axis=0)[m:]),
-        ratio=max(float(relative.max(initial=0.0)), 1.0),
+        force_peak=frozen(size.max(axis=0)[m : m + k]),
+        ratio=max(float(size[:, :m].max(initial=0.0) / (largest or 1.0)), 1.0),
         points=peaks.points,
     )
-    broken: list[LimitEvent] = []
-    for j, (name, limit) in enumerate(zip((*robot.actuated, *robot.carriers), (*effort, *force), strict=True)):
-        values = peaks.time[:, j], peaks.value[:, j : j + 1]
-        broken += limits_broken("effort" if j < m else "force", (name,), *values, np.array([limit]), ALLOWED)
-    marked = excess > MARKED
-    return check, tuple(broken), (0.5 * (peaks.left + peaks.right))[marked], excess[marked]
-
-
-RATES_INSIDE = np.linspace(0.0, 1.0, 9)[:-1]
-"""Places in a step at which rates of the actuators are looked at: of a speed that is quadratic in a step."""
-
-
-def actuator_rates(dynamics: Dynamics, platform: ContinuousMotion, t: Array) -> tuple[Array, Array]:
-    """Return (P,) times at and between the samples ``t`` (N,) of a plan, s, and (P, m) rates there, m/s or rad/s."""
-    edges = np.unique(t)
-    times = np.append((edges[:-1, None] + np.diff(edges)[:, None] * RATES_INSIDE).ravel(), edges[-1])
-    motion = platform.sample_at(times)
-    W = np.asarray(dynamics.along(motion).reduce().W)
-    return times, np.asarray(np.einsum("nim,ni->nm", W, motion.xd))
+    force = np.array([limit.force for limit in robot.carrier_limits])
+    kinds = (
+        ("effort", robot.actuated, effort),
+        ("force", robot.carriers, force),
+        ("speed", tuple(robot.actuated[j] for j in limited), np.array([] if rate is None else rate[limited])),
+    )
+    events, uses, first = [], [], 0
+    for quantity, names, limit in kinds:
+        columns = slice(first, first + len(names))
+        events.append(limit_events(quantity, names, peaks.time[:, columns], peaks.value[:, columns], limit))
+        with np.errstate(invalid="ignore"):  # infinite efforts without a limit
+            uses.append(np.nan_to_num(size[:, columns] / limit, nan=0.0, posinf=np.inf))
+        first += len(names)
+    violated, touched = (tuple(event for kind in events for event in kind[i]) for i in range(2))
+    ratio = size[:, :m].max(axis=1, initial=0.0) / (largest or 1.0)
+    middle = 0.5 * (peaks.left + peaks.right)
+    return BetweenSamples(check, violated, touched, middle, ratio, np.concatenate(uses, axis=1))
 
 
 def least_effort(reduced: ReducedDynamics) -> float:

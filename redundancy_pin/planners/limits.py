@@ -24,8 +24,10 @@ EXCEEDING = 1e-9
 """Relative excess that still counts as rounding of a motion built to lie on its limit."""
 
 
-ROUNDING = 1e-6
-"""The same of an effort at a sample and of a track between samples, which are computed and not built."""
+LIMIT_TOLERANCE = 1e-3
+"""Relative excess up to which an effort, a force, a rate of an actuator or a jerk keeps its limit, at samples and
+between them: no plan with more counts as within its limits. What comes as near from below touches its limit. Position,
+speed and acceleration of carriers are polynomials, which planners keep within limits to rounding (``EXCEEDING``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +177,8 @@ class LimitEvent:
 
     Attributes:
         carrier: name of the carrier joint; of the main actuator for "effort" and its "speed", of any joint for "range".
-        quantity: "track", "speed", "acceleration" or "force"; "effort", N or N·m; or "range", of a joint's position.
+        quantity: "track", "speed", "acceleration", "jerk" or "force"; "effort", N or N·m; or "range", of a joint's
+            position.
         start, end: first and last sample of the stretch, s.
         worst: time of the largest value, s.
         value: the value there, with its sign: m, m/s, m/s² or N.
@@ -290,22 +293,29 @@ def ranges_left(robot: Robot, t: Array, q: Array) -> tuple[LimitEvent, ...]:
     return tuple(events)
 
 
-def limits_broken(
-    quantity: str, names: tuple[str, ...], t: Array, values: Array, limit: Array, allowed: float
-) -> tuple[LimitEvent, ...]:
-    """Return, for each actuator whose |value| exceeds its limit by more than a factor, where it does so most.
+def limit_events(
+    quantity: str, names: tuple[str, ...], t: Array, values: Array, limit: Array
+) -> tuple[tuple[LimitEvent, ...], tuple[LimitEvent, ...]]:
+    """Return the limits that |values| exceed, and those that they touch, by more or less than ``LIMIT_TOLERANCE``.
 
-    ``names`` (j,) of the actuators; ``t`` (N,) times, s; ``values`` (N, j) efforts or forces, N or N·m; those that are
-    not finite are judged elsewhere; ``limit`` (j,) the largest allowed.
+    Each actuator has one event of one kind at most, from the first to the last such time.
+
+    ``names`` (j,) of the actuators; ``t`` (N,) times or (N, j) times of each, s; ``values`` (N, j) efforts, forces,
+    rates or jerks; those that are not finite are judged elsewhere; ``limit`` (j,) the largest allowed.
     """
-    events = []
-    for name, own, most in zip(names, np.where(np.isfinite(values), values, 0.0).T, limit, strict=True):
-        over = np.flatnonzero(np.abs(own) > allowed * most)
-        if len(over):
-            worst = int(over[np.abs(own[over]).argmax()])
+    violated: list[LimitEvent] = []
+    touched: list[LimitEvent] = []
+    times = np.broadcast_to(np.asarray(t).reshape(len(t), -1), values.shape)
+    for name, own, when, most in zip(names, np.where(np.isfinite(values), values, 0.0).T, times.T, limit, strict=True):
+        use = np.abs(own) / most
+        exceeded = bool(use.max(initial=0.0) > 1.0 + LIMIT_TOLERANCE)
+        at = np.flatnonzero(use > (1.0 + LIMIT_TOLERANCE if exceeded else 1.0 - LIMIT_TOLERANCE))
+        if len(at):
+            worst = int(at[use[at].argmax()])
             value = float(own[worst])
-            excess = abs(value) - float(most)
-            span = float(t[over[0]]), float(t[over[-1]])
-            at = float(np.copysign(most, value))
-            events.append(LimitEvent(name, quantity, *span, float(t[worst]), value, at, excess))
-    return tuple(events)
+            excess = max(abs(value) - float(most), 0.0)
+            span = float(when[at].min()), float(when[at].max()), float(when[worst])
+            meets = float(np.copysign(most, value))
+            event = LimitEvent(name, quantity, *span, value, meets, excess)
+            (violated if exceeded else touched).append(event)
+    return tuple(violated), tuple(touched)

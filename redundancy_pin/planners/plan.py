@@ -44,9 +44,10 @@ class PlanStatus(Enum):
     """What may be said of a plan as a whole."""
 
     WITHIN_LIMITS = "within_limits"
-    """Every sample has finite efforts and every limit of the carriers holds."""
+    """Efforts are finite, and every limit holds on the continuous motion, to 0.1 % (``LIMIT_TOLERANCE``)."""
     VIOLATES_LIMITS = "violates_limits"
-    """Efforts are finite, but a limit of a carrier is broken, or the range of a joint left: see ``limits.violated``."""
+    """Efforts are finite, but a limit of a carrier or an actuator is exceeded somewhere on the continuous motion, or
+    the range of a joint left: see ``limits.violated``."""
     UNBOUNDED_EFFORT = "unbounded_effort"
     """Some sample has no finite main effort: see ``sample_status``."""
     STOPPED_EARLY = "stopped_early"

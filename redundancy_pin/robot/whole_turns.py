@@ -29,6 +29,9 @@ WHOLE = 1e-9
 EXACT = 2.0**15
 """rad beyond which a dependent joint loses its turns: the rounding of the angle, 4e-12, would open loops."""
 
+FARTHEST = 2.0**33
+"""rad beyond which a number does not say where in a turn: it is known to 1e-6."""
+
 Follow = Callable[[Array, Array, Array], Array | None]
 """From a configuration closed at coordinates to others, straight; None where that fails."""
 
@@ -72,6 +75,8 @@ def turned_to(robot: Robot, q: Array, x: Array, target: Array, follow: Follow) -
         follow: what follows the branch.
     """
     turns = turns_of(robot)
+    if np.abs(target[turns.coordinates]).max(initial=0.0) > FARTHEST:
+        return None
     counts = np.trunc((target[turns.coordinates] - x[turns.coordinates]) / TURN)
     if counts.any():
         at = target.copy()

@@ -11,16 +11,10 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.planners.functions import ALLOWED
+from redundancy_pin.planners.limits import LIMIT_TOLERANCE
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.studies.map_problem import MapProblem
 from redundancy_pin.studies.table import json_data
-
-BINDS = 0.999
-"""A limit is said to bind where this fraction of it is used: an interior-point solution stays a little inside."""
-
-ROUNDING = 1e-6
-"""Relative excess of an effort over its limit that counts as rounding."""
 
 UNDECIDED = ("", "seconds", "balance")
 """What an error of a planner names as its constraint where it shows of no limit that it is in the way."""
@@ -146,7 +140,7 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
         shown = "; ".join(f"{name} of {whose} by {by:.4g} at {t:.4g} s" for _, name, whose, t, by in broken[:4])
         return replace(cell, verdict=Verdict.INFEASIBLE, limits=names, carrier=carrier, time=worst, amount=amount,
                        message=f"The plan breaks limits: {shown}.")  # fmt: skip
-    if effort is not None and between > ALLOWED * effort:
+    if effort is not None and between > effort * (1.0 + LIMIT_TOLERANCE):
         message = f"Between the nodes the efforts reach {between:.4g}: not resolved."
         return replace(cell, verdict=Verdict.FAILED, message=message)
     cell = replace(cell, limits=_binding(plan, between, effort, limits.get("max_jerk")))
@@ -188,7 +182,7 @@ def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, 
         for event in plan.limits.violated
         if event.quantity != "effort"  # judged below; between the nodes it says that the plan is not resolved
     ]
-    if effort is not None and peak > effort * (1.0 + ROUNDING):
+    if effort is not None and peak > effort * (1.0 + LIMIT_TOLERANCE):
         i, j = np.unravel_index(int(np.nanargmax(np.abs(plan.tau))), plan.tau.shape)
         excess, which = peak - effort, plan.robot.actuated[int(j)]
         broken.append((excess / effort, "effort", which, float(plan.t[i]), excess))
@@ -214,4 +208,4 @@ def _binding(plan: Plan, peak: float, effort: float | None, jerk: float | None) 
         with np.errstate(divide="ignore", invalid="ignore"):  # two-sided samples have no step between them
             use["jerk"] = np.where(h > 0.0, np.abs(np.diff(s.sdd, axis=0)) / (h * jerk), 0.0)
     most = {name: float(np.max(np.where(np.isfinite(part), part, 0.0), initial=0.0)) for name, part in use.items()}
-    return tuple(name for name in sorted(most, key=lambda name: -most[name]) if most[name] >= BINDS)
+    return tuple(name for name in sorted(most, key=lambda name: -most[name]) if most[name] >= 1.0 - LIMIT_TOLERANCE)

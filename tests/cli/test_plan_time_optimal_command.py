@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from command_line import call, refused
@@ -36,6 +37,26 @@ def test_flags_and_problem_files_give_the_plan_of_the_function(tmp_path: Path) -
     again = json.loads(call("plan", "--problem", path, "--json").stdout)
     assert again["end"] == pytest.approx(mine.t[-1], rel=1e-9)
     assert again["planner"] == "time_optimal"
+
+
+def test_least_time_keeps_its_limit_and_names_it(tmp_path: Path) -> None:
+    """The five-bar without carriers on a circle: 12.6 of 12 N·m between the nodes were within limits, none touched."""
+    task = ("plan", "time-optimal", "--robot", "five_bar", "--set", "carriers=false", "--trajectory", "circle")
+    result = call(*task, "--max-effort", "12", "--out", str(tmp_path / "fast.npz"))
+    assert (result.exit_code, result.stderr) == (0, "")
+    told = " ".join(result.stdout.split())
+    assert "effort of base_1 at its limit 12 N·m" in told
+    assert "effort of base_2 at its limit 12 N·m" in told
+    plan = rp.load_plan(tmp_path / "fast.npz")
+    t = np.linspace(0.0, plan.t[-1], 5001)[1:-1]
+    reduced = rp.CompiledDynamics(rp.load_robot("five_bar", carriers=False)).along(plan.platform_at(t)).reduce()
+    tau = np.linalg.solve(reduced.W, np.asarray(reduced.f)[..., None])[..., 0]
+    assert 0.999 * 12.0 < np.abs(tau).max() <= 1.001 * 12.0
+    # where nothing lowers the efforts between few nodes the exit code is another, and the line says which and how much
+    coarse = call(*task, "--max-effort", "12", "--steps", "4", "--refinements", "0", "--json")
+    assert coarse.exit_code == 3
+    assert "limits broken: effort of base_" in coarse.stderr
+    assert {event["quantity"] for event in json.loads(coarse.stdout)["limits"]["violated"]} == {"effort"}
 
 
 def test_mistakes_end_with_one_line(tmp_path: Path) -> None:

@@ -175,7 +175,7 @@ WORK = {
     "stepwise": (5, 1342, 2, 204, 148, 148, 181),
     "effort": (15, 1243, 4, 186, 77, 77, 8),
     "peak": (19, 2467, 4, 186, 77, 77, 39),
-    "least time": (31, 1371, 20, 410, 35, 35, 47),
+    "least time": (59, 4025, 40, 950, 48, 48, 16),
     "online": (40, 2369, 56, 958, 792, 64, 0),
 }
 """What a plan takes: calls of the backend with how many samples, and iterations; and what it has."""

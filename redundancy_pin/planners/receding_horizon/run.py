@@ -138,6 +138,7 @@ def run_online(
             "tick": tick,
             **planner.resolved.parameters(),
             "effort": tuple(planner.resolved.effort.tolist()),
+            "jerk": tuple(planner.resolved.jerk.tolist()),
         },
         diagnostics={
             "ticks": {status.value: counts[status.value] for status in PlanningStatus},

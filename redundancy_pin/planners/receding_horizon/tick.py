@@ -14,7 +14,7 @@ from scipy.interpolate import BPoly, PPoly
 from redundancy_pin.arrays import Array, frozen
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.carrier_model import SLIDING_TERMS, TURNING_TERMS
-from redundancy_pin.planners.limits import ResolvedLimits
+from redundancy_pin.planners.limits import LIMIT_TOLERANCE, ResolvedLimits
 from redundancy_pin.planners.receding_horizon import ahead as sight
 from redundancy_pin.planners.receding_horizon import programme as programmes
 from redundancy_pin.planners.receding_horizon.ahead import FIRST, SOON, Ahead, Linearised, nodes_from
@@ -142,8 +142,10 @@ class TickPlanner:
 
     def set_limits(self, limits: ResolvedLimits) -> None:
         """Keep limits from the next tick on."""
-        self.limits, self._cuts = limits, bool(np.isfinite(limits.effort).any())
-        jerk, force = (bool(np.isfinite(part).any()) for part in (limits.jerk, limits.carrier_force))
+        jerk, force, effort = (
+            bool(np.isfinite(part).any()) for part in (limits.jerk, limits.carrier_force, limits.effort)
+        )
+        self.limits, self._cuts = limits, effort or force
         if self._bounded != (jerk, force):
             self._bounded = (jerk, force)
             self._programmes.clear()
@@ -179,10 +181,7 @@ class TickPlanner:
             plan = self._compiled(t, until, given)
         if plan is None or self.checked_between(t, plan.command).status is not PlanningStatus.PLANNED:
             return None
-        # of the first half step the programme does not bound it, and another plan bends where this one does not
-        least, most = plan.command.carriers.between(t, t + self.step).derivative().ranges()
-        beyond = np.maximum(-least, most) > self.limits.speed * (1.0 + SAME_SPEED)
-        return None if beyond.any() else plan
+        return plan
 
     def _kept(self, t: float, plan: TickPlan) -> TickPlan:
         command = self.checked_between(t, plan.command)
@@ -270,17 +269,30 @@ class TickPlanner:
         return replace(last, command=replace(last.command, carriers=carriers), multipliers=multipliers)
 
     def checked_between(self, t: float, command: Command) -> Command:
-        """Return a command whose status and residual know of what the efforts' limits cut off up to the next node.
+        """Return a command whose status and residual know of the limits up to the next node, which may not show them.
 
-        Between nodes f may be larger than at them, above all where ẍ jumps.
+        Between nodes f and the carriers' forces may be larger than at them, above all where ẍ jumps: the efforts are
+        cut off then, the forces are not. The programme does not bound the speed of the first half step, which is given.
         """
-        if not (self.sizes and self._cuts and command.status is PlanningStatus.PLANNED):
+        if command.status is not PlanningStatus.PLANNED:
+            return command
+        limits, end = self.limits, min(t + self.step, command.carriers.end)
+        _, (sd,), (sdd,) = extended(command.carriers, np.array([t]))
+        if (np.abs(sd) + 0.5 * self.step * np.abs(sdd) > limits.speed).any() and end > t:
+            least, most = command.carriers.between(t, end).derivative().ranges()
+            if (np.maximum(-least, most) > limits.speed * (1.0 + SAME_SPEED)).any():
+                reason = "between the nodes a carrier exceeds its speed"
+                return replace(command, status=PlanningStatus.ELASTIC, reason=reason)
+        if not (self.sizes and self._cuts):
             return command
         ahead, end = self.ahead, command.known_until
         times = ahead.instants(np.array([t, end]), end) if end > t else np.array([t])
         times = times[times <= t + self.step + SAME]
+        if (np.abs(command.forces(times)) > limits.carrier_force * (1.0 + LIMIT_TOLERANCE)).any():
+            reason = "between the nodes a carrier exceeds its force"
+            return replace(command, status=PlanningStatus.ELASTIC, reason=reason)
         efforts = command.efforts(times)
-        meets = (np.abs(efforts) >= self.limits.effort * (1.0 - 1e-12)).any(axis=1)
+        meets = (np.abs(efforts) >= limits.effort * (1.0 - 1e-12)).any(axis=1)
         if not meets.any():
             return command
         places, n = ahead.at(times[meets]), self.robot.n

@@ -16,7 +16,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, require_carriers
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import ALLOWED, MARKED, SMALL, PlanFunctions, actuator_rates, dense_check
+from redundancy_pin.planners.functions import LOWERED, SMALL, PlanFunctions, dense_check
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.problem import PathScales, TimeOptimalProblem, read_model
@@ -103,7 +103,8 @@ def plan_time_optimal(
 
     At places p on the path, type II singularities and jumps of the curvature among them, unknown are ṗ, p̈, s, ṡ, s̈ and
     τ, and between them the durations of the steps, in which p̈ and s̈ are linear. W is known at each place and may lose
-    rank there; the rest is as in ``plan_whole_trajectory``, dense check and refinement included. p̈ and s̈ jump where the
+    rank there; the rest is as in ``plan_whole_trajectory``: a plan within limits exceeds none by more than 0.1 %,
+    between the nodes too. p̈ and s̈ jump where the
     curvature does.
 
     Args:
@@ -128,7 +129,8 @@ def plan_time_optimal(
         limits: track, speed, acceleration, jerk, effort and carrier_force as one group in place of the keywords.
 
     Returns:
-        A plan whose samples are the nodes, from t = 0; ``plan.t[-1]`` is the time it takes.
+        A plan whose samples are the nodes, from t = 0; ``plan.t[-1]`` is the time it takes. ``limits.binding`` names
+        the limits that it touches.
 
     Raises:
         InputError: a setting out of its domain; neither an effort nor an actuator's speed is limited; a lap of a path
@@ -171,33 +173,44 @@ def plan_time_optimal(
     nodes = first_mesh(dynamics, unit, path.length / count, ends=not lap)
     judged = replace(robot, carrier_limits=resolved.of_carriers)
     given = {"begin": begin, "end": end, "datum": park, "lap": lap, "limits": resolved}
-    guess: dict[str, Array] | None = None
+    problem, guess = path_problem(dynamics, unit, nodes, rates, given), None
     ratios: list[float] = []
+    refined = lowered = 0
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
-        problem = path_problem(dynamics, unit, nodes, rates, given)
-        solution = solved_programme(
-            problem, first_guess(problem) if guess is None else moved_guess(guess, problem), bound
-        )
+        try:
+            solution = solved_programme(
+                problem, first_guess(problem) if guess is None else moved_guess(guess, problem), bound
+            )
+        except InfeasiblePlanError:
+            if not (ratios and lowered):
+                raise
+            break  # no timing keeps the lower limits at the nodes: the last one stands, and says what it exceeds
         motion = PlannedMotion.of(path, problem, solution)
         report(f"{motion.t[-1]:.6g} s")
         functions = PlanFunctions(
             motion.platform, motion.carriers, preferred=PiecewisePolynomial.linear(motion.t, motion.tau)
         )
+        solved_at, floor = nodes, SMALL * problem.sizes.tau
         singular = np.unique(motion.t[nodes.singular])
-        floor = SMALL * problem.sizes.tau
-        check, broken, exceeding, _ = dense_check(
-            dynamics, functions, judged, motion.t, motion.tau, floor, resolved.effort, singular
+        between = dense_check(
+            dynamics, functions, judged, motion.t, motion.tau, floor, resolved.effort, singular, rates
         )
-        times, fastest = np.empty(0), np.empty(0)
-        if np.isfinite(rates).any():
-            times, turning = actuator_rates(dynamics, motion.platform, motion.t)
-            fastest = np.abs(turning / rates).max(axis=1)
-        ratios.append(max(check.ratio, float(fastest.max(initial=1.0))))
-        if (ratios[-1] <= ALLOWED and not broken) or len(ratios) > often or not solution.optimal:
+        ratios.append(float(between.worst.max(initial=1.0)))
+        marked = between.too_coarse(ratios if lowered else [])
+        finer = bool(marked.any()) and refined < often
+        lower = bool(between.violated) and lowered < LOWERED
+        if between.passed or not solution.optimal or not (finer or lower):
             break
         guess = in_units(problem, solution)
-        nodes = finer_nodes(nodes, motion, np.concatenate([exceeding, times[fastest > MARKED]]))
+        if finer:
+            refined += 1
+            nodes = finer_nodes(nodes, motion, between.middle[marked])
+            problem = path_problem(dynamics, unit, nodes, rates, given)
+        else:
+            lowered += 1
+            problem = replace(problem, shares=between.shares(motion.t, problem.shares))
+    nodes = solved_at
     prescribed = motion.tau.copy()
     if robot.m <= robot.n:
         prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
@@ -237,7 +250,7 @@ def plan_time_optimal(
         carrier_limits=resolved.of_carriers,
         functions=functions,
         dynamics=dynamics,
-        between=(check, broken),
+        between=between,
         singular=nodes.singular,
     )
 

@@ -57,7 +57,8 @@ class TimeOptimalProblem:
     ``grid``: the nodes, at places on the path, m, in place of times; ``model``: coefficients there, with an axis for
     ``POWERS`` in the end; ``singular``: nodes on type II singularities; ``fastest`` (M,) largest speed along the path,
     m/s; ``limits``: those of efforts and carriers; ``begin``, ``end``: how the carriers begin and end; ``datum`` (k,)
-    where they park, m; ``lap``: the platform moves on at the end as it began; ``sizes``: scales.
+    where they park, m; ``lap``: the platform moves on at the end as it began; ``sizes``: scales; ``shares`` (M, c):
+    fractions of the limits of efforts, forces and limited rates that the nodes may use; all of them when left out.
     """
 
     grid: Grid
@@ -70,6 +71,14 @@ class TimeOptimalProblem:
     datum: Array
     lap: bool
     sizes: PathScales
+    shares: Array | None = None
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array]:
+        """Fractions of the limits of efforts (M, m), forces (M, k) and of the speed (M, 1) that the nodes may use."""
+        nodes, m, k = len(self.grid.t), self.model.W.shape[2], self.model.k
+        shares = np.ones((nodes, m + k)) if self.shares is None else self.shares
+        return shares[:, :m], shares[:, m : m + k], shares[:, m + k :].min(axis=1, initial=1.0)[:, None]
 
 
 def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:

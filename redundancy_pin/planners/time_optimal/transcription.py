@@ -32,7 +32,8 @@ class _Programme:
         keep = 1.0 - RESERVE
         edge = np.zeros((nodes, 1), dtype=bool)
         edge[[0, -1]] = not problem.lap
-        fastest = np.where(edge, 0.0, problem.fastest[:, None] / u.speed * keep)
+        of_effort, self._of_force, of_speed = problem.parts
+        fastest = np.where(edge, 0.0, of_speed * problem.fastest[:, None] / u.speed * keep)
         at_rest = np.zeros((nodes, 1))
         variable = self.nlp.variable
         self.pd = variable("pd", (nodes, 1), at_rest, fastest) * u.speed
@@ -49,7 +50,7 @@ class _Programme:
             variable(name, (nodes, k), *self._bounds[name]) * ca.repmat(ca.DM(getattr(u, name)).T, nodes, 1)
             for name in ("s", "sd", "sdd")
         )
-        most = limits.effort / u.tau * keep
+        most = of_effort * limits.effort / u.tau * keep
         self.tau = variable("tau", (nodes, m), -most, most) * u.tau
         moving = (problem.grid.h > 0.0)[:, None]
         self.h = variable("h", (nodes - 1, 1), np.where(moving, LEAST_STEP, 0.0), np.where(moving, np.inf, 0.0))
@@ -160,7 +161,7 @@ class _Programme:
             for q in range(POWERS):
                 if model.force_terms[:, :, j, q].any():
                     force += model.force_terms[:, :, j, q] * term * (ca.repmat(powers[q], 1, model.k) if q else 1.0)
-        bound = np.where(np.isfinite(most), 1.0 - RESERVE, np.inf)
+        bound = np.where(np.isfinite(most), (1.0 - RESERVE) * self._of_force, np.inf)
         self.nlp.within(force / np.broadcast_to(most, force.shape), -bound, bound)
 
     def _between(self, steps: BoolArray) -> None:

@@ -174,7 +174,7 @@ def fit_and_solve(task: Task, first: WholeTrajectoryProblem, guess: dict[str, Ar
     course, tau = first.carriers(guess), np.zeros((len(grid.t), first.model.W.shape[2]))
     balance, cost, iterations, settled = np.inf, np.inf, 0, False
     for fits in range(1, FITS + 1):  # noqa: B007 # how many it took is reported
-        problem = replace(read_coefficients(task, grid, course), scales=u)
+        problem = replace(read_coefficients(task, grid, course), scales=u, shares=first.shares)
         guess = {**problem.scaled(course), "tau": tau / u.tau}
         solution = solve(problem, guess, max(deadline - time.perf_counter(), LEAST_SECONDS))
         iterations += solution.iterations
@@ -235,7 +235,7 @@ def relax(problem: WholeTrajectoryProblem, robot: RobotRecord, guess: dict[str, 
             or one of them is enough; and ``untried``, limits of which it is not known whether they do by themselves.
             Or nothing admits a plan, or the time ran out.
     """
-    settings = problem.settings.solver
+    problem, settings = replace(problem, shares=None), problem.settings.solver  # what is said is said of whole limits
     deadline = time.perf_counter() + settings.seconds
     elastic = solve_nlp(transcribe(problem, KINDS), guess, settings.seconds, progress=settings.progress)
     if not elastic.feasible:

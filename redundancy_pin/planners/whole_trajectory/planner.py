@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +15,8 @@ from redundancy_pin.dynamics.base import Dynamics, has_expressions, require_dyna
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import SMALL, DenseCheck, PlanFunctions, dense_check
-from redundancy_pin.planners.limits import LimitEvent, Limits, grouped
+from redundancy_pin.planners.functions import LOWERED, SMALL, BetweenSamples, PlanFunctions, dense_check
+from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory.multistart import (
@@ -53,21 +52,6 @@ TWICE = 1.08
 """Ratio of efforts between the nodes to those at them from which steps are halved twice."""
 
 PHASES = ("optimised",)
-
-
-class _Look(NamedTuple):
-    """What is between the nodes of a solution; see ``dense_check``."""
-
-    functions: PlanFunctions
-    check: DenseCheck
-    broken: tuple[LimitEvent, ...]
-    times: Array
-    ratios: Array
-
-    @property
-    def passed(self) -> bool:
-        """Whether the nodes show the efforts, and limits hold between them."""
-        return self.check.passed and not self.broken
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -112,11 +96,12 @@ def plan_whole_trajectory(
     Carriers that turn add waves of their angles. Where f has yet other terms, as with carriers on carriers, it is the
     backend's own expression (``CompiledDynamics``) or fitted around each course in turn (``multistart``).
 
-    The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
-    included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits,
-    by more than 5 %, the steps get a node in the middle across which the jerk is continuous, and the plan is made again
-    (``refinements``). ``diagnostics["dense_check"]`` has what is left of it; limits left exceeded by more make the
-    status violates_limits, and ``limits.violated`` has them.
+    The plan is then judged by the backend between the nodes, right beside the singularities included. Where efforts
+    there exceed the peak at the nodes by more than 5 %, or efforts or carrier forces their limits by more than 2 %, the
+    steps get a node in the middle across which the jerk is continuous, and the plan is made again (``refinements``).
+    What exceeds a limit by less is met by lower limits at the nodes beside it. ``diagnostics["dense_check"]`` has what
+    is left of it; limits left exceeded by more than 0.1 % make the status violates_limits, and ``limits.violated`` has
+    them.
 
     Args:
         dynamics: either backend.
@@ -209,42 +194,71 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     nodes = first_mesh(task.dynamics, task.source, settings.mesh.dt)
     ratios: list[float] = []
     kinds: Sequence[bool] = (False, True)
+    shares: Array | None = None
+    refined, lowered, most = 0, 0, settings.mesh.refinements
+
+    def remedy(look: BetweenSamples) -> str:
+        """Return what to do about what is between the nodes: "finer" nodes, "lower" limits at them, or nothing."""
+        if look.passed:
+            return ""
+        if refined < most and look.too_coarse(worst_of(look) if lowered else []).any():
+            return "finer"
+        return "lower" if look.violated and lowered < LOWERED else ""
+
+    def worst_of(look: BetweenSamples) -> list[float]:
+        return [*ratios, float(look.worst.max(initial=1.0))]
+
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
         problem, fitted, kinds = _read(task, nodes, kinds)
-        last = len(ratios) >= settings.mesh.refinements
+        problem = replace(problem, shares=shares)
         guess, look = first_guess(problem, position, 0), None
         begun = None if fitted else draft(problem, guess, settings.solver.seconds)
         if begun is not None and not begun.optimal:
             require_bounds(problem, guess)
         if begun is not None and begun.optimal and not exceeds_force(problem, begun):
             solution, look = begun, _look_between(task, problem, begun)
-        if begun is None or look is None or look.passed or last:
-            result = _solve(task, problem, fitted, position, begun)
+        if look is None or not remedy(look):
+            try:
+                result = _solve(task, problem, fitted, position, begun)
+            except InfeasiblePlanError:
+                if shares is None:
+                    raise
+                # nothing keeps the lower limits at the nodes: the plan keeps them as they are there, and says the rest
+                shares, most, lowered = None, refined, LOWERED
+                continue
             problem, solution = result.best.problem, result.best.solution
             look = _look_between(task, problem, solution)
-        position = solution.position(problem)
-        ratios.append(look.check.ratio)
+        position, then, ratios = solution.position(problem), remedy(look), worst_of(look)
         at_nodes = np.abs(solution.tau(problem)).max()
         report(f"peak effort {at_nodes:.4g} at the nodes, {look.check.peak.max():.4g} between them")
-        if look.passed or last or not solution.optimal:
+        if not (then and solution.optimal):
             break
-        # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
-        for least in (0.0, TWICE) if len(ratios) > 1 else (0.0,):
-            nodes = with_middles(nodes, steps_around(nodes, look.times[look.ratios > least], BESIDE))
+        if then == "finer":
+            marked = look.too_coarse(ratios if lowered else [])
+            # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
+            for least in (0.0, TWICE) if refined else (0.0,):
+                nodes = with_middles(nodes, steps_around(nodes, look.middle[marked & (look.worst > least)], BESIDE))
+            shares, refined = None, refined + 1
+        else:
+            shares, lowered = look.shares(nodes.t, shares), lowered + 1
     plan = _plan(task, result, look)
     timing = {"dense_ratios": ratios, "seconds": time.perf_counter() - began}
     return replace(plan, diagnostics={**plan.diagnostics, **timing}), result.best
 
 
-def _look_between(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> _Look:
+def _look_between(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> BetweenSamples:
     nodes, tau, limits = problem.grid, solution.tau(problem), task.settings.limits
-    # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
-    preferred = PiecewisePolynomial.linear(nodes.t, tau)
-    functions = PlanFunctions(task.source, solution.position(problem).made_continuous(), preferred=preferred)
     robot = replace(task.dynamics.robot, carrier_limits=limits.of_carriers)
     singular, floor = np.unique(nodes.t[nodes.singular]), SMALL * problem.scales.tau
-    return _Look(functions, *dense_check(task.dynamics, functions, robot, nodes.t, tau, floor, limits.effort, singular))
+    functions = _functions(task, problem, solution)
+    return dense_check(task.dynamics, functions, robot, nodes.t, tau, floor, limits.effort, singular)
+
+
+def _functions(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> PlanFunctions:
+    # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
+    preferred = PiecewisePolynomial.linear(problem.grid.t, solution.tau(problem))
+    return PlanFunctions(task.source, solution.position(problem).made_continuous(), preferred=preferred)
 
 
 def _read(task: Task, nodes: Grid, kinds: Sequence[bool]) -> tuple[WholeTrajectoryProblem, bool, Sequence[bool]]:
@@ -296,7 +310,7 @@ def _solve(
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, result: Multistart, look: _Look) -> Plan:
+def _plan(task: Task, result: Multistart, look: BetweenSamples) -> Plan:
     """Let the backend judge the solution at the nodes, and report.
 
     At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
@@ -335,8 +349,8 @@ def _plan(task: Task, result: Multistart, look: _Look) -> Plan:
         },
         prescribed=prescribed,
         carrier_limits=settings.limits.of_carriers,
-        functions=look.functions,
+        functions=_functions(task, problem, solution),
         dynamics=task.dynamics,
-        between=(look.check, look.broken),
+        between=look,
         singular=nodes.singular,
     )

@@ -209,7 +209,8 @@ class WholeTrajectoryProblem:
     ``actuated_rate`` (M, m) rates of the main actuators; ``target`` (M, m) efforts that the objective "tracking" aims
     at; ``settings``: limits, ends and objective; ``scales``: sizes; ``exact``: where f has other terms, dynamics
     whose expressions for f and the carrier forces stand in place of the polynomials of ``model``; ``base``: the wrench
-    on the base, where an objective is about it.
+    on the base, where an objective is about it; ``shares`` (M, m + k): fractions of the limits of efforts and forces
+    that the nodes may use; all of them when left out.
     """
 
     grid: Grid
@@ -221,6 +222,7 @@ class WholeTrajectoryProblem:
     scales: WholeTrajectoryScales
     exact: ExactAlongMotion | None = None
     base: BaseWrench | None = None
+    shares: Array | None = None
 
     def carrier_force(self, carriers: CarrierMotion) -> Array:
         """Return the carrier forces (M, k) for a motion at the nodes, N."""

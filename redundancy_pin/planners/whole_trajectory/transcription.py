@@ -128,6 +128,9 @@ def scaled_bounds(problem: WholeTrajectoryProblem) -> dict[str, tuple[Array, Arr
         "tau": limits.effort / u.tau,
         "force": limits.carrier_force / u.force,
     }
+    if problem.shares is not None:
+        m = len(limits.effort)
+        most |= {"tau": most["tau"] * problem.shares[:, :m], "force": most["force"] * problem.shares[:, m:]}
     symmetric = {name: (-bound * (1.0 - RESERVE), bound * (1.0 - RESERVE)) for name, bound in most.items()}
     return {"s": ((lower + low_margin) / u.s, (upper - high_margin) / u.s), **symmetric}
 
