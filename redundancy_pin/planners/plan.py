@@ -267,7 +267,7 @@ class Plan(Frozen):
         two_sided: bool | None = None,
         robot: RobotLike | None = None,
     ) -> None:
-        """Write ``table`` as CSV: names with units, such as ``elbow.effort [N m]``, then a row for each instant.
+        """Write ``table`` as CSV: names with units, such as ``tau:elbow [N*m]``, then a row for each instant.
 
         Arguments and errors are those of ``table``; OutputError where the file cannot be written.
         """
