@@ -185,7 +185,7 @@ class MotionTable:
         rates: names of their rates; empty for a file of points.
         carriers: names of the carriers.
         columns: (N,) by name: ``t`` and ``speed`` where they are there, coordinates, carriers, and rates of both.
-        measures: "length" or "angle" of the coordinates and carriers whose unit is in the file.
+        measures: "length", "angle", ... by name of a column that has a unit in the file, whatever it is divided by.
     """
 
     path: str
@@ -297,16 +297,16 @@ def in_order_of(robot: Robot, table: MotionTable) -> MotionTable:
     moved = _in_order(table, table.carriers, carriers, "carriers", robot) if table.carriers else ()
     for given, expected in ((coordinates, own), (moved, carriers)):
         for column, name in zip(given, expected, strict=False):  # counts are judged by what takes the motion
-            measured, wanted = table.measures.get(column), ANGLE if _turns(robot, name) else LENGTH
-            if measured in (LENGTH, ANGLE) and measured != wanted and name not in _QUATERNION:
-                units = ", ".join(unit for unit, (what, _) in _BASES.items() if what == wanted)
-                message = f", column {column!r}: its unit is one of {_MANY[measured]}, and {name} of {robot.name} is"
-                raise _bad(table.path, f"{message} {_ONE[wanted]}.", f"Give one of {units}.", column=column)
+            wanted = NUMBER if name in _QUATERNION else ANGLE if _turns(robot, name) else LENGTH
+            for each in (rate_name(column, order) for order in range(3)):
+                if table.measures.get(each, wanted) != wanted:
+                    units = ", ".join(unit for unit, (what, _) in _BASES.items() if what == wanted)
+                    message = (
+                        f", column {each!r}: its unit is one of {table.measures[each]}, and {name} of {robot.name}"
+                    )
+                    raise _bad(table.path, f"{message} is one of {wanted}.", f"Give {units}, or none.", column=each)
     rates = coordinates if len(table.rates) == len(table.coordinates) else table.rates
     return MotionTable(table.path, coordinates, rates if table.rates else (), moved, table.columns, table.measures)
-
-
-_MANY, _ONE = {LENGTH: "lengths", ANGLE: "angles"}, {LENGTH: "a length", ANGLE: "an angle"}
 
 
 def _in_order(
@@ -432,7 +432,7 @@ class _Header:
         for name in self.read:
             if (unit := units[name]) is not None:
                 stem, order = of.get(name, (name, 0))
-                self.factor[name], self.measures[stem] = self._factor(name, unit, _quantities(stem), order)
+                self.factor[name], self.measures[name] = self._factor(name, unit, _quantities(stem), order)
 
     def _in_order(self, symbol: str, names: Sequence[str], moved: Sequence[str]) -> tuple[str, ...]:
         """Return coordinates, or carriers, in the order of their numbers, if they have numbers: all, from zero on."""

@@ -10,7 +10,6 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import carriers_from_csv, from_csv, reference
 
 
-
 def _write(path, header, rows):
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
