@@ -24,8 +24,8 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
-from redundancy_pin.planners.robot_record import RobotRecord, load_recorded
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.planners.robot_record import RobotRecord, robot_of_record
+from redundancy_pin.robot import Robot, RobotLike
 from redundancy_pin.trajectory.csv_file import csv_rows, motion_columns
 from redundancy_pin.trajectory.trajectory import sample_times
 
@@ -101,7 +101,7 @@ def plan_table(
         InfeasiblePlanError: rows between the samples of a plan that has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
-    machine = load_recorded(plan.robot) if robot is None else as_robot(robot)
+    machine = robot_of_record(plan.robot, robot)
     if rate is None:
         parts = _at_samples(plan, machine)
         if two_sided is False:  # the row after the jump stands for both
