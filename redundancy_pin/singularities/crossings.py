@@ -13,7 +13,7 @@ from typing import NoReturn
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, Frozen, frozen
-from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError, millimetres
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import Point, continuous
@@ -100,7 +100,7 @@ class FollowedPath:
         u = ((times - self.t[left]) / (self.t[left + 1] - self.t[left]))[:, None]
         guess = integrate(model, self.q[left], u * span)
         solution = assemble(self.system, guess, self.law.sample_at(times).x, max_iterations=_SLOW_NEWTON)
-        _require_closed(times, solution.gap)
+        _require_closed(times, solution.gap, self.system.robot.characteristic_length)
         miss = np.abs(configuration_difference(model, guess, solution.q)).max(axis=1)
         # near a type I singularity q goes with a square root: within half of the span is on the branch, not beyond
         lost = np.flatnonzero(miss > np.maximum(np.abs(span).max(axis=1), SAME_CONFIGURATION))
@@ -179,7 +179,7 @@ def _fill_in(system: ConstraintSystem, law: ContinuousMotion, t: Array, x: Array
     robot = system.robot
     known, missing = np.flatnonzero(~np.isnan(q[:, 0])), np.flatnonzero(np.isnan(q[:, 0]))
     if len(known) == 0:
-        _require_closed(t, gap)
+        _require_closed(t, gap, robot.characteristic_length)
         raise WorkingModeError(
             f"No sample of the path lies in working mode {mode_name(robot.working_mode)}.",
             remedy=_STAY_AWAY,
@@ -238,12 +238,14 @@ def _require_no_jump(path: FollowedPath, suspects: BoolArray) -> None:
             )
 
 
-def _require_closed(times: Array, gap: Array) -> None:
+def _require_closed(times: Array, gap: Array, size: float) -> None:
+    """Check that poses close; ``size``, m, is that of the robot."""
     bad = np.flatnonzero(~(gap < CLOSURE_TOLERANCE))
     if len(bad):
         k = int(bad[0])
         raise UnreachablePoseError(
-            f"The pose at t = {times[k]:.9g} s cannot be reached: the chains stay open by {gap[k]:.3g} m.",
+            f"The pose at t = {times[k]:.9g} s cannot be reached: the chains stay open by {gap[k]:.3g} m."
+            f"{millimetres(float(gap[k]), size)}",
             remedy="Keep the motion inside the workspace.",
             time=float(times[k]),
             gap=float(gap[k]),
@@ -255,7 +257,7 @@ def _raise_border(
 ) -> NoReturn:
     """Close in on the time at which the path leaves the workspace, and say so: sixteen parts of an interval at once."""
     if bad == 0:
-        _require_closed(t[:1], np.array([gap]))
+        _require_closed(t[:1], np.array([gap]), system.robot.characteristic_length)
     inside, outside, at = float(t[bad - 1]), float(t[bad]), q[bad - 1]
     while len(times := np.unique(np.linspace(inside, outside, 17))) > 2:
         poses = law.sample_at(times[1:-1]).x
@@ -265,7 +267,7 @@ def _raise_border(
         at = solution.q[reached - 1] if reached else at
     raise UnreachablePoseError(
         f"The path leaves the workspace at t = {inside:.9g} s: by t = {t[bad]:.6g} s the chains stay open by "
-        f"{gap:.3g} m.",
+        f"{gap:.3g} m.{millimetres(gap, system.robot.characteristic_length)}",
         remedy="Keep the motion inside the workspace; its border is a type I singularity.",
         time=inside,
         gap=gap,
