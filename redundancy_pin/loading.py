@@ -37,6 +37,7 @@ from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.from_model import declared, depth_first, in_order_of, not_in_force
 from redundancy_pin.robot.loads import JointForces, Load
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
+from redundancy_pin.robot.named import too_few_motors
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, render, source_of
 
 _LOG = logging.getLogger(__name__)
@@ -71,7 +72,7 @@ def load_robot(
             or under-constrained chains, a reference that does not close.
     """
     robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust)
-    if note := idle_gravity(robot, gravity):
+    for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
         _warn_once(note)
     return robot
 
@@ -420,6 +421,8 @@ def robot_from_model(
     loose = any(hasattr(each, "joint1_placement") for each in closures)
     robot = made(data, model, start, loose=loose, urdf=urdf, mode=working_mode)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
+    if note := too_few_motors(robot):
+        _warn_once(note)
     return replace(robot, urdf_folder=urdf_folder, notes=(*robot.notes, *moved, *not_in_force(given)))
 
 

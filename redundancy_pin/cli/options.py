@@ -37,10 +37,11 @@ class RobotOptions:
     def load(self) -> Robot:
         """Load the robot."""
         from redundancy_pin.loading import idle_gravity, load_with
+        from redundancy_pin.robot.named import too_few_motors
 
         mode, gravity = self.mode, self.gravity
         robot = load_with(self.source, self.settings, gravity=gravity, working_mode=mode, trust=self.trust)
-        if note := idle_gravity(robot, gravity):
+        for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
             click.echo(f"warning: {note}", err=True)
         return robot
 
