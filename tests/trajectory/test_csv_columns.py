@@ -69,7 +69,7 @@ def rewritten(path: Path, change: dict[str, tuple[str, float]]) -> Path:
     return other
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "four_bar", "gough", "delta"])
 def test_every_bit_comes_back(name: str, seed: int, tmp_path: Path) -> None:
     robot = zoo.robot_of(name)
@@ -284,6 +284,7 @@ def test_exported_plans_and_simulations_are_motions(tmp_path: Path) -> None:
                                    atol=EFFORTS * np.abs(own).max())  # fmt: skip
 
 
+@pytest.mark.long_for("show", "simulate")
 @pytest.mark.parametrize("command", ["singularities", "show", "simulate", "plan"])
 def test_every_command_reads_the_file(command: str, tmp_path: Path) -> None:
     robot = rp.load_robot("3rrr")
