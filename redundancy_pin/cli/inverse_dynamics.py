@@ -30,7 +30,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.studies.case import BACKENDS, RNEA
-from redundancy_pin.trajectory.csv_file import csv_rows, effort_unit, motion_columns
+from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 STEP = 1e-3  # between samples of a trajectory, s
 _BLOCK = 20_000  # samples that are worked on at a time
@@ -161,10 +161,10 @@ def _columns(
 ) -> dict[str, tuple[str, NDArray[Any]]]:
     """Return the columns of a file: unit and values of the motion, the efforts, and what is said of each sample."""
     efforts, forces = part.efforts, part.reduced.carrier_force
-    columns: dict[str, tuple[str, NDArray[Any]]] = {**motion_columns(robot, motion, carriers)}
-    for names, values in ((robot.actuated, efforts.tau), (robot.carriers, forces)):
-        columns |= {f"tau:{name}": (effort_unit(robot, name), values[:, k]) for k, name in enumerate(names)}
-    return columns | {
+    return {
+        **motion_columns(robot, motion, carriers),
+        **effort_columns(robot.actuated, efforts.tau, robot),
+        **effort_columns(robot.carriers, forces, robot),
         "status": ("", efforts.status_labels), "margin": ("", efforts.margin), "residual": ("N", efforts.residual)
     }  # fmt: skip
 

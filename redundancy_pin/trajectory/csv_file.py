@@ -160,14 +160,30 @@ def _turns(robot: Robot, name: str) -> bool:
     return is_revolute(robot, joint) if separator else symbol.startswith("r")
 
 
-def csv_rows(columns: Columns, *, first: bool = True) -> str:
-    """Return columns as CSV text, with the row of names if it comes ``first``; floats come back bit by bit."""
+def effort_columns(
+    joints: Sequence[str], efforts: Array, robot: Robot, symbol: str = "tau"
+) -> dict[str, tuple[str, Array]]:
+    """Return the columns of efforts (N, c) of joints."""
+    return {f"{symbol}:{name}": (effort_unit(robot, name), efforts[:, k]) for k, name in enumerate(joints)}
+
+
+def csv_rows(columns: Columns, *, digits: int | None = None, first: bool = True) -> str:
+    """Return columns as CSV text.
+
+    Args:
+        columns: numbers or texts.
+        digits: significant digits of numbers; the shortest text that brings the float back when left out.
+        first: with the row of names, which only the first part of a long table has.
+    """
+
+    def text(value: object) -> str:
+        return str(value) if isinstance(value, str) else repr(value) if digits is None else f"{value:.{digits}g}"
+
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     if first:
         writer.writerow([heading(name, unit) for name, (unit, _) in columns.items()])
-    cells = [[repr(each) if isinstance(each, float) else each for each in np.asarray(values).tolist()]
-             for _, values in columns.values()]  # fmt: skip
+    cells = [list(map(text, np.asarray(values).tolist())) for _, values in columns.values()]
     writer.writerows(zip(*cells, strict=True))
     return out.getvalue()
 
