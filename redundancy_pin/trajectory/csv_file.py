@@ -138,7 +138,7 @@ def motion_columns(
     columns: dict[str, tuple[str, Array]] = {"t": ("s", motion.t)}
     for own, order, values in parts:
         for name, column in zip(own, values.T, strict=True):
-            columns[rate_name(name, order)] = _unit_of(robot, name, order), column
+            columns[rate_name(name, order)] = unit_of(robot, name, order), column
     return columns
 
 
@@ -147,7 +147,7 @@ def effort_unit(robot: Robot, joint: str) -> str:
     return "N*m" if is_revolute(robot, joint) else "N"
 
 
-def _unit_of(robot: Robot, name: str, order: int = 0) -> str:
+def unit_of(robot: Robot, name: str, order: int = 0) -> str:
     """Return the unit of a coordinate or a carrier, or of its rate."""
     if name in _QUATERNION:
         return "1"
@@ -285,7 +285,8 @@ def _sampled(path: str | os.PathLike[str], robot: RobotLike | None) -> MotionTab
     if not table.has_rates:
         message = f" has positions ({', '.join(table.coordinates)}) and no rates: it is a file of points."
         remedy = "Read it by trajectory.from_points (--trajectory or --motion on the command line), or add "
-        raise _bad(table.path, message, f"{remedy}{_listed(table.coordinates, 1)}, {_listed(table.coordinates, 2)}.")
+        rated = AXES if set(_QUATERNION) & set(table.coordinates) else table.coordinates
+        raise _bad(table.path, message, f"{remedy}{_listed(rated, 1)}, {_listed(rated, 2)}.")
     return table if robot is None else in_order_of(as_robot(robot), table)
 
 
@@ -339,7 +340,8 @@ def _in_order(
     if len(given) == len(own) and len(free) == len(left) == 1 and left[0].startswith("r"):
         return tuple(free[0] if name == left[0] else name for name in own)
     message = f" has the {what} {', '.join(given)}; {robot.name} has {', '.join(own) if own else 'none'}."
-    names = ", ".join((*own, _listed(own, 1), _listed(own, 2))) if own != POSE else ", ".join((*own, _listed(AXES, 1)))
+    rated = AXES if own == POSE else own
+    names = ", ".join((*own, _listed(rated, 1), _listed(rated, 2)))
     remedy = f"Name the columns {names}." if own else "Leave these columns out."
     raise _bad(table.path, message, remedy, axes_seen=given)
 
@@ -427,9 +429,8 @@ class _Header:
         if moved:  # what is no coordinate is a note
             places = [name for name in places if name in moved or name in (*POSE, *AXES) or _INDEXED.fullmatch(name)]
         self.coordinates = self._in_order("x", _sorted(places), moved)
-        self.carriers = self._in_order(
-            "s", [n for n in own if not of[n][1] and _of_carrier(n)], [s for s, _ in of.values()]
-        )
+        tracks = [name for name in own if not of[name][1] and _of_carrier(name)]
+        self.carriers = self._in_order("s", tracks, [stem for stem, _ in of.values()])
         self.rates = self._rates() if moved else ()
         if (moved or self.carriers) and not {"t", "time"} & set(units):
             raise self._missing("t")
