@@ -33,7 +33,7 @@ from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 STEP = 1e-3  # between samples of a trajectory, s
-_BLOCK = 20_000  # samples that are worked on at a time
+BLOCK = 20_000  # samples that are worked on at a time
 EXIT_CODES = {EffortStatus.FINITE_EFFORT: 0, EffortStatus.UNBOUNDED_EFFORT: 3, EffortStatus.UNRESOLVED: 4}
 _WORST_FIRST = (EffortStatus.UNBOUNDED_EFFORT, EffortStatus.UNRESOLVED, EffortStatus.FINITE_EFFORT)
 _LISTED = 10  # instants that a warning names
@@ -128,7 +128,7 @@ def inverse_dynamics(
         require_consistent(samples, carriers)
         advance(0, len(samples), "dynamics")
         result = _Whole()
-        pairs = [(samples[part], carriers[part]) for part in blocks(len(samples), _BLOCK)]
+        pairs = [(samples[part], carriers[part]) for part in blocks(len(samples), BLOCK)]
 
         def texts() -> Iterator[str]:
             parts = inverse_dynamics_in_blocks(

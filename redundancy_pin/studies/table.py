@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from redundancy_pin.trajectory.csv_file import csv_rows
-
 if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
 
@@ -157,6 +155,8 @@ def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None) -> 
         columns: by name: (N,) numbers or texts, or (N, c) numbers, which become name0, name1, ....
         digits: significant digits of numbers; the shortest text that brings the float back when left out.
     """
+    from redundancy_pin.trajectory.csv_file import csv_rows  # scipy comes with it, which few tables need
+
     parts: dict[str, tuple[str, NDArray[Any]]] = {}
     for name, values in columns.items():
         array = np.asarray(values)

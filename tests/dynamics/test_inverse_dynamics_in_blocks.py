@@ -251,7 +251,7 @@ def test_the_command_goes_by_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """Tables, warnings and JSON are those of one block."""
     path, outputs = write_motion(tmp_path / "motion.csv", CIRCLE, 0.01), []
     for size in (20_000, 40):
-        monkeypatch.setattr("redundancy_pin.cli.inverse_dynamics._BLOCK", size)
+        monkeypatch.setattr("redundancy_pin.cli.inverse_dynamics.BLOCK", size)
         done = call("inverse-dynamics", "--robot", "2rpr", "--motion", path, "--out", tmp_path / "out.csv", "--json")
         assert done.exit_code == 3
         outputs.append((done.stderr, json.loads(done.stdout)))
