@@ -304,5 +304,8 @@ def test_every_command_reads_the_file(command: str, tmp_path: Path) -> None:
     if command != "show":
         assert answers[0].pop("motion") == f"samples of {path}"
     assert "m.csv" not in json.dumps(answers)
+    upright = {f"y{d} [m{u}]": (f"z{d} [m{u}]", 1.0) for d, u in (("", ""), ("d", "/s"), ("dd", "/s^2"))}
+    other = rewritten(path, upright)
+    assert "coordinates x, z, rz; 3rrr has x, y, rz" in refused(*arguments, "--motion", other)
     wrong = rewritten(path, {"x [m]": ("x [furlong]", 1.0)})
     assert "'furlong' is no unit that is known" in refused(*arguments, "--motion", wrong)
