@@ -115,6 +115,10 @@ def test_read_again_it_asks_for_the_robot_and_takes_it(kind: str, made: Callable
         assert "source=" not in str(caught.value)
         assert "robot=robot" in caught.value.remedy
         assert use(plan, run, robot=robot) is not None
+    drawn = (rp.plot.path(one, **given) for one, given in ((made(kind)[2], {}), (run, {"robot": robot})))
+    first, second = ([line.get_ydata() for axes in figure.axes for line in axes.lines] for figure in drawn)
+    for expected, line in zip(first, second, strict=True):
+        np.testing.assert_array_equal(line, expected)
     for controller in CONTROLLERS.values():
         with pytest.raises(PlanFileError, match=r"a controller takes plan_reference\(plan, robot=robot\)"):
             controller(plan)

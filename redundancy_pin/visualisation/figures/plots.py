@@ -329,8 +329,8 @@ def path(
     if robot.platform is None:
         raise InputError(f"{robot.name} has no platform whose path could be drawn.", remedy="Use rp.show to see it.")
     drawn = None if isinstance(subject, Robot) else curves_of(subject, robot)
-    if isinstance(subject, Simulation):
-        t, q, condition = subject.t, subject.q, curves_of(subject, robot).condition
+    if isinstance(subject, Simulation) and drawn:
+        t, q, condition = subject.t, subject.q, drawn.condition
     else:
         followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
         require_sampled(followed)
