@@ -86,6 +86,22 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f"Did you mean {shown(close[0])}? " if close else ""
 
 
+_TIMES_THE_SIZE, _LARGE = 20.0, 50.0
+"""A length that is so many sizes of a machine, and a machine of so many metres, are probably in millimetres."""
+
+
+def millimetres(length: float, size: float) -> str:
+    """Return a hint, for the end of a message, that lengths look like millimetres; empty where they do not.
+
+    ``length``: m, by how much something that should be reached is missed; ``size``: m, of the machine, or of a track.
+    """
+    if length > _TIMES_THE_SIZE * size > 0.0:
+        return f" That is {length / size:.3g} times its size, {size:.3g} m: it looks like millimetres; write metres."
+    if size > _LARGE:
+        return f" Its size is {size:.3g} m: it looks like millimetres; write metres."
+    return ""
+
+
 @contextmanager
 def numbered_from(first: int) -> Iterator[None]:
     """Number the sample that an error is about from the beginning of a motion that is worked on part by part."""

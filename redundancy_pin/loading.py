@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, IntArray, checked, frozen, read_only
-from redundancy_pin.errors import DeclarationError, InputError
+from redundancy_pin.errors import DeclarationError, InputError, millimetres
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem, with_all_rows
@@ -36,6 +36,7 @@ from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.from_model import declared, depth_first, in_order_of, not_in_force
 from redundancy_pin.robot.loads import JointForces, Load
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
+from redundancy_pin.robot.named import too_few_motors
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, render, source_of
 
@@ -71,7 +72,7 @@ def load_robot(
             or under-constrained chains, a reference that does not close.
     """
     robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust)
-    if note := idle_gravity(robot, gravity):
+    for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
         _warn_once(note)
     return robot
 
@@ -275,16 +276,18 @@ def _warn_once(text: str) -> None:
     _LOG.warning(text)
 
 
-def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] | None) -> Robot:
+def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] | None, dropped: bool = False) -> Robot:
     """Return the robot with its reference closed and its mobility checked.
 
     Args:
         robot: with the guess as reference.
         declaration: what it was made of.
         target: gives the reference coordinates, (1, n) or (1, 4, 4); None to close the loops by the smallest change.
+        dropped: redundant rows were left out though the declaration does not say `redundant_rows: true`.
     """
     system = ConstraintSystem(robot)
-    check_mobility(system)
+    dropped = dropped or declaration.redundant_rows
+    check_mobility(system, dropped=dropped)
     _require_radians(robot, declaration.reference.guess, "reference.guess")
     guess = np.array(robot.q_reference)
     columns = _columns(robot.model, declaration.reference.guess)
@@ -308,7 +311,7 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
         characteristic_length=declaration.characteristic_length
         or characteristic_length(robot.model, q, robot.carriers),
     )
-    check_reference_rank(ConstraintSystem(robot))
+    check_reference_rank(ConstraintSystem(robot), dropped=dropped)
     if robot.all_closures:
         system = ConstraintSystem(with_all_rows(robot))
         turned = float(system.misalignment(system.evaluate(np.array(robot.q_reference)[None]))[0])
@@ -343,6 +346,7 @@ def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
         return (
             f"The reference of {robot.name} does not close{mode}: the best of many starts leaves a gap of "
             f"{gap:.3g} m{_where_open(robot, nearest)}."
+            f"{millimetres(gap, characteristic_length(robot.model, nearest, robot.carriers))}"
         )
     other = mode_name(tuple(working_modes(robot, nearest[None])[0]))
     return f"The reference of {robot.name} does not close{mode}, only in others such as {other}."
@@ -418,6 +422,8 @@ def robot_from_model(
     loose = any(hasattr(each, "joint1_placement") for each in closures)
     robot = made(data, model, start, loose=loose, urdf=urdf, mode=working_mode)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
+    if note := too_few_motors(robot):
+        _warn_once(note)
     return replace(robot, urdf_folder=urdf_folder, notes=(*robot.notes, *moved, *not_in_force(given)))
 
 
@@ -485,7 +491,7 @@ def made(
     given = declaration.reference
     prescribed = given.platform is not None or given.joints is not None
     target = (lambda: reference_coordinates(robot, declaration.coordinates({}))) if prescribed else None
-    return replace(_closed(robot, declaration, target), notes=tuple(notes))
+    return replace(_closed(robot, declaration, target, loose), notes=tuple(notes))
 
 
 def _with_rows_that_count(

@@ -17,9 +17,9 @@ from redundancy_pin.kinematics.coordinates import coordinates, moved
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.planners.plan import Plan, load_robot_of
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import Command
-from redundancy_pin.planners.robot_record import load_recorded
+from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.result import Simulation
@@ -58,7 +58,7 @@ def show(
         motion: of a robot, its efforts by the RNEA backend; when left out, its trajectory in the thesis or a small
             swing there and back.
         carriers: of a robot; parked at zero when left out.
-        robot: of a plan or a simulation, if its files have moved or it is already at hand.
+        robot: of a plan or a simulation from a file, if its files have moved, or it was changed in Python.
         commands: of an on-line planner, one a tick, that have led to the plan or were made in the simulation: the path
             that was known is dots ahead of the platform, and the planned carriers and efforts are ribbons beside it.
         forces: whether arrows are shown at first.
@@ -75,12 +75,12 @@ def show(
         raise InputError(f"A {kind} has its own motions.", remedy=f"Pass a robot instead of the {kind}, or no motion.")
     positive(force_scale, "force_scale", "")  # before the lift, which takes long
     if isinstance(subject, Simulation):
-        shown = robot or load_recorded(subject.robot)
+        shown = robot_of_record(subject.robot, robot)
         drawn = curves_of_run(subject, shown)
         t, q, margin, title = subject.t, subject.q, drawn.margin, drawn.title
         tau, force = subject.tau, subject.carrier_force
     elif isinstance(subject, Plan):
-        shown = robot or load_robot_of(subject)
+        shown = robot_of_record(subject.robot, robot)
         t, q, margin = subject.t, configurations(shown, subject.motion, subject.carriers), subject.margin
         tau, force = subject.tau, subject.carrier_force
         title = f"{shown.name}: {subject.planner.replace('_', ' ')}, {subject.status.value.replace('_', ' ')}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -113,6 +114,8 @@ def _answer(error: RedundancyPinError, wording: Wording) -> tuple[str, str] | No
         return _other_motion(details)
     if "legs" in details:
         return _other_mode(details, wording)
+    if "plan_robot" in details:
+        return error.message, _other_robot(details)
     if "closed_form" in details:
         return error.message, f"Write {wording.write('backend', 'rnea')}, which covers every robot."
     if isinstance(error, (UnreachablePoseError, SingularPoseError)):
@@ -121,6 +124,17 @@ def _answer(error: RedundancyPinError, wording: Wording) -> tuple[str, str] | No
     if isinstance(error, CarrierLimitError):
         return error.message, error.remedy.partition(";")[0].rstrip(".") + "."
     return None
+
+
+def _other_robot(details: Mapping[str, Any]) -> str:
+    """Say how the robot of a plan or a simulation is named; what Python passes as ``robot=`` has no flag."""
+    written = "write it, robot.to_urdf('machine.urdf') in Python, and name that: --robot machine.yaml."
+    return {
+        "outside": f"Where you trust that robot, name it: --robot {shlex.quote(str(details.get('source', '')))}.",
+        "gone": "Name its robot.yaml where it is now: --robot robot.yaml.",
+        "changed": f"Plan again, or name the robot as it was, --robot robot.yaml; one changed in Python: {written}",
+        "python": f"{written[0].upper()}{written[1:]}",
+    }[str(details["plan_robot"])]
 
 
 def _other_motion(details: Mapping[str, Any]) -> tuple[str, str]:

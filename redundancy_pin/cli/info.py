@@ -47,6 +47,7 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
     from redundancy_pin.kinematics.coordinates import all_working_modes, gravity_acts, mode_name
     from redundancy_pin.robot.declaration import read_declaration
     from redundancy_pin.robot.model_files import defaults_of, is_model_file
+    from redundancy_pin.robot.named import too_few_motors
 
     # once more from the files: a robot knows its parameters' values, but not which of them are defaults
     data = {} if is_model_file(declaration) else read_declaration(declaration).data
@@ -75,7 +76,8 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
             name: {"position": [own.lower, own.upper], **{key: getattr(own, key) for key in _LIMITS}}
             for name, own in limits
         },
-        **{name: getattr(robot, name) for name in ("gravity", "characteristic_length", "closed_form", "notes")},
+        **{name: getattr(robot, name) for name in ("gravity", "characteristic_length", "closed_form")},
+        "notes": [*robot.notes, *filter(None, [too_few_motors(robot)])],
         "gravity_acts": gravity_acts(robot),
         "working_mode": mode_name(robot.working_mode),
         "working_modes": [mode_name(mode) for mode in all_working_modes(robot) if mode],

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, blocks
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.plan_problem import numbers
-from redundancy_pin.dynamics.base import OnUnreachable
+from redundancy_pin.dynamics.base import OnUnreachable, require_matching_carriers
 from redundancy_pin.dynamics.inverse_dynamics import (
     EffortStatus,
     InverseDynamics,
@@ -23,15 +24,16 @@ from redundancy_pin.dynamics.inverse_dynamics import (
 )
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable, write_text
-from redundancy_pin.motion import PlatformMotion, require_consistent
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.planners.robot_record import robot_record
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.studies.case import BACKENDS, RNEA
-from redundancy_pin.studies.table import csv_text
-from redundancy_pin.trajectory.csv_file import BLOCK, MotionBlock, MotionFile
+from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 STEP = 1e-3  # between samples of a trajectory, s
+BLOCK = 20_000  # samples that are worked on at a time
 EXIT_CODES = {EffortStatus.FINITE_EFFORT: 0, EffortStatus.UNBOUNDED_EFFORT: 3, EffortStatus.UNRESOLVED: 4}
 _WORST_FIRST = (EffortStatus.UNBOUNDED_EFFORT, EffortStatus.UNRESOLVED, EffortStatus.FINITE_EFFORT)
 _LISTED = 10  # instants that a warning names
@@ -46,7 +48,7 @@ def _numbers(name: str) -> Any:
 @click.command("inverse-dynamics")
 @options.robot_options()
 @options.backend_option(RNEA)
-@options.motion_options("Motion to follow.", "Trajectory to follow instead, carriers parked")
+@options.motion_options(f"Motion to follow: {options.MOTION_CSV}", "Trajectory to follow instead, carriers parked")
 @click.option("--dt", type=float, metavar="SECONDS", help=f"Between samples of the trajectory.  [default: {STEP:g}]")
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
 @click.option(
@@ -79,14 +81,16 @@ def inverse_dynamics(
 ) -> int:
     r"""Compute the efforts along a motion.
 
-    Those of the main actuators and of the carriers. The motion has a row of names and the columns t; x0, x1, ...;
-    xd0, ...; xdd0, ...; and s0, ...; sd0, ...; sdd0, ... for the carriers, in SI units and radians. Without carrier
-    columns the carriers are parked at s = 0. A spatial platform has seven x, position and unit quaternion (x, y, z,
-    w), and six rates, its twist in world axes. An instant may occur twice, for the acceleration before and after a
-    jump.
+    Those of the main actuators and of the carriers. The motion has a row of names, with units such as `x [mm]` or
+    without (then SI): t; x, y, z, rx, ry, rz; rates xd, ...; accelerations xdd, ...; and for each carrier s:JOINT,
+    sd:JOINT, sdd:JOINT. Without carrier columns the carriers are parked at s = 0. A spatial platform has x, y, z, qx,
+    qy, qz, qw, position and unit quaternion, and six rates, its twist in world axes; a robot without a platform has
+    x:JOINT, .... An instant may occur twice, for the acceleration before and after a jump. A file without rates is
+    passed as a trajectory through its points.
 
-    The result has the columns t, tau0, ..., carrier_force0, ..., status, margin, residual. Where no finite effort
-    exists, or none within the bounds, tau is nan and the status says why.
+    The result has the columns of the motion, which --motion reads again, tau:JOINT for each actuator and carrier,
+    status, margin, residual. Where no finite effort exists, or none within the bounds, tau is nan and the status says
+    why.
 
     What the samples do not show is reported as well: singularities between them, and joints that leave their limits.
     The exit code is 3 where no such effort exists, at a sample or between two, 4 where the motion cannot
@@ -101,9 +105,8 @@ def inverse_dynamics(
           --preferred 0,0,0,5,0,0 --max-effort 40 --out efforts.csv
     """
     # whatever is wrong with the output is reported before the work, and a motion is never written over
-    for read in (motion.path, options.split_trajectory(motion.trajectory)[0] if motion.trajectory else None):
-        if read and output.same_file(read, out):
-            raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
+    if motion.file and output.same_file(motion.file, out):
+        raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
     output.require_suffix("--out", out, ".csv")
     require_writable(out)
     with (
@@ -118,38 +121,30 @@ def inverse_dynamics(
         loaded = robot.load()
         loaded = loaded.loaded(*loads) if loads else loaded
         wanted = {"upper": upper, "lower": -upper if lower is None and upper is not None else lower}
-        trajectory = motion.of_trajectory("Inverse dynamics", dt=dt)
-        samples: MotionFile | _Sampled
-        if trajectory is None:
-            samples = MotionFile(
-                str(motion.path),
-                check_rates=motion.check_rates,
-                progress=lambda part: advance(round(100.0 * part), 100, "reading"),
-            )
-        else:
-            samples = _Sampled(trajectory.sample(STEP if dt is None else dt))
-            require_consistent(samples.motion)
+        advance(0, 1, "reading")
+        followed = motion.follow("Inverse dynamics", loaded, dt=dt)
+        samples = followed if isinstance(followed, PlatformMotion) else followed.sample(STEP if dt is None else dt)
+        carriers = require_matching_carriers(loaded, motion.carriers(loaded), len(samples))
+        require_consistent(samples, carriers)
         advance(0, len(samples), "dynamics")
         result = _Whole()
+        pairs = [(samples[part], carriers[part]) for part in blocks(len(samples), BLOCK)]
 
         def texts() -> Iterator[str]:
             parts = inverse_dynamics_in_blocks(
-                BACKENDS[backend](loaded), samples, unreachable=unreachable, preferred=preferred, **wanted
+                BACKENDS[backend](loaded), pairs, unreachable=unreachable, preferred=preferred, **wanted
             )
-            for part in parts:
-                reduced, efforts = part.reduced, part.efforts
-                columns: dict[str, Any] = {"t": reduced.t, "tau": efforts.tau, "carrier_force": reduced.carrier_force}
-                columns |= {"status": efforts.status_labels, "margin": efforts.margin, "residual": efforts.residual}
-                yield csv_text(columns, heading=not result.samples)  # floats come back bit by bit
+            for pair, part in zip(pairs, parts, strict=True):
+                yield csv_rows(_columns(loaded, *pair, part), first=not result.samples)
                 result.add(part)
                 advance(result.samples, len(samples), "dynamics")
 
         write_text(out, texts())  # block by block: memory does not grow with the motion
     _warn(result)
-    given = {"robot": loaded.name, "backend": backend, "motion": motion.path, "trajectory": motion.trajectory}
-    facts = {**given, "out": out, **_summary(result)}
+    facts = {"robot": loaded.name, "backend": backend, "motion": motion.described, "out": out, **_summary(result)}
     main, moved = robot_record(loaded).effort_units
-    rows = [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]
+    rows = [("motion", motion.described)]
+    rows += [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]
     rows.append((f"largest |tau| [{main}]", output.row(facts["largest_tau"])))
     if loaded.k:
         rows.append((f"largest |carrier force| [{moved}]", output.row(facts["largest_carrier_force"])))
@@ -159,6 +154,19 @@ def inverse_dynamics(
     rows.append(("written to", out))
     output.report(as_json, facts, output.TextTable(f"{loaded.name}, {backend}: {result.samples} samples", (), rows))
     return EXIT_CODES[result.status]
+
+
+def _columns(
+    robot: Robot, motion: PlatformMotion, carriers: CarrierMotion, part: InverseDynamics
+) -> dict[str, tuple[str, NDArray[Any]]]:
+    """Return the columns of a file: unit and values of the motion, the efforts, and what is said of each sample."""
+    efforts, forces = part.efforts, part.reduced.carrier_force
+    return {
+        **motion_columns(robot, motion, carriers),
+        **effort_columns(robot.actuated, efforts.tau, robot),
+        **effort_columns(robot.carriers, forces, robot),
+        "status": ("", efforts.status_labels), "margin": ("", efforts.margin), "residual": ("N", efforts.residual)
+    }  # fmt: skip
 
 
 def _warn(result: _Whole) -> None:
@@ -181,19 +189,6 @@ def _warn(result: _Whole) -> None:
         output.warning(
             f"no finite main efforts at {result.without} of {result.samples} samples, first at {result.first_without}."
         )
-
-
-@dataclass(frozen=True)
-class _Sampled:
-    """Samples of a trajectory, block by block."""
-
-    motion: PlatformMotion
-
-    def __len__(self) -> int:
-        return len(self.motion)
-
-    def __iter__(self) -> Iterator[MotionBlock]:
-        return ((self.motion[part], None) for part in blocks(len(self.motion), BLOCK))
 
 
 class _Whole:

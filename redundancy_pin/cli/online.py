@@ -69,8 +69,9 @@ def online(
         advance(0, 3, "reading")
         parameters = read_parameters("online", parameters_of(given))
         between, at = None if tick is None else number("--tick", tick), numbers("--start", start)
-        followed = motion.follow("On-line planning")
-        planner = RecedingHorizon(BACKENDS[backend](robot.load()), **parameters)
+        loaded = robot.load()
+        followed = motion.follow("On-line planning", loaded)
+        planner = RecedingHorizon(BACKENDS[backend](loaded), **parameters)
         advance(1, 3, "ticks")
         run = run_online(planner, followed, tick=between, start=at)
         advance(2, 3, "writing")
@@ -81,7 +82,7 @@ def online(
     plan = run.plan
     seconds = 1e3 * np.percentile([command.seconds for command in run.commands], [50.0, 99.0])
     facts = {**summary(plan), "ticks": run.counts, "milliseconds": {"p50": seconds[0], "p99": seconds[1]}}
-    facts |= {"out": out, "html": html}
+    facts |= {"motion": motion.described, "out": out, "html": html}
     output.report(as_json, facts, _table(facts, plan.robot.effort_units[0]))
     warn(plan)
     left = sum(count for status, count in run.counts.items() if status not in ("planned", "slowed"))
@@ -97,6 +98,7 @@ def _table(facts: Mapping[str, Any], unit: str) -> output.TextTable:
     diagnostics: Any = facts["diagnostics"]
     rows = [
         ("status", facts["status"].replace("_", " ")),
+        ("motion", facts["motion"]),
         ("ticks", ", ".join(f"{count} {status}" for status, count in facts["ticks"].items() if count)),
         ("time of a tick, p50 and p99 [ms]", output.row(facts["milliseconds"].values())),
         ("later at the end [s]", output.number(diagnostics["delay"])),

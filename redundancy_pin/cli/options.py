@@ -37,10 +37,11 @@ class RobotOptions:
     def load(self) -> Robot:
         """Load the robot."""
         from redundancy_pin.loading import idle_gravity, load_with
+        from redundancy_pin.robot.named import too_few_motors
 
         mode, gravity = self.mode, self.gravity
         robot = load_with(self.source, self.settings, gravity=gravity, working_mode=mode, trust=self.trust)
-        if note := idle_gravity(robot, gravity):
+        for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
             click.echo(f"warning: {note}", err=True)
         return robot
 
@@ -233,6 +234,9 @@ def parse_vector(given: Any) -> tuple[float, ...]:
     return numbers
 
 
+MOTION_CSV = "a CSV of samples (t,x,y,xd,yd,xdd,ydd) or of points (t,x,y)."
+"""What ``--motion`` takes, for help."""
+
 FLAGS = {
     "speed": "Cruising speed of the trajectory, m/s.",
     "radius": "Corner radius, m.",
@@ -327,40 +331,71 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """Which motion: that of a file, whose rates are checked, or a trajectory with its flags."""
+    """Which motion: a trajectory with its flags, or a file, of points or of samples with rates.
+
+    Both options take both kinds of files: what is in a file decides.
+    """
 
     path: str | None
     check_rates: bool
     trajectory: str | None = None
     flags: Mapping[str, float | None] = field(default_factory=dict)
 
-    def follow(self, who: str, **settings: float | None) -> PlatformMotion | Trajectory:
-        """Return the motion; ``who`` needs it, such as "A plan". Files take neither flags nor other settings."""
-        return self.of_trajectory(who, **settings) or self.read()
+    @property
+    def given(self) -> str | None:
+        """What either option was given."""
+        return self.path if self.trajectory is None else self.trajectory
 
-    def of_trajectory(self, who: str, **settings: float | None) -> Trajectory | None:
-        """Return the trajectory, None where a file is named; as ``follow``."""
+    @property
+    def file(self) -> str | None:
+        """The file that the motion is read from; None for a trajectory by name."""
+        if self.trajectory is None:
+            return self.path
+        name = split_trajectory(self.trajectory)[0]
+        return name if is_points_file(name) else None
+
+    @functools.cached_property
+    def is_sampled(self) -> bool:
+        """Whether the file holds samples with rates."""
+        from redundancy_pin.trajectory.csv_file import has_rates
+
+        return self.file is not None and not self.file.lower().endswith(".json") and has_rates(self.file)
+
+    @property
+    def described(self) -> str:
+        """What the motion is, for reports."""
+        if self.file is None:
+            return str(self.trajectory)
+        return f"{'samples' if self.is_sampled else 'a trajectory through the points'} of {self.given}"
+
+    def follow(self, who: str, robot: Robot, **settings: float | None) -> PlatformMotion | Trajectory:
+        """Return the motion of a robot; ``who`` needs it, such as "A plan". Samples take neither flags nor settings."""
         if (self.trajectory is None) == (self.path is None):
             raise InputError(f"{who} needs either --trajectory or --motion.", remedy="Give one of them.")
-        if self.trajectory is not None:
-            return parse_trajectory(self.trajectory, self.flags)
-        # refused rather than ignored: --speed beside a file would seem to have an effect
-        for name, value in {**self.flags, **settings}.items():
-            if value is not None:
-                raise InputError(f"{flag(name)} does not apply to a motion from a file.", remedy="Leave it out.")
-        return None
-
-    def read(self) -> PlatformMotion:
-        """Return the motion of the file."""
+        if not self.is_sampled:
+            return parse_trajectory(str(self.given), self.flags)
         from redundancy_pin.trajectory import from_csv
 
-        return from_csv(str(self.path), check_rates=self.check_rates)
+        # refused rather than ignored: --speed beside samples would seem to have an effect
+        own = {} if self.trajectory is None else split_trajectory(self.trajectory)[1]
+        for name, value in {**self.flags, **settings, **own}.items():
+            if value is not None:
+                raise InputError(
+                    f"{flag(name)} does not apply to a motion from a file that has rates.",
+                    remedy="Leave it out, or the rates.",
+                )
+        return from_csv(str(self.file), robot, check_rates=self.check_rates)
 
-    def carriers(self) -> CarrierMotion | None:
+    def sampled(self, who: str, robot: Robot, dt: float) -> PlatformMotion:
+        """Return the motion as ``follow``, a trajectory sampled every ``dt``, s."""
+        motion = self.follow(who, robot)
+        return motion.sample(dt) if hasattr(motion, "sample") else motion
+
+    def carriers(self, robot: Robot) -> CarrierMotion | None:
         """Return the motion of the carriers that the file has; None without, or without a file."""
         from redundancy_pin.trajectory import carriers_from_csv
 
-        return carriers_from_csv(self.path, check_rates=self.check_rates) if self.path else None
+        return carriers_from_csv(str(self.file), robot, check_rates=self.check_rates) if self.is_sampled else None
 
 
 def split_trajectory(text: str) -> tuple[str, dict[str, str]]:
@@ -407,7 +442,8 @@ def trajectory_option(what: str) -> Callable[[_Command], _Command]:
         metavar="NAME|FILE[:KEY=VALUE,...]",
         help=f"{what}: {', '.join(_trajectories())}; such as circle:speed=0.5, or "
         "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'. Or through the points of a CSV or JSON file: "
-        "way.csv (columns t,x,y), way.csv:speed=0.1, way.csv:times=time-optimal,max_speed=0.5,max_acceleration=2.",
+        "way.csv (columns t,x,y), way.csv:speed=0.1, way.csv:times=time-optimal,max_speed=0.5,max_acceleration=2. "
+        "A CSV with rates is a motion, as of --motion.",
     )
 
 
@@ -441,7 +477,7 @@ def motion_options(
 
 def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--trajectory``, ``--motion`` and all flags of trajectories to a command."""
-    text = "Motion to follow instead: columns t, x0.., xd0.., xdd0..."
+    text = f"Motion to follow instead: {MOTION_CSV}"
     return motion_options(text, "Trajectory to follow", flags=FLAGS)(command)
 
 

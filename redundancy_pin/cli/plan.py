@@ -153,6 +153,7 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:
     main, moved = plan.robot.effort_units
     rows = [
         ("status", status),
+        ("motion", facts["motion"]),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
         ("phases [s]", _phases(facts["phases"])),
         (f"peak main effort [{main}]", output.row(facts["peak_effort"])),
@@ -319,11 +320,13 @@ def _from_flags(planner: str, given: Mapping[str, Any]) -> int:
     parameters = plan_problem.parameters_of(given)
 
     def read() -> plan_problem.PlanProblem:
-        followed, backend, step = motion.follow("A plan"), given["backend"], given.get("step")
-        return plan_problem.problem(planner, robot, backend, followed, parameters, baseline=baseline, step=step)
+        loaded, backend, step = robot.load(), given["backend"], given.get("step")
+        followed = motion.follow("A plan", loaded)
+        task = plan_problem.problem(planner, loaded, backend, followed, parameters, baseline=baseline, step=step)
+        return replace(task, followed=motion.described)
 
     with in_words(OPTIONS.knowing(plan_problem.flags_of(planner))):
-        return _run(read, given["out"], given["plot"], given["as_json"], (motion.path,) if motion.path else ())
+        return _run(read, given["out"], given["plot"], given["as_json"], (motion.file,) if motion.file else ())
 
 
 def _run(
@@ -355,6 +358,7 @@ def _run(
     base_facts = {"peak_base_force": base[0], "peak_base_moment": base[1], "base_point": np.asarray(point)}
     joints = [vars(one) for one in left]
     facts = {**summary(result), **base_facts, "joint_limits": joints, "out": out, "plot": plot}
+    facts["motion"] = task.followed
     output.report(as_json, facts, _table(result, facts))
     for one in left:
         output.warning(f"{one}.")

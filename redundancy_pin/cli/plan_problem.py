@@ -24,10 +24,11 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.time_optimal import plan_time_optimal
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import source_in
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
-from redundancy_pin.trajectory import Trajectory, from_csv
+from redundancy_pin.trajectory import Trajectory
 
 PLANNERS: Mapping[str, Callable[..., Plan]] = {**AT_A_SPEED, "time-optimal": plan_time_optimal}
 """Planners by name."""
@@ -295,12 +296,13 @@ STEP = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class PlanProblem:
-    """Everything a planner needs; ``parameters`` are its keyword arguments."""
+    """Everything a planner needs; ``parameters`` are its keyword arguments, ``followed`` says what the motion is."""
 
     planner: str
     dynamics: Dynamics
     motion: PlatformMotion | Trajectory
     parameters: Mapping[str, Any]
+    followed: str = ""
 
     def solve(self, progress: Callable[[str], None] | None = None) -> Plan:
         """Return the plan; planners that have stages call ``progress`` with a line of text at each."""
@@ -311,7 +313,7 @@ class PlanProblem:
 
 def problem(
     planner: str,
-    robot: options.RobotOptions,
+    robot: Robot,
     backend: str,
     motion: PlatformMotion | Trajectory,
     parameters: Mapping[str, object],
@@ -343,7 +345,7 @@ def problem(
     if baseline is not None:
         with _about(_BASELINE):
             values["baseline"] = make(baseline.load())
-    return PlanProblem(planner, make(robot.load()), motion, values)
+    return PlanProblem(planner, make(robot), motion, values)
 
 
 _ROBOT_KEYS = ("robot", "set", "mode", "gravity")
@@ -398,7 +400,8 @@ def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> PlanProblem:
         if key not in data:
             raise InputError(f"The problem {place.name} lacks the key {key!r}.", remedy=f"Add {key}: ....", key=key)
     planner = options.require_choice(data["planner"], tuple(PLANNERS), "the planner")
-    robot, motion = replace(_robot(data, place.parent), trust=trust), _motion(data, place)
+    loaded = replace(_robot(data, place.parent), trust=trust).load()
+    motion, followed = _motion(data, place, loaded)
     parameters = _mapping(data.get("parameters", {}), "parameters")
     with _about("parameters."):
         read_parameters(planner, parameters)
@@ -407,18 +410,20 @@ def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> PlanProblem:
         given = _mapping(data["baseline"], "baseline")
         with _about(_BASELINE):
             baseline = replace(_baseline(given, data, place.parent), trust=trust)
-    return problem(
+    task = problem(
         planner,
-        robot,
+        loaded,
         word("backend", data.get("backend", RNEA)),
         motion,
         parameters,
         baseline=baseline,
         step=None if data.get("step") is None else number("step", data["step"]),
     )
+    return replace(task, followed=followed)
 
 
-def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
+def _motion(data: Mapping[str, Any], path: Path, robot: Robot) -> tuple[PlatformMotion | Trajectory, str]:
+    """Return the motion, and what it is."""
     if ("trajectory" in data) == ("motion" in data):
         raise InputError(
             f"The problem {path.name} needs either a trajectory or a motion.",
@@ -428,13 +433,20 @@ def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
         check = data.get("check_rates", True)
         if not isinstance(check, bool):
             raise InputError(f"check_rates is {shown(check)}.", remedy="Write true or false.", key="check_rates")
-        return from_csv(path.parent / word("motion", data["motion"]), check_rates=check)
+        chosen = options.MotionOptions(str(path.parent / word("motion", data["motion"])), check)
+        return chosen.follow("A plan", robot), chosen.described
     given = dict(_mapping(data["trajectory"], "trajectory"))
     if "name" not in given:
         raise InputError("The trajectory lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
     name = given.pop("name")
     with _about("trajectory."):
-        return options.make_trajectory(str(path.parent / name) if options.is_points_file(name) else name, given)
+        if options.is_points_file(name):
+            name = str(path.parent / name)
+            chosen = options.MotionOptions(name, check_rates=True)
+            if chosen.is_sampled:
+                options.require_known(given, (), f"the file {name}, which has rates,")
+                return chosen.follow("A plan", robot), chosen.described
+        return options.make_trajectory(name, given), str(data["trajectory"]["name"])
 
 
 def _robot(data: Mapping[str, Any], folder: Path) -> options.RobotOptions:

@@ -6,7 +6,14 @@ from typing import Any
 
 import click
 
-from redundancy_pin.cli.options import MotionOptions, RobotOptions, json_option, motion_options, robot_options
+from redundancy_pin.cli.options import (
+    MOTION_CSV,
+    MotionOptions,
+    RobotOptions,
+    json_option,
+    motion_options,
+    robot_options,
+)
 from redundancy_pin.cli.output import progress, report
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
@@ -18,12 +25,15 @@ from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.video import require_video, save_video
 from redundancy_pin.visualisation.viewer.page import View, require_html, require_meshcat
 
+_DT = 0.005
+"""Between samples of a trajectory, s."""
+
 
 @click.command()
 @robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to show, as `plan --out` writes it.")
 @click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
-@motion_options("Motion to show, as `inverse-dynamics` reads it.")
+@motion_options(f"Motion to show: {MOTION_CSV}")
 @click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
 @click.option(
     "--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg or the extra video."
@@ -105,7 +115,7 @@ def _view(
     robot = options.load()
     if not motion.path:
         return view(robot, **settings)
-    return view(robot, motion.read(), motion.carriers(), **settings)
+    return view(robot, motion.sampled("A picture", robot, _DT), motion.carriers(robot), **settings)
 
 
 def robot_of(subject: Plan | Simulation, options: RobotOptions) -> Robot:

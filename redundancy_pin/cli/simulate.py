@@ -121,7 +121,7 @@ def simulate(robot: options.RobotOptions, **given: Any) -> int:
         require_video(video)
     if out and not out.lower().endswith((".npz", ".csv")):
         raise OutputError(f"--out {out} ends in neither .npz nor .csv.", remedy="Write --out run.npz.", path=out)
-    output.require_outputs(out, plot, [path for path in (plan_path, motion.path) if path])
+    output.require_outputs(out, plot, [path for path in (plan_path, motion.file) if path])
     sampling = _sampling(given)
     with output.progress("simulate") as advance, in_words(OPTIONS.knowing(_FLAGS)):
         advance(0, 3, "reading")
@@ -147,7 +147,8 @@ def simulate(robot: options.RobotOptions, **given: Any) -> int:
         )
         plot, video = (None if error else path for error, path in zip(failed, (plot, video), strict=True))
     facts = summary(run, reference, machine)
-    facts |= {"controller": given["controller"], "out": out, "plot": plot, "video": video}
+    followed = f"the plan {plan_path}" if plan_path else motion.described
+    facts |= {"motion": followed, "controller": given["controller"], "out": out, "plot": plot, "video": video}
     output.report(given["as_json"], facts, _table(run, facts, machine))
     warn(run)
     for error in filter(None, failed):
@@ -177,8 +178,8 @@ def _planned(robot: options.RobotOptions, plan: Plan | None, given: Mapping[str,
         return nominal, plan_reference(plan, robot=nominal)
     if not robot.source:
         raise InputError("There is nothing to simulate.", remedy="Add --plan NPZ, or --robot NAME and a motion.")
-    motion, carriers = chosen.follow("A simulation without --plan"), chosen.carriers()
     nominal = robot.load()
+    motion, carriers = chosen.follow("A simulation without --plan", nominal), chosen.carriers(nominal)
     if carriers is not None and given["park"] is not None:
         raise InputError("The carriers of the motion move, and --park parks them.", remedy="Leave --park out.")
     parked = 0.0 if given["park"] is None else given["park"]
@@ -284,6 +285,7 @@ def _table(run: Simulation, facts: Mapping[str, Any], machine: Robot) -> output.
 
     rows = [
         ("status", run.status.value.replace("_", " ")),
+        ("motion", facts["motion"]),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {len(run)} samples"),
         ("events", output.listed(seen, LISTED, "\n") or "none"),
         (f"largest distance from the planned motion [{unit}]", output.number(facts["largest_distance"])),

@@ -24,7 +24,7 @@ _DRAWN_STEP = 1e-3  # sampling interval of a trajectory in the picture, as a fra
 
 @click.command()
 @options.robot_options()
-@options.motion_options("Motion to search: columns t, x0.., xd0.., xdd0...", "Trajectory to search instead")
+@options.motion_options(f"Motion to search: {options.MOTION_CSV}", "Trajectory to search instead")
 @click.option("--plot", metavar="PICTURE", help="Draw the singularities over the workspace (.png, .svg or .pdf).")
 @options.json_option
 def singularities(robot: options.RobotOptions, motion: options.MotionOptions, plot: str | None, as_json: bool) -> None:
@@ -38,14 +38,14 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
       redundancy-pin singularities --robot 3rrr --mode +++ --plot locus.png
       redundancy-pin singularities --robot 2rpr --trajectory circle:speed=0.5
     """
-    if not (motion.path or motion.trajectory or plot):
+    if not (motion.given or plot):
         raise InputError("There is nothing to do.", remedy="Ask for --plot, --motion or --trajectory.")
     if plot:
         output.require_picture(plot)
     with output.progress("singularities") as advance, in_words(OPTIONS.knowing({"find_crossings": "--motion"})):
         advance(0, 3, "reading")
         loaded = robot.load()
-        followed = motion.follow("The search along a motion") if motion.path or motion.trajectory else None
+        followed = motion.follow("The search along a motion", loaded) if motion.given else None
         advance(1, 3, "along the motion")
         crossings = find_crossings(loaded, followed) if followed is not None else ()
         advance(2, 3, "over the workspace")
@@ -55,9 +55,14 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
             failed = output.drawn(plot, lambda path: _draw(locus, followed, crossings, path))
             plot = None if failed else plot
     shown: list[Any] = [_table(loaded, crossings)] if followed is not None else []
+    shown += [f"The motion is {motion.described}."] if motion.file else []
     shown += [f"The picture is {plot}."] if plot else []
     data = [crossing_data(crossing) for crossing in crossings] if followed is not None else None
-    output.report(as_json, {"robot": loaded.name, "crossings": data, "plot": plot}, *shown)
+    output.report(
+        as_json,
+        {"robot": loaded.name, "motion": motion.described if motion.given else None, "crossings": data, "plot": plot},
+        *shown,
+    )
     if failed:
         raise failed
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 from redundancy_pin.arrays import decimal
 from redundancy_pin.cli import options, output
@@ -16,8 +17,7 @@ from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.singularities.workspace_map import Workspace
 from redundancy_pin.singularities.workspace_map import workspace as reached
-from redundancy_pin.studies.table import csv_text
-from redundancy_pin.trajectory.csv_file import checked_poses
+from redundancy_pin.trajectory.csv_file import checked_poses, coordinate_names, csv_rows, unit_of
 
 
 @click.command()
@@ -51,9 +51,9 @@ def workspace(
     r"""Map where the platform can go.
 
     One, two or three coordinates vary over a grid, the others stay as they are in the reference, or `at` another point.
-    The CSV has a row for each node and working mode: mode; x0, x1, ... (a pose: x, y, z); reachable, in_range (all
-    joints within their limits) as 0 or 1; margin to type II, serial_margin to type I, nan out of reach; island, 0 where
-    the reference reaches.
+    The CSV has a row for each node and working mode: mode; the coordinates, such as `x [m]` (a pose: x, y, z);
+    reachable, in_range (all joints within their limits) as 0 or 1; margin to type II, serial_margin to type I, nan out
+    of reach; island, 0 where the reference reaches.
 
     \b
     Examples:
@@ -83,7 +83,7 @@ def workspace(
         space = reached(loaded, **wanted, resolution=resolution, modes=modes)
         advance(1, 2, "writing")
         if out:
-            write_text(out, csv_text(_columns(space)))
+            write_text(out, csv_rows(_columns(space)))
         failed = output.drawn(plot, lambda path: _draw(space, path))
         plot = None if failed else plot
     facts = _facts(space)
@@ -130,18 +130,20 @@ def _numbers(flag: str, text: str | None, between: str = ",", count: int | None 
     return numbers
 
 
-def _columns(space: Workspace) -> dict[str, Any]:
+def _columns(space: Workspace) -> dict[str, tuple[str, NDArray[Any]]]:
+    """Return unit and values of the columns of a file."""
     x = space.x[:, :3, 3] if space.x.ndim == 3 else space.x
-    many = len(space.modes)
-    return {
-        "mode": np.repeat([mode_name(mode) if mode else "" for mode in space.modes], len(x)),
-        "x": np.tile(x, (many, 1)),
-        "reachable": space.reachable.ravel().astype(int),
-        "in_range": space.in_range.ravel().astype(int),
-        "margin": space.margin.ravel(),
-        "serial_margin": space.serial_margin.ravel(),
-        "island": space.island.ravel(),
+    many, names = len(space.modes), coordinate_names(space.robot)[: x.shape[1]]
+    places = {name: (unit_of(space.robot, name), np.tile(x[:, k], many)) for k, name in enumerate(names)}
+    values = {
+        "reachable": space.reachable.astype(int),
+        "in_range": space.in_range.astype(int),
+        "margin": space.margin,
+        "serial_margin": space.serial_margin,
+        "island": space.island,
     }
+    modes = np.repeat([mode_name(mode) if mode else "" for mode in space.modes], len(x))
+    return {"mode": ("", modes), **places, **{name: ("", array.ravel()) for name, array in values.items()}}
 
 
 def _facts(space: Workspace) -> dict[str, Any]:

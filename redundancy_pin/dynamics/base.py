@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, peak, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel
-from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError
+from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError, millimetres
 from redundancy_pin.motion import (
     CarrierMotion,
     PlatformMotion,
@@ -422,7 +422,8 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
         k, i = (int(j) for j in np.unravel_index(int(outside.argmax()), outside.shape))
         raise CarrierLimitError(
             f"Carrier {robot.carriers[i]!r} leaves its track [{lower[i]:g}, {upper[i]:g}] m by {outside[k, i]:.3g} m "
-            f"at sample {k} (t = {t[k]:.6g} s, s = {carriers.s[k, i]:.6g} m).",
+            f"at sample {k} (t = {t[k]:.6g} s, s = {carriers.s[k, i]:.6g} m)."
+            f"{millimetres(float(outside[k, i]), float(upper[i] - lower[i]))}",
             remedy="Shorten the motion or lengthen the track; planners evaluate off the track with check_track=False.",
             carrier=robot.carriers[i],
             sample=k,

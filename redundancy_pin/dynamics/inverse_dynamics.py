@@ -175,10 +175,9 @@ def inverse_dynamics_in_blocks(
 ) -> Iterator[InverseDynamics]:
     """Give what ``inverse_dynamics`` returns for a motion that comes in blocks, block by block: memory does not grow.
 
-    Of files: ``inverse_dynamics_in_blocks(dynamics, rp.trajectory.MotionFile("motion.csv"))``. Each block goes on from
-    a sample shortly before its first one, on the branch that the last one has led to, so that singularities between
-    blocks are found too. Whole turns of joints are counted as in the first block. Rates are not compared with positions
-    here: ``MotionFile`` and ``require_consistent`` do that for the whole.
+    Each block goes on from a sample shortly before its first one, on the branch that the last one has led to, so that
+    singularities between blocks are found too. Whole turns of joints are counted as in the first block. Rates are not
+    compared with positions here: ``require_consistent`` does that for the whole.
 
     Args:
         dynamics: any backend; loads sampled in time do not go in blocks.

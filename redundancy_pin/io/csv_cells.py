@@ -6,6 +6,7 @@ import re
 
 # What begins a formula in a cell of a spreadsheet, in full width too, and the apostrophe, which makes a cell plain text
 _FORMULA = "['=+\\-@＝＋－＠]"
+_NO_FORMULA = re.compile(r"[-+]*(\d[\d.]*(e[-+]?\d+)?|nan|inf)?")
 _STARTS = "(^|[,;|\\t])"  # of a cell, also where a program divides at something else than commas
 
 
@@ -15,6 +16,11 @@ def guarded(text: str) -> str:
     An apostrophe stands in front of what could begin one; ``unguarded`` takes it away again.
     """
     return re.sub(f"{_STARTS}(?={_FORMULA})", r"\1'", text)
+
+
+def guarded_value(text: str) -> str:
+    """Return a text as ``guarded`` does, except numbers and working modes, which may begin with a sign."""
+    return text if _NO_FORMULA.fullmatch(text) else guarded(text)
 
 
 def unguarded(cell: str) -> str:

@@ -104,6 +104,9 @@ def parse_yaml(
         mark = fault.problem_mark or fault.context_mark
         if "nesting depth" in str(fault.problem):  # libyaml since 0.2.6 looks ahead for a key, over a thousand brackets
             raise reader.too_deep(mark) from fault
+        lines = text.splitlines()
+        if mark is not None and mark.line < len(lines) and lines[mark.line][mark.column : mark.column + 1] == "\t":
+            raise reader.refused(mark, "a tab, where YAML allows spaces alone", "Put spaces in its place.") from fault
         reasons = ", ".join(part for part in (fault.context, fault.problem) if part)
         raise reader.refused(mark, f"not readable YAML: {reasons}", "Repair the file there.") from fault
     except yaml.YAMLError as fault:  # characters that YAML does not allow, such as NUL

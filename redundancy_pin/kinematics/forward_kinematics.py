@@ -248,7 +248,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
         _judge_rest(motors, route.u[places[end:]], tree.q[route.places[end]], rest)
         branch[places[end:]] = q[end:]
     x = _platform_at(system, branch)
-    xd, xdd = _platform_rates(system, q, v, a)
+    xd, xdd = platform_rates(system, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
@@ -420,7 +420,8 @@ def _platform_at(system: ConstraintSystem, q: Array) -> Array:
     return x
 
 
-def _platform_rates(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+def platform_rates(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """Return ẋ and ẍ (N, n) of the independent coordinates at states (N, nq), (N, nv), (N, nv); NaN where q is."""
     robot, known = system.robot, np.isfinite(q).all(axis=1)
     state = system.evaluate(q[known])
     xd, xdd = np.full((2, len(q), robot.n), np.nan)

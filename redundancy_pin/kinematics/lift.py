@@ -12,7 +12,7 @@ from typing import NoReturn
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, read_only, runs
-from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError, millimetres
 from redundancy_pin.kinematics.assembly import (
     Assembly,
     assemble,
@@ -393,7 +393,8 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
         )
     if not in_mode:
         raise UnreachablePoseError(
-            f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {gap:.3g} m.",
+            f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {gap:.3g} m."
+            f"{millimetres(gap, robot.characteristic_length)}",
             remedy="Move the pose into the workspace, or load the robot in another working_mode.",
             sample=sample,
             gap=gap,
@@ -579,7 +580,8 @@ def _require_closed_and_regular(motion: PlatformMotion, solved: Assembly | _Lift
         k, gap = first + i, float(solved.gap[i])
         raise UnreachablePoseError(
             f"The pose of sample {k} (t = {motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}) cannot be "
-            f"reached: the chains stay open by {gap:.3g} m.",
+            f"reached: the chains stay open by {gap:.3g} m."
+            f"{millimetres(gap, solved.system.robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
             sample=k,
             gap=gap,

@@ -18,8 +18,11 @@ _MOVES = 1e-6
 """Part of a unit motion, scaled, that a joint must have in it to be said to move."""
 
 
-def check_mobility(system: ConstraintSystem) -> None:
-    """Compare the count of freedoms with the declaration, and say which rows or freedoms are too many."""
+def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
+    """Compare the count of freedoms with the declaration, and say which rows or freedoms are too many.
+
+    ``dropped``: rows that are redundant all along the motion were left out already, as `redundant_rows: true` asks.
+    """
     robot = system.robot
     rows, velocities = len(system.rows), len(system.pose_columns)
     freedoms = velocities - rows
@@ -38,8 +41,12 @@ def check_mobility(system: ConstraintSystem) -> None:
         kind, only = "over", ""
         where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
         remedy = (
-            "Take the redundant axes out of the closures (a planar pin joint is [x, y]), or, where the loops move all "
-            "the same, say `redundant_rows: true`; or declare fewer independent velocities."
+            "Rows that are redundant all along the motion are left out already. Take axes out of a closure that holds "
+            "what should move, correct frames that are not exactly where the links meet, or declare fewer independent "
+            "velocities."
+            if dropped
+            else "Take the redundant axes out of the closures (a planar pin joint is [x, y]), or, where the loops move "
+            "all the same, say `redundant_rows: true`; or declare fewer independent velocities."
         )
     else:
         kind, only, where = "under", "only ", _left_free(system)
@@ -74,8 +81,10 @@ def _left_free(system: ConstraintSystem) -> str:
     return f" With {fixed}, these joints still move: {', '.join(names)}." if names else ""
 
 
-def check_reference_rank(system: ConstraintSystem) -> None:
+def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> None:
     """Check that the reference is no place where rows depend on one another, or a type I singularity.
+
+    ``dropped``: as of ``check_mobility``.
 
     Raises:
         DeclarationError: it is; names the rows.
@@ -88,8 +97,12 @@ def check_reference_rank(system: ConstraintSystem) -> None:
             f"Grübler's count gives {robot.name} {robot.n} freedoms, but its closure rows have rank {rank} of "
             f"{len(system.rows)} at the reference: {len(system.pose_columns) - rank} freedoms. Redundant: "
             f"{', '.join(redundant)}.",
-            remedy="Take the redundant axes out of the closures and add the ones that are missing; or, where the loops "
-            "move all the same, say `redundant_rows: true`.",
+            remedy="Rows that are redundant all along the motion are left out already; these are so at the reference "
+            "alone. Move the reference to where the links are not in line."
+            if dropped
+            else "Move the reference, where the rows are redundant there alone (links in line). Otherwise take the "
+            "redundant axes out of the closures and add the ones that are missing; or, where the loops move all the "
+            "same, say `redundant_rows: true`.",
             rank=rank,
         )
     projection = project(system, state)

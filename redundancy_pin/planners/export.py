@@ -7,29 +7,26 @@ to be two-sided: then the instant has two rows, before and after it. Without a r
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
 from redundancy_pin.errors import InputError, OutputError, optional
-from redundancy_pin.io.csv_cells import guarded
 from redundancy_pin.io.files import refusing, replacing_file, write_text
 from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
-from redundancy_pin.planners.robot_record import RobotRecord, load_recorded
-from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.scales import is_revolute
-from redundancy_pin.trajectory.quaternions import quaternions_of
+from redundancy_pin.planners.robot_record import RobotRecord, robot_of_record
+from redundancy_pin.robot import Robot, RobotLike
+from redundancy_pin.trajectory.csv_file import csv_rows, motion_columns
 from redundancy_pin.trajectory.trajectory import sample_times
 
 if TYPE_CHECKING:
@@ -47,43 +44,43 @@ QUANTITIES = ("position", "rate", "acceleration", "effort")
 
 @dataclass(frozen=True, eq=False)
 class PlanTable(Frozen):
-    """A plan or a simulation at N instants; J joints: the main actuators, then the carriers.
+    """A plan or a simulation at N instants; J joints: m main actuators, then the carriers.
 
     Attributes:
         t: (N,) time, s; an instant occurs twice where both sides of a jump are kept.
         joints: names of the J joints.
+        main: m, how many of them are main actuators.
         joint_units: for each of ``QUANTITIES`` the units of the J joints.
         position: (N, J) m or rad.
         rate: (N, J) m/s or rad/s.
         acceleration: (N, J) m/s² or rad/s².
         effort: (N, J) what the actuators give, N or N·m; NaN at samples of a plan that has no finite efforts there.
-        coordinates: names of the independent coordinates; of a pose position and quaternion, then.
-        coordinate_units: their units.
-        x: (N, n) the coordinates, m and rad; (N, 7) of a pose, the quaternion in the order x, y, z, w.
+        platform: unit and values (N,) of the independent coordinates, their rates and their accelerations, by name, as
+            ``trajectory.from_csv`` reads them.
         about: which plan this is, in plain data.
     """
 
     t: Array
     joints: tuple[str, ...]
+    main: int
     joint_units: Mapping[str, tuple[str, ...]]
     position: Array
     rate: Array
     acceleration: Array
     effort: Array
-    coordinates: tuple[str, ...]
-    coordinate_units: tuple[str, ...]
-    x: Array
+    platform: Mapping[str, tuple[str, Array]]
     about: Mapping[str, Any]
 
     def columns(self) -> dict[str, tuple[str, Array]]:
-        """Return unit and values (N,) of each column by its name: ``t``, ``joint.position``, ..., ``platform.x``."""
-        columns: dict[str, tuple[str, Array]] = {"t": ("s", self.t)}
+        """Return unit and values (N,) of each column by its name: ``t``, ``x``, ``xd``, ..., ``q:JOINT``, ....
+
+        ``trajectory.csv_file`` says what the names mean.
+        """
+        columns: dict[str, tuple[str, Array]] = {"t": ("s", self.t), **self.platform}
         for j, joint in enumerate(self.joints):
-            for quantity in QUANTITIES:
-                values = getattr(self, quantity)[:, j]
-                columns[f"{joint}.{quantity}"] = (self.joint_units[quantity][j], values)
-        for j, (name, unit) in enumerate(zip(self.coordinates, self.coordinate_units, strict=True)):
-            columns[name] = (unit, self.x[:, j])
+            symbol = "q" if j < self.main else "s"
+            for name, quantity in zip((symbol, f"{symbol}d", f"{symbol}dd", "tau"), QUANTITIES, strict=True):
+                columns[f"{name}:{joint}"] = (self.joint_units[quantity][j], getattr(self, quantity)[:, j])
         return columns
 
 
@@ -104,7 +101,7 @@ def plan_table(
         InfeasiblePlanError: rows between the samples of a plan that has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
-    machine = load_recorded(plan.robot) if robot is None else as_robot(robot)
+    machine = robot_of_record(plan.robot, robot)
     if rate is None:
         parts = _at_samples(plan, machine)
         if two_sided is False:  # the row after the jump stands for both
@@ -127,7 +124,7 @@ def plan_table(
 def table_of_states(
     machine: Robot,
     record: RobotRecord,
-    parts: tuple[Array, Array, Array, Array, Array, Array],
+    parts: _States,
     about: Mapping[str, Any],
 ) -> PlanTable:
     """Return a table of N states of a robot.
@@ -135,36 +132,40 @@ def table_of_states(
     Args:
         machine: the robot.
         record: the same, in plain data.
-        parts: t (N,), x (N, n) or (N, 4, 4), q (N, nq), v and a (N, nv), and efforts (N, m + k).
+        parts: of the states.
         about: what it is, in plain data.
     """
-    t, x, q, v, a, effort = parts
+    t, x, xd, xdd, q, v, a, effort = parts
     names = (*machine.actuated, *machine.carriers)
     columns = np.concatenate([machine.actuated_velocity, machine.carrier_velocity])
-    coordinates, units, x = joint_columns(machine, x)
+    platform = motion_columns(machine, PlatformMotion(t, x, xd, xdd, check_rates=False))
     return PlanTable(
         t=read_only(t),
         joints=names,
+        main=machine.m,
         joint_units=_units(record, names),
         position=read_only(np.stack([_position(machine, name, q) for name in names], axis=1)),
         rate=read_only(v[:, columns]),
         acceleration=read_only(a[:, columns]),
         effort=read_only(effort),
-        coordinates=coordinates,
-        coordinate_units=units,
-        x=read_only(x),
+        platform={name: (unit, read_only(values)) for name, (unit, values) in platform.items() if name != "t"},
         about=about,
     )
 
 
-def _at_samples(plan: Plan, robot: Robot) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return t, x, q, v, a and efforts of the samples of a plan."""
+_States: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array, Array]
+"""t (N,), x (N, n) or (N, 4, 4), ẋ and ẍ (N, n), q (N, nq), v and a (N, nv), and efforts (N, m + k) of states."""
+
+
+def _at_samples(plan: Plan, robot: Robot) -> _States:
+    """Return the samples of a plan."""
     tree, efforts = lift(robot, plan.motion).with_carriers(plan.carriers), [plan.tau, plan.carrier_force]
-    return plan.t, plan.motion.x, tree.q, tree.v, tree.a, np.concatenate(efforts, axis=1)
+    motion = plan.motion
+    return plan.t, motion.x, motion.xd, motion.xdd, tree.q, tree.v, tree.a, np.concatenate(efforts, axis=1)
 
 
-def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return t, x, q, v, a and efforts of the functions of time of a plan, at a rate, Hz."""
+def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> _States:
+    """Return the states that the functions of time of a plan have at a rate, Hz."""
     reference, functions = plan_reference(plan, robot=robot), plan.functions_of_time
     start, end = float(plan.t[0]), float(plan.t[-1])
     slack = ROUNDED * (end - start)  # jumps of one instant, from different functions, differ by rounding
@@ -177,7 +178,8 @@ def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> tuple[Ar
     q, v, _, _ = reference.tree_and_loads(times)
     _, _, a, effort = reference.tree_and_loads(sides)
     instants, rows = np.unique(times, return_inverse=True)
-    return times, functions.platform.sample_at(instants).x[rows], q, v, a, effort
+    at, beside = functions.platform.sample_at(instants), functions.platform.sample_at(sides)
+    return times, at.x[rows], at.xd[rows], beside.xdd, q, v, a, effort
 
 
 def _clear_of(jumps: Array, times: Array, slack: float) -> Array:
@@ -202,24 +204,11 @@ def _position(robot: Robot, name: str, q: Array) -> Array:
     return np.unwrap(position) if continuous else position
 
 
-def joint_columns(robot: Robot, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], Array]:
-    """Return names, units and values of the independent coordinates."""
-    if robot.platform is None:
-        units = tuple("rad" if is_revolute(robot, name) else "m" for name in robot.independent_joints)
-        return tuple(f"independent.{name}" for name in robot.independent_joints), units, x
-    if not robot.platform.is_pose:
-        names = tuple(f"platform.{axis}" for axis in robot.platform.axes)
-        return names, tuple("rad" if axis.startswith("r") else "m" for axis in robot.platform.axes), x
-    values = np.concatenate([x[:, :3, 3], quaternions_of(x[:, :3, :3])], axis=1)
-    axes = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    return tuple(f"platform.{axis}" for axis in axes), ("m",) * 3 + ("1",) * 4, values
-
-
 def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """Return the units of the joints, in ASCII: spreadsheets guess at everything else."""
     rate = {"position": "track", "rate": "speed", "acceleration": "acceleration", "effort": "effort"}
     return {
-        quantity: tuple(record.limit_unit(limit, name).replace("²", "^2").replace("·", " ") for name in names)
+        quantity: tuple(record.limit_unit(limit, name).replace("²", "^2").replace("·", "*") for name in names)
         for quantity, limit in rate.items()
     }
 
@@ -228,16 +217,8 @@ def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, 
 
 
 def write_csv(table: PlanTable, path: str | Path) -> None:
-    """Write a table as CSV: a row of names with units, such as ``elbow.effort [N m]``, then one for each instant.
-
-    A name that a spreadsheet would take for a formula has an apostrophe in front of it.
-    """
-    columns, text = table.columns(), io.StringIO()
-    names = [guarded(f"{name} [{unit}]") for name, (unit, _) in columns.items()]
-    csv.writer(text, lineterminator="\n").writerow(names)
-    rows = np.stack([values for _, values in columns.values()], axis=1).tolist()
-    text.writelines(",".join(map(repr, row)) + "\n" for row in rows)  # repr: floats come back bit by bit
-    write_text(path, text.getvalue())
+    """Write a table as CSV: a row of names with units, such as ``tau:elbow [N*m]``, then one for each instant."""
+    write_text(path, csv_rows(table.columns()))
 
 
 def write_json(table: PlanTable, path: str | Path) -> None:
@@ -270,9 +251,9 @@ def write_mat(table: PlanTable, path: str | Path) -> None:
         "joints": cells(table.joints),
         **{quantity: getattr(table, quantity) for quantity in QUANTITIES},
         "units": {quantity: cells(units) for quantity, units in table.joint_units.items()},
-        "coordinates": cells(table.coordinates),
-        "coordinate_units": cells(table.coordinate_units),
-        "x": table.x,
+        "coordinates": cells(tuple(table.platform)),
+        "coordinate_units": cells(tuple(unit for unit, _ in table.platform.values())),
+        "x": np.stack([values for _, values in table.platform.values()], axis=1),
     }
     with replacing_file(path) as temporary, refusing(path):
         savemat(temporary, data, appendmat=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -268,7 +268,7 @@ class Plan(Frozen):
         two_sided: bool | None = None,
         robot: RobotLike | None = None,
     ) -> None:
-        """Write ``table`` as CSV: names with units, such as ``elbow.effort [N m]``, then a row for each instant.
+        """Write ``table`` as CSV: names with units, such as ``tau:elbow [N*m]``, then a row for each instant.
 
         Arguments and errors are those of ``table``; OutputError where the file cannot be written.
         """
@@ -335,11 +335,19 @@ def load_plan(path: str | Path) -> Plan:
     return read_archive(path, PLAN_FORMAT, PLAN_VERSION, "plan", lambda record: _plan(record, path))
 
 
-def load_robot_of(plan: Plan, source: str | Path | None = None, *, trust: bool = False) -> Robot:
+class OfRobot(Protocol):
+    """A result that says which robot it is of: a plan or a simulation."""
+
+    @property
+    def robot(self) -> RobotRecord:
+        """The robot, in plain data."""
+
+
+def load_robot_of(plan: OfRobot, source: str | Path | None = None, *, trust: bool = False) -> Robot:
     """Load the robot a plan was made for, with the arguments, gravity and working mode it had.
 
     Args:
-        plan: the plan.
+        plan: the plan, or a simulation.
         source: where the robot is now (as for ``load_robot``), if its files have moved. A plan that was loaded from a
             file needs it where its robot is neither shipped nor inside the folder of that file: who wrote the file does
             not choose what is loaded.
@@ -349,7 +357,7 @@ def load_robot_of(plan: Plan, source: str | Path | None = None, *, trust: bool =
         PlanFileError: the robot's files are gone, lie elsewhere than in the plan's folder, or describe another robot
             than when the plan was made.
     """
-    require_type(plan, Plan, "A plan", "Pass load_plan(...).")
+    require_type(getattr(plan, "robot", plan), RobotRecord, "A plan or a simulation", "Pass load_plan(...).")
     return load_recorded(plan.robot, source, trust=trust)
 
 

@@ -24,7 +24,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
-from redundancy_pin.planners.robot_record import load_recorded
+from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales
@@ -220,7 +220,7 @@ def plan_reference(
     """
     if not hasattr(plan, "functions_of_time"):
         raise InputError(f"A plan was expected, not {type(plan).__name__}.", remedy="Pass load_plan(...).")
-    machine = load_recorded(plan.robot) if robot is None else as_robot(robot)
+    machine = robot_of_record(plan.robot, robot)
     functions = plan.functions_of_time if motion is None else plan.functions_along(motion)
     return reference_of(machine, functions, functions.pieces(plan.t), plan)
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,10 +14,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from redundancy_pin.errors import DeclarationError, ModelFileError, PlanFileError, RedundancyPinError, shown
+from redundancy_pin.arrays import Frozen, assign
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, PlanFileError, RedundancyPinError, shown
 from redundancy_pin.io.schema import Schema, validated
 from redundancy_pin.loading import load_with
-from redundancy_pin.robot import CarrierLimits, Coupling, Robot
+from redundancy_pin.robot import CarrierLimits, Coupling, Robot, RobotLike, as_robot
 from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
@@ -34,7 +36,7 @@ _RATES = {"track": "", "range": "", "speed": "/s", "acceleration": "/s²", "jerk
 
 
 @dataclass(frozen=True, repr=False)
-class RobotRecord:
+class RobotRecord(Frozen):
     """What is needed to load the plan's robot again, and to notice that it has changed.
 
     Attributes:
@@ -78,6 +80,11 @@ class RobotRecord:
     def __repr__(self) -> str:
         """Return which robot it is, not its mass properties."""
         return f"RobotRecord({self.name!r}, m={len(self.actuated)}, k={len(self.carriers)}, source={self.source!r})"
+
+    @cached_property
+    def made_of(self) -> Robot | None:
+        """The robot that ``robot_record`` made the record of; None for one from a file, and in other processes."""
+        return None
 
     def describes(self, robot: Robot) -> bool:
         """Return whether the record is of that very robot, wherever its files are."""
@@ -132,7 +139,7 @@ def robot_record(robot: Robot) -> RobotRecord:
     """Return the plain data from which a robot can be loaded again."""
     ranges = joint_ranges(robot)
     limited = (*robot.actuated, *robot.carriers, *(joint.name for joint in ranges))
-    return RobotRecord(
+    record = RobotRecord(
         name=robot.name,
         source=robot.source,
         arguments=dict(robot.parameters),
@@ -148,6 +155,15 @@ def robot_record(robot: Robot) -> RobotRecord:
         couplings=robot.couplings,
         ranges=tuple((joint.name, joint.lower, joint.upper) for joint in ranges),
     )
+    assign(record, made_of=robot)
+    return record
+
+
+def robot_of_record(record: RobotRecord, robot: RobotLike | None = None) -> Robot:
+    """Return the robot that is given; else the one that the record was made of; else load it, as ``load_recorded``."""
+    if robot is not None:
+        return as_robot(robot)
+    return load_recorded(record) if record.made_of is None else record.made_of
 
 
 def _usual(source: str, given: Mapping[str, float | bool | str]) -> Mapping[str, float | bool | str]:
@@ -243,12 +259,13 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trus
     _require_sound(record)
     try:
         place = _own_source(record) if source is None else source
-        robot = load_with(
-            place, record.arguments, gravity=record.gravity, working_mode=record.working_mode or None, trust=trust
-        )
+        robot = _loaded_from(place, record, trust=trust, named=source is not None)
     except ModelFileError as error:
         raise PlanFileError(
-            f"The robot of the plan cannot be loaded: {error.message}", remedy=_PASS_SOURCE, source=record.source
+            f"The robot of the plan cannot be loaded: {error.message}",
+            remedy=f"Load it from where its files are now, and pass it: {_load_and_pass('robot.yaml')}",
+            source=record.source,
+            plan_robot="gone",
         ) from error
     except PlanFileError:
         raise
@@ -258,6 +275,20 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trus
     if difference:
         raise _changed(record, place, difference)
     return replace(robot, own_meshes_only=source is None and record.folder is not None and not trust)
+
+
+def _loaded_from(place: str | Path, record: RobotRecord, *, trust: bool, named: bool) -> Robot:
+    """Load the robot of a record from a place; from files that ``to_urdf`` wrote, which have no arguments, if named."""
+    settings: dict[str, Any] = {"gravity": record.gravity, "working_mode": record.working_mode or None, "trust": trust}
+    try:
+        return load_with(place, record.arguments, **settings)
+    except InputError:
+        if not (named and record.arguments):
+            raise
+        plain = load_with(place, {}, **settings)
+        if plain.parameters:
+            raise
+        return plain
 
 
 def _require_sound(record: RobotRecord) -> None:
@@ -275,7 +306,12 @@ def _require_sound(record: RobotRecord) -> None:
         raise PlanFileError(error.message, remedy=error.remedy or "Save the plan again.") from error
 
 
-_PASS_SOURCE = "Pass source=, the path of its robot.yaml (--robot on the command line)."
+_PASS_ROBOT = "robot=robot, as in rp.show(plan, robot=robot); a controller takes plan_reference(plan, robot=robot)."
+"""How a robot goes with its plan, or its simulation; the command line has words of its own (``cli.errors``)."""
+
+
+def _load_and_pass(place: str) -> str:
+    return f"robot = rp.load_robot_of(plan, {place!r}), then {_PASS_ROBOT}"
 
 
 def _own_source(record: RobotRecord) -> str:
@@ -283,9 +319,9 @@ def _own_source(record: RobotRecord) -> str:
     if not record.source:
         raise PlanFileError(
             f"The plan does not say where its robot {shown(record.name)} was loaded from: it was made in Python.",
-            remedy="Pass the robot itself where a function takes it, rp.show(plan, robot=robot), or write it, "
-            'robot.to_urdf("machine.urdf"), and name the machine.yaml that comes with it (source=, or --robot on the '
-            "command line).",
+            remedy=f"Pass the robot itself: {_PASS_ROBOT} Or write it, robot.to_urdf('machine.urdf'), and load it: "
+            "robot = rp.load_robot_of(plan, 'machine.yaml').",
+            plan_robot="python",
         )
     if record.folder is None or record.source in shipped_sources():
         return record.source
@@ -303,8 +339,9 @@ def _require_inside(place: Path, folder: str) -> None:
         raise PlanFileError(
             f"The plan names {place} for its robot, outside its own folder {folder}: a file does not choose "
             "what is loaded from elsewhere.",
-            remedy=f"Where you trust that robot: {_PASS_SOURCE[0].lower()}{_PASS_SOURCE[1:]}",
+            remedy=f"Where you trust that robot, load it and pass it: {_load_and_pass(str(place))}",
             source=str(place),
+            plan_robot="outside",
         )
 
 
@@ -323,8 +360,9 @@ def _real(*parts: str) -> Path:
 def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError:
     return PlanFileError(
         f"The robot {record.name} at {place} is not the one the plan was made for: {what}",
-        remedy="Plan again, or pass source=, the path of the robot.yaml as it was.",
+        remedy=f"Plan again, or pass the robot as it was: {_PASS_ROBOT}",
         source=str(place),
+        plan_robot="changed",
     )
 
 
@@ -332,6 +370,10 @@ def record_difference(then: RobotRecord, now: RobotRecord) -> str:
     """Say what differs first between two records; empty if they describe the same robot."""
     for name in ("arguments", "working_mode", "actuated", "carriers", "carrier_limits", "loads"):
         before, after = getattr(then, name), then.known_arguments(now) if name == "arguments" else getattr(now, name)
+        if name == "arguments" and not now.arguments:
+            continue  # files that were written for this machine have none: what they stood for is compared below
+        if name == "loads":  # payloads are in the mass properties
+            before, after = (tuple(one for one in loads if not one.startswith("Payload(")) for loads in (before, after))
         if before != after:
             return f"its {name.replace('_', ' ')} were {before}, now {after}."
     for name, what in (("couplings", "coupling"), ("ranges", "range of the joint")):

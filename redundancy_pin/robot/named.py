@@ -35,6 +35,22 @@ def is_pose(robot: Robot) -> bool:
     return robot.platform is not None and robot.platform.is_pose
 
 
+def too_few_motors(robot: Robot) -> str:
+    """Return what to say of a robot with fewer main actuators than degrees of freedom; empty for others."""
+    if robot.m >= robot.n:
+        return ""
+    taken = {*robot.actuated, *robot.carriers, *(coupling.joint for coupling in robot.couplings)}
+    model = robot.model
+    numbers = sorted(range(1, model.njoints), key=lambda index: len(model.supports[index]))  # those on the base first
+    passive = [str(model.names[k]) for k in numbers if model.joints[k].nv == 1 and str(model.names[k]) not in taken]
+    candidates = f" Passive joints that could be: {', '.join(passive)}." if passive else ""
+    return (
+        f"{robot.name} has {robot.n} degrees of freedom and {robot.m} actuated joint{'s' * (robot.m != 1)} "
+        f"({', '.join(robot.actuated)}): efforts cannot balance a general motion. Declare more joints as `actuated`."
+        f"{candidates}"
+    )
+
+
 def require_matching(robot: Robot, motion: PlatformMotion) -> None:
     """Check that a motion has this robot's coordinates.
 

@@ -37,9 +37,10 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
     defaults, complete = _declared(path)
     unknown = [name for name in arguments if name not in defaults]
     if complete and unknown:
+        remedy = f"{did_you_mean(unknown[0], defaults)}Its arguments: {', '.join(defaults)}."
         raise InputError(
-            f"{path.name} has no argument {unknown[0]!r}.",
-            remedy=f"{did_you_mean(unknown[0], defaults)}Its arguments: {', '.join(defaults) or 'none'}.",
+            f"{path.name} has no argument {unknown[0]!r}{'' if defaults else ', nor any other'}.",
+            remedy=remedy if defaults else _without_arguments(path, unknown[0]),
             argument=unknown[0],
         )
     values: dict[str, Argument] = {}
@@ -57,6 +58,21 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
                 argument=name,
             )
     return values
+
+
+def _without_arguments(path: Path, name: str) -> str:
+    """Return what to do where a file has no arguments: a plain URDF never has."""
+    declared = f'declare <xacro:arg name="{name}" default="..."/> in it, and write $(arg {name}) where its value stands'
+    if path.suffix != ".xacro":
+        # xmlns: a xacro file names the namespace of its elements in <robot>
+        declared = (
+            f"rename it {path.name}.xacro, also under `urdf` of the declaration, add "
+            f'xmlns:xacro="{_XACRO[1:-1]}" to its <robot>, {declared}'
+        )
+    return (
+        "In Python masses and lengths change without arguments: robot.with_parameters(masses={...}, lengths={...}). "
+        f"For an argument, {declared}."
+    )
 
 
 def from_text(text: str) -> Argument:

@@ -15,8 +15,10 @@ from scipy.interpolate import CubicHermiteSpline
 from redundancy_pin.arrays import Array, Frozen, checked, peak
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.archive import read_archive, write_archive
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.forward_kinematics import platform_rates
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
+from redundancy_pin.planners.robot_record import RobotRecord, read_robot, robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.events import Event
 
@@ -170,10 +172,12 @@ class Simulation(Frozen):
         """
         from redundancy_pin.planners.export import FORMAT, VERSION, table_of_states
 
-        machine = load_recorded(self.robot) if robot is None else robot
+        machine = robot_of_record(self.robot, robot)
         efforts = np.concatenate([self.tau, self.carrier_force], axis=1)
         about = {"format": FORMAT, "version": VERSION, "robot": self.robot.name, "status": self.status.value}
-        return table_of_states(machine, self.robot, (self.t, self.x, self.q, self.v, self.a, efforts), about)
+        xdd = platform_rates(constraint_system(machine), self.q, self.v, self.a)[1]
+        states = (self.t, self.x, self.xd, xdd, self.q, self.v, self.a, efforts)
+        return table_of_states(machine, self.robot, states, about)
 
     def to_csv(self, path: str | Path, robot: Robot | None = None) -> None:
         """Write ``table`` as CSV, as ``Plan.to_csv`` does; OutputError where the file cannot be written."""

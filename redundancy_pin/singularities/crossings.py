@@ -13,7 +13,7 @@ from typing import NoReturn
 import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, frozen
-from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError, millimetres
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import Point, continuous
@@ -244,7 +244,8 @@ def _require_closed(robot: Robot, times: Array, gap: Array) -> None:
     if len(bad):
         k = int(bad[0])
         raise UnreachablePoseError(
-            f"The pose at t = {times[k]:.9g} s cannot be reached: the chains stay open by {gap[k]:.3g} m.",
+            f"The pose at t = {times[k]:.9g} s cannot be reached: the chains stay open by {gap[k]:.3g} m."
+            f"{millimetres(float(gap[k]), robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace.",
             time=float(times[k]),
             gap=float(gap[k]),
@@ -266,7 +267,7 @@ def _raise_border(
         at = solution.q[reached - 1] if reached else at
     raise UnreachablePoseError(
         f"The path leaves the workspace at t = {inside:.9g} s: by t = {t[bad]:.6g} s the chains stay open by "
-        f"{gap:.3g} m.",
+        f"{gap:.3g} m.{millimetres(gap, system.robot.characteristic_length)}",
         remedy="Keep the motion inside the workspace; its border is a type I singularity.",
         time=inside,
         gap=gap,

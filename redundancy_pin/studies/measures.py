@@ -18,8 +18,9 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.studies.case import BACKENDS, RNEA, VIRTUAL_WORK, Case
-from redundancy_pin.studies.table import Record, csv_text
+from redundancy_pin.studies.table import Record
 from redundancy_pin.trajectory import Trajectory
+from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 # --- motions without a planner: carriers parked or not there, singular instants included exactly --------------------
 
@@ -152,12 +153,16 @@ class MotionRun:
         An instant that occurs twice is a jump of the acceleration, seen from both sides. Efforts are ``nan`` where none
         exist.
         """
-        motion, solved = self.motion, self.distribution
-        columns = {"t": motion.t, "x": motion.x, "xd": motion.xd, "xdd": motion.xdd, "tau": solved.tau,
-                   "tau_virtual_work": self.solved[VIRTUAL_WORK].tau,
-                   "carrier_force": self.reduced[RNEA].carrier_force, "status": solved.status_labels,
-                   "margin": solved.margin, "condition": solved.condition, "residual": solved.residual}  # fmt: skip
-        return csv_text(columns, digits=CSV_DIGITS)
+        solved, robot = self.distribution, self.robot
+        columns = {
+            **motion_columns(robot, self.motion),
+            **effort_columns(robot.actuated, solved.tau, robot),
+            **effort_columns(robot.actuated, self.solved[VIRTUAL_WORK].tau, robot, "tau_virtual_work"),
+            **effort_columns(robot.carriers, self.reduced[RNEA].carrier_force, robot),
+            "status": ("", solved.status_labels), "margin": ("", solved.margin), "condition": ("", solved.condition),
+            "residual": ("N", solved.residual),
+        }  # fmt: skip
+        return csv_rows(columns, digits=CSV_DIGITS)
 
 
 def run(case: Case) -> MotionRun:

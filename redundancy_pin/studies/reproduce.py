@@ -29,6 +29,7 @@ from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.simulation.replay import Drive, Replay, replay
 from redundancy_pin.studies import beyond, cases, future, planned
@@ -42,7 +43,6 @@ from redundancy_pin.studies.table import (
     Link,
     Record,
     Table,
-    csv_text,
     entry,
     grouped,
     json_data,
@@ -50,6 +50,7 @@ from redundancy_pin.studies.table import (
     span,
     table,
 )
+from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
 from redundancy_pin.workers import parallel
 
@@ -275,9 +276,14 @@ def write_plans(folder: Path, results: Results) -> None:
             plan = results.plans.plan(cases.by_method(tasks[record["task"]], record["way"], results.extent.coarser))
             kept = {key: value for key, value in plan.diagnostics.items() if key not in _CLOCK}
             replace(plan, diagnostics=kept).save(folder / f"{record['file']}.npz")
-            parts = (plan.motion, "x xd xdd"), (plan.carriers, "s sd sdd"), (plan, "tau carrier_force condition")
-            curves = {name: getattr(part, name) for part, names in parts for name in names.split()}
-            write_text(folder / f"{record['file']}.csv", csv_text({"t": plan.t, **curves}, digits=CSV_DIGITS))
+            robot = robot_of_record(plan.robot)
+            columns = {
+                **motion_columns(robot, plan.motion, plan.carriers),
+                **effort_columns(robot.actuated, plan.tau, robot),
+                **effort_columns(robot.carriers, plan.carrier_force, robot),
+                "condition": ("", plan.condition),
+            }
+            write_text(folder / f"{record['file']}.csv", csv_rows(columns, digits=CSV_DIGITS))
 
 
 def report(results: Results) -> str:

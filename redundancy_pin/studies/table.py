@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import functools
-import io
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -16,16 +14,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from redundancy_pin.io.csv_cells import guarded
-
 if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
 
 NONE = "–"
 """Stands for a number that does not exist."""
-
-_NO_FORMULA = re.compile(r"[-+]*(\d[\d.]*(e[-+]?\d+)?|nan|inf)?")
-"""Numbers and working modes: texts that may begin with a sign."""
 
 Record: TypeAlias = dict[str, Any]
 """A row: plain values by the name of their column."""
@@ -155,7 +148,7 @@ def json_data(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None, *, heading: bool = True) -> str:
+def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None) -> str:
     """Return a CSV table: a row of names, then one row a sample; NaN as ``nan``.
 
     A text that a spreadsheet would take for a formula has an apostrophe in front of it.
@@ -163,24 +156,15 @@ def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None, *, 
     Args:
         columns: by name: (N,) numbers or texts, or (N, c) numbers, which become name0, name1, ....
         digits: significant digits of numbers; the shortest text that brings the float back when left out.
-        heading: with the row of names, which only the first part of a long table has.
     """
-    names: list[str] = []
-    cells: list[list[str]] = []
+    from redundancy_pin.trajectory.csv_file import csv_rows  # scipy comes with it, which few tables need
+
+    parts: dict[str, tuple[str, NDArray[Any]]] = {}
     for name, values in columns.items():
         array = np.asarray(values)
-        parts = [array] if array.ndim == 1 else list(array.T)
-        names += [guarded(name)] if array.ndim == 1 else [f"{guarded(name)}{i}" for i in range(len(parts))]
-        cells += [_column_texts(part, digits) for part in parts]
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows([*([names] if heading else []), *zip(*cells, strict=True)])
-    return out.getvalue()
-
-
-def _column_texts(values: NDArray[Any], digits: int | None) -> list[str]:
-    if values.dtype.kind in "US":
-        return [value if _NO_FORMULA.fullmatch(value) else guarded(value) for value in map(str, values.tolist())]
-    return [repr(value) if digits is None else f"{value:.{digits}g}" for value in values.tolist()]
+        named = {name: array} if array.ndim == 1 else {f"{name}{i}": part for i, part in enumerate(array.T)}
+        parts |= {each: ("", part) for each, part in named.items()}
+    return csv_rows(parts, digits=digits)
 
 
 # --- tables of the report, by the names in tables.yaml ---------------------------------------------------------------

@@ -5,7 +5,7 @@ The thesis's own trajectories are the functions of ``reference``.
 
 from redundancy_pin.arrays import Side
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.csv_file import MotionFile, carriers_from_csv, from_csv
+from redundancy_pin.trajectory.csv_file import carriers_from_csv, from_csv
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, circle_path, with_constant
 from redundancy_pin.trajectory.points import from_points
 from redundancy_pin.trajectory.timing import (
@@ -33,7 +33,6 @@ __all__ = [
     "Arc",
     "ChainedPath",
     "Line",
-    "MotionFile",
     "Path",
     "PathPoint",
     "PiecewiseLaw",

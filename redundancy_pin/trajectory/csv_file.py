@@ -1,65 +1,268 @@
-"""Motions from a user's CSV file."""
+"""The one CSV format of motions, read and written: a row of names with units, such as ``x [m]``, then one row a sample.
+
+A column is named by its quantity, then by what it is of:
+
+    t [s]                                          time
+    x [m], y [m], z [m], rx [rad], ry [rad], rz [rad]   platform coordinates; xd [m/s], rzd [rad/s] and
+                                                   xdd [m/s^2], rzdd [rad/s^2] are their rates and accelerations
+    x, y, z [m], qx, qy, qz, qw                    a pose: origin and unit quaternion; its rates are xd, ..., rzd, ...
+    x:JOINT, xd:JOINT, xdd:JOINT                   coordinates of a robot without a platform
+    s:JOINT, sd:JOINT, sdd:JOINT                   carriers
+    q:JOINT, qd:JOINT, qdd:JOINT                   main actuators, written and not read
+    tau:JOINT [N*m] or [N]                         efforts, written and not read
+
+A number may stand in place of a name: x0, x1, ...; xd0, ...; s0, .... No cell of the first row begins with the name of
+a joint: a spreadsheet cannot take it for a formula.
+"""
 
 from __future__ import annotations
 
 import csv
+import io
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from io import TextIOWrapper
-from itertools import islice
+from itertools import chain, islice
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from redundancy_pin.arrays import LARGEST, Array, decimal
-from redundancy_pin.errors import InputError, numbered_from, shown
-from redundancy_pin.io.csv_cells import unguarded
+from redundancy_pin.errors import InputError, shown
+from redundancy_pin.io.csv_cells import guarded, guarded_value, unguarded
 from redundancy_pin.io.reading import opened
-from redundancy_pin.motion import CarrierMotion, Consistency, PlatformMotion, require_consistent
-from redundancy_pin.trajectory.quaternions import poses_of
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
+from redundancy_pin.robot import AXES, Robot, RobotLike, as_robot
+from redundancy_pin.robot.scales import is_revolute
+from redundancy_pin.trajectory.quaternions import poses_of, quaternions_of
 
 _QUATERNION_TOLERANCE = 1e-6
 """How far the norm of a quaternion may be from one: text with six digits passes; it is then normalised."""
 
-
 _LONGEST_LINE = 1_000_000
+"""Characters of a line."""
 
-BLOCK = 20_000
-"""Samples of a long motion that are worked on at a time."""
+_BLOCK = 20_000
+"""Rows that are held as text at a time."""
+
+_QUATERNION = ("qx", "qy", "qz", "qw")
+POSE = (*AXES[:3], *_QUATERNION)
+"""Coordinates of a pose in space."""
+
+_RESULTS = re.compile(r"(?:q|qd|qdd|tau):.*|status|margin|residual", re.DOTALL)
+"""Columns that are results of a motion: they are written, and ignored where a motion is read."""
+
+_INDEXED = re.compile(r"([xs])(d{0,2})(0|[1-9]\d{0,3}|:.*)", re.DOTALL | re.ASCII)
+"""Coordinates and carriers by number or by the name of a joint, and their rates: symbol, dots, which one."""
+
+_POINTS_REMEDY = "Name the columns t,x,y,xd,yd,xdd,ydd for a motion with rates, or t,x,y for points."
 
 
-def from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> PlatformMotion:
+# --- units ------------------------------------------------------------------------------------------------------------
+
+LENGTH, ANGLE, TIME, NUMBER = "length", "angle", "time", "number"
+
+_BASES: Mapping[str, tuple[str, float]] = {
+    **{"m": (LENGTH, 1.0), "mm": (LENGTH, 1e-3), "cm": (LENGTH, 1e-2), "um": (LENGTH, 1e-6), "µm": (LENGTH, 1e-6)},
+    **{"rad": (ANGLE, 1.0), "mrad": (ANGLE, 1e-3), "deg": (ANGLE, np.pi / 180.0), "°": (ANGLE, np.pi / 180.0)},
+    **{"s": (TIME, 1.0), "ms": (TIME, 1e-3), "us": (TIME, 1e-6), "µs": (TIME, 1e-6), "min": (TIME, 60.0)},
+    **{"1": (NUMBER, 1.0), "-": (NUMBER, 1.0), "": (NUMBER, 1.0)},
+}
+"""Units that are read: what they measure, and their value in SI."""
+
+_RATE = re.compile(r"(?P<base>[^/]+)/(?P<time>[^/^²*\d]+)(?P<square>(?:\^|\*\*)?2|²)?")
+
+
+def _unit(text: str) -> tuple[str, int, float] | None:
+    """Return what a unit measures, by which power of time it is divided, and its value in SI; None if not known."""
+    text = text.replace(" ", "").replace("μ", "µ")  # two letters that look alike
+    if text in _BASES:
+        return _BASES[text][0], 0, _BASES[text][1]
+    rate = _RATE.fullmatch(text)
+    base, time = (_BASES.get(rate[name]) for name in ("base", "time")) if rate else (None, None)
+    if rate is None or base is None or time is None or time[0] != TIME or base[0] not in (LENGTH, ANGLE):
+        return None
+    power = 2 if rate["square"] else 1
+    return base[0], power, base[1] / time[1] ** power
+
+
+def heading(name: str, unit: str = "") -> str:
+    """Return the cell of the first row that names a column."""
+    return guarded(f"{name} [{unit}]" if unit else name)
+
+
+_HEADING = re.compile(r"(?P<name>.*?) ?\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
+
+
+def _name_and_unit(cell: str) -> tuple[str, str | None]:
+    """Return name and unit of a cell of the first row; None where it has no unit."""
+    match = _HEADING.fullmatch(cell.strip())
+    name = match["name"] if match else cell.strip()
+    return (name if ":" in name else name.strip()), (match["unit"] if match else None)
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+
+Columns: TypeAlias = Mapping[str, tuple[str, NDArray[np.generic]]]
+"""Unit and values (N,) of each column, by its name."""
+
+
+def rate_name(coordinate: str, order: int) -> str:
+    """Return the name of the rate, or of the acceleration, of a coordinate: ``xd``, ``rzdd``, ``xd:JOINT``, ``xd0``."""
+    indexed = _INDEXED.fullmatch(coordinate)
+    return f"{indexed[1]}{order * 'd'}{indexed[3]}" if indexed else coordinate + order * "d"
+
+
+def coordinate_names(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the independent coordinates of a robot in a file."""
+    if robot.platform is None:
+        return tuple(f"x:{joint}" for joint in robot.independent_joints)
+    return POSE if robot.platform.is_pose else robot.platform.axes
+
+
+def motion_columns(
+    robot: Robot, motion: PlatformMotion, carriers: CarrierMotion | None = None
+) -> dict[str, tuple[str, Array]]:
+    """Return the columns of a motion: time, coordinates, their rates and accelerations, then those of carriers."""
+    names, x = coordinate_names(robot), motion.x
+    if motion.is_pose:
+        x = np.concatenate([x[:, :3, 3], quaternions_of(x[:, :3, :3])], axis=1)
+    rates = AXES if motion.is_pose else names
+    moved = tuple(f"s:{joint}" for joint in robot.carriers)
+    parts = [(names, 0, x), (rates, 1, motion.xd), (rates, 2, motion.xdd)]
+    parts += [] if carriers is None else [(moved, 0, carriers.s), (moved, 1, carriers.sd), (moved, 2, carriers.sdd)]
+    columns: dict[str, tuple[str, Array]] = {"t": ("s", motion.t)}
+    for own, order, values in parts:
+        for name, column in zip(own, values.T, strict=True):
+            columns[rate_name(name, order)] = unit_of(robot, name, order), column
+    return columns
+
+
+def effort_unit(robot: Robot, joint: str) -> str:
+    """Return the unit of the effort of a joint."""
+    return "N*m" if is_revolute(robot, joint) else "N"
+
+
+def unit_of(robot: Robot, name: str, order: int = 0) -> str:
+    """Return the unit of a coordinate or a carrier, or of its rate."""
+    if name in _QUATERNION:
+        return "1"
+    return ("rad" if _turns(robot, name) else "m") + ("", "/s", "/s^2")[order]
+
+
+def _turns(robot: Robot, name: str) -> bool:
+    """Return whether a coordinate of a robot, or one of its carriers, is an angle."""
+    symbol, separator, joint = name.partition(":")
+    return is_revolute(robot, joint) if separator else symbol.startswith("r")
+
+
+def effort_columns(
+    joints: Sequence[str], efforts: Array, robot: Robot, symbol: str = "tau"
+) -> dict[str, tuple[str, Array]]:
+    """Return the columns of efforts (N, c) of joints."""
+    return {f"{symbol}:{name}": (effort_unit(robot, name), efforts[:, k]) for k, name in enumerate(joints)}
+
+
+def csv_rows(columns: Columns, *, digits: int | None = None, first: bool = True) -> str:
+    """Return columns as CSV text.
+
+    Args:
+        columns: numbers or texts.
+        digits: significant digits of numbers; the shortest text that brings the float back when left out.
+        first: with the row of names, which only the first part of a long table has.
+    """
+
+    def text(value: object) -> str:
+        return (
+            guarded_value(value) if isinstance(value, str) else repr(value) if digits is None else f"{value:.{digits}g}"
+        )
+
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    if first:
+        writer.writerow([heading(name, unit) for name, (unit, _) in columns.items()])
+    cells = [list(map(text, np.asarray(values).tolist())) for _, values in columns.values()]
+    writer.writerows(zip(*cells, strict=True))
+    return out.getvalue()
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTable:
+    """What a CSV file holds of a motion, in SI units.
+
+    Attributes:
+        path: of the file.
+        coordinates: names of the coordinates, x, y and z first.
+        rates: names of their rates; empty for a file of points.
+        carriers: names of the carriers.
+        columns: (N,) by name: ``t`` and ``speed`` where they are there, coordinates, carriers, and rates of both.
+        measures: "length", "angle", ... by name of a column that has a unit in the file, whatever it is divided by.
+    """
+
+    path: str
+    coordinates: tuple[str, ...]
+    rates: tuple[str, ...]
+    carriers: tuple[str, ...]
+    columns: Mapping[str, Array]
+    measures: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether it is a sampled motion; else points, which are passed by a motion of their own."""
+        return bool(self.rates)
+
+    def stacked(self, names: Sequence[str], order: int = 0) -> Array:
+        """Return (N, c) columns, or their rates."""
+        return np.stack([self.columns[rate_name(name, order)] for name in names], axis=1)
+
+
+def from_csv(
+    path: str | os.PathLike[str], robot: RobotLike | None = None, *, check_rates: bool = True
+) -> PlatformMotion:
     """Read a platform motion from a CSV file.
 
-    The first row names the columns: ``t`` (s), ``x0``, ``x1``, ... (m, rad), ``xd0``, ... and ``xdd0``, ...; any order,
-    other columns are ignored. For a spatial platform give six rates and seven x: position (m) and unit quaternion
-    (x, y, z, w). An instant may occur twice for the acceleration before and after a jump. Where samples are dense
-    enough to tell, rates must be those of the positions: other units, or columns in another order, are refused.
+    The first row names the columns, with units or without (then SI): ``t [s]``; coordinates ``x [m]``, ``y``, ``z``,
+    ``rx [rad]``, ``ry``, ``rz``, or ``x:JOINT``; their rates ``xd [m/s]``, ``yd``, ... and ``xdd [m/s^2]``, ...; any
+    order, other columns are ignored. A spatial platform has ``x``, ``y``, ``z`` and the unit quaternion ``qx``, ``qy``,
+    ``qz``, ``qw``, and six rates ``xd``, ..., ``rzd``, its twist in world axes. A number may stand for a name: ``x0``,
+    ``xd0``, ``xdd0``. Units mm, cm, µm, deg, ms, min are converted. An instant may occur twice for the acceleration
+    before and after a jump. Where samples are dense enough to tell, rates must be those of the positions: other units,
+    or columns in another order, are refused.
 
     Args:
         path: of the file, UTF-8, comma separated.
+        robot: whose motion it is: names of columns must be those of its coordinates, whose order it has.
         check_rates: as in ``PlatformMotion``: false for poses to stand still in, and states that are no motion.
 
     Raises:
-        InputError: no such file, not text, a missing column (with the names seen), a cell that is not a finite
-            number (with row and column), rows of different lengths, rates that are not those of the positions (with
-            column and factor), or a motion that is not one.
+        InputError: no such file, not text, a missing column (with the names seen), a unit that is not known or not one
+            of that quantity, a cell that is not a finite number (with row and column), rows of different lengths,
+            columns of another robot, rates that are not those of the positions (with column and factor), positions
+            without rates, or a motion that is not one.
     """
-    table = table_of_csv(path)
-    motion = _platform(table, path, check_rates)
-    with _in_file(path):
+    table = _sampled(path, robot)
+    motion = _platform(table, check_rates)
+    with _in_file(table):
         require_consistent(motion)
     return motion
 
 
-def carriers_from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> CarrierMotion | None:
-    """Read the carrier motion from a CSV file: columns ``s0``, ..., ``sd0``, ..., ``sdd0``, ... (m, s).
+def carriers_from_csv(
+    path: str | os.PathLike[str], robot: RobotLike | None = None, *, check_rates: bool = True
+) -> CarrierMotion | None:
+    """Read the carrier motion from a CSV file: columns ``s:JOINT [m]``, ``sd:JOINT``, ``sdd:JOINT``, or ``s0``, ....
 
     Args:
         path: of the file, as in ``from_csv``.
+        robot: whose carriers they are: they are put into its order.
         check_rates: as in ``from_csv``.
 
     Returns:
@@ -68,149 +271,274 @@ def carriers_from_csv(path: str | os.PathLike[str], *, check_rates: bool = True)
     Raises:
         InputError: as ``from_csv``.
     """
-    table = table_of_csv(path)
-    carriers = _carriers(table, path, check_rates)
-    if carriers is not None and check_rates:
+    table = _sampled(path, robot)
+    if not table.carriers:
+        return None
+    carriers = CarrierMotion(*(table.stacked(table.carriers, order) for order in range(3)), check_rates=check_rates)
+    if check_rates:
         still = np.zeros((len(carriers), 0))
-        with _in_file(path):
-            require_consistent(PlatformMotion(table["t"], still, still, still), carriers)
+        with _in_file(table):
+            require_consistent(PlatformMotion(table.columns["t"], still, still, still), carriers)
     return carriers
 
 
-MotionBlock: TypeAlias = tuple[PlatformMotion, CarrierMotion | None]
+def _sampled(path: str | os.PathLike[str], robot: RobotLike | None) -> MotionTable:
+    """Return the table of a sampled motion, in the order of a robot."""
+    table = read_table(path)
+    if not table.has_rates:
+        message = f" has positions ({', '.join(table.coordinates)}) and no rates: it is a file of points."
+        remedy = "Read it by trajectory.from_points (--trajectory or --motion on the command line), or add "
+        rated = AXES if set(_QUATERNION) & set(table.coordinates) else table.coordinates
+        raise _bad(table.path, message, f"{remedy}{_listed(rated, 1)}, {_listed(rated, 2)}.")
+    return table if robot is None else in_order_of(as_robot(robot), table)
 
 
-class MotionFile:
-    """The motion of a CSV file that may be too long to be held, block by block.
+def _listed(names: Sequence[str], order: int) -> str:
+    return ", ".join(rate_name(name, order) for name in names)
 
-    It is read once to check it, as ``from_csv`` and ``carriers_from_csv`` do, and once more by whoever iterates over
-    it. Memory is that of a block, however long the file is.
 
-    Args:
-        path: of the file, as in ``from_csv``.
-        check_rates: as in ``from_csv``.
-        block: samples a block.
-        progress: called with the part of the file that has been checked.
+def _platform(table: MotionTable, check_rates: bool) -> PlatformMotion:
+    x = table.stacked(table.coordinates)
+    if len(table.rates) < len(table.coordinates):
+        x = checked_poses(x, table.path)
+    with _in_file(table):
+        rates = (table.stacked(table.rates, order) for order in (1, 2))
+        return PlatformMotion(table.columns["t"], x, *rates, check_rates=check_rates)
+
+
+def in_order_of(robot: Robot, table: MotionTable) -> MotionTable:
+    """Return a table with the coordinates and the carriers of a robot, in its order.
 
     Raises:
-        InputError: as ``from_csv`` and ``carriers_from_csv``.
+        InputError: the columns are named, and not those of the robot, or have units of other quantities.
     """
-
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        check_rates: bool = True,
-        block: int = BLOCK,
-        progress: Callable[[float], None] = lambda part: None,
-    ) -> None:
-        if not isinstance(block, int) or block < 1:
-            raise InputError(f"block is {shown(block)}.", remedy="Pass a number of samples, 1 or more.")
-        self._path, self._check, self._block, self._samples = path, check_rates, block, 0
-        consistency, last = Consistency(), None
-        for motion, carriers in self._blocks(progress):
-            if last is not None:  # times increase from block to block too
-                with numbered_from(self._samples - len(last)), _in_file(path):
-                    parts = ((getattr(one, name) for one in (last, motion[:1])) for name in ("t", "x", "xd", "xdd"))
-                    PlatformMotion(*(np.concatenate(tuple(part)) for part in parts))
-            last = motion[-2:]
-            self._samples += len(motion)
-            consistency.add(motion, carriers)
-        with _in_file(path):
-            consistency.require()
-
-    def __len__(self) -> int:
-        """Return the number of samples."""
-        return self._samples
-
-    def __iter__(self) -> Iterator[MotionBlock]:
-        """Give the motions of platform and carriers, block by block; carriers None where there are no such columns."""
-        return self._blocks()
-
-    def _blocks(self, progress: Callable[[float], None] = lambda part: None) -> Iterator[MotionBlock]:
-        first = 0
-        for table in tables_of_csv(self._path, block=self._block, progress=progress):
-            with numbered_from(first):
-                motion = _platform(table, self._path, self._check)
-                carriers = _carriers(table, self._path, self._check)
-            yield motion, carriers
-            first += len(motion)
+    own, carriers = coordinate_names(robot), tuple(f"s:{joint}" for joint in robot.carriers)
+    coordinates = _in_order(table, table.coordinates, own, "coordinates", robot)
+    moved = _in_order(table, table.carriers, carriers, "carriers", robot) if table.carriers else ()
+    for given, expected in ((coordinates, own), (moved, carriers)):
+        for column, name in zip(given, expected, strict=False):  # counts are judged by what takes the motion
+            wanted = NUMBER if name in _QUATERNION else ANGLE if _turns(robot, name) else LENGTH
+            for each in (rate_name(column, order) for order in range(3)):
+                if table.measures.get(each, wanted) != wanted:
+                    units = ", ".join(unit for unit, (what, _) in _BASES.items() if what == wanted)
+                    message = (
+                        f", column {each!r}: its unit is one of {table.measures[each]}, and {name} of {robot.name}"
+                    )
+                    raise _bad(table.path, f"{message} is one of {wanted}.", f"Give {units}, or none.", column=each)
+    rates = coordinates if len(table.rates) == len(table.coordinates) else table.rates
+    return MotionTable(table.path, coordinates, rates if table.rates else (), moved, table.columns, table.measures)
 
 
-def _platform(table: dict[str, Array], path: str | os.PathLike[str], check_rates: bool) -> PlatformMotion:
-    x, xd, xdd = (_columns(table, name, path) for name in ("x", "xd", "xdd"))
-    if x.shape[1] == 7 and xd.shape[1] == 6:
-        x = checked_poses(x, path)
-    else:
-        _require_as_many(path, x=x, xd=xd)
-    _require_as_many(path, xd=xd, xdd=xdd)
-    with _in_file(path):
-        return PlatformMotion(table["t"], x, xd, xdd, check_rates=check_rates)
+def _in_order(
+    table: MotionTable, given: tuple[str, ...], own: tuple[str, ...], what: str, robot: Robot
+) -> tuple[str, ...]:
+    """Return the columns of a file in the order of a robot's names; numbered ones are in it."""
+    numbered = all(_INDEXED.fullmatch(name) and ":" not in name for name in given)
+    if numbered or given == own:
+        return given
+    if set(given) == set(own):
+        return own
+    # a plane's angle may have any name: phi, alpha, yaw
+    free, left = [name for name in given if name not in AXES and ":" not in name], [n for n in own if n not in given]
+    if len(given) == len(own) and len(free) == len(left) == 1 and left[0].startswith("r"):
+        return tuple(free[0] if name == left[0] else name for name in own)
+    message = f" has the {what} {', '.join(given)}; {robot.name} has {', '.join(own) if own else 'none'}."
+    rated = AXES if own == POSE else own
+    names = ", ".join((*own, _listed(rated, 1), _listed(rated, 2)))
+    remedy = f"Name the columns {names}." if own else "Leave these columns out."
+    raise _bad(table.path, message, remedy, axes_seen=given)
 
 
-def _carriers(table: dict[str, Array], path: str | os.PathLike[str], check_rates: bool) -> CarrierMotion | None:
-    if not any(re.fullmatch(r"s(d|dd)?\d+", name) for name in table):
-        return None
-    s, sd, sdd = (_columns(table, name, path) for name in ("s", "sd", "sdd"))
-    _require_as_many(path, s=s, sd=sd)
-    _require_as_many(path, sd=sd, sdd=sdd)
-    return CarrierMotion(s, sd, sdd, check_rates=check_rates)
+def read_table(path: str | os.PathLike[str], most: float = np.inf) -> MotionTable:
+    """Read a CSV file of a motion or of points; what it is follows from whether it has rates.
 
+    Args:
+        path: of the file.
+        most: rows that a file of points may have.
 
-def table_of_csv(path: str | os.PathLike[str], needs: Sequence[str] = ("t",), most: float = np.inf) -> dict[str, Array]:
-    """Return the columns of the file by name.
-
-    InputError where it cannot be read, lacks one of those needed, or has more rows than ``most``.
+    Raises:
+        InputError: as ``from_csv``.
     """
-    tables, rows = [], 0
-    for table in tables_of_csv(path, needs):
-        tables.append(table)
-        rows += len(next(iter(table.values())))
-        if rows > most:
-            raise _bad(path, f" has more than {most} rows.", "Take fewer points.")
-    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    place, blocks, count = os.fspath(path), [], 0
+    with _rows(place) as (header, rows):
+        while some := list(islice(rows, _BLOCK)):
+            count += len(some)
+            if not header.rates and count > most:
+                raise _bad(place, f" has more than {most} rows.", "Take fewer points.")
+            blocks.append(_numbers(header, some, place))
+    values = np.concatenate(blocks).T
+    columns = {
+        name: column if header.factor[name] == 1.0 else column * header.factor[name]
+        for name, column in zip(header.read, values, strict=True)
+    }
+    if "time" in columns:
+        columns["t"] = columns.pop("time")
+    return MotionTable(place, header.coordinates, header.rates, header.carriers, columns, header.measures)
 
 
-def tables_of_csv(
-    path: str | os.PathLike[str],
-    needs: Sequence[str] = ("t",),
-    *,
-    block: int = BLOCK,
-    progress: Callable[[float], None] = lambda part: None,
-) -> Iterator[dict[str, Array]]:
-    """Give the columns of the file by name, so many rows at a time, one block at least; errors as ``table_of_csv``."""
+def has_rates(path: str | os.PathLike[str]) -> bool:
+    """Return whether a CSV file is a sampled motion, by its first row; raises as ``read_table``."""
+    with _rows(os.fspath(path)) as (header, _):
+        return bool(header.rates)
+
+
+@contextmanager
+def _rows(path: str) -> Iterator[tuple[_Header, Iterator[tuple[int, list[str]]]]]:
+    """Open a file; give its first row, and the others with their numbers. Raises as ``read_table``."""
     try:
-        with TextIOWrapper(opened(os.fspath(path), InputError), "utf-8-sig", newline="") as stream:
-            reader, size = csv.reader(_lines(stream, path)), max(os.fstat(stream.fileno()).st_size, 1)
+        with TextIOWrapper(opened(path, InputError), "utf-8-sig", newline="") as stream:
+            reader = csv.reader(_lines(stream, path))
             # The row number is that of the line in the file, as an editor shows it.
             rows = ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
-            heading = [row for _, row in islice(rows, 1)]
-            names = [unguarded(name.strip()) for row in heading for name in row]
-            twice = sorted(name for name, count in Counter(names).items() if count > 1)
-            some = list(islice(rows, block))
-            if not some:
-                remedy = "Give a row of column names (t, x0, ..., xd0, ..., xdd0, ...) and at least one row of numbers."
+            cells = [unguarded(cell.strip()) for _, row in islice(rows, 1) for cell in row]
+            first = list(islice(rows, 1))
+            if not first:
+                remedy = "Give a row of column names (t, x, y, ..., xd, yd, ...) and at least one row of numbers."
                 raise _bad(path, " has 0 rows of numbers.", remedy)
-            _require_names(names, some[0][1], path)
-            if twice:
-                raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
-            while some:
-                table = dict(zip(names, _numbers(names, some, path).T, strict=True))
-                for name in needs:
-                    if name not in table:
-                        raise _missing(path, name, names)
-                progress(min(stream.buffer.tell() / size, 1.0))
-                yield table
-                some = list(islice(rows, block))
+            _require_names(cells, first[0][1], path)
+            yield _Header(cells, path), chain(first, rows)
     except OSError as error:
         raise InputError(
-            f"Cannot read {os.fspath(path)}: {error.strerror or error}.", remedy="Check the path.", path=str(path)
+            f"Cannot read {path}: {error.strerror or error}.", remedy="Check the path.", path=path
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise _bad(path, f" is not a text file with columns: {error}.") from error
 
 
-def _lines(stream: TextIOWrapper, path: str | os.PathLike[str]) -> Iterator[str]:
+class _Header:
+    """The first row of a file: which columns are read, and what they are.
+
+    Attributes:
+        names: of all columns.
+        read: names of the columns that are read.
+        coordinates, rates, carriers: as of ``MotionTable``.
+        factor: by name of a column that is read, the value of its unit in SI.
+        measures: as of ``MotionTable``.
+    """
+
+    def __init__(self, cells: Sequence[str], path: str) -> None:
+        units = dict(given := [_name_and_unit(cell) for cell in cells])
+        self._path, self.names = path, [name for name, _ in given]
+        twice = sorted(name for name, count in Counter(self.names).items() if count > 1)
+        if twice:
+            raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
+        if {"t", "time"} <= set(units):
+            raise _bad(path, " has the columns 't' and 'time'.", "Keep one of them.", column="time")
+        own = [name for name in self.names if name not in _TIMES and not _RESULTS.fullmatch(name)]
+        # by name what a column is of, and how often that is differentiated
+        of = {name: differentiated(name, units) for name in own}
+        moved = [stem for name, (stem, order) in of.items() if order and not _of_carrier(name)]
+        places = [name for name in own if not of[name][1] and not _of_carrier(name)]
+        if moved:  # what is no coordinate is a note
+            places = [name for name in places if name in moved or name in (*POSE, *AXES) or _INDEXED.fullmatch(name)]
+        self.coordinates = self._in_order("x", _sorted(places), moved)
+        tracks = [name for name in own if not of[name][1] and _of_carrier(name)]
+        self.carriers = self._in_order("s", tracks, [stem for stem, _ in of.values()])
+        self.rates = self._rates() if moved else ()
+        if (moved or self.carriers) and not {"t", "time"} & set(units):
+            raise self._missing("t")
+        timed = [name for name in _TIMES if name in units and (name != "speed" or not moved)]
+        needed = [*self.coordinates, *self.carriers]
+        needed += [rate_name(name, order) for order in (1, 2) for name in (*self.rates, *self.carriers)]
+        # carriers go with a platform that moves; rates go with what they are the rates of
+        absent = [name for name in needed if name not in units]
+        absent += [stem for name, (stem, order) in of.items() if order and name not in needed]
+        absent += [rate_name(name, 1) for name in (*self.coordinates, "x") if self.carriers and not moved]
+        if absent:
+            raise self._missing(absent[0])
+        self.read = [*timed, *needed]
+        self.factor: dict[str, float] = dict.fromkeys(self.read, 1.0)
+        self.measures: dict[str, str] = {}
+        for name in self.read:
+            if (unit := units[name]) is not None:
+                stem, order = of.get(name, (name, 0))
+                self.factor[name], self.measures[name] = self._factor(name, unit, _quantities(stem), order)
+
+    def _in_order(self, symbol: str, names: Sequence[str], moved: Sequence[str]) -> tuple[str, ...]:
+        """Return coordinates, or carriers, in the order of their numbers, if they have numbers: all, from zero on."""
+        numbered = [name for name in (*names, *moved) if re.fullmatch(rf"{symbol}(0|[1-9]\d*)", name, re.ASCII)]
+        if not numbered or not moved:
+            return tuple(names)
+        count = max(1, len(set(numbered) & set(names)))
+        absent = [name for k in range(count) if (name := f"{symbol}{k}") not in names]
+        if absent:
+            raise self._missing(absent[0])
+        others = [name for name in names if name not in numbered]
+        if others:
+            message = f" names columns in two ways: {symbol}0 and {others[0]}."
+            raise _bad(self._path, message, "Name all of them, or number all.", column=others[0])
+        return tuple(f"{symbol}{k}" for k in range(count))
+
+    def _rates(self) -> tuple[str, ...]:
+        """Return what the rates of the coordinates are named by; those of a pose are six."""
+        if set(_QUATERNION) & set(self.coordinates):
+            absent = [name for name in POSE if name not in self.coordinates]
+            if absent:
+                raise self._missing(absent[0])
+            return AXES
+        of_pose = self.coordinates == tuple(f"x{k}" for k in range(len(POSE))) and "xd6" not in self.names
+        return self.coordinates[: len(AXES)] if of_pose else self.coordinates
+
+    def _factor(self, name: str, unit: str, quantities: Sequence[str], order: int) -> tuple[float, str]:
+        """Return the value of a unit in SI, and what it measures."""
+        known = _unit(unit)
+        order += name == "speed"
+        if known is not None and known[0] in quantities and known[1] == order:
+            return known[2], known[0]
+        units = [
+            f"{each}{('', '/s', '/s^2')[order]}" for each, (what, _) in _BASES.items() if what in quantities and each
+        ]
+        wrong = "is no unit of" if known else "is no unit that is known; a column of"
+        message = f", column {name!r}: {shown(unit)} {wrong} {' or '.join(quantities)}{_PER[order]}"
+        remedy = f"Give one of {', '.join(units)}, or no unit for SI."
+        raise _bad(self._path, f"{message}{'' if known else ' is expected'}.", remedy, column=name, unit=unit)
+
+    def _missing(self, name: str) -> InputError:
+        message = f" has no column {name!r}; its columns are {', '.join(map(repr, self.names))}."
+        return _bad(self._path, message, _POINTS_REMEDY, column=name, seen=tuple(self.names))
+
+
+_TIMES = ("t", "time", "speed")
+"""Columns beside the coordinates."""
+
+_PER = ("", " by time", " by time squared")
+
+
+def _of_carrier(name: str) -> bool:
+    match = _INDEXED.fullmatch(name)
+    return bool(match and match[1] == "s")
+
+
+def differentiated(name: str, known: Collection[str]) -> tuple[str, int]:
+    """Return of what a column is the rate (1) or the acceleration (2), and which; or the column itself, and 0."""
+    if match := _INDEXED.fullmatch(name):
+        return f"{match[1]}{match[3]}", len(match[2])
+    for order in (2, 1):
+        stem = name[:-order]
+        if name.endswith("d" * order) and (stem in AXES or stem in known):
+            return stem, order
+    return name, 0
+
+
+def _quantities(stem: str) -> tuple[str, ...]:
+    """Return what a column may measure, by which coordinate it is of."""
+    if stem in ("t", "time"):
+        return (TIME,)
+    if stem in _QUATERNION:
+        return (NUMBER,)
+    if stem in AXES or stem == "speed":
+        return (ANGLE if stem.startswith("r") else LENGTH,)
+    return LENGTH, ANGLE
+
+
+def _sorted(names: Iterable[str]) -> list[str]:
+    """Return coordinates, x, y, z and rotations first, then others as they come; a pose as ``POSE``."""
+    listed = list(names)
+    first = POSE if set(_QUATERNION) & set(listed) else AXES
+    return sorted(listed, key=lambda name: first.index(name) if name in first else len(first))
+
+
+def _lines(stream: TextIOWrapper, path: str) -> Iterator[str]:
     """Give the lines of a file; one that is too long for a row of numbers is refused before it is held."""
     while line := stream.readline(_LONGEST_LINE + 1):
         if len(line) > _LONGEST_LINE:
@@ -218,11 +546,12 @@ def _lines(stream: TextIOWrapper, path: str | os.PathLike[str]) -> Iterator[str]
         yield line
 
 
-def _require_names(names: Sequence[str], first: Sequence[str], path: str | os.PathLike[str]) -> None:
+def _require_names(names: Sequence[str], first: Sequence[str], path: str) -> None:
     """Check that the first row names columns between commas: numbers there would be dropped as if they were names."""
+    names = [name.strip() for name in names]
     if names and np.isfinite([_number(name) for name in names]).all():
         message = f" begins with numbers, {shown(', '.join(names))}, where the names of its columns should stand."
-        raise _bad(path, message, "Put a row of names before it, such as t,x,y; a sampled motion has t,x0,xd0,xdd0.")
+        raise _bad(path, message, f"Put a row of names before it. {_POINTS_REMEDY}")
     if len(names) != 1:
         return
     for separator, what in ((";", "semicolons"), ("\t", "tabs"), (None, "blanks")):
@@ -233,22 +562,27 @@ def _require_names(names: Sequence[str], first: Sequence[str], path: str | os.Pa
             raise _bad(path, message, "Put commas between the columns, and points into the numbers.")
 
 
-def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: str | os.PathLike[str]) -> Array:
+def _numbers(header: _Header, rows: Sequence[tuple[int, list[str]]], path: str) -> Array:
+    """Return (N, c) the numbers of the columns that are read."""
+    names = header.names
     for line, row in rows:
         if len(row) != len(names):
             raise _bad(path, f", row {line}: {len(row)} cells under {len(names)} column names.", row=line)
+    at = [names.index(name) for name in header.read]
+    cells = [[row[k] for k in at] for _, row in rows]
     try:
-        if any("_" in cell or not cell.isascii() for _, row in rows for cell in row):
+        if any("_" in cell or not cell.isascii() for row in cells for cell in row):
             raise ValueError("numpy takes them as ``float`` does")
-        values = np.array([row for _, row in rows], dtype=np.float64)
+        values = np.array(cells, dtype=np.float64)
     except ValueError:
-        values = np.array([[_number(cell) for cell in row] for _, row in rows])
+        values = np.array([[_number(cell) for cell in row] for row in cells])
+    values = values.reshape(len(rows), len(at))
     bad = np.argwhere(~(np.abs(values) <= LARGEST))
     if len(bad):
         r, c = (int(i) for i in bad[0])
-        line, cell = rows[r][0], rows[r][1][c]
-        message = f", row {line}, column {names[c]!r}: {shown(cell)} is not a finite number."
-        raise _bad(path, message, "Use a decimal point and no unit.", row=line, column=names[c])
+        line, cell, name = rows[r][0], cells[r][c], header.read[c]
+        message = f", row {line}, column {name!r}: {shown(cell)} is not a finite number."
+        raise _bad(path, message, "Use a decimal point and no unit.", row=line, column=name)
     return values
 
 
@@ -257,24 +591,6 @@ def _number(cell: str) -> float:
         return decimal(cell)
     except ValueError:
         return float("nan")
-
-
-def _columns(table: dict[str, Array], prefix: str, path: str | os.PathLike[str]) -> Array:
-    """Return (N, n) the columns prefix0, prefix1, ...; there must be a first one and no gap."""
-    numbers = sorted(int(name[len(prefix) :]) for name in table if re.fullmatch(rf"{prefix}(0|[1-9]\d{{0,3}})", name))
-    for expected in range(max(len(numbers), 1)):
-        if expected >= len(numbers) or numbers[expected] != expected:
-            raise _missing(path, f"{prefix}{expected}", list(table))
-    return np.stack([table[f"{prefix}{k}"] for k in numbers], axis=1)
-
-
-def _require_as_many(path: str | os.PathLike[str], **columns: Array) -> None:
-    (first, a), (second, b) = ((name, array.shape[1]) for name, array in columns.items())
-    if a != b:
-        message = f" has {a} columns {first}0, ... and {b} columns {second}0, ...."
-        raise _bad(
-            path, message, "Give as many of each; only poses have seven x (position and quaternion) for six rates."
-        )
 
 
 def checked_poses(x: Array, path: str | os.PathLike[str]) -> Array:
@@ -288,20 +604,23 @@ def checked_poses(x: Array, path: str | os.PathLike[str]) -> Array:
 
 
 @contextmanager
-def _in_file(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Say of an error which file it is about."""
+def _in_file(table: MotionTable) -> Iterator[None]:
+    """Say of an error which file it is about, and call columns what the file calls them."""
     try:
         yield
     except InputError as error:
-        details = {"path": str(path), **error.details}
-        raise InputError(f"{os.fspath(path)}: {error.message}", remedy=error.remedy, **details) from error
+        called = {
+            f"{symbol}{order * 'd'}{k}": rate_name(name, order)
+            for symbol, names in (("x", table.rates), ("s", table.carriers))
+            for k, name in enumerate(names)
+            for order in range(3)
+        }
+        message = re.sub(r"\b[xs]d{0,2}\d+\b", lambda match: called.get(match[0], match[0]), error.message)
+        details = {"path": table.path, **error.details}
+        if details.get("column") in called:
+            details["column"] = called[str(details["column"])]
+        raise InputError(f"{table.path}: {message}", remedy=error.remedy, **details) from error
 
 
 def _bad(path: str | os.PathLike[str], message: str, remedy: str = "", **details: object) -> InputError:
     return InputError(f"{os.fspath(path)}{message}", remedy=remedy, path=str(path), **details)
-
-
-def _missing(path: str | os.PathLike[str], name: str, columns: Sequence[str]) -> InputError:
-    message = f" has no column {name!r}; its columns are {', '.join(repr(column) for column in columns)}."
-    remedy = "Name the columns t, x0, ..., xd0, ..., xdd0, ..., separated by commas."
-    return _bad(path, message, remedy, column=name, seen=tuple(columns))

@@ -14,7 +14,7 @@ from redundancy_pin.arrays import Array, checked, positive
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.trajectory.csv_file import checked_poses, table_of_csv
+from redundancy_pin.trajectory.csv_file import POSE, checked_poses, differentiated, read_table
 from redundancy_pin.trajectory.paths import Path, with_constant
 from redundancy_pin.trajectory.time_optimal import fastest_law
 from redundancy_pin.trajectory.timing import SpeedProfile, TimingLaw, law_through_speeds, uniform_law
@@ -32,8 +32,6 @@ _RAMP = 0.1
 
 MOST_POINTS = 100_000
 """Of a file: each is a piece of a spline. Longer motions are sampled ones (``from_csv``)."""
-
-_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def from_points(
@@ -184,21 +182,21 @@ def read_points(path: str | os.PathLike[str]) -> tuple[Array, Array | None, Arra
     suffix = place.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{place} ends in neither .csv nor .json.", remedy="Name it as what it is.", path=str(place))
-    columns = table_of_csv(place, needs=(), most=MOST_POINTS) if suffix == ".csv" else _read_json(place)
+    columns = read_table(place, most=MOST_POINTS).columns if suffix == ".csv" else _read_json(place)
     if isinstance(columns, tuple):
         return columns
     columns = dict(columns)
     times = columns.pop("t", columns.pop("time", None))
     speed = columns.pop("speed", None)
-    if any(name.startswith("xd") and name[2:].isdigit() for name in columns):
+    if any(differentiated(name, columns)[1] for name in columns):
         raise InputError(
             f"{place} is a sampled motion: it has rates.",
-            remedy="Read it with trajectory.from_csv (--motion on the command line).",
+            remedy="Read it with trajectory.from_csv (--motion or --trajectory on the command line).",
             path=str(place),
         )
     if not columns:
         raise InputError(f"{place} has no coordinates.", remedy="Name its columns t, x, y, ....", path=str(place))
-    names = _POSE if set(_POSE) == set(columns) else _in_order(columns, place)
+    names = POSE if set(POSE) == set(columns) else _in_order(columns, place)
     return np.stack([columns[name] for name in names], axis=1), times, speed
 
 
@@ -212,7 +210,7 @@ def _in_order(columns: Mapping[str, Array], path: File) -> list[str]:
             'Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_quat()).',
             path=str(path),
         )
-    return sorted(columns, key=lambda name: _POSE.index(name) if name in _POSE[:3] else len(_POSE))
+    return sorted(columns, key=lambda name: POSE.index(name) if name in POSE[:3] else len(POSE))
 
 
 def _read_json(path: File) -> Mapping[str, Array] | tuple[Array, Array | None, Array | None]:

@@ -52,7 +52,8 @@ def sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayL
         if duration / step > MOST_SAMPLES:
             raise InputError(
                 f"dt = {step:g} s makes {duration / step:.3g} samples of {duration:.6g} s.",
-                remedy=f"At most {MOST_SAMPLES} are made at once: use a larger dt, or sample a part with times.",
+                remedy=f"At most {MOST_SAMPLES} are made at once: use a larger dt, or sample a part with times. "
+                f"Do times look like milliseconds? {duration:.6g} ms are {1e-3 * duration:.6g} s.",
                 dt=step,
             )
         grid = step * np.arange(np.ceil(duration / step), dtype=np.float64)

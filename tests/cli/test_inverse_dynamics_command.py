@@ -22,9 +22,17 @@ from redundancy_pin.trajectory import carriers_from_csv, from_csv, reference
 
 
 def _columns(path: Path) -> dict[str, np.ndarray]:
+    """Return the columns of a file by their names, without units."""
     with path.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    return {name: np.array([row[name] if name == "status" else float(row[name]) for row in rows]) for name in rows[0]}
+    return {
+        name.partition(" [")[0]: np.array([row[name] if name == "status" else float(row[name]) for row in rows])
+        for name in rows[0]
+    }
+
+
+def _efforts(columns: dict[str, np.ndarray], robot: str) -> np.ndarray:
+    return np.stack([columns[f"tau:{name}"] for name in load_robot(robot).actuated], axis=1)
 
 
 @pytest.fixture
@@ -47,14 +55,18 @@ def test_output_is_that_of_the_python_api(corner: Path, tmp_path: Path, name: st
     reduced = backend(robot).reduce(from_csv(corner), carriers_from_csv(corner))
     expected = distribute(reduced)
     columns = _columns(out)
-    assert list(columns) == [
-        "t", "tau0", "tau1", "tau2", "carrier_force0", "carrier_force1", "carrier_force2", "status", "margin",
-        "residual",
-    ]  # fmt: skip
-    np.testing.assert_array_equal(np.stack([columns[f"tau{i}"] for i in range(3)], axis=1), expected.tau)
-    np.testing.assert_array_equal(
-        np.stack([columns[f"carrier_force{i}"] for i in range(3)], axis=1), reduced.carrier_force
-    )
+    with out.open(encoding="utf-8") as stream:
+        assert next(stream).strip().split(",") == [
+            "t [s]", "x [m]", "y [m]", "rz [rad]", "xd [m/s]", "yd [m/s]", "rzd [rad/s]",
+            "xdd [m/s^2]", "ydd [m/s^2]", "rzdd [rad/s^2]",
+            *(f"{name}:carrier_{k} [{unit}]" for name, unit in (("s", "m"), ("sd", "m/s"), ("sdd", "m/s^2"))
+              for k in (1, 2, 3)),
+            *(f"tau:base_{k} [N*m]" for k in (1, 2, 3)), *(f"tau:carrier_{k} [N]" for k in (1, 2, 3)),
+            "status", "margin", "residual [N]",
+        ]  # fmt: skip
+    np.testing.assert_array_equal(_efforts(columns, "3rrr"), expected.tau)
+    forces = np.stack([columns[f"tau:carrier_{i}"] for i in (1, 2, 3)], axis=1)
+    np.testing.assert_array_equal(forces, reduced.carrier_force)
     np.testing.assert_array_equal(columns["margin"], expected.margin)
     assert set(columns["status"]) == {"regular"}
 
@@ -67,7 +79,7 @@ def test_json_is_pure_and_tells_what_was_written(corner: Path, tmp_path: Path) -
     columns = _columns(out)
     assert facts["samples"] == len(columns["t"])
     assert facts["statuses"] == {"regular": len(columns["t"])}
-    assert facts["largest_tau"] == [float(np.abs(columns[f"tau{i}"]).max()) for i in range(3)]
+    assert facts["largest_tau"] == np.abs(_efforts(columns, "3rrr")).max(axis=0).tolist()
 
 
 def test_carrier_columns_may_be_left_out(tmp_path: Path) -> None:
@@ -78,7 +90,7 @@ def test_carrier_columns_may_be_left_out(tmp_path: Path) -> None:
     assert "largest |tau| [N·m]" in result.stdout
     assert "largest |carrier force| [N]" in result.stdout
     parked = distribute(RneaDynamics(load_robot("3rrr")).reduce(from_csv(motion)))
-    np.testing.assert_array_equal(_columns(out)["tau2"], parked.tau[:, 2])
+    np.testing.assert_array_equal(_columns(out)["tau:base_3"], parked.tau[:, 2])
 
 
 def test_payload_wrench_squeeze_and_bounds(tmp_path: Path) -> None:
@@ -94,7 +106,7 @@ def test_payload_wrench_squeeze_and_bounds(tmp_path: Path) -> None:
         arguments = ("inverse-dynamics", "--robot", "two_arms", "--motion", str(motion), "--out", str(out), *options)
         assert call(*arguments).exit_code == code
         columns = _columns(out)
-        return {"tau": np.stack([columns[f"tau{k}"] for k in range(12)], axis=1), "status": columns["status"]}
+        return {"tau": _efforts(columns, "two_arms"), "status": columns["status"]}
 
     free = efforts()["tau"]
     carrying = efforts("--payload", "bar=2,0.1,0,0")["tau"]
@@ -156,7 +168,7 @@ def test_spatial_poses_are_position_and_quaternion(tmp_path: Path) -> None:
     expected = distribute(RneaDynamics(load_robot("gough")).reduce(PlatformMotion([0.0], [pose], [twist], [rate])))
     columns = _columns(out)
     # the quaternion of the file is read back to a matrix: rounding of a rotation
-    np.testing.assert_allclose([columns[f"tau{i}"][0] for i in range(6)], expected.tau[0], rtol=1e-12)
+    np.testing.assert_allclose(_efforts(columns, "gough")[0], expected.tau[0], rtol=1e-12)
 
 
 def test_unreachable_samples_are_marked_on_request(tmp_path: Path) -> None:
@@ -169,8 +181,8 @@ def test_unreachable_samples_are_marked_on_request(tmp_path: Path) -> None:
     assert call(*arguments, "--unreachable", "mark").exit_code == 0
     columns = _columns(out)
     assert list(columns["status"]) == ["regular", "unreachable", "regular"]
-    assert np.isnan(columns["tau0"][1])
-    assert np.isfinite(columns["tau0"][[0, 2]]).all()
+    assert np.isnan(columns["tau:base_1"][1])
+    assert np.isfinite(columns["tau:base_1"][[0, 2]]).all()
 
 
 def test_singular_sample_has_a_status_and_no_effort(tmp_path: Path) -> None:
@@ -181,7 +193,7 @@ def test_singular_sample_has_a_status_and_no_effort(tmp_path: Path) -> None:
     assert result.exit_code == 3
     columns = _columns(out)
     assert columns["status"][0] == "singular_inconsistent"
-    assert np.isnan(columns["tau0"][0])
+    assert np.isnan(columns["tau:slide_1"][0])
     assert "no finite main efforts at 1 of 1 samples, first at t = 0 s (singular_inconsistent)" in result.stderr
     # theta_dd = -2 d_dot theta_dot / d for zero acceleration; only L² theta_dd acts, and its force on the platform is
     # n h / d (Parsa 2014, eq. 2.17 collapsed); both legs push along y
@@ -235,7 +247,7 @@ def test_motion_of_another_robot_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("t,x0,x1\n0,1,1\n", "xd0"),
+        ("t,x0,x1,xd0\n0,1,1,0\n", "xd1"),
         ("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,1,one,0,0,0,0\n", "one"),
         ("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,1,nan,0,0,0,0\n", "nan"),
         ("t,x0,x1,xd0,xd1,xdd0,xdd1\n1,0.2,0.3,0,0,0,0\n0,0.2,0.3,0,0,0,0\n", "increase"),

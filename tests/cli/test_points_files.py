@@ -24,6 +24,8 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, columns in (("timed.csv", np.column_stack([TIMES, WAY])), ("way.csv", WAY)):
         names = "t,x,y" if columns.shape[1] == 3 else "x,y"
         Path(name).write_text("\n".join([names, *(",".join(map(repr, row)) for row in columns.tolist())]) + "\n")
+    rates = "t,x,y,xd,yd,xdd,ydd\n" + "".join(f"{t!r},{0.2 + t!r},0.3,1,0,0,0\n" for t in (0.0, 0.05, 0.1))
+    Path("rates.csv").write_text(rates)
     Path("way.json").write_text(json.dumps({"points": WAY.tolist(), "t": TIMES.tolist()}))
 
 
@@ -111,12 +113,13 @@ def test_efforts_along_a_trajectory_are_those_of_its_samples() -> None:
     )  # fmt: skip
     assert result.exit_code == 3  # it crosses the singular line
     told = json.loads(result.stdout)
-    assert (told["motion"], told["trajectory"]) == (None, "way.csv:speed=0.2")
+    assert told["motion"] == "a trajectory through the points of way.csv:speed=0.2"
     motion = from_points(WAY, speed=0.2).sample(0.05)
     rows = np.genfromtxt("out.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
-    np.testing.assert_array_equal(rows["t"], motion.t)
+    np.testing.assert_array_equal(rows["t_s"], motion.t)
     tau = rp.distribute(rp.RneaDynamics("2rpr").reduce(motion)).tau
-    np.testing.assert_allclose(np.stack([rows["tau0"], rows["tau1"]], axis=1), tau, rtol=1e-9, atol=1e-9)
+    written = np.stack([rows["tauslide_1_N"], rows["tauslide_2_N"]], axis=1)
+    np.testing.assert_allclose(written, tau, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -125,12 +128,30 @@ def test_efforts_along_a_trajectory_are_those_of_its_samples() -> None:
         ((), "needs either --trajectory or --motion"),
         (("--trajectory", "timed.csv", "--motion", "timed.csv"), "needs either"),
         (("--trajectory", "timed.csv", "--dt", "0"), "--dt is 0 s"),
-        (("--motion", "timed.csv", "--dt", "0.1"), "--dt does not apply"),
+        (("--motion", "rates.csv", "--dt", "0.1"), "--dt does not apply"),
+        (("--trajectory", "rates.csv", "--dt", "0.1"), "--dt does not apply"),
+        (("--trajectory", "rates.csv:speed=0.1"), "--speed does not apply"),
     ],
 )
 def test_what_inverse_dynamics_cannot_follow(flags: tuple[str, ...], says: str) -> None:
     assert says in refused("inverse-dynamics", "--robot", "2rpr", *flags, "--out", "out.csv")
     assert not Path("out.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "what"),
+    [("timed.csv", "a trajectory through the points of"), ("way.json", "a trajectory through the points of"),
+     ("rates.csv", "samples of")],
+)  # fmt: skip
+def test_either_option_takes_points_and_samples(file: str, what: str) -> None:
+    written = []
+    for flag in ("--motion", "--trajectory"):
+        result = call("inverse-dynamics", "--robot", "2rpr", flag, file, "--out", "out.csv", "--json")
+        assert json.loads(result.stdout)["motion"] == f"{what} {file}"
+        written.append(Path("out.csv").read_text())
+    assert written[0] == written[1]
+    expected = from_points(file).sample(1e-3).t if file != "rates.csv" else [0.0, 0.05, 0.1]
+    np.testing.assert_array_equal(np.genfromtxt("out.csv", delimiter=",", skip_header=1)[:, 0], expected)
 
 
 def test_points_are_not_written_over() -> None:

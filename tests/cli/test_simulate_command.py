@@ -68,11 +68,11 @@ def test_a_table_has_the_joints_by_name(plan_file: Path, tmp_path: Path) -> None
     with out.open() as file:
         rows = list(csv.DictReader(file))
     for name, values in (
-        ("base_2.effort [N m]", expected.tau[:, 1]),
-        ("base_2.rate [rad/s]", expected.actuated_rate[:, 1]),
-        ("carrier_3.position [m]", expected.s[:, 2]),
-        ("carrier_1.effort [N]", expected.carrier_force[:, 0]),
-        ("platform.rz [rad]", expected.x[:, 2]),
+        ("tau:base_2 [N*m]", expected.tau[:, 1]),
+        ("qd:base_2 [rad/s]", expected.actuated_rate[:, 1]),
+        ("s:carrier_3 [m]", expected.s[:, 2]),
+        ("tau:carrier_1 [N]", expected.carrier_force[:, 0]),
+        ("rz [rad]", expected.x[:, 2]),
     ):
         np.testing.assert_array_equal([float(row[name]) for row in rows], values, err_msg=name)
 

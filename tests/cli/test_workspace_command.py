@@ -23,7 +23,7 @@ def test_nodes_and_counts_are_those_of_two_discs(tmp_path: Path) -> None:
     told = json.loads(call("workspace", "--robot", "five_bar", *BOX, "--all-modes", *files, "--json").stdout)
     with table.open() as stream:
         rows = list(csv.DictReader(stream))
-    x = np.array([[float(row["x0"]), float(row["x1"])] for row in rows])
+    x = np.array([[float(row["x [m]"]), float(row["y [m]"])] for row in rows])
     inside = (np.linalg.norm(x[:, None] - [[0.0, 0.0], [0.5, 0.0]], axis=2) < 1.0).all(axis=1)
     assert len(rows) == 4 * told["nodes"] == 4 * 64
     assert [row["reachable"] == "1" for row in rows] == inside.tolist()

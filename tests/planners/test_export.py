@@ -18,9 +18,9 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.export import joint_columns
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory.csv_file import motion_columns
 
 BASES = np.array([[0.0, 0.0], [0.5, 0.0]])  # of the 2-RPR's legs, m
 
@@ -64,11 +64,11 @@ def test_rows_at_a_rate_are_the_plan_between_its_samples(plan: Plan, tmp_path: P
     assert t[-1] == plan.t[-1]
 
     platform, carriers = plan.platform_at(t), plan.carriers_at(t)
-    np.testing.assert_allclose(np.stack([table["platform.x [m]"], table["platform.y [m]"]], 1), platform.x, atol=1e-12)
+    np.testing.assert_allclose(np.stack([table["x [m]"], table["y [m]"]], 1), platform.x, atol=1e-12)
     for i, name in enumerate(plan.robot.carriers):
-        np.testing.assert_allclose(table[f"{name}.position [m]"], carriers.s[:, i], atol=1e-9)
-        np.testing.assert_allclose(table[f"{name}.rate [m/s]"], carriers.sd[:, i], atol=1e-9)
-        np.testing.assert_allclose(table[f"{name}.acceleration [m/s^2]"], carriers.sdd[:, i], atol=1e-8)
+        np.testing.assert_allclose(table[f"s:{name} [m]"], carriers.s[:, i], atol=1e-9)
+        np.testing.assert_allclose(table[f"sd:{name} [m/s]"], carriers.sd[:, i], atol=1e-9)
+        np.testing.assert_allclose(table[f"sdd:{name} [m/s^2]"], carriers.sdd[:, i], atol=1e-8)
     # the legs by plane geometry: what slides out is their length, but for a constant
     legs = platform.x[:, None] - BASES
     lengths = np.linalg.norm(legs, axis=2)
@@ -77,10 +77,10 @@ def test_rows_at_a_rate_are_the_plan_between_its_samples(plan: Plan, tmp_path: P
     across = np.einsum("ni,ni->n", platform.xd, platform.xd)[:, None] - rates**2
     accelerations = np.einsum("nli,ni->nl", along, platform.xdd) + across / lengths
     for i, name in enumerate(plan.robot.actuated):
-        slid = table[f"{name}.position [m]"] - lengths[:, i]
+        slid = table[f"q:{name} [m]"] - lengths[:, i]
         np.testing.assert_allclose(slid, slid[0], atol=1e-10)
-        np.testing.assert_allclose(table[f"{name}.rate [m/s]"], rates[:, i], atol=1e-9)
-        np.testing.assert_allclose(table[f"{name}.acceleration [m/s^2]"], accelerations[:, i], atol=1e-7)
+        np.testing.assert_allclose(table[f"qd:{name} [m/s]"], rates[:, i], atol=1e-9)
+        np.testing.assert_allclose(table[f"qdd:{name} [m/s^2]"], accelerations[:, i], atol=1e-7)
 
 
 @pytest.mark.parametrize("backend", [rp.VirtualWork, rp.RneaDynamics])
@@ -101,14 +101,14 @@ def test_without_a_rate_rows_are_the_samples(plan: Plan, corner: Plan, tmp_path:
         table = read(tmp_path / "plan.csv")
         np.testing.assert_array_equal(table["t [s]"], each.t)
         for i, name in enumerate(each.robot.actuated):
-            unit = "N" if each is plan else "N m"
-            np.testing.assert_array_equal(table[f"{name}.effort [{unit}]"], each.tau[:, i])
+            unit = "N" if each is plan else "N*m"
+            np.testing.assert_array_equal(table[f"tau:{name} [{unit}]"], each.tau[:, i])
         for i, name in enumerate(each.robot.carriers):
-            for title, values in (("position [m]", "s"), ("rate [m/s]", "sd"), ("acceleration [m/s^2]", "sdd")):
-                np.testing.assert_array_equal(table[f"{name}.{title}"], getattr(each.carriers, values)[:, i])
-    rates = np.stack([table[f"{name}.rate [rad/s]"] for name in corner.robot.actuated], axis=1)
+            for values, unit in (("s", "m"), ("sd", "m/s"), ("sdd", "m/s^2")):
+                np.testing.assert_array_equal(table[f"{values}:{name} [{unit}]"], getattr(each.carriers, values)[:, i])
+    rates = np.stack([table[f"qd:{name} [rad/s]"] for name in corner.robot.actuated], axis=1)
     np.testing.assert_allclose(rates, corner.actuated_rate, atol=1e-9)
-    np.testing.assert_allclose(table["platform.rz [rad]"], corner.motion.x[:, 2], atol=1e-12)
+    np.testing.assert_allclose(table["rz [rad]"], corner.motion.x[:, 2], atol=1e-12)
 
 
 def test_where_efforts_jump_there_are_two_rows_or_the_one_after(corner: Plan, turning: Robot) -> None:
@@ -155,8 +155,11 @@ def test_a_mat_file_holds_matrices_by_joint(plan: Plan, tmp_path: Path) -> None:
     plan.to_mat(tmp_path / "plan.mat", 50)
     table, matlab = plan.table(50), loadmat(tmp_path / "plan.mat", simplify_cells=True)
     assert list(matlab["joints"]) == list(table.joints)
-    for name in ("t", "position", "rate", "acceleration", "effort", "x"):
+    for name in ("t", "position", "rate", "acceleration", "effort"):
         np.testing.assert_array_equal(matlab[name], getattr(table, name))
+    assert list(matlab["coordinates"]) == ["x", "y", "xd", "yd", "xdd", "ydd"]
+    for name, column in zip(matlab["coordinates"], matlab["x"].T, strict=True):
+        np.testing.assert_array_equal(column, table.columns()[name][1])
     assert list(matlab["units"]["effort"]) == ["N"] * 4
     assert matlab["robot"] == "2rpr"
 
@@ -191,8 +194,8 @@ def test_a_joint_trajectory_has_the_fields_of_the_message(
 def test_a_data_frame_has_the_columns(plan: Plan) -> None:
     frame, table = plan.to_dataframe(20), plan.table(20)
     np.testing.assert_array_equal(frame.index, table.t)
-    np.testing.assert_array_equal(frame["slide_2.effort"], table.effort[:, 1])
-    assert frame.attrs["units"]["slide_2.effort"] == "N"
+    np.testing.assert_array_equal(frame["tau:slide_2"], table.effort[:, 1])
+    assert frame.attrs["units"]["tau:slide_2"] == "N"
 
 
 def test_samples_without_efforts_say_so_in_every_format(corner: Plan, turning: Robot, tmp_path: Path) -> None:
@@ -201,9 +204,9 @@ def test_samples_without_efforts_say_so_in_every_format(corner: Plan, turning: R
     broken = replace(corner, tau=tau, status=PlanStatus.UNBOUNDED_EFFORT)
     broken.to_csv(tmp_path / "plan.csv", robot=turning)
     name = corner.robot.actuated[0]
-    assert np.isnan(read(tmp_path / "plan.csv")[f"{name}.effort [N m]"][3])
+    assert np.isnan(read(tmp_path / "plan.csv")[f"tau:{name} [N*m]"][3])
     broken.to_json(tmp_path / "plan.json", robot=turning)
-    assert json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))["columns"][f"{name}.effort"][3] is None
+    assert json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))["columns"][f"tau:{name}"][3] is None
     with pytest.raises(InputError, match="no finite efforts at t = "):
         broken.to_ros(tmp_path / "plan.yaml", robot=turning)
     assert not (tmp_path / "plan.yaml").exists()
@@ -237,9 +240,12 @@ def test_positions_of_a_pose_come_with_a_quaternion_that_does_not_flip() -> None
     turned = Rotation.from_rotvec(np.linspace(0.0, 3.0 * np.pi, 50)[:, None] * [0.0, 0.0, 1.0])
     x = np.tile(np.eye(4), (50, 1, 1))
     x[:, :3, :3], x[:, 0, 3] = turned.as_matrix(), np.arange(50.0)
-    names, units, values = joint_columns(rp.load_robot("gough"), x)
-    assert [name.removeprefix("platform.") for name in names] == ["x", "y", "z", "qx", "qy", "qz", "qw"]
-    assert units == ("m", "m", "m", "1", "1", "1", "1")
+    still = np.zeros((50, 6))
+    motion = rp.PlatformMotion(np.arange(50.0), x, still, still)
+    columns = motion_columns(rp.load_robot("gough"), motion)
+    assert list(columns)[1:8] == ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    assert [unit for unit, _ in columns.values()][1:8] == ["m", "m", "m", "1", "1", "1", "1"]
+    values = np.stack([values for _, values in columns.values()][1:8], axis=1)
     np.testing.assert_array_equal(values[:, :3], x[:, :3, 3])
     np.testing.assert_allclose(Rotation.from_quat(values[:, 3:]).as_matrix(), x[:, :3, :3], atol=1e-12)
     assert np.abs(np.diff(values[:, 3:], axis=0)).max() < 0.2

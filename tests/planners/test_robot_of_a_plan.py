@@ -51,8 +51,8 @@ def stored_source(path: Path) -> str:
 def outside(plan: Plan) -> str:
     with pytest.raises(PlanFileError, match="outside its own folder") as caught:
         load_robot_of(plan)
-    assert "source=" in caught.value.remedy
-    assert "--robot" in caught.value.remedy
+    assert "robot = rp.load_robot_of(plan, " in caught.value.remedy
+    assert "robot=robot" in caught.value.remedy
     return str(caught.value)
 
 
@@ -64,7 +64,7 @@ def test_a_robot_made_in_python_is_passed_or_written(tmp_path: Path) -> None:
         independent=plain.platform, reference=np.array(plain.q_reference),
     )  # fmt: skip
     plan = rp.plan_stepwise(rp.RneaDynamics(robot), rp.trajectory.reference.corner(radius=0.025), lam=0.0, dt=0.1)
-    with pytest.raises(PlanFileError, match=r"made in Python. .*show\(plan, robot=robot\).*to_urdf.*--robot"):
+    with pytest.raises(PlanFileError, match=r"made in Python. .*show\(plan, robot=robot\).*to_urdf.*load_robot_of"):
         load_robot_of(plan)
     robot.to_urdf(tmp_path / "machine.urdf")
     assert load_robot_of(plan, source=tmp_path / "machine.yaml").carriers == robot.carriers
@@ -241,7 +241,7 @@ def test_no_path_leads_out_of_the_folder(make: Callable[[Path], str], shipped_pl
 
 @pytest.mark.parametrize("source", ["", "nowhere/robot.yaml", "plan.npz", ".", "x" * 300, "~/robot.yaml"])
 def test_sources_that_are_no_robot(source: str, shipped_plan: Plan, tmp_path: Path) -> None:
-    with pytest.raises(PlanFileError, match="source="):
+    with pytest.raises(PlanFileError, match="robot=robot"):
         load_robot_of(saved(shipped_plan, tmp_path / "plan.npz", source))
 
 

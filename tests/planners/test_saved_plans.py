@@ -365,7 +365,7 @@ def test_a_users_robot_is_found_by_its_path(own: Path, tmp_path: Path, monkeypat
     monkeypatch.chdir(own)
     assert load_robot_of(plan).actuated == ("slide_1", "slide_2")
     moved = own.rename(tmp_path / "elsewhere")
-    with pytest.raises(PlanFileError, match=r"robot\.yaml.*source="):
+    with pytest.raises(PlanFileError, match=r"robot\.yaml.*robot=robot"):
         load_robot_of(plan)
     assert load_robot_of(plan, moved).parameters["carrier_mass"] == 1.5
 
@@ -399,6 +399,6 @@ def test_a_robot_that_has_changed_is_refused(own: Path) -> None:
 
 def test_a_robot_without_a_source(plan: Plan) -> None:
     nowhere = replace(plan, robot=replace(plan.robot, source=""))
-    with pytest.raises(PlanFileError, match="source="):
+    with pytest.raises(PlanFileError, match="robot=robot"):
         load_robot_of(nowhere)
     assert load_robot_of(nowhere, "3rrr").name == "3rrr"

@@ -99,15 +99,18 @@ def test_csv_holds_both_backends_and_the_singular_instants(done: Reproduction) -
     with (done.folder / "circle-0.5-parked.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0]) == [
-        "t", "x0", "x1", "xd0", "xd1", "xdd0", "xdd1", "tau0", "tau1", "tau_virtual_work0", "tau_virtual_work1",
-        "carrier_force0", "carrier_force1", "status", "margin", "condition", "residual",
+        "t [s]", "x [m]", "y [m]", "xd [m/s]", "yd [m/s]", "xdd [m/s^2]", "ydd [m/s^2]", "tau:slide_1 [N]",
+        "tau:slide_2 [N]", "tau_virtual_work:slide_1 [N]", "tau_virtual_work:slide_2 [N]", "tau:carrier_1 [N]",
+        "tau:carrier_2 [N]", "status", "margin", "condition", "residual [N]",
     ]  # fmt: skip
-    first, second = (np.array([float(row[name]) for row in rows]) for name in ("tau0", "tau_virtual_work0"))
+    first, second = (
+        np.array([float(row[name]) for row in rows]) for name in ("tau:slide_1 [N]", "tau_virtual_work:slide_1 [N]")
+    )
     regular = np.array([row["status"] == "regular" for row in rows])
     np.testing.assert_allclose(first[regular], second[regular], rtol=1e-9, atol=1e-11)  # twelve digits are written
     singular = [row for row in rows if row["status"] == "singular_inconsistent"]
     assert len(singular) == 2
-    assert all(row["tau0"] == "nan" and float(row["residual"]) > 0.1 for row in singular)
+    assert all(row["tau:slide_1 [N]"] == "nan" and float(row["residual [N]"]) > 0.1 for row in singular)
 
 
 @pytest.fixture

@@ -378,7 +378,7 @@ def test_files_that_hold_no_points_are_named(name: str, text: str, says: str, tm
 def test_a_first_row_of_numbers_is_no_name(tmp_path: Path) -> None:
     """With a speed the first of three points was dropped, and the motion went through the other two."""
     (tmp_path / "way.csv").write_text("0.25,0.7\n0.3,0.75\n0.2,0.72\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"begins with numbers, '0.25, 0.7'.*such as t,x,y"):
+    with pytest.raises(InputError, match=r"begins with numbers, '0.25, 0.7'.*t,x,y for points"):
         from_points(tmp_path / "way.csv", speed=0.1)
     file = write(tmp_path / "one.csv", "crank angle", np.array([[0.0], [1.0]]))  # a name may hold a blank
     assert from_points(file, [0.0, 1.0]).dimension == 1

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin import CarrierMotion, PlatformMotion
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import carriers_from_csv, from_csv, reference
-from redundancy_pin.trajectory.csv_file import MotionFile
 
 
 def _write(path, header, rows):
@@ -78,7 +77,7 @@ def test_carrier_columns(tmp_path):
     np.testing.assert_array_equal(carriers.sdd, [[8, 9], [9, 10]])
     with pytest.raises(InputError, match="has no column 'sdd0'"):
         carriers_from_csv(_write(tmp_path / "b.csv", ["t", "s0", "sd0"], [[0, 1, 2]]))
-    with pytest.raises(InputError, match=r"2 columns s0, \.\.\. and 1 columns sd0"):
+    with pytest.raises(InputError, match="has no column 'sd1'"):
         carriers_from_csv(_write(tmp_path / "c.csv", ["t", "s0", "s1", "sd0", "sdd0"], [[0, 1, 2, 3, 4]]))
 
 
@@ -95,8 +94,8 @@ def test_carrier_columns(tmp_path):
         ("0,1,2,3\n1,2,2,3\n", "begins with numbers, '0, 1, 2, 3', where the names of its columns should stand"),
         ("t,x0,xd0\n1,2,3\n", "has no column 'xdd0'; its columns are 't', 'x0', 'xd0'"),
         ("t,x0,x2,xd0,xd1,xdd0\n1,2,3,4,5,6\n", "has no column 'x1'"),
-        ("t,x0,x1,xd0,xdd0\n1,2,3,4,5\n", "has 2 columns x0, ... and 1 columns xd0"),
-        ("t,x0,xd0,xdd0,xdd1\n1,2,3,4,5\n", "has 1 columns xd0, ... and 2 columns xdd0"),
+        ("t,x0,x1,xd0,xdd0\n1,2,3,4,5\n", "has no column 'xd1'"),
+        ("t,x0,xd0,xdd0,xdd1\n1,2,3,4,5\n", "has no column 'x1'"),
         ("t,x0,xd0,xdd0\n0,1,2,3\n1,2,abc,4\n", "row 3, column 'xd0': 'abc' is not a finite number"),
         ("t,x0,xd0,xdd0\n0,1,2,nan\n", "row 2, column 'xdd0': 'nan' is not a finite number"),
         ("t,x0,xd0,xdd0\n0,1e101,2,3\n", "row 2, column 'x0': '1e101' is not a finite number"),
@@ -264,27 +263,3 @@ def test_columns_whose_number_is_none(name, tmp_path):
     path.write_text(f"t,{name},xd0,xdd0\n0,0,0,0\n1,0,0,0\n", encoding="utf-8")
     with pytest.raises(InputError, match="has no column 'x0'"):
         from_csv(path)
-
-
-@pytest.mark.parametrize("block", [1, 2, 3, 4, 7, 100])
-def test_a_file_in_blocks_is_that_file(block, tmp_path):
-    """The same samples, and of a time that goes back the same words, with the number of its sample in the file."""
-    t = 0.1 * np.arange(11)
-    rows = np.column_stack([t, 1.0 + t, np.ones(11), np.zeros(11)])
-    path = _write(tmp_path / "m.csv", ["t", "x0", "xd0", "xdd0"], rows.tolist())
-    whole, file = from_csv(path), MotionFile(path, block=block)
-    parts = [motion for motion, _ in file]
-    assert len(file) == 11
-    assert max(len(part) for part in parts) <= block
-    for name in ("t", "x", "xd", "xdd"):
-        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name))
-    for late in range(1, 11):
-        wrong = rows.copy()
-        wrong[late:, 0] -= 0.25  # before the sample before it
-        _write(path, ["t", "x0", "xd0", "xdd0"], wrong.tolist())
-        said = []
-        for read in (lambda: from_csv(path), lambda: MotionFile(path, block=block)):
-            with pytest.raises(InputError) as caught:
-                read()
-            said.append(str(caught.value))
-        assert said[1] == said[0]

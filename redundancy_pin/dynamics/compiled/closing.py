@@ -21,7 +21,13 @@ from scipy.spatial.transform import Rotation, Slerp
 from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.compiled.build import Library
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
-from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import (
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+    millimetres,
+)
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import random_spread
@@ -282,7 +288,8 @@ def _no_start(loops: Loops, motion: PlatformMotion, sample: int, gap: float) -> 
             sample=sample,
         )
     return UnreachablePoseError(
-        f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {gap:.3g} m.",
+        f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {gap:.3g} m."
+        f"{millimetres(gap, robot.characteristic_length)}",
         remedy="Move the pose into the workspace, or load the robot in another working_mode.",
         sample=sample,
         gap=gap,
@@ -303,7 +310,7 @@ def _refuse(
     if status[k] == _LOST and gap >= closure_tolerance(loops.robot):
         raise UnreachablePoseError(
             f"The pose of {when}, x = {np.round(motion.x[k], 6).tolist()}) cannot be reached: the chains stay open by "
-            f"{gap:.3g} m.",
+            f"{gap:.3g} m.{millimetres(gap, loops.robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
             sample=k,
             gap=gap,

@@ -19,7 +19,7 @@ from redundancy_pin.dynamics.base import (
 from redundancy_pin.dynamics.virtual_work.loads import LoadEfforts, load_derivatives, load_efforts, require_known
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
-from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, UnsupportedRobotError
+from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, UnsupportedRobotError, millimetres
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
@@ -238,7 +238,8 @@ def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, least_ma
     if gap.max() > closure_tolerance(robot):
         leg = int(gap.argmax())
         raise UnreachablePoseError(
-            f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {gap[leg]:.3g} m.",
+            f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {gap[leg]:.3g} m."
+            f"{millimetres(float(gap[leg]), robot.characteristic_length)}",
             remedy='Move the motion into the workspace, or pass unreachable="mark".',
             sample=sample,
             leg=leg,

@@ -14,7 +14,7 @@ from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
 from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, robot_record
+from redundancy_pin.planners.robot_record import RobotRecord, robot_of_record, robot_record
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.simulation.result import Simulation, SimulationStatus
 from redundancy_pin.singularities.classify import classify
@@ -93,7 +93,7 @@ def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
     """
     condition = margin = np.full(len(run), np.nan)
     try:
-        classes = classify(robot or load_recorded(run.robot), run.q)
+        classes = classify(robot_of_record(run.robot, robot), run.q)
         condition, margin = classes.condition, classes.parallel_margin
     except PlanFileError:
         pass
@@ -205,12 +205,12 @@ def plan_title(plan: Plan) -> str:
     return f"{title} ({'; '.join(parts)})"
 
 
-def curves_of(subject: Plan | Simulation | Curves) -> Curves:
-    """Return the curves of a plan or a simulation, or curves as they are."""
+def curves_of(subject: Plan | Simulation | Curves, robot: Robot | None = None) -> Curves:
+    """Return the curves of a plan or a simulation, whose robot may be given, or curves as they are."""
     if isinstance(subject, Plan):
         return curves_of_plan(subject)
     if isinstance(subject, Simulation):
-        return curves_of_run(subject)
+        return curves_of_run(subject, robot)
     if not isinstance(subject, Curves):
         raise InputError(
             f"This figure draws a plan, a simulation or curves, not a {type(subject).__name__}.",

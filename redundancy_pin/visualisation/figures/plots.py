@@ -36,7 +36,7 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion, require_sampled
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.robot_record import load_recorded
+from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.singularities.classify import classify_motion
@@ -162,17 +162,21 @@ def carriers(subject: Plan | Simulation | Curves) -> Figure:
     return _over_time(drawn, carrier_panels(drawn))
 
 
-def condition(subject: Plan | Simulation | Curves) -> Figure:
+def condition(subject: Plan | Simulation | Curves, *, robot: Robot | None = None) -> Figure:
     """Draw the condition number of the scaled W over time, with thresholds and singular instants.
 
     Args:
         subject: a plan, a simulation, or ``curves`` of an inverse-dynamics computation.
+        robot: that of a simulation from a file, if its files have moved, or it was changed in Python.
+
+    Raises:
+        InputError: a simulation whose robot cannot be loaded.
     """
-    drawn = curves_of(subject)
+    drawn = curves_of(subject, robot)
     if np.isnan(drawn.condition).all():
         raise InputError(
-            f"The condition number is not known ({drawn.title}): the robot's files are gone.",
-            remedy="Draw the efforts, or rp.plot.curves(robot, reduced, efforts) of the robot where it is now.",
+            f"The condition number is not known ({drawn.title}): the robot's files are gone, or have changed.",
+            remedy="Pass the robot of the simulation: rp.plot.condition(run, robot=robot).",
         )
     return _over_time(drawn, [replace(singularity_panel(drawn), height=1.4)])
 
@@ -232,7 +236,7 @@ def simulation(
     Args:
         run: the simulation.
         plan: what it was to follow.
-        robot: that of the simulation, if its files have moved or it is already at hand.
+        robot: that of a simulation from a file, if its files have moved, or it was changed in Python.
         title: of the figure; made from the simulation when left out.
 
     Raises:
@@ -254,7 +258,7 @@ def simulation(
         behind = [main_panel(planned), *([force_panel(planned)] if right else [])]
         left = [_over(*pair) for pair in zip(left, behind, strict=True)]
         right = [_over(*pair) for pair in zip(right, carrier_panels(planned) if right else [], strict=True)]
-        left.append(_distance_panel(run, plan, robot or load_recorded(run.robot)))
+        left.append(_distance_panel(run, plan, robot_of_record(run.robot, robot)))
     # both columns have as many panels
     columns = [left, right] if len(left) == len(right) else [[*left, *right]]
     height = 1.1 + 1.75 * sum(panel.height for panel in columns[0])
@@ -296,6 +300,7 @@ def path(
     motion: PlatformMotion | None = None,
     *,
     crossings: Sequence[Crossing] = (),
+    robot: Robot | None = None,
     title: str | None = None,
 ) -> Figure:
     """Draw the mechanism at the start of a motion, the path of its platform, and the condition number.
@@ -306,6 +311,7 @@ def path(
         subject: a plan, a simulation, or the robot that the motion is for.
         motion: of a robot.
         crossings: from ``find_crossings`` along the same motion, to mark.
+        robot: that of a plan or a simulation from a file, if its files have moved, or it was changed in Python.
         title: of the figure.
 
     Raises:
@@ -317,12 +323,14 @@ def path(
             "path draws a plan, a simulation, or a robot with a motion.",
             remedy="Pass path(plan), path(run) or path(robot, motion).",
         )
-    robot = load_recorded(subject.robot) if isinstance(subject, (Plan, Simulation)) else subject
+    if isinstance(subject, Robot) and robot is not None:
+        raise InputError("robot= goes with a plan or a simulation.", remedy="Pass path(robot, motion).")
+    robot = robot_of_record(subject.robot, robot) if isinstance(subject, (Plan, Simulation)) else subject
     if robot.platform is None:
         raise InputError(f"{robot.name} has no platform whose path could be drawn.", remedy="Use rp.show to see it.")
-    drawn = None if isinstance(subject, Robot) else curves_of(subject)
-    if isinstance(subject, Simulation):
-        t, q, condition = subject.t, subject.q, curves_of(subject).condition
+    drawn = None if isinstance(subject, Robot) else curves_of(subject, robot)
+    if isinstance(subject, Simulation) and drawn:
+        t, q, condition = subject.t, subject.q, drawn.condition
     else:
         followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
         require_sampled(followed)
