@@ -147,7 +147,7 @@ def inverse_dynamics(
         write_text(out, texts())  # block by block: memory does not grow with the motion
     _warn(result)
     given = {"robot": loaded.name, "backend": backend, "motion": motion.path, "trajectory": motion.trajectory}
-    facts = {**given, "out": out, **_summary(result)}
+    facts = {**given, "ends": getattr(trajectory, "ends", None), "out": out, **_summary(result)}
     main, moved = robot_record(loaded).effort_units
     rows = [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]
     rows.append((f"largest |tau| [{main}]", output.row(facts["largest_tau"])))

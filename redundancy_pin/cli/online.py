@@ -81,7 +81,7 @@ def online(
     plan = run.plan
     seconds = 1e3 * np.percentile([command.seconds for command in run.commands], [50.0, 99.0])
     facts = {**summary(plan), "ticks": run.counts, "milliseconds": {"p50": seconds[0], "p99": seconds[1]}}
-    facts |= {"out": out, "html": html}
+    facts |= {"out": out, "html": html, "ends": getattr(followed, "ends", None)}
     output.report(as_json, facts, _table(facts, plan.robot.effort_units[0]))
     warn(plan)
     left = sum(count for status, count in run.counts.items() if status not in ("planned", "slowed"))

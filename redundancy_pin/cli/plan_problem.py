@@ -28,6 +28,7 @@ from redundancy_pin.robot.urdf import source_in
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory, from_csv
+from redundancy_pin.trajectory.trajectory import Ends
 
 PLANNERS: Mapping[str, Callable[..., Plan]] = {**AT_A_SPEED, "time-optimal": plan_time_optimal}
 """Planners by name."""
@@ -295,12 +296,13 @@ STEP = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class PlanProblem:
-    """Everything a planner needs; ``parameters`` are its keyword arguments."""
+    """Everything a planner needs; ``parameters`` are its keyword arguments, ``ends`` those of the trajectory."""
 
     planner: str
     dynamics: Dynamics
     motion: PlatformMotion | Trajectory
     parameters: Mapping[str, Any]
+    ends: Ends | None = None
 
     def solve(self, progress: Callable[[str], None] | None = None) -> Plan:
         """Return the plan; planners that have stages call ``progress`` with a line of text at each."""
@@ -335,6 +337,7 @@ def problem(
             f"lam = {values['lam']:g} asks for a fraction of the efforts of a baseline robot, and none is given.",
             remedy="Write --baseline carriers=false: the same robot without carriers.",
         )
+    ends = getattr(motion, "ends", None)
     # the other planners choose their own samples of a trajectory; the steps of this one are samples
     if planner == "stepwise" and isinstance(motion, Trajectory):
         motion = motion.sample(STEP if step is None else step)
@@ -343,7 +346,7 @@ def problem(
     if baseline is not None:
         with _about(_BASELINE):
             values["baseline"] = make(baseline.load())
-    return PlanProblem(planner, make(robot.load()), motion, values)
+    return PlanProblem(planner, make(robot.load()), motion, values, ends)
 
 
 _ROBOT_KEYS = ("robot", "set", "mode", "gravity")

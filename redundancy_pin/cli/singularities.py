@@ -54,7 +54,8 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
     shown: list[Any] = [_table(loaded, crossings)] if followed is not None else []
     shown += [f"The picture is {plot}."] if plot else []
     data = [crossing_data(crossing) for crossing in crossings] if followed is not None else None
-    output.report(as_json, {"robot": loaded.name, "crossings": data, "plot": plot}, *shown)
+    facts = {"robot": loaded.name, "ends": getattr(followed, "ends", None), "crossings": data, "plot": plot}
+    output.report(as_json, facts, *shown)
 
 
 def crossing_data(crossing: Crossing) -> dict[str, Any]:

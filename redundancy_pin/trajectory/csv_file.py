@@ -17,7 +17,7 @@ import numpy as np
 from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import InputError, numbered_from, shown
 from redundancy_pin.io.reading import opened
-from redundancy_pin.motion import CarrierMotion, Consistency, PlatformMotion, require_consistent
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, joined, require_consistent
 from redundancy_pin.trajectory.quaternions import poses_of
 
 _QUATERNION_TOLERANCE = 1e-6
@@ -28,6 +28,9 @@ _LONGEST_LINE = 1_000_000
 
 BLOCK = 20_000
 """Samples of a long motion that are worked on at a time."""
+
+_OVERLAP = 10
+"""Samples of one block that are compared with the next one again: fewer steps than nine tell little of rates."""
 
 
 def from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> PlatformMotion:
@@ -106,17 +109,13 @@ class MotionFile:
         if not isinstance(block, int) or block < 1:
             raise InputError(f"block is {shown(block)}.", remedy="Pass a number of samples, 1 or more.")
         self._path, self._check, self._block, self._samples = path, check_rates, block, 0
-        consistency, last = Consistency(), None
-        for motion, carriers in self._blocks(progress):
-            if last is not None:  # times increase from block to block too
-                with numbered_from(self._samples - len(last)), _in_file(path):
-                    parts = ((getattr(one, name) for one in (last, motion[:1])) for name in ("t", "x", "xd", "xdd"))
-                    PlatformMotion(*(np.concatenate(tuple(part)) for part in parts))
-            last = motion[-2:]
-            self._samples += len(motion)
-            consistency.add(motion, carriers)
-        with _in_file(path):
-            consistency.require()
+        last: MotionBlock | None = None
+        for new in self._blocks(progress):
+            with numbered_from(self._samples - (len(last[0]) if last else 0)), _in_file(path):
+                motion, carriers = joined(last, new) if last else new
+                require_consistent(motion, carriers)
+            self._samples += len(new[0])
+            last = motion[-_OVERLAP:], None if carriers is None else carriers[-_OVERLAP:]
 
     def __len__(self) -> int:
         """Return the number of samples."""
