@@ -347,6 +347,9 @@ _ROUGHER = 1.25
 _SIX_DIGITS = 5e-6
 """Largest error of a number with six digits, relative to the number."""
 
+_MOVES = 100.0
+"""Roundings by which points move that stood during two steps: at constant acceleration seven go 49 times as far as one."""
+
 _WINDOW = 8
 """Points in which the end of a motion is judged; of dense and rounded points each second, fourth, ... counts."""
 
@@ -356,7 +359,8 @@ def resolve_ends(points: Array, times: Array, ends: object = "auto") -> Ends:
 
     ``auto``: "rest" where the points show it, else "samples". Points show rest where a motion that starts (ends) at
     rest without acceleration is as smooth as one with the speed and the acceleration of the points: its largest jerk
-    within two steps is at most 1.25 times as large, in each coordinate. Six digits are enough to tell.
+    within two steps is at most 1.25 times as large, in each coordinate; or where the points stand during two steps, and
+    move then. Six digits are enough to tell.
 
     Args:
         points: (N, d) the points, m and rad.
@@ -391,13 +395,16 @@ def _shows_rest(points: Array, times: Array) -> bool:
     while len(times) > (_FEWEST_POINTS - 1) * stride:
         near = slice(0, (_WINDOW - 1) * stride + 1, stride)
         t, y = times[near] - times[0], points[near] - points[0]
+        rounding = _rounding(points[: 3 * near.stop])
+        if (np.abs(y[:3]) <= rounding).all() and (np.abs(y) > _MOVES * rounding).any():
+            return True
         columns, inside = np.concatenate([y, np.eye(len(t))], axis=1), np.linspace(0.0, t[2], 9)
         jerks = []
         for start in (np.zeros((2, columns.shape[1])), _end_rates(t, columns)):
             jerk = np.abs(_spline(t, columns, start, _end_rates(t[-1] - t[::-1], columns[::-1]) * [[-1.0], [1.0]])(inside, 3))
             jerks.append((jerk[:, :d].max(axis=0), jerk[:, d:].sum(axis=1).max()))
         (rest, from_rest), (free, from_free) = jerks
-        unsure = (from_rest + from_free) * _rounding(points[: 3 * near.stop])
+        unsure = (from_rest + from_free) * rounding
         if (rest > _ROUGHER * free + unsure).any():
             return False
         if (free > 4.0 * unsure).any():
@@ -486,7 +493,7 @@ class TimedSpline(Frozen, SmoothPath):
             raise
         except ValueError:  # numbers that are infinite, or LinAlgError
             missed = np.inf
-        if not missed <= _PASSED * max(float(np.ptp(given, axis=0).max()), 1e-12):
+        if not missed <= _PASSED * max(float(np.ptp(given, axis=0).max()), _PASSED * float(np.abs(given).max())):
             k = int(np.diff(t).argmin())
             raise InputError(
                 f"No spline passes points at these times: numbers {k} and {k + 1} are {t[k + 1] - t[k]:g} s apart, of "
