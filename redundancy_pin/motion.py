@@ -234,12 +234,11 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     For what takes samples as a motion: efforts along it, planners, the search of crossings. Where they are poses and no
     more (``lift``, ``classify_motion``, ``along``) rates play no part.
 
-    In each step of each coordinate (of a pose: of the origin and of the rotation) the mean rate by the positions, Δx/h,
-    is compared with the mean of the rates at its ends, by the trapezoid rule; so is Δẋ/h with that of ẍ. They may differ
-    by the sum of
+    In each step of each coordinate the mean rate by the positions, Δx/h, is compared with the mean of the rates at its
+    ends, by the trapezoid rule; so is Δẋ/h with the mean of ẍ. They may differ by the sum of
 
     - 3 % of the largest rate of the coordinate;
-    - what the step leaves open, as the largest of this step and the two next to it: half of |Δẋ| and a quarter of h |ẍ|;
+    - what the step leaves open, the largest of this step and the two next to it: half of |Δẋ| and a quarter of h |ẍ|;
       for accelerations |Δẍ|, and by how much Δẋ/h changes from this step to the next or the last;
     - rounding of x to six digits, over h, and four times the noise that fourth differences of the comparison show.
 
@@ -273,10 +272,12 @@ def _require_rates(name: str, time: Array, motion: tuple[Array, Array, Array]) -
 
 
 def _require_rate(name: str, t: Array, steps: Array, size: Array, rates: Array, seconds: Array | None) -> None:
-    """Compare (n, N−1) steps of values of a size (n,) with their rates (N, n); these have rates of their own or None."""
+    """Compare (n, N−1) steps of values of a size (n,) with their rates (N, n), whose own rates are (N, n) or None."""
     later = np.diff(t) > 0.0
     h, steps = np.diff(t)[later], steps[:, later]
-    ends = [array[side][later].T for array in (rates, seconds) if array is not None for side in (slice(-1), slice(1, None))]
+    ends = [
+        array[side][later].T for array in (rates, seconds) if array is not None for side in (slice(-1), slice(1, None))
+    ]
     if len(h) < (_FEW_STEPS if seconds is None else 1) or not steps.size:
         return
     found, largest_rate = steps / h, np.abs(rates).max(axis=0)
@@ -294,8 +295,8 @@ def _require_rate(name: str, t: Array, steps: Array, size: Array, rates: Array, 
     sample = int(np.flatnonzero(later)[step]) + 1
     given, allowed = float(compared.given[k, step]), float(compared.allowed[k, step])
     raise InputError(
-        f"{name}{k} does not change as {name}d{k} says: from sample {sample - 1} to {sample} (t = {t[sample]:.6g} s) its "
-        f"mean rate is {found[k, step]:.6g}, by {name}d{k} it is {given:.6g}, and these may differ by {allowed:.3g}.",
+        f"{name}{k} does not change as {name}d{k} says: from sample {sample - 1} to {sample} (t = {t[sample]:.6g} s) "
+        f"its mean rate is {found[k, step]:.6g}, by {name}d{k} it is {given:.6g}; these may differ by {allowed:.3g}.",
         remedy="Correct the rates (SI units: m, rad, s; the columns of each coordinate with the same number), or pass "
         "check_rates=False for states that are no motion, such as poses to stand still in.",
         column=f"{name}d{k}",

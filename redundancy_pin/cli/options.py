@@ -382,7 +382,7 @@ def trajectory_values(name: str, texts: Mapping[str, str]) -> dict[str, Any]:
 
 
 def trajectory_value(key: str, text: str, where: str) -> Any:
-    """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;``; words of ends."""
+    """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;`; or words."""
     if text in ("true", "false"):
         return text == "true"
     if key == "ends":
@@ -410,7 +410,7 @@ def trajectory_option(what: str) -> Callable[[_Command], _Command]:
         metavar="NAME|FILE[:KEY=VALUE,...]",
         help=f"{what}: {', '.join(_trajectories())}; such as circle:speed=0.5, or "
         "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'. Or through the points of a CSV or JSON file: "
-        "way.csv (columns t,x,y), way.csv:ends=rest, way.csv:speed=0.1, way.csv:times=time-optimal,max_speed=0.5,max_acceleration=2.",
+        "way.csv (columns t,x,y), way.csv:speed=0.1, way.csv:times=time-optimal,max_speed=0.5,max_acceleration=2.",
     )
 
 

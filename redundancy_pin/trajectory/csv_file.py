@@ -38,8 +38,8 @@ def from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> Platf
 
     The first row names the columns: ``t`` (s), ``x0``, ``x1``, ... (m, rad), ``xd0``, ... and ``xdd0``, ...; any order,
     other columns are ignored. For a spatial platform give six rates and seven x: position (m) and unit quaternion
-    (x, y, z, w). An instant may occur twice for the acceleration before and after a jump. Where samples are dense
-    enough to tell, rates must be those of the positions: other units, or columns in another order, are refused.
+    (x, y, z, w). An instant may occur twice for the acceleration before and after a jump. Rates must be those of the
+    positions (``require_consistent``): other units, or columns in another order, are refused.
 
     Args:
         path: of the file, UTF-8, comma separated.
@@ -48,7 +48,7 @@ def from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> Platf
     Raises:
         InputError: no such file, not text, a missing column (with the names seen), a cell that is not a finite
             number (with row and column), rows of different lengths, rates that are not those of the positions (with
-            column and factor), or a motion that is not one.
+            column, sample and both values), or a motion that is not one.
     """
     table = table_of_csv(path)
     motion = _platform(table, path, check_rates)

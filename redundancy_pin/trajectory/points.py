@@ -133,8 +133,8 @@ def from_points(
     if timed:
         origin = TimedSpline(where, times, ends)  # type: ignore[arg-type]
         if rotations is not None:  # a platform that turns on the spot is not at rest
-            both = np.concatenate([where, quaternions_of(rotations)], axis=1)
-            origin = TimedSpline(where, origin.times, resolve_ends(both, origin.times, ends))
+            columns = np.concatenate([where, quaternions_of(rotations)], axis=1)
+            origin = TimedSpline(where, origin.times, resolve_ends(columns, origin.times, ends))
         law = uniform_law(origin.length, origin.length)
         return Trajectory(_whole(origin, rotations, alpha), law, ends=origin.ends)
     spline = SplinePath(where, closed=closed)

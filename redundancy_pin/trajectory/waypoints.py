@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,7 @@ from redundancy_pin.trajectory.quaternions import (
     quaternions_of,
     turns_between,
 )
+from redundancy_pin.trajectory.trajectory import Ends
 
 _FARTHEST = 1e100  # m: squares of such lengths are numbers still
 _STRAIGHT_ANGLE = 1e-9
@@ -348,7 +349,7 @@ _SIX_DIGITS = 5e-6
 """Largest error of a number with six digits, relative to the number."""
 
 _MOVES = 100.0
-"""Roundings by which points move that stood during two steps: at constant acceleration seven go 49 times as far as one."""
+"""Roundings by which points move that stood in two steps: at constant acceleration seven steps are 49 times one."""
 
 _WINDOW = 8
 """Points in which the end of a motion is judged; of dense and rounded points each second, fourth, ... counts."""
@@ -375,9 +376,12 @@ def resolve_ends(points: Array, times: Array, ends: object = "auto") -> Ends:
         raise InputError(
             f"ends is {shown(ends)}.", remedy=f"Pass one of {', '.join(ENDS)}, or a pair of them.", name="ends"
         )
-    sides = (points, times), (points[::-1], times[-1] - times[::-1])
-    resolved = ["rest" if word == "auto" and _shows_rest(*side) else word for word, side in zip(words, sides, strict=True)]
-    return tuple("samples" if word == "auto" else word for word in resolved)  # type: ignore[return-value]
+    start, end = (points, times), (points[::-1], times[-1] - times[::-1])
+    return _resolve_end(words[0], *start), _resolve_end(words[1], *end)
+
+
+def _resolve_end(word: str, points: Array, times: Array) -> Literal["rest", "samples"]:
+    return "rest" if word == "rest" or (word == "auto" and _shows_rest(points, times)) else "samples"
 
 
 def _rounding(points: Array) -> Array:
@@ -401,7 +405,9 @@ def _shows_rest(points: Array, times: Array) -> bool:
         columns, inside = np.concatenate([y, np.eye(len(t))], axis=1), np.linspace(0.0, t[2], 9)
         jerks = []
         for start in (np.zeros((2, columns.shape[1])), _end_rates(t, columns)):
-            jerk = np.abs(_spline(t, columns, start, _end_rates(t[-1] - t[::-1], columns[::-1]) * [[-1.0], [1.0]])(inside, 3))
+            jerk = np.abs(
+                _spline(t, columns, start, _end_rates(t[-1] - t[::-1], columns[::-1]) * [[-1.0], [1.0]])(inside, 3)
+            )
             jerks.append((jerk[:, :d].max(axis=0), jerk[:, d:].sum(axis=1).max()))
         (rest, from_rest), (free, from_free) = jerks
         unsure = (from_rest + from_free) * rounding

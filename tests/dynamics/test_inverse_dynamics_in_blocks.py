@@ -212,7 +212,9 @@ def test_rates_are_compared_across_blocks(size: int, tmp_path: Path) -> None:
     table[150:, 3:7] *= -1.0  # ẋ and ẍ of both coordinates, in the middle of the motion
     np.savetxt(path, table, delimiter=",", header=names, comments="", fmt="%.17g")
     for read in (from_csv, lambda path: MotionFile(path, block=size), lambda path: MotionFile(path, block=1)):
-        with pytest.raises(rp.errors.InputError, match=r"does not change as xd[01] says: from sample 15[0-2] ") as caught:
+        with pytest.raises(
+            rp.errors.InputError, match=r"does not change as xd[01] says: from sample 15[0-2] "
+        ) as caught:
             read(path)
         assert caught.value.details["time"] == table[caught.value.details["sample"], 0]
 
@@ -306,7 +308,7 @@ def test_blocks_compile_nothing_again(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("REDUNDANCY_PIN_CACHE", str(tmp_path))
     made, build = [], compiled.define
     monkeypatch.setattr(compiled, "define", lambda robot: (made.append(robot), build(robot))[1])
-    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0]).sample(0.05)
+    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0], ends="rest").sample(0.05)
     dynamics = rp.CompiledDynamics("four_bar", interpret=True)
     blocks = list(rp.inverse_dynamics_in_blocks(dynamics, cut(motion, 5)))
     assert len(made) == 1

@@ -274,7 +274,9 @@ def polynomial(*coefficients: float) -> Any:
 
 
 def sine(phase: float) -> Any:
-    return lambda t, order=0: 0.1 * 3.0**order * np.sin(3.0 * t + phase + 0.5 * np.pi * order)[:, None] + 0.3 * (order == 0)
+    return lambda t, order=0: (
+        0.1 * 3.0**order * np.sin(3.0 * t + phase + 0.5 * np.pi * order)[:, None] + 0.3 * (order == 0)
+    )
 
 
 QUINTIC = polynomial(0.7, 0.0, 0.0, 1.0, -1.5, 0.6)  # from rest to rest in a second
