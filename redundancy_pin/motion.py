@@ -224,6 +224,9 @@ _TOO_FAR = 4.0
 _FAST = 0.4
 """Part of its largest rate at which a coordinate must move in a step that tells of few."""
 
+_TURN = 2.0
+"""Turn in a step of a pose, rad, from which rates are not compared: at half a turn its sense is not determined."""
+
 _PART = 20_000
 """Samples that are compared at a time, with the noise among them."""
 
@@ -240,7 +243,8 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     - 3 % of the largest rate of the coordinate;
     - what the step leaves open, the largest of this step and the two next to it: half of |Δẋ| and a quarter of h |ẍ|;
       for accelerations |Δẍ|, and by how much Δẋ/h changes from this step to the next or the last;
-    - rounding of x to six digits, over h, and four times the noise that fourth differences of the comparison show.
+    - rounding of x to six digits, over h, four times the noise that fourth differences of the comparison show, and of
+      rotations h² |ω| |ω̇|/6, as their axis tilts.
 
     From 9 samples on this finds, whatever the motion: a wrong sign, milli and kilo, degrees for radians, a factor of 2
     (10 samples in the shortest period), of 1.1 (30 samples; of ẍ against ẋ 60), and positions that move, or rates that
@@ -266,27 +270,41 @@ def _require_rates(name: str, time: Array, motion: tuple[Array, Array, Array]) -
         inside = slice(max(part.start - 1, 0), part.stop)  # no step is left out
         t, values, rates, seconds = (each[inside] for each in (time, *motion))
         size = np.abs(values).max(axis=0) if values.ndim == 2 else [*np.abs(values[:, :3, 3]).max(axis=0), *np.ones(3)]
+        tilt = np.zeros((rates.shape[1], max(len(t) - 1, 0)))
+        if (
+            values.ndim == 3
+        ):  # where the axis tilts, the rotation vector of a step is h³ ω̇ × ω/12 more than the mean of h ω
+            omega, alpha = (np.linalg.norm(array[:, 3:], axis=1) for array in (rates, seconds))
+            turn = np.diff(t) * np.maximum(omega[1:], omega[:-1])
+            tilt[3:] = np.where(turn < _TURN, turn * np.diff(t) * np.maximum(alpha[1:], alpha[:-1]) / 6.0, np.inf)
         with numbered_from(inside.start):
-            _require_rate(name, t, _steps(values), np.asarray(size), rates, seconds)
-            _require_rate(f"{name}d", t, np.diff(rates.T), np.abs(rates).max(axis=0), seconds, None)
+            _require_rate(name, t, _steps(values), np.asarray(size), rates, seconds, tilt)
+            _require_rate(
+                f"{name}d", t, np.diff(rates.T), np.abs(rates).max(axis=0), seconds, None, np.zeros_like(tilt)
+            )
 
 
-def _require_rate(name: str, t: Array, steps: Array, size: Array, rates: Array, seconds: Array | None) -> None:
-    """Compare (n, N−1) steps of values of a size (n,) with their rates (N, n), whose own rates are (N, n) or None."""
+def _require_rate(
+    name: str, t: Array, steps: Array, size: Array, rates: Array, seconds: Array | None, tilt: Array
+) -> None:
+    """Compare (n, N−1) steps of values of a size (n,) with their rates (N, n), whose own rates are (N, n) or None.
+
+    ``tilt`` (n, N−1) is by how much mean rates differ from those of the steps because the axis of a rotation tilts.
+    """
     later = np.diff(t) > 0.0
-    h, steps = np.diff(t)[later], steps[:, later]
+    h, steps, tilt = np.diff(t)[later], steps[:, later], tilt[:, later]
     ends = [
         array[side][later].T for array in (rates, seconds) if array is not None for side in (slice(-1), slice(1, None))
     ]
     if len(h) < (_FEW_STEPS if seconds is None else 1) or not steps.size:
         return
     found, largest_rate = steps / h, np.abs(rates).max(axis=0)
-    compared = _compare(h, found, size, largest_rate, ends)
+    compared = _compare(h, found, size, largest_rate, ends, tilt)
     far = np.abs(steps) > np.pi
     if compared.wrong.any() and far.any():  # an angle may be written within a turn
         within = np.abs(steps).max(axis=1, keepdims=True) <= 2.0 * np.pi
         turned = found - np.where(far & within, 2.0 * np.pi * np.sign(steps) / h, 0.0)
-        other = _compare(h, turned, size, largest_rate, ends)
+        other = _compare(h, turned, size, largest_rate, ends, tilt)
         compared = compared._replace(wrong=compared.wrong & other.wrong.any(axis=1, keepdims=True))
     if not compared.wrong.any():
         return
@@ -316,14 +334,14 @@ class _Compared(NamedTuple):
     wrong: BoolArray
 
 
-def _compare(h: Array, found: Array, size: Array, largest_rate: Array, ends: Sequence[Array]) -> _Compared:
+def _compare(h: Array, found: Array, size: Array, largest_rate: Array, ends: Sequence[Array], tilt: Array) -> _Compared:
     """Compare mean rates (n, K) in steps of h (K,) with rates at both ends, and maybe their own rates, (n, K) each."""
     first, last = ends[:2]
     given, change = 0.5 * (first + last), np.abs(last - first)
     apart, top = np.abs(found - given), largest_rate[:, None]
     nothing = _NOTHING * largest_rate.max()
     digits = np.floor(np.log10(np.maximum(size, np.finfo(float).tiny))) - 5.0
-    sure = RATE_TOLERANCE * top + nothing + 10.0 ** digits[:, None] / h
+    sure = RATE_TOLERANCE * top + nothing + 10.0 ** digits[:, None] / h + tilt
     bends = np.diff(found - given, 4)
     if bends.shape[1] >= 4:
         sure = sure + _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: noise of its size 1

@@ -286,6 +286,25 @@ def test_poses_turn_as_their_twist_says() -> None:
             require_consistent(PlatformMotion(t, x, wrong, 0.0 * twist))
 
 
+@pytest.mark.parametrize(("turning", "tilting"), [(1.0, 1.0), (3.0, 1.0), (1.0, 3.0), (0.5, 4.0)])
+def test_rotations_whose_axis_tilts_pass_at_any_step(turning: float, tilting: float) -> None:
+    """Rz(Ω t) exp(t (ω ex − Ω ez)) turns at ω about an axis that turns at Ω: in finite steps about z too."""
+    for h in (1e-3, 0.01, 0.05, 0.2, 0.4):
+        for samples in (3, 9, 30):
+            t = h * np.arange(samples)
+            x, still = np.tile(np.eye(4), (samples, 1, 1)), np.zeros((samples, 3))
+            about_z = Rotation.from_rotvec(np.outer(turning * t, [0.0, 0.0, 1.0]))
+            x[:, :3, :3] = (about_z * Rotation.from_rotvec(np.outer(t, [tilting, 0.0, -turning]))).as_matrix()
+            omega = about_z.apply([tilting, 0.0, 0.0])
+            alpha = turning * np.column_stack([-omega[:, 1], omega[:, 0], 0.0 * t])
+            xd, xdd = np.column_stack([still, omega]), np.column_stack([still, alpha])
+            require_consistent(PlatformMotion(t, x, xd, xdd))
+            if h == 0.01 and samples == 30:
+                for factor in (1.1, 0.9, -1.0, 10.0):
+                    with pytest.raises(InputError, match="x3 does not change"):
+                        require_consistent(PlatformMotion(t, x, factor * xd, xdd))
+
+
 # --- where it is asked ---
 
 
