@@ -241,13 +241,13 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     ends, by the trapezoid rule; so is Δẋ/h with the mean of ẍ. They may differ by the sum of
 
     - 3 % of the largest rate of the coordinate;
-    - what the step leaves open, the largest of this step and the two next to it: half of |Δẋ| and a quarter of h |ẍ|;
-      for accelerations |Δẍ|, and by how much Δẋ/h changes from this step to the next or the last;
+    - what the step leaves open: half of |Δẋ| and a quarter of h |ẍ|; for accelerations |Δẍ|, and by how much Δẋ/h
+      changes from this step to the next or the last;
     - rounding of x to six digits, over h, four times the noise that fourth differences of the comparison show, and of
       rotations h² |ω| |ω̇|/6, as their axis tilts.
 
     From 9 samples on this finds, whatever the motion: a wrong sign, milli and kilo, degrees for radians, a factor of 2
-    (10 samples in the shortest period), of 1.1 (30 samples; of ẍ against ẋ 60), and positions that move, or rates that
+    (10 samples in the shortest period), of 1.1 (20 samples; of ẍ against ẋ 30), and positions that move, or rates that
     change, while their rate is zero in more than eight steps. Of fewer samples it finds that rates have the wrong sign
     or travel at least four times as far as the positions, in each step in which they are large, as a factor of ten does
     on a motion that does not turn back between two samples. Not found: smaller factors; a bias of up to 3 %; what noise
@@ -347,10 +347,10 @@ def _compare(h: Array, found: Array, size: Array, largest_rate: Array, ends: Seq
         sure = sure + _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: noise of its size 1
     if len(ends) == 4:
         second = h * np.maximum(np.abs(ends[2]), np.abs(ends[3]))
-        opened = _widest(0.5 * change + 0.25 * second)
+        opened = 0.5 * change + 0.25 * second
     else:
         jumps = np.pad(np.abs(np.diff(found)), ((0, 0), (1, 1)))
-        opened = _widest(change) + np.maximum(jumps[:, 1:], jumps[:, :-1])
+        opened = change + np.maximum(jumps[:, 1:], jumps[:, :-1])
     standing = np.maximum(np.abs(first), np.abs(last)) <= nothing
     if len(h) >= _FEW_STEPS:
         allowed = sure + opened
@@ -368,12 +368,6 @@ def _compare(h: Array, found: Array, size: Array, largest_rate: Array, ends: Seq
     if (wrong != tells).any() or (standing & (np.abs(found) > sure)).any() or not too_far:
         wrong[:] = False
     return _Compared(given, (1.0 - 1.0 / _TOO_FAR) * np.abs(given), wrong)
-
-
-def _widest(values: Array) -> Array:
-    """Return (n, K) the largest of each value and its two neighbours."""
-    padded = np.pad(values, ((0, 0), (1, 1)))
-    return np.maximum(np.maximum(padded[:, :-2], values), padded[:, 2:])
 
 
 def _steps(x: Array) -> Array:

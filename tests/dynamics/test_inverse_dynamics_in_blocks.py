@@ -209,7 +209,7 @@ def test_rates_are_compared_across_blocks(size: int, tmp_path: Path) -> None:
     write_motion(path, CIRCLE, 0.01)
     names, rows = path.read_text(encoding="utf-8").split("\n", 1)
     table = np.loadtxt(rows.splitlines(), delimiter=",")
-    table[150:, 3:7] *= -1.0  # ẋ and ẍ of both coordinates, in the middle of the motion
+    table[150:, 3:7] *= 2.0  # ẋ and ẍ of both coordinates, in the middle of the motion
     np.savetxt(path, table, delimiter=",", header=names, comments="", fmt="%.17g")
     for read in (from_csv, lambda path: MotionFile(path, block=size), lambda path: MotionFile(path, block=1)):
         with pytest.raises(
@@ -223,7 +223,7 @@ def test_long_motions_are_compared_to_their_end() -> None:
     t = np.arange(50_000) * 1e-3
     x, xd, xdd = (3.0**k * np.sin(3.0 * t + 0.5 * np.pi * k)[:, None] for k in range(3))
     require_consistent(PlatformMotion(t, x, xd, xdd))
-    for late in (16_666, 49_990):  # parts of a motion are compared one by one, without a gap
+    for late in (16_667, 49_990):  # parts of a motion are compared one by one, without a gap
         wrong = x.copy()
         wrong[late:] += 0.02
         with pytest.raises(rp.errors.InputError, match=f"from sample {late - 1} to {late} ") as caught:
