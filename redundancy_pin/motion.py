@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any, NamedTuple, NoReturn
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +13,6 @@ from redundancy_pin.arrays import (
     Array,
     BoolArray,
     Frozen,
-    IntArray,
     assign,
     blocks,
     checked,
@@ -22,7 +20,7 @@ from redundancy_pin.arrays import (
     read_only,
     require_type,
 )
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, numbered_from
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -155,6 +153,19 @@ class CarrierMotion(Frozen):
         return CarrierMotion(self.s[index], self.sd[index], self.sdd[index], check_rates=self.check_rates)
 
 
+def joined(
+    before: tuple[PlatformMotion, CarrierMotion | None], after: tuple[PlatformMotion, CarrierMotion | None]
+) -> tuple[PlatformMotion, CarrierMotion | None]:
+    """Return the samples of both, as they follow each other in time; carriers where both have them."""
+    (motion, carriers), (more, moved) = before, after
+    both = [np.concatenate([getattr(motion, name), getattr(more, name)]) for name in ("t", "x", "xd", "xdd")]
+    platform = PlatformMotion(*both, check_rates=more.check_rates)
+    if carriers is None or moved is None:
+        return platform, moved
+    both = [np.concatenate([getattr(carriers, name), getattr(moved, name)]) for name in ("s", "sd", "sdd")]
+    return platform, CarrierMotion(*both, check_rates=moved.check_rates)
+
+
 def parked_place(at: ArrayLike, carriers: int, name: str) -> Array:
     """Return (k,) where carriers are parked, m, by one number for all or one for each.
 
@@ -195,260 +206,168 @@ def require_carrier_motion(carriers: object) -> None:
         require_type(carriers, CarrierMotion, "A carrier motion", "Pass CarrierMotion.parked(N, k), or one of yours.")
 
 
+RATE_TOLERANCE = 0.03
+"""Part of the largest rate of a coordinate by which rates may be off: a bias of measured ones, say."""
+
+_NOISE = 4.0
+"""Standard deviations of its noise, by its fourth differences, by which a comparison may be off."""
+
+_NOTHING = 1e-9
+"""Part of the largest rate of any coordinate that is rounding in another."""
+
+_FEW_STEPS = 8
+"""Fewer steps tell coarse mistakes only. So many may also change a coordinate that stands at both of their ends."""
+
+_TOO_FAR = 4.0
+"""Times as far as the positions that few rates may travel; from rest to a speed that grows with t³ it is 2."""
+
+_FAST = 0.4
+"""Part of its largest rate at which a coordinate must move in a step that tells of few."""
+
+_TURN = 2.0
+"""Turn in a step of a pose, rad, from which rates are not compared: at half a turn its sense is not determined."""
+
+_PART = 20_000
+"""Samples that are compared at a time, with the noise among them."""
+
+
 def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = None) -> None:
-    """Check that samples are those of a motion, unless whoever made them says that they need not be.
+    """Check that x, ẋ, ẍ (and s, ṡ, s̈) are samples of one motion, unless whoever made them says that they need not be.
 
     For what takes samples as a motion: efforts along it, planners, the search of crossings. Where they are poses and no
     more (``lift``, ``classify_motion``, ``along``) rates play no part.
 
+    In each step of each coordinate the mean rate by the positions, Δx/h, is compared with the mean of the rates at its
+    ends, by the trapezoid rule; so is Δẋ/h with the mean of ẍ. They may differ by the sum of
+
+    - 3 % of the largest rate of the coordinate;
+    - what the step leaves open: half of |Δẋ| and a quarter of h |ẍ|; for accelerations |Δẍ|, and by how much Δẋ/h
+      changes from this step to the next or the last;
+    - rounding of x to six digits, over h, four times the noise that fourth differences of the comparison show, and of
+      rotations h² |ω| |ω̇|/6, as their axis tilts.
+
+    From 9 samples on this finds, whatever the motion: a wrong sign, milli and kilo, degrees for radians, a factor of 2
+    (10 samples in the shortest period), of 1.1 (20 samples; of ẍ against ẋ 30), and positions that move, or rates that
+    change, while their rate is zero in more than eight steps. Of fewer samples it finds that rates have the wrong sign
+    or travel at least four times as far as the positions, in each step in which they are large, as a factor of ten does
+    on a motion that does not turn back between two samples. Not found: smaller factors; a bias of up to 3 %; what noise
+    hides; one wrong ẋ or ẍ among right ones, for it may be a motion that is too short for the samples.
+
     Raises:
-        InputError: rates that are not those of the positions; see ``Consistency``.
+        InputError: rates that are not those of the positions, with ``column``, ``sample``, ``time``, the mean rate
+            ``found`` from the positions and ``given`` by the rates, and how much they may differ, ``allowed``.
     """
     require_carrier_motion(carriers)
-    check = Consistency()
-    for part in blocks(len(motion)):
-        # slices of arrays, as a slice of a motion is checked anew
-        check.add(motion, carriers, part)
-    check.require()
-
-
-class Consistency:
-    """Whether samples that come in parts are those of a motion: each of x, ẋ, ẍ, and of s, ṡ, s̈, the rate of the last.
-
-    What a rate, integrated by trapezoids, says is compared with what the values change by, where the samples are dense
-    enough to tell. How far the two may be apart comes from the sampling: the error of the trapezoids, a tenth to a
-    quarter of all that changes. Not told, and passed: rates that are off by a constant of at most a twentieth of their
-    size, as measured ones are; fewer than eight steps; a step that is a large part of the whole, behind which anything
-    may lie; values that jump about as those of states do that have nothing to do with one another. Beyond so many
-    samples both are integrated over all, and compared at every second, fourth, ... of them: memory does not grow.
-    """
-
-    def __init__(self) -> None:
-        self._levels: dict[str, tuple[_Rates, _Rates]] = {}
-
-    def add(self, motion: PlatformMotion, carriers: CarrierMotion | None = None, part: slice = slice(None)) -> None:
-        """Take samples that follow those before."""
-        if not motion.check_rates:
-            return
-        given = {"x": (motion.x, motion.xd, motion.xdd)}
+    if motion.check_rates:
+        _require_rates("x", motion.t, (motion.x, motion.xd, motion.xdd))
         if carriers is not None and carriers.check_rates:
-            given["s"] = (carriers.s, carriers.sd, carriers.sdd)
-        for name, values in given.items():
-            for level, pair in zip(self._levels.setdefault(name, (_Rates(), _Rates())), pairwise(values), strict=True):
-                level.add(motion.t[part], *(value[part] for value in pair))
-
-    def require(self) -> None:
-        """Raise InputError where they are not, naming the column, the first sample that shows it, and the factor."""
-        for name, levels in self._levels.items():
-            compared = [one.compared() for one in levels]
-            for level, one in enumerate(compared):
-                if one.wrong.any():
-                    _raise_wrong_rate(name, levels, compared, level, int(one.wrong.argmax()))
+            _require_rates("s", motion.t, (carriers.s, carriers.sd, carriers.sdd))
 
 
-def _raise_wrong_rate(of: str, levels: Sequence[_Rates], compared: Sequence[_Compared], level: int, k: int) -> NoReturn:
-    """Say what is wrong with a column; levels are ``of`` and its rate, and that and its rate."""
-    of, name = of + level * "d", of + (level + 1) * "d"
-    one = compared[level]
-    factor, sample, time = float(one.factor[k]), int(one.sample[k]), float(one.time[k])
-    shown = f"as sample {sample} (t = {time:.6g} s) shows"
-    # other units of time show in both rates
-    in_time = level == 0 and not (compared[-1].moves & ~compared[-1].wrong).any()
-    if levels[level].still[k]:
-        message = f"{of}{k} moves while {name}{k} is zero, {shown}."
-    elif not one.change[k]:
-        message = f"{of}{k} does not change as {name}{k} says, {shown}: it stands still."
-    elif not one.similar[k]:
-        message = f"{of}{k} does not change as {name}{k} says, {shown}, nor in proportion to it: are columns exchanged?"
-    else:
-        unit = _unit(abs(factor), in_time)
-        why = f": {unit}?" if unit else ": a sign?" if factor < 0.0 else "."
-        times = f"{name}{k} is {float(f'{factor:.3g}'):g} times what {of}{k} and t say"
-        message = f"{of}{k} does not change as {name}{k} says, {shown}: {times}{why}"
+def _require_rates(name: str, time: Array, motion: tuple[Array, Array, Array]) -> None:
+    """Compare values, rates and second rates of N samples, called x, xd and xdd of an x."""
+    for part in blocks(len(time), _PART):
+        inside = slice(max(part.start - 1, 0), part.stop)  # no step is left out
+        t, values, rates, seconds = (each[inside] for each in (time, *motion))
+        size = np.abs(values).max(axis=0) if values.ndim == 2 else [*np.abs(values[:, :3, 3]).max(axis=0), *np.ones(3)]
+        tilt = np.zeros((rates.shape[1], max(len(t) - 1, 0)))
+        if (
+            values.ndim == 3
+        ):  # where the axis tilts, the rotation vector of a step is h³ ω̇ × ω/12 more than the mean of h ω
+            omega, alpha = (np.linalg.norm(array[:, 3:], axis=1) for array in (rates, seconds))
+            turn = np.diff(t) * np.maximum(omega[1:], omega[:-1])
+            tilt[3:] = np.where(turn < _TURN, turn * np.diff(t) * np.maximum(alpha[1:], alpha[:-1]) / 6.0, np.inf)
+        with numbered_from(inside.start):
+            _require_rate(name, t, _steps(values), np.asarray(size), rates, seconds, tilt)
+            _require_rate(
+                f"{name}d", t, np.diff(rates.T), np.abs(rates).max(axis=0), seconds, None, np.zeros_like(tilt)
+            )
+
+
+def _require_rate(
+    name: str, t: Array, steps: Array, size: Array, rates: Array, seconds: Array | None, tilt: Array
+) -> None:
+    """Compare (n, N−1) steps of values of a size (n,) with their rates (N, n), whose own rates are (N, n) or None.
+
+    ``tilt`` (n, N−1) is by how much mean rates differ from those of the steps because the axis of a rotation tilts.
+    """
+    later = np.diff(t) > 0.0
+    h, steps, tilt = np.diff(t)[later], steps[:, later], tilt[:, later]
+    ends = [
+        array[side][later].T for array in (rates, seconds) if array is not None for side in (slice(-1), slice(1, None))
+    ]
+    if len(h) < (_FEW_STEPS if seconds is None else 1) or not steps.size:
+        return
+    found, largest_rate = steps / h, np.abs(rates).max(axis=0)
+    compared = _compare(h, found, size, largest_rate, ends, tilt)
+    far = np.abs(steps) > np.pi
+    if compared.wrong.any() and far.any():  # an angle may be written within a turn
+        within = np.abs(steps).max(axis=1, keepdims=True) <= 2.0 * np.pi
+        turned = found - np.where(far & within, 2.0 * np.pi * np.sign(steps) / h, 0.0)
+        other = _compare(h, turned, size, largest_rate, ends, tilt)
+        compared = compared._replace(wrong=compared.wrong & other.wrong.any(axis=1, keepdims=True))
+    if not compared.wrong.any():
+        return
+    step = int(compared.wrong.any(axis=0).argmax())
+    k = int(compared.wrong[:, step].argmax())
+    sample = int(np.flatnonzero(later)[step]) + 1
+    given, allowed = float(compared.given[k, step]), float(compared.allowed[k, step])
     raise InputError(
-        message,
-        remedy="Give SI units (m, rad, s) throughout, and the columns of each coordinate with the same number. Poses "
-        "to stand still in, and states that are no motion, pass with check_rates=False.",
-        column=f"{name}{k}",
+        f"{name}{k} does not change as {name}d{k} says: from sample {sample - 1} to {sample} (t = {t[sample]:.6g} s) "
+        f"its mean rate is {found[k, step]:.6g}, by {name}d{k} it is {given:.6g}; these may differ by {allowed:.3g}.",
+        remedy="Correct the rates (SI units: m, rad, s; the columns of each coordinate with the same number), or pass "
+        "check_rates=False for states that are no motion, such as poses to stand still in.",
+        column=f"{name}d{k}",
         sample=sample,
-        time=time,
-        factor=factor,
+        time=float(t[sample]),
+        found=float(found[k, step]),
+        given=given,
+        allowed=allowed,
     )
 
 
-# Rates are compared with positions from so many steps on. A wrong unit is off by 9.5 (rpm), 57 (degrees), 1000 (mm):
-# what is off by a quarter is no rounding, nor an integral by trapezoids over steps that are small parts of the whole;
-# a tenth is left to rates that were measured
-_FEWEST_STEPS, _LEAST_MISFIT, _MISFIT, _LARGEST_STEP, _ROUNDED = 8, 0.1, 0.25, 0.15, 1e-6
-
-_BIAS = 0.05
-"""Constant error of measured rates, as a part of their root mean square, that is none of units, signs or columns: its
-integral grows with the length of the motion, and what it is compared with does not."""
-
-_ROUGH = 0.6
-"""Steps of states that have nothing to do with one another are 1.4 times as large as the states are spread (root mean
-square); of ten samples of a whole wave 0.6 times, of twenty half of that. Fewer could be those of another wave."""
-
-_SIMILAR = 0.9
-"""Cosine between what changes and what rates say, above which the two differ by a factor."""
-
-_UNITS = (
-    *((1e3, "milliseconds", "millimetres"), (1e-3, "millimetres", "millimetres"), (1.0 / 60.0, "minutes", "minutes")),
-    *((1e6, "microseconds", "micrometres"), (1e-6, "micrometres", "micrometres"), (60.0, "minutes", "minutes")),
-    *((180.0 / np.pi, "degrees", "degrees"), (np.pi / 180.0, "degrees", "degrees")),
-    *((30.0 / np.pi, "revolutions a minute", "revolutions a minute"), (1.0 / 9.80665, "g", "g")),
-)
-"""Factors that name a unit; the first name where times may be in it."""
-
-
-def _unit(factor: float, in_time: bool) -> str:
-    return next((names[not in_time] for of, *names in _UNITS if abs(factor / of - 1.0) < 0.02), "")
-
-
-COMPARED_AT = 30_000
-"""Instants at which integrals of longer motions are compared, at least."""
-
-
 class _Compared(NamedTuple):
-    """What n rates say, compared with what the values change by; each (n,)."""
+    """Mean rates in (n, K) steps by trapezoids, how much others may differ, and which differ by more."""
 
+    given: Array
+    allowed: Array
     wrong: BoolArray
-    moves: BoolArray
-    change: BoolArray
-    similar: BoolArray
-    factor: Array
-    sample: IntArray
-    time: Array
 
 
-class _Rates:
-    """Sums over the samples of n values and their rates, as they come, and the integrals at some of their instants."""
-
-    def __init__(self) -> None:
-        self._last: tuple[Array, Array, Array] | None = None
-        self._sums: dict[str, Any] = {}
-        self._ends: dict[str, Array] = {}
-        # integral of the rates, change of the values, and the same of angles written within a turn; (3, 1 + n, I).
-        # Time runs along the last axis in here: sums over what lies side by side take a fifth as long
-        self._kept: list[Array] = []
-        self._steps, self._stride = 0, 1
-
-    @property
-    def still(self) -> BoolArray:
-        """(n,) whether a rate is zero throughout."""
-        return np.asarray(self._ends["rate"] == 0.0)
-
-    def add(self, t: Array, values: Array, rates: Array) -> None:
-        """Take N samples: times, values (N, n) or poses (N, 4, 4), and rates (N, n)."""
-        rates = np.ascontiguousarray(rates.T)
-        new: dict[str, Any] = {"rate2": np.einsum("nk,nk->n", rates, rates), "samples": np.float64(len(t))}
-        ends = {"rate": np.abs(rates).max(axis=1)}
-        known = 0
-        if self._last is not None:
-            known = len(self._last[0])
-            t, values = (np.concatenate(both) for both in zip(self._last[:2], (t, values), strict=True))
-            rates = np.concatenate([self._last[2], rates], axis=1)
-        else:
-            self._start, zero = t[0], np.zeros((3, len(rates), 1))
-            self._integral, self._change, self._continued = zero
-        self._last = t[-2:], values[-2:], rates[:, -2:]
-        first = max(known - 1, 0)
-        dt, bends = np.diff(t), np.diff(rates)
-        # four times the error of the trapezoids, as second differences show it
-        bent = (dt[1:] * np.abs(np.diff(bends)))[:, max(known - 2, 0) :]
-        dt, bends, steps = dt[first:], bends[:, first:], _steps(values[first:])
-        if steps.shape[1]:
-            means = 0.5 * (rates[:, first:-1] + rates[:, first + 1 :])
-            integral = self._integral + np.cumsum(dt * means, axis=1)
-            change = self._change + np.cumsum(steps, axis=1)
-            # angles may be written within a turn
-            continued = self._continued + np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=1)
-            self._integral, self._change, self._continued = (part[:, -1:] for part in (integral, change, continued))
-            elapsed, later = t[first + 1 :] - self._start, dt > 0.0
-            new |= {
-                "error": bent.sum(axis=1) / 3.0,
-                "later": np.float64(np.count_nonzero(later)),
-                "steps": np.float64(steps.shape[1]),
-                "bias": (integral - change) @ elapsed,
-                "bias of angles": (integral - continued) @ elapsed,
-                "elapsed2": elapsed @ elapsed,
-                "step2": np.einsum("nk,nk,k->n", steps, steps, later),
-                "bend2": np.einsum("nk,nk,k->n", bends, bends, later),
-                "change": change.sum(axis=1),
-                "change2": np.einsum("nk,nk->n", change, change),
-                "integral2": np.einsum("nk,nk->n", integral, integral),
-                "product": np.einsum("nk,nk->n", change, integral),
-            }
-            ends |= {"step": np.abs(steps).max(axis=1)}
-            for name, series in (("change", change), ("integral", integral)):
-                ends |= {f"{name} up": series.max(axis=1), f"{name} down": -series.min(axis=1)}
-            self._keep(t[first + 1 :], (integral, change, continued))
-        for name, value in new.items():
-            self._sums[name] = self._sums.get(name, 0.0) + value
-        for name, value in ends.items():
-            self._ends[name] = np.maximum(self._ends.get(name, -np.inf), value)
-
-    def _keep(self, t: Array, series: tuple[Array, Array, Array]) -> None:
-        """Keep three series (n, N), with their times, at each ``stride``-th step."""
-        at = slice(-(self._steps + 1) % self._stride, None, self._stride)
-        self._steps += len(t)
-        self._kept.append(np.stack([np.concatenate([t[None, at], part[:, at]]) for part in series]))
-        while sum(part.shape[2] for part in self._kept) > 2 * COMPARED_AT:
-            self._kept = [np.concatenate(self._kept, axis=2)[:, :, 1::2].copy()]
-            self._stride *= 2
-
-    def compared(self) -> _Compared:
-        """Return what the rates say beside what the values do."""
-        sums, ends = self._sums, self._ends
-        n = len(ends["rate"])
-        if "later" not in sums or sums["later"] < _FEWEST_STEPS:
-            no = np.zeros(n, dtype=bool)
-            return _Compared(no, no, no, no, np.ones(n), np.zeros(n, dtype=np.intp), np.zeros(n))
-        kept = np.concatenate(self._kept, axis=2)
-        integral, change, continued = kept[:, 1:]
-        elapsed, most = kept[0, 0] - self._start, _BIAS * np.sqrt(sums["rate2"] / sums["samples"])
-
-        change_range, integral_range = (ends[f"{name} up"] + ends[f"{name} down"] for name in ("change", "integral"))
-
-        def without_bias(bias: Array) -> Array:
-            """Return the integral of the rates less a constant, where a small one brings it nearer to what changes."""
-            bias = bias / sums["elapsed2"]
-            return np.asarray(integral - np.where(np.abs(bias) <= most, bias, 0.0)[:, None] * elapsed)
-
-        def tolerance(size: Array) -> Array:
-            size = np.maximum(change_range, size)
-            return np.asarray(np.clip(sums["error"], _LEAST_MISFIT * size, _MISFIT * size))
-
-        def follows(changed: Array, integral: Array, most: Array) -> BoolArray:
-            return np.asarray(np.abs(changed - integral).max(axis=1) <= most)
-
-        size = np.maximum(change_range, integral_range)
-        apart = np.abs(change - integral) > tolerance(integral_range)[:, None]
-        fits = ~apart.any(axis=1)
-        if not fits.all():
-            unbiased = without_bias(sums["bias"])
-            fits |= follows(change, unbiased, tolerance(np.ptp(unbiased, axis=1)))
-            for rest in (integral, without_bias(sums["bias of angles"])):
-                over = np.ptp(rest, axis=1)
-                fits |= follows(continued, rest, np.minimum(tolerance(over), _MISFIT * over))
-        # a ramp between two samples is in the values, and not in rates sampled before and after it
-        dense = ends["step"] <= _LARGEST_STEP * size
-        # what hardly changes has few digits: the seventh of the largest coordinate is rounding
-        largest = np.maximum(ends["change up"], ends["change down"]).max(initial=0.0)
-        rounding = _ROUNDED * max(1.0, float(largest))
-        moves, changes = size > rounding, change_range > rounding
-        count = sums["steps"] + 1.0
-        spread = np.sqrt(np.maximum(sums["change2"] / count - (sums["change"] / count) ** 2, 0.0))
-        over = {"step2": "later", "bend2": "later", "rate2": "samples"}
-        step, bend, rate = (np.sqrt(sums[name] / sums[of]) for name, of in over.items())
-        rough = np.where(changes, step > _ROUGH * spread, bend > _ROUGH * rate)
-        wrong = ~fits & dense & moves & ~rough
-        with np.errstate(divide="ignore", invalid="ignore"):
-            factor = sums["product"] / sums["change2"]
-            similar = np.abs(factor) * np.sqrt(sums["change2"]) >= _SIMILAR * np.sqrt(sums["integral2"])
-        at = np.argmax(apart, axis=1)
-        sample = (at + 1) * self._stride
-        return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, sample, kept[0, 0, at])
+def _compare(h: Array, found: Array, size: Array, largest_rate: Array, ends: Sequence[Array], tilt: Array) -> _Compared:
+    """Compare mean rates (n, K) in steps of h (K,) with rates at both ends, and maybe their own rates, (n, K) each."""
+    first, last = ends[:2]
+    given, change = 0.5 * (first + last), np.abs(last - first)
+    apart, top = np.abs(found - given), largest_rate[:, None]
+    nothing = _NOTHING * largest_rate.max()
+    digits = np.floor(np.log10(np.maximum(size, np.finfo(float).tiny))) - 5.0
+    sure = RATE_TOLERANCE * top + nothing + 10.0 ** digits[:, None] / h + tilt
+    bends = np.diff(found - given, 4)
+    if bends.shape[1] >= 4:
+        sure = sure + _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: noise of its size 1
+    if len(ends) == 4:
+        second = h * np.maximum(np.abs(ends[2]), np.abs(ends[3]))
+        opened = 0.5 * change + 0.25 * second
+    else:
+        jumps = np.pad(np.abs(np.diff(found)), ((0, 0), (1, 1)))
+        opened = change + np.maximum(jumps[:, 1:], jumps[:, :-1])
+    standing = np.maximum(np.abs(first), np.abs(last)) <= nothing
+    if len(h) >= _FEW_STEPS:
+        allowed = sure + opened
+        wrong = apart > allowed
+        few = (wrong & standing).sum(axis=1, keepdims=True) <= _FEW_STEPS
+        return _Compared(given, allowed, wrong & ~(standing & few))
+    # a motion of few steps may do anything between samples but turn back, or hurry less than at their ends
+    unsure = sure + (second if len(h) == 1 else 0.25 * second)
+    onwards = first * last >= -1e-6 * np.maximum(first**2, last**2)
+    along, beyond = found * np.sign(given), np.abs(given) - unsure
+    travelled = h * onwards / np.where(top > 0.0, top, 1.0)
+    tells = onwards & (beyond > 0.0) & (np.abs(given) > _FAST * top)
+    wrong = tells & (_TOO_FAR * along < np.abs(given))
+    too_far = (np.maximum(beyond, 0.0) * travelled).sum() > _TOO_FAR * (np.maximum(along, 0.0) * travelled).sum()
+    if (wrong != tells).any() or (standing & (np.abs(found) > sure)).any() or not too_far:
+        wrong[:] = False
+    return _Compared(given, (1.0 - 1.0 / _TOO_FAR) * np.abs(given), wrong)
 
 
 def _steps(x: Array) -> Array:

@@ -73,7 +73,7 @@ def bend(robot: Robot, samples: int = 41) -> rp.PlatformMotion:
     row = dict(zip(robot.independent_joints, np.eye(robot.n), strict=True))
     end = -2.0 * row["left-knee-op"] + 1.0 * row["left-pitch-op"] - 1.0 * row["left-tarsus-crank-joint"]
     start = FOLDED * (row["left-tarsus-crank-joint"] + row["right-tarsus-crank-joint"])
-    return rp.trajectory.from_points([start, start + end], [0.0, 2.0]).sample(2.0 / (samples - 1))
+    return rp.trajectory.from_points([start, start + end], [0.0, 2.0], ends="rest").sample(2.0 / (samples - 1))
 
 
 def torques(robot: Robot, motion: rp.PlatformMotion) -> rp.Distribution:

@@ -26,7 +26,7 @@ def lift(robot: Robot, samples: int = 101) -> rp.PlatformMotion:
     """Return one second in which the bar goes up by 0.15 m and tilts by 0.2 rad."""
     x = rp.forward_kinematics(robot, robot.q_reference[None]).x[0]
     poses = np.array([x, x @ pin.SE3(pin.rpy.rpyToMatrix(0.2, 0.0, 0.0), np.array([0.0, 0.0, 0.15])).homogeneous])
-    return rp.trajectory.from_points(poses, [0.0, 1.0]).sample(1.0 / (samples - 1))
+    return rp.trajectory.from_points(poses, [0.0, 1.0], ends="rest").sample(1.0 / (samples - 1))
 
 
 def torques(robot: Robot, motion: rp.PlatformMotion, squeeze: float) -> tuple[rp.Distribution, np.ndarray]:

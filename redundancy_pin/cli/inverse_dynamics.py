@@ -141,7 +141,13 @@ def inverse_dynamics(
 
         write_text(out, texts())  # block by block: memory does not grow with the motion
     _warn(result)
-    facts = {"robot": loaded.name, "backend": backend, "motion": motion.described, "out": out, **_summary(result)}
+    facts = {
+        "robot": loaded.name,
+        "backend": backend,
+        "motion": motion.described,
+        "ends": getattr(followed, "ends", None),
+    }
+    facts |= {"out": out, **_summary(result)}
     main, moved = robot_record(loaded).effort_units
     rows = [("motion", motion.described)]
     rows += [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]

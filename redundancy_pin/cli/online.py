@@ -82,7 +82,7 @@ def online(
     plan = run.plan
     seconds = 1e3 * np.percentile([command.seconds for command in run.commands], [50.0, 99.0])
     facts = {**summary(plan), "ticks": run.counts, "milliseconds": {"p50": seconds[0], "p99": seconds[1]}}
-    facts |= {"motion": motion.described, "out": out, "html": html}
+    facts |= {"motion": motion.described, "ends": getattr(followed, "ends", None), "out": out, "html": html}
     output.report(as_json, facts, _table(facts, plan.robot.effort_units[0]))
     warn(plan)
     left = sum(count for status, count in run.counts.items() if status not in ("planned", "slowed"))

@@ -311,7 +311,7 @@ def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
     return make(**{key: _value(key, value, where) for key, value in options.items()})
 
 
-def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory:
+def parse_trajectory(text: str, flags: Mapping[str, float | str | None]) -> Trajectory:
     """Return the trajectory that ``name`` or ``name:key=value,...`` and flags describe together."""
     name, texts = split_trajectory(text)
     options = trajectory_values(name, texts)
@@ -339,7 +339,7 @@ class MotionOptions:
     path: str | None
     check_rates: bool
     trajectory: str | None = None
-    flags: Mapping[str, float | None] = field(default_factory=dict)
+    flags: Mapping[str, float | str | None] = field(default_factory=dict)
 
     @property
     def given(self) -> str | None:
@@ -417,9 +417,12 @@ def trajectory_values(name: str, texts: Mapping[str, str]) -> dict[str, Any]:
 
 
 def trajectory_value(key: str, text: str, where: str) -> Any:
-    """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;``."""
+    """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;`; or words."""
     if text in ("true", "false"):
         return text == "true"
+    if key == "ends":
+        words = text.split()
+        return words[0] if len(words) == 1 else words
     if (key, text) in (("times", "time-optimal"), ("shape", "3-4-5"), ("shape", "4-5-6-7")):
         return text
     try:
@@ -459,7 +462,7 @@ def motion_options(
     def decorate(command: _Command) -> Callable[..., Any]:
         @functools.wraps(command)
         def called(*args: Any, motion_path: Any, check_rates: Any, trajectory: Any = None, **given: Any) -> Any:
-            own = {key: given.pop(key) for key in flags}
+            own = {key: given.pop(key) for key in (*flags, *(["ends"] if "ends" in given else []))}
             return command(*args, motion=MotionOptions(motion_path, check_rates, trajectory, own), **given)
 
         added = number_options({flag(name): help_text for name, help_text in flags.items()})(called)
@@ -470,9 +473,20 @@ def motion_options(
             help="Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-.",
         )(added)
         added = click.option("--motion", "motion_path", metavar="CSV", help=text)(added)
-        return trajectory_option(trajectory)(added) if trajectory else added
+        return trajectory_option(trajectory)(_ends_option(added)) if trajectory else added
 
     return decorate
+
+
+def _ends_option(command: _Command) -> _Command:
+    """Return the option ``--ends``, the argument of ``from_points``."""
+    from redundancy_pin.trajectory.waypoints import ENDS  # as ``_trajectories``
+
+    return click.option(
+        "--ends",
+        type=click.Choice(ENDS),
+        help="Of points with times: start and end at rest, or with the rates of the samples; auto: as the points show.",
+    )(command)
 
 
 def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -86,10 +86,16 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
-    """Print facts as one JSON document, or what is shown to people: tables (with ``terminal``) and lines."""
+    """Print facts as one JSON document, or what is shown to people: tables (with ``terminal``) and lines.
+
+    Facts with ``ends``, those of a motion through points, get a line.
+    """
     if as_json:
         print_json(facts)
         return
+    if facts.get("ends"):
+        start, end = ("at rest" if one == "rest" else "with the rates of the samples" for one in facts["ends"])
+        click.echo(f"The motion through the points starts {start} and ends {end} (set by `ends`).")
     for each in shown:
         if isinstance(each, str):
             click.echo(printable(each))  # names come from files of strangers

@@ -358,7 +358,7 @@ def _run(
     base_facts = {"peak_base_force": base[0], "peak_base_moment": base[1], "base_point": np.asarray(point)}
     joints = [vars(one) for one in left]
     facts = {**summary(result), **base_facts, "joint_limits": joints, "out": out, "plot": plot}
-    facts["motion"] = task.followed
+    facts |= {"motion": task.followed, "ends": task.ends}
     output.report(as_json, facts, _table(result, facts))
     for one in left:
         output.warning(f"{one}.")

@@ -29,6 +29,7 @@ from redundancy_pin.robot.urdf import source_in
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory
+from redundancy_pin.trajectory.trajectory import Ends
 
 PLANNERS: Mapping[str, Callable[..., Plan]] = {**AT_A_SPEED, "time-optimal": plan_time_optimal}
 """Planners by name."""
@@ -296,13 +297,18 @@ STEP = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class PlanProblem:
-    """Everything a planner needs; ``parameters`` are its keyword arguments, ``followed`` says what the motion is."""
+    """Everything a planner needs.
+
+    ``parameters`` are its keyword arguments, ``followed`` says what the motion is, ``ends`` are those of a motion
+    through points.
+    """
 
     planner: str
     dynamics: Dynamics
     motion: PlatformMotion | Trajectory
     parameters: Mapping[str, Any]
     followed: str = ""
+    ends: Ends | None = None
 
     def solve(self, progress: Callable[[str], None] | None = None) -> Plan:
         """Return the plan; planners that have stages call ``progress`` with a line of text at each."""
@@ -337,6 +343,7 @@ def problem(
             f"lam = {values['lam']:g} asks for a fraction of the efforts of a baseline robot, and none is given.",
             remedy="Write --baseline carriers=false: the same robot without carriers.",
         )
+    ends = getattr(motion, "ends", None)
     # the other planners choose their own samples of a trajectory; the steps of this one are samples
     if planner == "stepwise" and isinstance(motion, Trajectory):
         motion = motion.sample(STEP if step is None else step)
@@ -345,7 +352,7 @@ def problem(
     if baseline is not None:
         with _about(_BASELINE):
             values["baseline"] = make(baseline.load())
-    return PlanProblem(planner, make(robot), motion, values)
+    return PlanProblem(planner, make(robot), motion, values, ends=ends)
 
 
 _ROBOT_KEYS = ("robot", "set", "mode", "gravity")

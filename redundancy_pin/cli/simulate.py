@@ -33,6 +33,7 @@ from redundancy_pin.simulation import (
 from redundancy_pin.simulation import simulate as run_simulation
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
+from redundancy_pin.trajectory.trajectory import Ends
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.curves import run_title
 from redundancy_pin.visualisation.figures.plots import save
@@ -126,7 +127,7 @@ def simulate(robot: options.RobotOptions, **given: Any) -> int:
     with output.progress("simulate") as advance, in_words(OPTIONS.knowing(_FLAGS)):
         advance(0, 3, "reading")
         plan = load_plan(plan_path) if plan_path else None
-        nominal, reference = _planned(robot, plan, given)
+        nominal, reference, ends = _planned(robot, plan, given)
         machine = _machine(nominal, given["machine"], trust=robot.trust)
         advance(1, 3, "simulation")
         run = _run(machine, reference, sampling, given)
@@ -149,6 +150,7 @@ def simulate(robot: options.RobotOptions, **given: Any) -> int:
     facts = summary(run, reference, machine)
     followed = f"the plan {plan_path}" if plan_path else motion.described
     facts |= {"motion": followed, "controller": given["controller"], "out": out, "plot": plot, "video": video}
+    facts["ends"] = ends
     output.report(given["as_json"], facts, _table(run, facts, machine))
     warn(run)
     for error in filter(None, failed):
@@ -165,8 +167,10 @@ def _sampling(given: Mapping[str, Any]) -> Sampling | None:
     return None
 
 
-def _planned(robot: options.RobotOptions, plan: Plan | None, given: Mapping[str, Any]) -> tuple[Robot, MotionReference]:
-    """Return the robot as planned, and the motion that it is to follow."""
+def _planned(
+    robot: options.RobotOptions, plan: Plan | None, given: Mapping[str, Any]
+) -> tuple[Robot, MotionReference, Ends | None]:
+    """Return the robot as planned, the motion to follow, and the ends of a motion through points."""
     chosen: options.MotionOptions = given["motion"]
     if plan is not None:
         own = {"trajectory": chosen.trajectory, "motion": chosen.path, "park": given["park"], **chosen.flags}
@@ -175,7 +179,7 @@ def _planned(robot: options.RobotOptions, plan: Plan | None, given: Mapping[str,
                 message = f"--plan and {options.flag(name)} are both given."
                 raise InputError(message, remedy="A plan has its own motion.")
         nominal = robot_of(plan, robot)
-        return nominal, plan_reference(plan, robot=nominal)
+        return nominal, plan_reference(plan, robot=nominal), None
     if not robot.source:
         raise InputError("There is nothing to simulate.", remedy="Add --plan NPZ, or --robot NAME and a motion.")
     nominal = robot.load()
@@ -183,7 +187,8 @@ def _planned(robot: options.RobotOptions, plan: Plan | None, given: Mapping[str,
     if carriers is not None and given["park"] is not None:
         raise InputError("The carriers of the motion move, and --park parks them.", remedy="Leave --park out.")
     parked = 0.0 if given["park"] is None else given["park"]
-    return nominal, motion_reference(nominal, motion, parked if carriers is None else carriers)
+    reference = motion_reference(nominal, motion, parked if carriers is None else carriers)
+    return nominal, reference, getattr(motion, "ends", None)
 
 
 def _machine(nominal: Robot, changes: Mapping[str, Any], *, trust: bool) -> Robot:

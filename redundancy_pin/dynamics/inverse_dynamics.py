@@ -24,7 +24,7 @@ from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
 from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import difference, working_modes
 from redundancy_pin.kinematics.lift import TreeMotion, lift
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, joined, require_consistent, require_sampled
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess, Turns, beyond_limits, out_of_range, turns_of
 from redundancy_pin.robot.loads import Load, Wrench
@@ -212,7 +212,7 @@ def inverse_dynamics_in_blocks(
                 remedy="Pass blocks of one motion.",
             )
         again = 0 if before is None else len(before[0])
-        whole, moved = _joined(before, (motion, carriers)) if before else (motion, carriers)
+        whole, moved = joined(before, (motion, carriers)) if before else (motion, carriers)
         until = -np.inf if before is None else before[0].t[-1]
         with numbered_from(done - again):
             result, tree = _part(dynamics, whole, moved, unreachable, motion.check_rates, turns, wanted)
@@ -268,19 +268,6 @@ def _part(
 def _unchecked(motion: PlatformMotion) -> PlatformMotion:
     """Return samples whose rates have been compared with their positions."""
     return PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
-
-
-def _joined(
-    before: tuple[PlatformMotion, CarrierMotion | None], after: tuple[PlatformMotion, CarrierMotion | None]
-) -> tuple[PlatformMotion, CarrierMotion | None]:
-    """Return the samples of both."""
-    (motion, carriers), (more, moved) = before, after
-    both = [np.concatenate([getattr(motion, name), getattr(more, name)]) for name in ("t", "x", "xd", "xdd")]
-    joined = PlatformMotion(*both, check_rates=more.check_rates)
-    if carriers is None or moved is None:
-        return joined, moved
-    both = [np.concatenate([getattr(carriers, name), getattr(moved, name)]) for name in ("s", "sd", "sdd")]
-    return joined, CarrierMotion(*both, check_rates=moved.check_rates)
 
 
 def _without(result: InverseDynamics, again: int, until: float) -> InverseDynamics:

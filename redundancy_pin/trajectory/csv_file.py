@@ -62,7 +62,6 @@ _INDEXED = re.compile(r"([xs])(d{0,2})(0|[1-9]\d{0,3}|:.*)", re.DOTALL | re.ASCI
 
 _POINTS_REMEDY = "Name the columns t,x,y,xd,yd,xdd,ydd for a motion with rates, or t,x,y for points."
 
-
 # --- units ------------------------------------------------------------------------------------------------------------
 
 LENGTH, ANGLE, TIME, NUMBER = "length", "angle", "time", "number"
@@ -234,8 +233,8 @@ def from_csv(
     order, other columns are ignored. A spatial platform has ``x``, ``y``, ``z`` and the unit quaternion ``qx``, ``qy``,
     ``qz``, ``qw``, and six rates ``xd``, ..., ``rzd``, its twist in world axes. A number may stand for a name: ``x0``,
     ``xd0``, ``xdd0``. Units mm, cm, µm, deg, ms, min are converted. An instant may occur twice for the acceleration
-    before and after a jump. Where samples are dense enough to tell, rates must be those of the positions: other units,
-    or columns in another order, are refused.
+    before and after a jump. Rates must be those of the positions (``require_consistent``): other units, or columns in
+    another order, are refused.
 
     Args:
         path: of the file, UTF-8, comma separated.
@@ -245,7 +244,7 @@ def from_csv(
     Raises:
         InputError: no such file, not text, a missing column (with the names seen), a unit that is not known or not one
             of that quantity, a cell that is not a finite number (with row and column), rows of different lengths,
-            columns of another robot, rates that are not those of the positions (with column and factor), positions
+            columns of another robot, rates that are not those of the positions (with column, sample and both values), positions
             without rates, or a motion that is not one.
     """
     table = _sampled(path, robot)

@@ -16,10 +16,11 @@ from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory.csv_file import POSE, checked_poses, differentiated, read_table
 from redundancy_pin.trajectory.paths import Path, with_constant
+from redundancy_pin.trajectory.quaternions import quaternions_of
 from redundancy_pin.trajectory.time_optimal import fastest_law
 from redundancy_pin.trajectory.timing import SpeedProfile, TimingLaw, law_through_speeds, uniform_law
 from redundancy_pin.trajectory.trajectory import Trajectory
-from redundancy_pin.trajectory.waypoints import PosePath, SplinePath, TimedSpline
+from redundancy_pin.trajectory.waypoints import PosePath, SplinePath, TimedSpline, resolve_ends
 
 TIME_OPTIMAL: Literal["time-optimal"] = "time-optimal"
 """In place of times: as fast as limits allow."""
@@ -44,18 +45,21 @@ def from_points(
     max_acceleration: ArrayLike | None = None,
     alpha: float | None = None,
     closed: bool = False,
+    ends: str | Sequence[str] = "auto",
 ) -> Trajectory:
-    """Return a smooth motion through points or poses, from rest to rest.
+    """Return a smooth motion through points or poses.
 
     One of three says when it is where:
 
-    - ``times``: each point is passed at its own time, on a quintic spline of time (four continuous derivatives).
+    - ``times``: each point is passed at its own time, on a quintic spline of time (four continuous derivatives). It
+      starts and ends with the speed and the acceleration of the points, or at rest where they show it (``ends``).
     - ``speed``: a cubic spline by arc length (curvature is continuous), at one cruising speed with ramps, or with a
       speed of its own at each point.
     - ``times="time-optimal"``: the same path in least time under ``max_speed`` and ``max_acceleration`` of the
       platform (``time_optimal``; switches of the acceleration take 2 % of the duration).
 
-    Poses (three or more make a spline; two are joined directly) turn by splines of quaternions. By speed or
+    By speed it is at rest at the ends, or has the speeds given there; time-optimal it is at rest. Poses (three or more
+    make a spline; two are joined directly) turn by splines of quaternions. By speed or
     time-optimal they need origins that move from each to the next.
 
     Args:
@@ -71,6 +75,12 @@ def from_points(
         max_acceleration: the same of ẍ, m/s² and rad/s².
         alpha: a constant last coordinate, rad, for points in the plane.
         closed: by ``speed`` or "time-optimal": return to the first point, which is not repeated.
+        ends: with ``times``: "rest" starts and ends at rest without acceleration; "samples" with the speed and the
+            acceleration of the points; "auto" chooses for each end, by the points (``resolve_ends``: six or more may
+            show rest). A pair of these words is for the start and the end. What was chosen is ``Trajectory.ends``.
+
+    Returns:
+        The motion; ``ends`` of it is a pair of "rest" and "samples", None without times.
 
     Raises:
         InputError: none or two of times and speed, points that are none, times that do not increase, a file that
@@ -102,22 +112,29 @@ def from_points(
     fastest = isinstance(times, str)
     if fastest and times != TIME_OPTIMAL:
         raise InputError(f"times is {shown(times)}.", remedy='Pass times, or "time-optimal".', name="times")
+    timed = times is not None and not fastest
     for name, value, fits in (
         ("max_speed", max_speed, fastest),
         ("max_acceleration", max_acceleration, fastest),
         ("ramp_time", ramp_time, speed is not None and np.ndim(speed) == 0),
+        ("ends", None if ends == "auto" else ends, timed),
     ):
         if value is not None and not fits:
-            remedy = "It is for one cruising speed." if name == "ramp_time" else 'It is for times="time-optimal".'
+            remedies = {"ramp_time": "It is for one cruising speed.", "ends": "It is for points with times."}
+            remedy = remedies.get(name, 'It is for times="time-optimal".')
             raise InputError(f"{name} is given, and has no effect here.", remedy=remedy, name=name)
     where, rotations = _split(points)
-    if closed and (rotations is not None or (times is not None and not fastest)):
+    if closed and (rotations is not None or timed):
         raise InputError(
             "closed is for coordinates, by speed or time-optimal.", remedy="Repeat the first point.", name="closed"
         )
-    if times is not None and not fastest:
-        timed = TimedSpline(where, times)
-        return Trajectory(_whole(timed, rotations, alpha), uniform_law(timed.length, timed.length))
+    if timed:
+        origin = TimedSpline(where, times, ends)  # type: ignore[arg-type]
+        if rotations is not None:  # a platform that turns on the spot is not at rest
+            columns = np.concatenate([where, quaternions_of(rotations)], axis=1)
+            origin = TimedSpline(where, origin.times, resolve_ends(columns, origin.times, ends))
+        law = uniform_law(origin.length, origin.length)
+        return Trajectory(_whole(origin, rotations, alpha), law, ends=origin.ends)
     spline = SplinePath(where, closed=closed)
     path = _whole(spline, rotations, alpha)
     if not fastest:

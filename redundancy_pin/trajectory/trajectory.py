@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +28,9 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path, PathPoint, SmoothPath
 from redundancy_pin.trajectory.quaternions import HALF_TURN_MARGIN
 from redundancy_pin.trajectory.timing import TimingLaw
+
+Ends: TypeAlias = tuple[Literal["rest", "samples"], Literal["rest", "samples"]]
+"""What holds at start and end of a motion through points: rest without acceleration, or the points' own rates."""
 
 MOST_SAMPLES = 10_000_000
 """Samples made at once; more would fill the memory of a usual computer in the dynamics that follow."""
@@ -90,7 +93,7 @@ class TrajectoryPoint(NamedTuple):
     xdd: Array
 
 
-@dataclass(frozen=True, init=False, eq=False)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class Trajectory(Frozen):
     """A path travelled by a timing law: x(p(t)), ẋ = x' ṗ, ẍ = x' p̈ + x'' ṗ².
 
@@ -101,6 +104,8 @@ class Trajectory(Frozen):
         path: the path.
         timing: the timing law; its length is that of the path.
         breaks: (b,) times at which the acceleration jumps, s.
+        ends: of a motion through points with times, what holds at its start and its end: "rest" or "samples"
+            (``from_points``); None otherwise.
 
     Raises:
         InputError: path and timing law have different lengths.
@@ -109,10 +114,11 @@ class Trajectory(Frozen):
     path: Path
     timing: TimingLaw
     breaks: Array
+    ends: Ends | None
     _break_length: Array
     _break_time: Array
 
-    def __init__(self, path: Path, timing: TimingLaw) -> None:
+    def __init__(self, path: Path, timing: TimingLaw, *, ends: Ends | None = None) -> None:
         for part, what in ((path, "path"), (timing, "timing law")):
             if not (hasattr(part, "length") and hasattr(part, "evaluate")):
                 raise InputError(
@@ -130,8 +136,13 @@ class Trajectory(Frozen):
         instants = frozen([timing.time_at(min(float(p), timing.length)) for p in lengths])
         change = path.evaluate(lengths, "right").curvature - path.evaluate(lengths, "left").curvature
         jump = np.abs(change).max(axis=1, initial=0.0) * timing.evaluate(instants).pd ** 2
-        assign(self, path=path, timing=timing, breaks=frozen(instants[jump > 0.0]))
+        assign(self, path=path, timing=timing, breaks=frozen(instants[jump > 0.0]), ends=ends)
         assign(self, _break_length=lengths, _break_time=instants)
+
+    def __repr__(self) -> str:
+        """Return path, duration and ends, not the arrays."""
+        ends = f", ends={self.ends}" if self.ends else ""
+        return f"{type(self).__name__}({type(self.path).__name__}, n={self.dimension}, {self.duration:g} s{ends})"
 
     @property
     def dimension(self) -> int:
@@ -195,7 +206,7 @@ class Trajectory(Frozen):
         Raises:
             InputError: factor not positive.
         """
-        return Trajectory(self.path, self.timing.scaled(factor))
+        return Trajectory(self.path, self.timing.scaled(factor), ends=self.ends)
 
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
         law = self.timing.evaluate(times)
@@ -266,7 +277,7 @@ class _Screw(Frozen, SmoothPath):
         return PathPoint(poses, tangent, np.zeros(part.shape))
 
 
-@dataclass(frozen=True, init=False, eq=False)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class PoseTrajectory(Trajectory):
     """The position moves on a straight line while the platform turns about an axis fixed in the world.
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from redundancy_pin.arrays import ROUNDING, Array, Frozen, assign, checked, frozen, positive
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, shown
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, SmoothPath, straight_pieces
 from redundancy_pin.trajectory.quaternions import (
     HALF_TURN_MARGIN,
@@ -20,6 +20,7 @@ from redundancy_pin.trajectory.quaternions import (
     quaternions_of,
     turns_between,
 )
+from redundancy_pin.trajectory.trajectory import Ends
 
 _FARTHEST = 1e100  # m: squares of such lengths are numbers still
 _STRAIGHT_ANGLE = 1e-9
@@ -335,24 +336,146 @@ _LEAST_NORM = 0.3
 """Of a quaternion between poses, before it is normalised: below, the poses turn too far for what is between them."""
 
 
+ENDS = ("auto", "rest", "samples")
+
+_FEWEST_POINTS = 6
+"""Points that a quintic takes, and that can show rest: through five of them all ends are equally smooth."""
+
+_ROUGHER = 1.25
+"""Rest is shown by points that no end makes smoother: by so many times the largest jerk near the end. The ratio is
+1 or less for motions from rest of the third and higher orders in time, and 100 at constant speed."""
+
+_SIX_DIGITS = 5e-6
+"""Largest error of a number with six digits, relative to the number."""
+
+_MOVES = 100.0
+"""Roundings by which points move that stood in two steps: at constant acceleration seven steps are 49 times one."""
+
+_WINDOW = 8
+"""Points in which the end of a motion is judged; of dense and rounded points each second, fourth, ... counts."""
+
+
+def resolve_ends(points: Array, times: Array, ends: object = "auto") -> Ends:
+    """Return what holds at the ends of a motion through (N, d) points at (N,) times, s.
+
+    ``auto``: "rest" where the points show it, else "samples". Points show rest where a motion that starts (ends) at
+    rest without acceleration is as smooth as one with the speed and the acceleration of the points: its largest jerk
+    within two steps is at most 1.25 times as large, in each coordinate; or where the points stand during two steps, and
+    move then. Six digits are enough to tell.
+
+    Args:
+        points: (N, d) the points, m and rad.
+        times: (N,) increasing times, s.
+        ends: one of ``ENDS``, or a pair of them, for the start and the end.
+
+    Raises:
+        InputError: another word.
+    """
+    words = (ends, ends) if isinstance(ends, str) else ends
+    if not isinstance(words, (tuple, list)) or len(words) != 2 or any(word not in ENDS for word in words):
+        raise InputError(
+            f"ends is {shown(ends)}.", remedy=f"Pass one of {', '.join(ENDS)}, or a pair of them.", name="ends"
+        )
+    start, end = (points, times), (points[::-1], times[-1] - times[::-1])
+    return _resolve_end(words[0], *start), _resolve_end(words[1], *end)
+
+
+def _resolve_end(word: str, points: Array, times: Array) -> Literal["rest", "samples"]:
+    return "rest" if word == "rest" or (word == "auto" and _shows_rest(points, times)) else "samples"
+
+
+def _rounding(points: Array) -> Array:
+    """Return (d,) the error of (N, d) points: that of six digits, or less where eighth differences show less."""
+    size = np.abs(points).max(axis=0)
+    differences = np.abs(np.diff(points, 8, axis=0)).max(axis=0, initial=0.0) / 64.0  # of noise 65 times its size
+    return np.asarray(np.clip(differences, 4.0 * np.finfo(float).eps * size, _SIX_DIGITS * size))
+
+
+def _shows_rest(points: Array, times: Array) -> bool:
+    """Return whether (N, d) points at (N,) times start from rest; as ``resolve_ends``."""
+    d, stride = points.shape[1], 1
+    if len(points) < _FEWEST_POINTS:
+        return False
+    while len(times) > (_FEWEST_POINTS - 1) * stride:
+        near = slice(0, (_WINDOW - 1) * stride + 1, stride)
+        t, y = times[near] - times[0], points[near] - points[0]
+        rounding = _rounding(points[: 3 * near.stop])
+        if (np.abs(y[:3]) <= rounding).all() and (np.abs(y) > _MOVES * rounding).any():
+            return True
+        columns, inside = np.concatenate([y, np.eye(len(t))], axis=1), np.linspace(0.0, t[2], 9)
+        jerks = []
+        for start in (np.zeros((2, columns.shape[1])), _end_rates(t, columns)):
+            jerk = np.abs(
+                _spline(t, columns, start, _end_rates(t[-1] - t[::-1], columns[::-1]) * [[-1.0], [1.0]])(inside, 3)
+            )
+            jerks.append((jerk[:, :d].max(axis=0), jerk[:, d:].sum(axis=1).max()))
+        (rest, from_rest), (free, from_free) = jerks
+        unsure = (from_rest + from_free) * rounding
+        if (rest > _ROUGHER * free + unsure).any():
+            return False
+        if (free > 4.0 * unsure).any():
+            return True
+        stride *= 2
+    return True
+
+
+def _end_rates(times: Array, points: Array) -> Array:
+    """Return (2, d) first and second derivative at the first of few (N, d) points, by the polynomial through six."""
+    t, y = times[:_FEWEST_POINTS] - times[0], points[:_FEWEST_POINTS]
+    scale = t[-1]
+    powers = np.linalg.solve(np.vander(t / scale, increasing=True), y - y[0])
+    first, second = powers[1], powers[2] if len(t) > 2 else 0.0 * powers[1]
+    return np.asarray([first / scale, 2.0 * second / scale**2])
+
+
+def _measured_rates(times: Array, points: Array) -> Array:
+    """Return (2, d) first and second derivative at the first of (N, d) points.
+
+    Errors are of fifth and fourth order in the steps. Of dense and rounded points every second, fourth, ... is taken,
+    as long as rounding hides the difference that it makes (Lepski's rule).
+    """
+    stride = 1
+    rates = _end_rates(times, points)
+    while len(times) > 2 * (_FEWEST_POINTS - 1) * stride:
+        near = slice(0, (_FEWEST_POINTS - 1) * stride + 1, stride)
+        t = times[near] - times[0]
+        unsure = np.abs(_end_rates(t, np.eye(len(t)))).sum(axis=1)[:, None] * _rounding(points[: 3 * near.stop])
+        wider = _end_rates(times[:: 2 * stride], points[:: 2 * stride])
+        if (np.abs(wider - rates) > unsure).any():
+            break
+        rates, stride = wider, 2 * stride
+    return rates
+
+
+def _spline(times: Array, points: Array, start: Array, end: Array) -> BSpline:
+    """Return the quintic through (N, d) points, with (2, d) first and second derivatives at the ends."""
+    conditions = tuple([(1, rates[0]), (2, rates[1])] for rates in (start, end))
+    return make_interp_spline(times, points, k=5, bc_type=conditions)
+
+
 @dataclass(frozen=True, init=False, eq=False)
 class TimedSpline(Frozen, SmoothPath):
-    """A quintic spline through points at given times, at rest without acceleration at both ends.
+    """A quintic spline through points at given times.
 
-    It is a path whose parameter is the time since the first point; four derivatives are continuous.
+    It is a path whose parameter is the time since the first point; four derivatives are continuous. At each end it is
+    at rest without acceleration, or has the speed and the acceleration that the points have there, by polynomials
+    through the six next to it (through all, of fewer). Between points of a smooth motion h seconds apart the errors of
+    x, ẋ and ẍ fall with h⁶, h⁵ and h⁴.
 
     Attributes:
         points: (N, d) the points, m and rad.
         times: (N,) when they are passed, s, from zero.
         length: duration, s.
+        ends: "rest" or "samples", at the start and at the end; of ``ends="auto"`` by ``resolve_ends``.
     """
 
     points: Array
     times: Array
     length: float
+    ends: Ends
     _spline: BSpline
 
-    def __init__(self, points: ArrayLike, times: ArrayLike) -> None:
+    def __init__(self, points: ArrayLike, times: ArrayLike, ends: str | Sequence[str] = "auto") -> None:
         given = checked(points, "points", ("N", "d"))
         t = checked(times, "times", (len(given),))
         if len(t) < 2 or (np.diff(t) <= 0.0).any():
@@ -363,14 +486,20 @@ class TimedSpline(Frozen, SmoothPath):
                 index=k,
             )
         t = t - t[0]
-        rest = [(1, np.zeros(given.shape[1])), (2, np.zeros(given.shape[1]))]
+        rest = np.zeros((2, given.shape[1]))
         try:
             with np.errstate(all="ignore"):
-                spline = make_interp_spline(t, given, k=5, bc_type=(rest, rest))
+                resolved = resolve_ends(given, t, ends)
+                start = rest if resolved[0] == "rest" else _measured_rates(t, given)
+                backwards = t[-1] - t[::-1], given[::-1]
+                end = rest if resolved[1] == "rest" else _measured_rates(*backwards) * [[-1.0], [1.0]]
+                spline = _spline(t, given, start, end)
                 missed = float(np.abs(spline(t) - given).max())
+        except InputError:
+            raise
         except ValueError:  # numbers that are infinite, or LinAlgError
             missed = np.inf
-        if not missed <= _PASSED * max(float(np.ptp(given, axis=0).max()), 1e-12):
+        if not missed <= _PASSED * max(float(np.ptp(given, axis=0).max()), _PASSED * float(np.abs(given).max())):
             k = int(np.diff(t).argmin())
             raise InputError(
                 f"No spline passes points at these times: numbers {k} and {k + 1} are {t[k + 1] - t[k]:g} s apart, of "
@@ -378,7 +507,7 @@ class TimedSpline(Frozen, SmoothPath):
                 remedy="Space them more evenly.",
                 index=k,
             )
-        assign(self, points=given, times=frozen(t), length=float(t[-1]), _spline=spline)
+        assign(self, points=given, times=frozen(t), length=float(t[-1]), ends=resolved, _spline=spline)
 
     @property
     def dimension(self) -> int:
@@ -424,7 +553,7 @@ class PosePath(Frozen, SmoothPath):
             )
         if isinstance(origin, TimedSpline):
             places = origin.times
-            turn = TimedSpline(quaternions, places)._spline
+            turn = TimedSpline(quaternions, places, origin.ends)._spline
         else:
             places = origin.lengths_at_points
             turn = CubicSpline(places, quaternions, bc_type="natural")

@@ -159,3 +159,56 @@ def test_points_are_not_written_over() -> None:
     arguments = ("inverse-dynamics", "--robot", "2rpr", "--trajectory", "timed.csv", "--out", "timed.csv")
     assert "file of the motion" in refused(*arguments)
     assert Path("timed.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("flags", "ends", "says"),
+    [
+        (("circle.csv",), ["samples", "samples"], "starts with the rates of the samples and ends with the rates"),
+        (("circle.csv", "--ends", "rest"), ["rest", "rest"], "starts at rest and ends at rest"),
+        (("circle.csv:ends=rest samples",), ["rest", "samples"], "starts at rest and ends with the rates"),
+        (("way.csv:speed=0.2",), None, None),
+    ],
+)
+def test_the_ends_of_a_motion_are_printed(flags: tuple[str, ...], ends: list[str] | None, says: str | None) -> None:
+    """At constant speed efforts are periodic: ends at rest make them ten times as large."""
+    t = np.linspace(0.0, 2.0 * np.pi / 5.0, 51)
+    rows = np.column_stack([t, 0.25 + 0.02 * np.cos(5.0 * t), 0.25 + 0.02 * np.sin(5.0 * t)])
+    np.savetxt("circle.csv", rows, fmt="%.6g", delimiter=",", header="t,x,y", comments="")
+    base = ("inverse-dynamics", "--robot", "2rpr", "--trajectory", *flags, "--dt", "0.01", "--out", "out.csv")
+    told = json.loads(call(*base, "--json").stdout)
+    assert told["ends"] == ends
+    printed = call(*base).stdout
+    assert ("motion through the points" in printed) == (ends is not None)
+    if says:
+        assert says in printed
+    if ends and ends[0] == ends[1]:
+        exact = rp.PlatformMotion(t, rows[:, 1:], *(
+            0.02 * 5.0**k * np.column_stack([np.cos(5.0 * t + 0.5 * np.pi * k), np.sin(5.0 * t + 0.5 * np.pi * k)])
+            for k in (1, 2)
+        ))  # fmt: skip
+        true = np.abs(rp.inverse_dynamics(rp.RneaDynamics("2rpr"), exact).efforts.tau).max(axis=0)
+        ratio = np.max(np.array(told["largest_tau"]) / true)
+        assert ratio == pytest.approx(1.0, rel=0.01) if ends[0] == "samples" else ratio > 3.0
+
+
+@pytest.mark.parametrize("command", [("singularities",), ("plan", "switch-off"), ("plan", "stepwise")])
+def test_every_command_says_the_ends(command: tuple[str, ...]) -> None:
+    Path("above.csv").write_text("t,x,y\n0,0.15,0.3\n0.6,0.2,0.25\n1.1,0.22,0.25\n1.8,0.25,0.3\n")
+    told = json.loads(call(*command, "--robot", "2rpr", "--trajectory", "above.csv", "--ends", "rest", "--json").stdout)
+    assert told["ends"] == ["rest", "rest"]
+
+
+def test_a_problem_file_names_the_ends() -> None:
+    text = "planner: switch-off\nrobot: 2rpr\ntrajectory: {name: timed.csv, ends: [rest, samples]}\n"
+    Path("problem.yaml").write_text(text, encoding="utf-8")
+    assert read_problem("problem.yaml").motion.ends == ("rest", "samples")
+    Path("problem.yaml").write_text(text.replace("[rest, samples]", "rest"), encoding="utf-8")
+    assert read_problem("problem.yaml").motion.ends == ("rest", "rest")
+
+
+def test_ends_go_with_points_that_have_times() -> None:
+    base = ("singularities", "--robot", "2rpr", "--trajectory")
+    assert "ends is given, and has no effect" in refused(*base, "way.csv:speed=0.2,ends=rest")
+    assert "takes no --ends" in refused(*base, "circle", "--ends", "rest")
+    assert "ends is 'soon'" in refused(*base, "timed.csv:ends=soon")

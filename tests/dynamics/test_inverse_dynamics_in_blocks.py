@@ -19,11 +19,11 @@ from command_line import call, write_motion
 from folding import folding_four_bar, rocker_motion
 
 import redundancy_pin as rp
-from redundancy_pin import CarrierMotion, PlatformMotion, motion
+from redundancy_pin import CarrierMotion, PlatformMotion
 from redundancy_pin.dynamics import compiled
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics, edge_of
-from redundancy_pin.motion import Consistency, require_consistent
+from redundancy_pin.motion import require_consistent
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
 CIRCLE = reference.circle(speed=0.5)
@@ -158,48 +158,16 @@ def test_blocks_that_are_none_of_one_motion_are_refused() -> None:
             list(rp.inverse_dynamics_in_blocks(dynamics, blocks))
 
 
-@pytest.mark.long_for("2", "3")
-@pytest.mark.parametrize("size", [1, 2, 3, 50])
-def test_rates_are_compared_over_all_blocks(size: int) -> None:
-    sampled = CIRCLE.sample(0.01)
-    tolerant = Consistency()
-    for part, _ in cut(CIRCLE.sample(0.2), size):  # trapezoids are off by 0.12 of the motion, and say so
-        tolerant.add(part)
-    tolerant.require()
-    for scale in ((1e3, 1.0, 1.0), (1.0, -1.0, -1.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)):
-        parts = [factor * part for factor, part in zip(scale, (sampled.x, sampled.xd, sampled.xdd), strict=True)]
-        one, check, messages = PlatformMotion(sampled.t, *parts), Consistency(), []
-        for part, _ in cut(one, size):
-            check.add(part)
-        for judge in (check.require, lambda one=one: require_consistent(one)):
-            try:
-                messages.append(judge())
-            except rp.errors.InputError as error:
-                messages.append(str(error))
-        assert messages[0] == messages[1]
-        assert (messages[0] is None) == (scale == (1.0, 1.0, 1.0))
-
-
-def test_long_motions_are_compared_at_some_of_their_samples(monkeypatch: pytest.MonkeyPatch) -> None:
-    sampled = CIRCLE.sample(0.005)
-    monkeypatch.setattr(motion, "COMPARED_AT", 20)
-    require_consistent(sampled)
-    with pytest.raises(rp.errors.InputError) as caught:
-        require_consistent(PlatformMotion(sampled.t, 1e3 * sampled.x, sampled.xd, sampled.xdd))
-    sample = caught.value.details["sample"]
-    assert sample % 4 == 0
-    assert caught.value.details["time"] == sampled.t[sample]
-    check = Consistency()
-    for part, _ in cut(PlatformMotion(sampled.t, 1e3 * sampled.x, sampled.xd, sampled.xdd), 7):
-        check.add(part)
-    with pytest.raises(rp.errors.InputError) as again:
-        check.require()
-    assert str(again.value) == str(caught.value)
-    # all samples are integrated over: a rate that is wrong between those compared is seen
-    odd = np.array(sampled.xd)
-    odd[1::2] *= 3.0
-    with pytest.raises(rp.errors.InputError):
-        require_consistent(PlatformMotion(sampled.t, sampled.x, odd, sampled.xdd))
+def test_long_motions_are_compared_to_their_end() -> None:
+    t = np.arange(50_000) * 1e-3
+    x, xd, xdd = (3.0**k * np.sin(3.0 * t + 0.5 * np.pi * k)[:, None] for k in range(3))
+    require_consistent(PlatformMotion(t, x, xd, xdd))
+    for late in (16_667, 49_990):  # parts of a motion are compared one by one, without a gap
+        wrong = x.copy()
+        wrong[late:] += 0.02
+        with pytest.raises(rp.errors.InputError, match=f"from sample {late - 1} to {late} ") as caught:
+            require_consistent(PlatformMotion(t, wrong, xd, xdd))
+        assert caught.value.details["time"] == t[late]
 
 
 MEASURE = """
@@ -275,7 +243,7 @@ def test_blocks_compile_nothing_again(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("REDUNDANCY_PIN_CACHE", str(tmp_path))
     made, build = [], compiled.define
     monkeypatch.setattr(compiled, "define", lambda robot: (made.append(robot), build(robot))[1])
-    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0]).sample(0.05)
+    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0], ends="rest").sample(0.05)
     dynamics = rp.CompiledDynamics("four_bar", interpret=True)
     blocks = list(rp.inverse_dynamics_in_blocks(dynamics, cut(motion, 5)))
     assert len(made) == 1

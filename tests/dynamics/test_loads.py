@@ -313,7 +313,7 @@ def test_damping_of_balls_is_the_same_in_both_backends(tmp_path: Path) -> None:
 
 def test_backends_of_other_dimensions_are_those_of_the_other_machine() -> None:
     """Co-design goes from one to the next."""
-    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0]).sample(0.2)
+    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0], ends="rest").sample(0.2)
     for own in (CompiledDynamics("four_bar", interpret=True), RneaDynamics("four_bar")):
         for length in (0.1, 0.12):
             robot = rp.load_robot("four_bar", crank_length=length)

@@ -32,17 +32,17 @@ def robot(request):
 def motion_of(robot, samples=7):
     rng = np.random.default_rng(3)
     x = START[robot.name] + 0.1 * rng.uniform(-1, 1, (samples, robot.n))
-    return rp.PlatformMotion(np.arange(samples), x, *rng.normal(size=(2, samples, robot.n)))
+    return rp.PlatformMotion(np.arange(samples), x, *rng.normal(size=(2, samples, robot.n)), check_rates=False)
 
 
 def carriers_of(robot, samples=7):
-    return rp.CarrierMotion(*np.random.default_rng(4).uniform(-0.19, 0.19, (3, samples, robot.k)))
+    return rp.CarrierMotion(*np.random.default_rng(4).uniform(-0.19, 0.19, (3, samples, robot.k)), check_rates=False)
 
 
 def with_pose(motion, sample, pose):
     x = motion.x.copy()
     x[sample] = pose
-    return rp.PlatformMotion(motion.t, x, motion.xd, motion.xdd)
+    return rp.PlatformMotion(motion.t, x, motion.xd, motion.xdd, check_rates=False)
 
 
 def arrays(result):

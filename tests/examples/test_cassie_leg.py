@@ -144,7 +144,7 @@ def test_loops_that_stand_beside_a_rank_loss_take_no_digits_from_those_that_move
     for right in (0.0, 0.5):
         start = right * (np.arange(robot.n) == robot.independent_joints.index("right-tarsus-crank-joint"))
         end = start - 0.5 * (np.arange(robot.n) == robot.independent_joints.index("left-knee-op"))
-        motion = rp.trajectory.from_points([start, end], [0.0, 1.0]).sample(0.02)
+        motion = rp.trajectory.from_points([start, end], [0.0, 1.0], ends="rest").sample(0.02)
         margins.append(rp.lift(robot, motion).serial_margin_bound.max())
         tau.append(rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[:, left])
     assert margins[0] < 1e-4 < margins[1]
@@ -156,7 +156,9 @@ def test_a_search_between_samples_takes_no_longer_than_the_samples(tmp_path: Pat
     """The other leg stands beside a rank loss all along, which is nothing to be carried through for positions."""
     robot = _standing(tmp_path)
     row = dict(zip(robot.independent_joints, np.eye(robot.n), strict=True))
-    motion = rp.trajectory.from_points([0.0 * row["left-knee-op"], -0.5 * row["left-knee-op"]], [0.0, 1.0]).sample(0.1)
+    motion = rp.trajectory.from_points(
+        [0.0 * row["left-knee-op"], -0.5 * row["left-knee-op"]], [0.0, 1.0], ends="rest"
+    ).sample(0.1)
     rp.RneaDynamics(robot).reduce(motion)  # what is asked once of a robot is not counted
     calls, evaluate = [], ConstraintSystem.evaluate
     monkeypatch.setattr(ConstraintSystem, "evaluate", lambda *given: (calls.append(len(given[1])), evaluate(*given))[1])

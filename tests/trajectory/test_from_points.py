@@ -37,6 +37,7 @@ POSES[:, :3, :3], POSES[:, :3, 3] = TURNS.as_matrix(), ORIGINS
 
 BY: dict[str, dict[str, Any]] = {
     "times": {"times": TIMES},
+    "times, rest": {"times": TIMES, "ends": "rest"},
     "speed": {"speed": 0.2},
     "speeds": {"speed": [0.0, 0.2, 0.3, 0.1, 0.0]},
     "time-optimal": {"times": "time-optimal", "max_speed": 0.5, "max_acceleration": 2.0},
@@ -44,6 +45,7 @@ BY: dict[str, dict[str, Any]] = {
 }
 POSES_BY: dict[str, dict[str, Any]] = {
     "times": {"times": [0.0, 0.5, 1.2, 2.0]},
+    "times, rest": {"times": [0.0, 0.5, 1.2, 2.0], "ends": "rest"},
     "speed": {"speed": 0.1, "ramp_time": 0.3},
     "speeds": {"speed": [0.0, 0.1, 0.2, 0.0]},
     "time-optimal": {"times": "time-optimal", "max_speed": [0.3, 1.0], "max_acceleration": [1.0, 3.0]},
@@ -57,7 +59,7 @@ def through(name: str, *, poses: bool = False) -> Trajectory:
 
 
 def require_smooth(motion: Trajectory) -> None:
-    """ẋ and ẍ are the derivatives of x and ẋ, and none of them jumps; the ends are at rest."""
+    """ẋ and ẍ are the derivatives of x and ẋ, and none of them jumps; the ends are at rest, without ``ends``."""
     dense = motion.sample(motion.duration / 20000)
     assert len(motion.breaks) == 0
     dt = np.diff(dense.t)[:, None]
@@ -70,16 +72,17 @@ def require_smooth(motion: Trajectory) -> None:
         mean = 0.5 * (rates[1:] + rates[:-1])
         assert np.abs(change / dt - mean).max() < 2e-3 * np.abs(rates).max()
     assert np.abs(np.diff(dense.xdd, axis=0)).max() < 0.02 * np.abs(dense.xdd).max()
-    np.testing.assert_allclose(dense.xd[[0, -1]], 0.0, atol=1e-9 * np.abs(dense.xd).max())
+    if motion.ends in (None, ("rest", "rest")):
+        np.testing.assert_allclose(dense.xd[[0, -1]], 0.0, atol=1e-9 * np.abs(dense.xd).max())
 
 
 @pytest.mark.parametrize("name", BY)
-def test_points_are_passed_smoothly_from_rest_to_rest(name: str) -> None:
+def test_points_are_passed_smoothly(name: str) -> None:
     motion = through(name)
     require_smooth(motion)
     times = (
         [motion.timing.time_at(float(p)) for p in through_points(POINTS).lengths_at_points]
-        if (name != "times")
+        if "times" not in name
         else TIMES - TIMES[0]
     )
     np.testing.assert_allclose(motion.evaluate(times).x, POINTS, atol=1e-12)
@@ -96,7 +99,7 @@ def test_poses_are_passed_smoothly(name: str) -> None:
     require_smooth(motion)
     times = (
         POSES_BY[name]["times"]
-        if name == "times"
+        if "times" in name
         else [motion.timing.time_at(float(p)) for p in through_points(ORIGINS).lengths_at_points]
     )
     np.testing.assert_allclose(motion.evaluate(times).x, POSES, atol=1e-9)
@@ -254,6 +257,148 @@ def test_planners_get_it_as_polynomials(name: str) -> None:
     assert len(polynomials.edges) < 500
 
 
+# ------------------------------------------------------------------------------------------------- ends
+
+OMEGA, RADIUS, CENTRE = 5.0, 0.1, np.array([0.7, 0.35])
+
+
+def circle(t: Array, order: int = 0) -> Array:
+    """Half a metre a second, or its derivatives."""
+    angle = OMEGA * t + 0.5 * np.pi * order
+    return RADIUS * OMEGA**order * np.stack([np.cos(angle), np.sin(angle)], axis=1) + CENTRE * (order == 0)
+
+
+def polynomial(*coefficients: float) -> Any:
+    """A coordinate c0 + c1 t + ..., and its derivatives."""
+    return lambda t, order=0: np.polynomial.Polynomial(coefficients).deriv(order)(t)[:, None] + 0.0 * t[:, None]
+
+
+def sine(phase: float) -> Any:
+    return lambda t, order=0: (
+        0.1 * 3.0**order * np.sin(3.0 * t + phase + 0.5 * np.pi * order)[:, None] + 0.3 * (order == 0)
+    )
+
+
+QUINTIC = polynomial(0.7, 0.0, 0.0, 1.0, -1.5, 0.6)  # from rest to rest in a second
+SEPTIC = polynomial(0.7, 0.0, 0.0, 0.0, 3.5, -8.4, 7.0, -2.0)
+CLOSED_FORMS: dict[str, tuple[Any, float, tuple[str, str]]] = {
+    "circle": (circle, 1.3, ("samples", "samples")),
+    "sine": (sine(0.4), 2.0, ("samples", "samples")),
+    "from a turning point": (sine(0.5 * np.pi), 2.0, ("samples", "samples")),  # ẋ is zero there, ẍ is not
+    "line": (polynomial(0.3, 0.2), 1.0, ("samples", "samples")),
+    "constant acceleration": (polynomial(0.3, 0.0, 0.2), 1.0, ("samples", "samples")),
+    "rest to rest": (QUINTIC, 1.0, ("rest", "rest")),
+    "rest to rest, slowly": (SEPTIC, 1.0, ("rest", "rest")),
+    "from rest": (QUINTIC, 0.6, ("rest", "samples")),
+    "to rest": (lambda t, order=0: QUINTIC(t + 0.4, order), 0.6, ("samples", "rest")),
+    "after a pause": (lambda t, order=0: QUINTIC(np.maximum(t - 0.3, 0.0), order), 1.3, ("rest", "rest")),
+}
+
+
+def six_digits(values: Array) -> Array:
+    return np.array([float(f"{value:.6g}") for value in values.ravel()]).reshape(values.shape)
+
+
+@pytest.mark.parametrize("rate", [10, 20, 50, 100, 200, 500, 1000])
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_ends_are_those_that_the_points_show(name: str, rate: int) -> None:
+    """With all digits, with six, and with six decimals as most CSV files have."""
+    exact, duration, ends = CLOSED_FORMS[name]
+    t = np.linspace(0.0, duration, round(duration * rate) + 1)
+    for rounded in (np.asarray, six_digits, lambda values: values.round(6)):
+        motion = from_points(rounded(exact(t)), t + 3.0)
+        assert motion.ends == ends
+        assert from_points(rounded(exact(t)) * 1e3, t * 1e-3).ends == ends  # in other units
+        assert from_points(rounded(exact(t))[::-1], t).ends == ends[::-1]  # backwards
+        assert f"ends={ends}" in repr(motion)
+        assert motion.scaled(0.5).ends == ends
+        at_ends = motion.evaluate([0.0, motion.duration])
+        speed, acceleration = (np.abs(exact(np.linspace(0.0, duration, 999), order)).max() for order in (1, 2))
+        if rounded is np.asarray and rate >= 50:
+            assert np.abs(at_ends.xd - exact(t[[0, -1]], 1)).max() < 1e-3 * speed
+            assert np.abs(at_ends.xdd - exact(t[[0, -1]], 2)).max() < 0.02 * max(acceleration, speed)
+        # rounding at 1 kHz is 5e-7 m/(1 ms)² = 0.5 m/s² and more where it is not told from the motion
+        assert np.abs(at_ends.xdd - exact(t[[0, -1]], 2)).max() < 0.15 * max(acceleration, speed)
+
+
+ORDERS = (6, 5, 4)
+"""Of the errors of x, ẋ and ẍ in the distance of the points."""
+
+
+@pytest.mark.parametrize("name", ["circle", "sine", "from a turning point"])
+def test_errors_fall_with_the_declared_orders(name: str) -> None:
+    exact, duration, _ = CLOSED_FORMS[name]
+    dense = np.linspace(0.0, duration, 2001)
+    errors = []
+    for steps in (32, 64, 128):
+        t = np.linspace(0.0, duration, steps + 1)
+        at = from_points(exact(t), t).evaluate(dense)
+        errors.append([np.abs(part - exact(dense, order)).max() for order, part in enumerate(at)])
+    reached = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert (reached > np.array(ORDERS) - 0.4).all()
+
+
+def test_a_circle_at_constant_speed_has_constant_speed_and_acceleration() -> None:
+    """At 50 Hz, with six digits: it started and ended at rest, and its accelerations there were 10 times as large."""
+    t = np.linspace(0.0, 1.3, 66)
+    for points, tolerance in ((circle(t), 1e-4), (six_digits(circle(t)), 0.01)):
+        dense = from_points(points, t).sample(1e-3)
+        np.testing.assert_allclose(np.linalg.norm(dense.xd, axis=1), OMEGA * RADIUS, rtol=tolerance)
+        np.testing.assert_allclose(np.linalg.norm(dense.xdd, axis=1), OMEGA**2 * RADIUS, rtol=tolerance)
+
+
+def test_ends_that_are_asked_for_are_taken() -> None:
+    t = np.linspace(0.0, 1.3, 66)
+    for ends in ("rest", "samples", ("rest", "samples"), ["samples", "auto"]):
+        motion = from_points(circle(t), t, ends=ends)
+        words = (ends, ends) if isinstance(ends, str) else tuple(ends)
+        assert motion.ends == tuple(word.replace("auto", "samples") for word in words)
+        speeds = np.linalg.norm(motion.evaluate([0.0, motion.duration]).xd, axis=1)
+        expected = [0.0 if word == "rest" else OMEGA * RADIUS for word in words]
+        np.testing.assert_allclose(speeds, expected, rtol=1e-4, atol=1e-12)
+    t = np.linspace(0.0, 1.0, 11)
+    assert from_points(QUINTIC(t), t, ends="samples").ends == ("samples", "samples")
+    assert from_points(circle(t), speed=0.1).ends is None
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 6])
+def test_few_points_are_passed_by_the_polynomial_through_them(count: int) -> None:
+    """Nothing shows rest in fewer than six: whoever wants it asks for it."""
+    exact = polynomial(*[0.3, 0.2, -0.1, 0.4, 0.2, -0.3][:count])
+    t = np.linspace(0.0, 0.8, count)
+    motion = from_points(exact(t), t)
+    assert motion.ends == ("samples", "samples")
+    dense = np.linspace(0.0, 0.8, 101)
+    for order, part in enumerate(motion.evaluate(dense)):
+        np.testing.assert_allclose(part, exact(dense, order), atol=1e-9)
+    at_rest = from_points(exact(t), t, ends="rest").evaluate([0.0, 0.8])
+    np.testing.assert_allclose(at_rest.xd, 0.0, atol=1e-12)
+    np.testing.assert_allclose(at_rest.xdd, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("moves", ["origin", "turn", "both"])
+@pytest.mark.parametrize("rate", [20, 100, 1000])
+def test_poses_keep_their_twist_and_what_turns_on_the_spot_is_not_at_rest(moves: str, rate: int) -> None:
+    t = np.linspace(0.0, 1.0, rate + 1)
+    axis, poses = np.array([0.48, 0.6, 0.64]), np.tile(np.eye(4), (len(t), 1, 1))
+    twist = np.zeros(6)
+    if moves != "origin":
+        poses[:, :3, :3] = Rotation.from_rotvec(np.outer(0.8 * t, axis)).as_matrix()
+        twist[3:] = 0.8 * axis
+    if moves != "turn":
+        poses[:, :3, 3] = np.outer(t, [0.1, -0.2, 0.3])
+        twist[:3] = 0.1, -0.2, 0.3
+    motion = from_points(poses, t)
+    assert motion.ends == ("samples", "samples")
+    dense = motion.sample(0.01)
+    np.testing.assert_allclose(dense.xd, np.tile(twist, (len(dense), 1)), atol=1e-5)
+    assert np.abs(dense.xdd).max() < 1e-3
+    course = QUINTIC(t)[:, 0] - 0.7  # the same from rest to rest
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(course, axis)).as_matrix()
+    poses[:, :3, 3] = np.outer(course, twist[:3])
+    assert from_points(poses, t).ends == ("rest", "rest")
+
+
 # ------------------------------------------------------------------------------------------------- files
 
 
@@ -318,6 +463,9 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "negative speed": ({"speed": [0.0, 0.1, -0.1, 0.1, 0.0]}, r"speed\[2\] is -0.1"),
     "two stops": ({"speed": [0.0, 0.1, 0.0, 0.0, 0.1]}, r"speed\[2\] and speed\[3\] are zero"),
     "text": ({"times": TIMES, "alpha": "x"}, "values is not an array of numbers"),
+    "ends of a cruise": ({"speed": 0.1, "ends": "rest"}, "ends is given.*points with times"),
+    "ends": ({"times": TIMES, "ends": "still"}, "ends is 'still'. Pass one of auto, rest, samples"),
+    "three ends": ({"times": TIMES, "ends": ["rest", "rest", "rest"]}, "or a pair of them"),
     "closed times": ({"times": TIMES, "closed": True}, "closed is for coordinates"),
     "times no spline can take": ({"times": [0.0, 1e-300, 1.0, 2.0, 3.0]}, "numbers 0 and 1 are 1e-300 s apart, of 3 s"),
     "times that lose all digits": ({"times": [0.0, 1e-9, 1.0, 2.0, 1e9]}, "Space them more evenly"),

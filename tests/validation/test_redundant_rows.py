@@ -51,7 +51,7 @@ def open_by(robot, q):
 @pytest.fixture(scope="module")
 def turn(bennett):
     """Most of a turn of the first hinge, past two places where the rows that count lose rank, and at one of them."""
-    path = rp.trajectory.from_points([[0.7], [np.pi + 0.01], [5.5]], [0.0, 0.5, 1.0])
+    path = rp.trajectory.from_points([[0.7], [np.pi + 0.01], [5.5]], [0.0, 0.5, 1.0], ends="rest")
     return rp.RneaDynamics(bennett).along(path.sample(0.01))
 
 
