@@ -36,6 +36,7 @@ from redundancy_pin.robot.declaration import Declaration, parse, read_declaratio
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.from_model import declared, depth_first, in_order_of, not_in_force
 from redundancy_pin.robot.loads import JointForces, Load
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, render, source_of
 
@@ -325,7 +326,7 @@ def _prescribed(robot: Robot, guess: Array, goal: Array) -> Array:
     """Return a guess (nq,) with the joints whose positions are prescribed where they end."""
     start = guess.copy()
     for name, value in () if robot.platform else zip(robot.independent_joints, goal.tolist(), strict=True):
-        joint = robot.model.joints[robot.model.getJointId(name)]
+        joint = find_joint(robot.model, name)
         at = (value,) if joint.nq == 1 else (np.cos(value), np.sin(value))
         start[joint.idx_q : joint.idx_q + joint.nq] = at
     return start
@@ -333,7 +334,7 @@ def _prescribed(robot: Robot, guess: Array, goal: Array) -> Array:
 
 def _columns(model: pin.Model, names: Iterable[str]) -> IntArray:
     """Return the indices in q of joints."""
-    listed = [model.joints[model.getJointId(name)] for name in names]
+    listed = [find_joint(model, name) for name in names]
     return np.array([c for joint in listed for c in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp)
 
 
@@ -372,7 +373,7 @@ def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> 
     for name, value in positions.items():
         if name in counted or not is_revolute(robot, name) or abs(value) <= 2.0 * np.pi:
             continue
-        joint = robot.model.joints[robot.model.getJointId(name)]
+        joint = find_joint(robot.model, name)
         ends = [float(limit[joint.idx_q]) for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit)]
         if joint.nq == 1 and (ends[0] > 2.0 * np.pi or ends[1] < -2.0 * np.pi):
             continue
@@ -475,7 +476,7 @@ def made(
             robot = replace(robot, independent_joints=selection.independent)
             notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
         if drive_independent:
-            columns = [model.joints[model.getJointId(name)].idx_v for name in selection.independent]
+            columns = [find_joint(model, name).idx_v for name in selection.independent]
             driven = read_only(np.array(columns, dtype=np.intp))
             robot = replace(robot, actuated=selection.independent, actuated_velocity=driven)
             notes.append(

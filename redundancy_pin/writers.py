@@ -23,6 +23,7 @@ from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, JointForces, Payload, Robot
 from redundancy_pin.robot.formats.mechanism import angles
+from redundancy_pin.robot.lookup import find_joint_index, find_link
 
 IMPEDANCE = 0.9999
 """The highest impedance that MuJoCo accepts (its mjMAXIMP): the share of the acceleration a constraint may ask for."""
@@ -251,7 +252,7 @@ def _forces(robot: Robot, *, reflected: bool) -> tuple[dict[str, dict[str, float
             raise UnsupportedRobotError(
                 f"MJCF does not say {load!r}.", remedy="Write the robot without, and apply it as a force in MuJoCo."
             )
-        index = model.getJointId(load.joint)
+        index = find_joint_index(model, load.joint)
         if load.rotor_inertia and not reflected and _turns_with_its_rotor(model, index):
             raise UnsupportedRobotError(
                 f"The rotor of joint {load.joint!r} is carried by a link that turns about its axis, and the "
@@ -294,7 +295,7 @@ def _inertial(body: ElementTree.Element, inertia: pin.Inertia) -> None:
 
 
 def _site(bodies: list[ElementTree.Element], model: pin.Model, name: str, frame: str, offset: Array) -> None:
-    entry = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+    entry = find_link(model, frame)
     place = entry.placement
     quat = _quaternion(place.rotation)
     _add(bodies[entry.parentJoint], "site", name=name, pos=place.act(offset), quat=quat)
@@ -372,7 +373,7 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
     for index in range(1, model.njoints):
         _urdf_joint(root, model, data, index, names, forces, mimics)
     for frame in _named_frames(robot):
-        entry = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+        entry = find_link(model, frame)
         _add(root, "link", name=frame)
         joint = _add(root, "joint", name=f"{frame}::fixed", type="fixed")
         _add(joint, "parent", link=names[entry.parentJoint])

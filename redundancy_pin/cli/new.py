@@ -17,6 +17,7 @@ from redundancy_pin.cli.options import json_option, trust_option
 from redundancy_pin.cli.output import report, warning
 from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.io.files import require_writable, write_text
+from redundancy_pin.robot.lookup import find_link_index
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -145,7 +146,7 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
-    at = {str(frame.name): data.oMf[model.getFrameId(frame.name, pin.FrameType.BODY)].translation for frame in frames}
+    at = {str(frame.name): data.oMf[find_link_index(model, frame.name)].translation for frame in frames}
     carrier = {str(frame.name): int(frame.parentJoint) for frame in frames}
     parents = {joint.parent for joint in tree.joints}
     weight = _NO_MASS * sum(link.mass for link in tree.links.values())

@@ -18,6 +18,7 @@ from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
 from redundancy_pin.kinematics.coordinates import is_revolute, mode_name, row_scale
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.lookup import find_joint, has_joint
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
 """Generated functions that ``driver.c`` and ``controller.c`` call; a static one without a caller is a warning."""
@@ -70,7 +71,7 @@ def _drives(chain: SymbolicChain) -> Any:
     ca, robot = casadi(), chain.robot
     position, off = ca.SX.sym("position", robot.m), []
     for i, name in enumerate(robot.actuated):
-        joint = robot.model.joints[robot.model.getJointId(name)]
+        joint = find_joint(robot.model, name)
         q = chain.q[joint.idx_q : joint.idx_q + joint.nq]
         if joint.nq == 1:
             off.append(position[i] - q)
@@ -153,7 +154,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
 def _is_scalar(robot: Robot, name: str) -> bool:
     """Whether a coordinate has one number that does not come back to itself: no endless joint."""
     model = robot.model
-    return not model.existJointName(name) or int(model.joints[model.getJointId(name)].nq) == 1
+    return not has_joint(model, name) or int(find_joint(model, name).nq) == 1
 
 
 def _record(robot: Robot, recorded: Recorded, i: int) -> str:

@@ -25,6 +25,7 @@ from redundancy_pin.kinematics.coordinates import (
     velocity_scale,
 )
 from redundancy_pin.robot.joint_ranges import out_of_range
+from redundancy_pin.robot.lookup import find_joint
 
 SETTLED_STEP = 1e-8
 """A Newton step this small (rad, m) leaves an error of its square: below rounding."""
@@ -240,7 +241,7 @@ class _Equations:
         if self.actuated is not None:
             off = self.actuated - np.stack([joint_position(robot, name, state.q) for name in robot.actuated], axis=1)
             # a continuous joint takes the shorter arc: its positions a turn apart are one
-            endless = [robot.model.joints[robot.model.getJointId(name)].nq == 2 for name in robot.actuated]
+            endless = [find_joint(robot.model, name).nq == 2 for name in robot.actuated]
             off[:, endless] = (off[:, endless] + np.pi) % (2.0 * np.pi) - np.pi
             parts.append(off)
         return np.concatenate(parts, axis=1)

@@ -15,6 +15,7 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray, checked, read_only
 from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.types import slides
 
@@ -173,7 +174,7 @@ _NORMAL = 1e-6
 
 def joint_position(robot: Robot, name: str, q: Array) -> Array:
     """Return (N,) positions of a joint of one freedom, m or rad; a continuous joint's lies in (−π, π]."""
-    joint = robot.model.joints[robot.model.getJointId(name)]
+    joint = find_joint(robot.model, name)
     if joint.nq == 2:
         angle: Array = np.arctan2(q[:, joint.idx_q + 1], q[:, joint.idx_q])
         return angle
@@ -199,7 +200,7 @@ def pose_rows(robot: Robot) -> list[int]:
 
 def is_revolute(robot: Robot, name: str) -> bool:
     """Return whether a joint of one freedom turns."""
-    return not slides(robot.model.joints[robot.model.getJointId(name)])
+    return not slides(find_joint(robot.model, name))
 
 
 @lru_cache(maxsize=64)
@@ -208,7 +209,7 @@ def angle_columns(robot: Robot) -> list[int]:
     if robot.platform is not None:
         return [k for k, axis in enumerate(robot.platform.axes) if axis.startswith("r")]
     model = robot.model
-    return [k for k, name in enumerate(robot.independent_joints) if model.joints[model.getJointId(name)].nq == 2]
+    return [k for k, name in enumerate(robot.independent_joints) if find_joint(model, name).nq == 2]
 
 
 # --- working modes ----------------------------------------------------------------------------------------------------
@@ -235,7 +236,7 @@ def mode_indicators(robot: Robot) -> tuple[IntArray, BoolArray, Array]:
     """Return what tells the mode of each leg, (legs,) each: a number of q, whether its sine counts, and the sign."""
     modes, legs = robot.working_modes, []
     for name, sign in zip(modes.joints, modes.signs, strict=True) if modes else ():
-        joint = robot.model.joints[robot.model.getJointId(name)]
+        joint = find_joint(robot.model, name)
         # of a continuous joint the second number is the sine
         legs.append((joint.idx_q + (joint.nq == 2), joint.nq == 1 and is_revolute(robot, name), sign))
     columns, sines, signs = zip(*legs, strict=True) if legs else ((), (), ())

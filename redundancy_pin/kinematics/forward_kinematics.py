@@ -48,6 +48,7 @@ from redundancy_pin.kinematics.lift import TreeMotion, anchors_along, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, range_excess
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.named import is_pose
 
 _AGREE = 1e-8
@@ -361,7 +362,7 @@ def _whole_turns(driven: Robot, u: Array) -> IntArray:
     Raises:
         InputError: positions too large to say where in a turn they are.
     """
-    joints = [driven.model.joints[driven.model.getJointId(name)] for name in driven.independent_joints]
+    joints = [find_joint(driven.model, name) for name in driven.independent_joints]
     turning = np.array([bool(turning_velocities(driven)[each.idx_v]) and each.nq == 1 for each in joints])
     angles = np.where(turning, u, 0.0)
     largest = float(np.abs(angles).max(initial=0.0))

@@ -20,6 +20,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import ModelFileError, did_you_mean
 from redundancy_pin.robot.formats.xml_files import FORMATS, Element, parsed_text
+from redundancy_pin.robot.lookup import find_link
 from redundancy_pin.robot.types import Coupling
 
 MOST_LINKS = 2000
@@ -442,7 +443,7 @@ def _pairs(tree: Tree, model: pin.Model, names: list[str]) -> Iterator[tuple[str
     for name, (index, place) in places.items():
         link = tree.links[name]
         bodies[index] += place @ _pseudo_inertia(link.mass, link.centre, link.inertia) @ place.T
-        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        frame = find_link(model, name)
         yield f"the joint that carries the link {name!r}", int(frame.parentJoint), index, 0.0
         yield f"the placement of the link {name!r}", frame.placement.homogeneous, place, 0.0
     for index, body in enumerate(bodies):
