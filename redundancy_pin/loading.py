@@ -34,6 +34,7 @@ from redundancy_pin.robot.build import build, characteristic_length, robot_of_tr
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
+from redundancy_pin.robot.formats.urdf_tree import WITHOUT_INERTIAL
 from redundancy_pin.robot.from_model import declared, depth_first, in_order_of, not_in_force
 from redundancy_pin.robot.loads import JointForces, Load
 from redundancy_pin.robot.lookup import find_joint
@@ -199,6 +200,7 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     require_conditions(data, parameters)
     declaration = parse(data, parameters)
     robot = _built(declaration, request.path, urdf, parameters, request.gravity, request.working_mode)
+    _report(robot.notes, source_file)
     robot = replace(robot, urdf_folder=str(source_file.resolve().parent))
     return _closed(robot, declaration, lambda: reference_coordinates(robot, declaration.coordinates(parameters)))
 
@@ -223,9 +225,7 @@ def _load_model(request: _Request, data: Mapping[str, Any]) -> Robot:
             raise
         mechanism = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
         robot = _of_mechanism(mechanism, request, file, data, parameters)
-    for note in mechanism.notes:
-        if note.startswith(NOT_IN_FORCE):
-            _warn_once(f"{file.name}: {note}")
+    _report(mechanism.notes, file)
     robot = replace(robot, notes=(*mechanism.notes, *robot.notes), urdf_folder=str(file.resolve().parent))
     if data.get("urdf_dynamics") is False:
         return replace(robot, notes=(*robot.notes, f"Friction and springs of {file.name} are not in force."))
@@ -269,6 +269,13 @@ def _of_mechanism(
         resisted={load.joint for load in mechanism.forces}
         | {name for name, size in mechanism.armature.items() if size},
     )
+
+
+def _report(notes: Iterable[str], file: Path) -> None:
+    """Log the notes that change results: forces of the file that are ignored, links whose mass it does not state."""
+    for note in notes:
+        if note.startswith((NOT_IN_FORCE, WITHOUT_INERTIAL)):
+            _warn_once(f"{file.name}: {note}")
 
 
 @lru_cache(maxsize=100)

@@ -368,7 +368,7 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
     for index in range(model.njoints):
         link = _add(root, "link", name=names[index])
         inertia = model.inertias[index]
-        if inertia.mass or np.any(inertia.inertia):
+        if index or inertia.mass or np.any(inertia.inertia):  # of mass 0: that the link is massless, and meant
             _urdf_inertial(link, inertia)
     for index in range(1, model.njoints):
         _urdf_joint(root, model, data, index, names, forces, mimics)

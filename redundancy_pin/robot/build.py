@@ -21,7 +21,14 @@ from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, Tree, impossible_moments, read_tree, require_same
+from redundancy_pin.robot.formats.urdf_tree import (
+    MOST_FREEDOMS,
+    Tree,
+    impossible_moments,
+    links_without_inertial,
+    read_tree,
+    require_same,
+)
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link, joint_names, link_names
 from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot, slides
@@ -50,6 +57,7 @@ def build(
     tree = read_tree(urdf, path.parent / declaration.urdf)
     model, couplings, start = built(tree, urdf, path.parent / declaration.urdf), tree.couplings, None
     kinds = declaration.joint_types
+    massless = links_without_inertial(tree, kinds)
     if kinds or _turns_count(tree, (*couplings, *declaration.coupled)):
         mechanism = tree_mechanism(tree, path.parent.name, kinds=kinds, closures=(), actuated=(), shapes=urdf)
         model, couplings = mechanism.model(declaration.urdf), mechanism.couplings
@@ -71,7 +79,7 @@ def build(
         start=start,
     )
     frictions, notes = _frictions(declaration, tree)
-    notes += impossible_moments(tree.links.values())
+    notes += (*massless, *impossible_moments(tree.links.values()))
     return replace(robot.loaded(*frictions), notes=notes) if frictions or notes else robot
 
 

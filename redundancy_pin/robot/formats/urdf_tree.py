@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import NoReturn
 
 import numpy as np
@@ -79,12 +80,16 @@ class LinkEntry:
         mass: kg.
         centre: (3,) centre of mass in the frame of the link, m.
         inertia: (3, 3) about the centre of mass, in the axes of the link, kg·m².
+        has_inertial: whether the file states mass and inertia; what it does not state is zero.
+        has_shape: whether a URDF gives the link a visual or collision element.
     """
 
     name: str
     mass: float
     centre: Array
     inertia: Array
+    has_inertial: bool = True
+    has_shape: bool = False
 
 
 @dataclass(frozen=True)
@@ -273,11 +278,46 @@ def impossible_moments(links: Iterable[LinkEntry]) -> tuple[str, ...]:
     return tuple(notes)
 
 
+WITHOUT_INERTIAL = "Links without <inertial> count as massless:"
+"""How the note begins that names them."""
+
+
+def links_without_inertial(
+    tree: Tree, kinds: Mapping[str, str] = MappingProxyType({}), *, root_moves: bool = False
+) -> tuple[str, ...]:
+    """Return a note that names the moving links whose mass the file does not state; none if there are no such links.
+
+    These are links with a shape, and bodies (links between two moving joints, with all links fixed to them) of which no
+    link has an ``<inertial>``. A mark, a link without shape that is fixed to another, is not among them; nor is a link
+    that the file states to be massless, by an ``<inertial>`` of mass zero.
+
+    Args:
+        tree: the tree of the file.
+        kinds: by joint, the kind that replaces the one of the file.
+        root_moves: whether the root of the tree is not fixed to the ground.
+    """
+    body = {tree.root: tree.root}
+    for joint in tree.joints:
+        is_fixed = kinds.get(joint.name, joint.kind) == "fixed"
+        body[joint.child] = body[joint.parent] if is_fixed else joint.child
+    stated = {body[name] for name, link in tree.links.items() if link.has_inertial}
+    names = [
+        name
+        for name, link in tree.links.items()
+        if (root_moves or body[name] != tree.root)
+        and not link.has_inertial
+        and (link.has_shape or (body[name] == name and name not in stated))
+    ]
+    remedy = "Give each an <inertial>; one with mass 0 states that the link is massless."
+    return (f"{WITHOUT_INERTIAL} {', '.join(names)}. {remedy}",) if names else ()
+
+
 def _link(name: str, part: _Part) -> LinkEntry:
     part.require_known_parts()
     inertial = part.one("inertial")
+    has_shape = any(child.tag in ("visual", "collision") for child in part.element)
     if inertial is None:
-        return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)))
+        return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)), False, has_shape)
     inertial.require_known_parts()
     mass, inertia = inertial.required("mass"), inertial.required("inertia")
     kilograms = mass.number("value", "mass")
@@ -291,7 +331,7 @@ def _link(name: str, part: _Part) -> LinkEntry:
         inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have: a negative one")
     placement = inertial.placement()
     turn = placement[:3, :3]
-    return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T)
+    return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T, True, has_shape)
 
 
 def _joint(name: str, part: _Part, links: Mapping[str, LinkEntry]) -> JointEntry:
