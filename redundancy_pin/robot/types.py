@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
+from redundancy_pin.robot.bodies import Body, moving_bodies
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -366,6 +367,16 @@ class Robot(Frozen):
         """Names of the rows of the constraints, ``"x of tip_2 = corner_2"``: closures, then couplings."""
         rows = (f"{axis} of {closure.name}" for closure in self.closures for axis in closure.axes)
         return (*rows, *(f"coupling {coupling.name}" for coupling in self.couplings))
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The moving bodies, in the order of the joints: mass, centre of mass and principal moments of each."""
+        return moving_bodies(self.model)
+
+    @property
+    def moving_mass(self) -> float:
+        """Mass of all moving bodies, kg."""
+        return sum(body.mass for body in self.bodies)
 
     @property
     def gravity(self) -> Array:
