@@ -125,6 +125,7 @@ def _reference(robot: Robot) -> dict[str, Any]:
 
 def _joint(robot: Robot, index: int) -> dict[str, Any]:
     from redundancy_pin.kinematics.coordinates import joint_position
+    from redundancy_pin.robot.joint_ranges import all_ranges
 
     name, kind = str(robot.model.names[index]), str(robot.model.joints[index].shortname())
     # Pinocchio has a class for each axis: JointModelRX, JointModelPZ, JointModelRevoluteUnaligned, ...
@@ -136,7 +137,9 @@ def _joint(robot: Robot, index: int) -> dict[str, Any]:
         limits = [end if np.isfinite(end) and abs(end) < 1e300 else None for end in ends]
     at = float(joint_position(robot, name, robot.q_reference[None])[0]) if joint.nv == 1 else None
     kind = known.get(kind[: len("JointModelP")], kind)
-    return {"name": name, "type": kind, "role": role, "limits": limits, "reference": at}
+    ranges = (own for own in all_ranges(robot) if own.name == name)
+    outside = any(bool(own.is_left(robot.q_reference[None, own.at], False)[0]) for own in ranges)
+    return {"name": name, "type": kind, "role": role, "limits": limits, "reference": at, "outside": outside}
 
 
 def _list_robots(as_json: bool) -> None:
@@ -235,8 +238,7 @@ def _range(joint: dict[str, Any]) -> tuple[str, str]:
     if at is None:
         return "", ""
     lower, upper = joint["limits"] or (None, None)
-    outside = (lower is not None and at < lower) or (upper is not None and at > upper)
-    shown = f"{round(at, 9):.4g}{' (outside)' if outside else ''}"
+    shown = f"{round(at, 9):.4g}{' (outside)' if joint['outside'] else ''}"
     if lower is None and upper is None:
         return "", shown
     ends = " … ".join("none" if end is None else f"{end:g}" for end in (lower, upper))

@@ -47,7 +47,7 @@ from redundancy_pin.kinematics.inverse_kinematics import wrapped
 from redundancy_pin.kinematics.lift import TreeMotion, anchors_along, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, range_excess
+from redundancy_pin.robot.joint_ranges import out_of_range, range_excess, range_slack
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.named import is_pose
 
@@ -266,7 +266,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
     for part in (x, xd, xdd, q, J):
         part[contradicted] = np.nan
     excess = range_excess(robot, q)
-    status[(status == ForwardStatus.CONVERGED) & (excess > ROUNDING).any(axis=1)] = ForwardStatus.OUT_OF_RANGE
+    status[(status == ForwardStatus.CONVERGED) & (excess > range_slack(robot)).any(axis=1)] = ForwardStatus.OUT_OF_RANGE
     return _Stretch(x, xd, xdd, q, J, status, gap, margin, excess)
 
 

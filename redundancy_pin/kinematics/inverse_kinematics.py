@@ -17,6 +17,7 @@ from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, turning_velocities
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link
 from redundancy_pin.robot.types import slides
 
@@ -172,7 +173,8 @@ def wrapped(robot: Robot, q: Array, guess: Array | None = None) -> Array:
     columns = [column for column in _bounded_angles(robot) if column not in prescribed]
     result[:, columns] = short = np.pi - (np.pi - q[:, columns]) % (2.0 * np.pi)
     if guess is not None:
-        lower, upper = (limit[columns] for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit))
+        ends = robot.model.lowerPositionLimit - ROUNDING, robot.model.upperPositionLimit + ROUNDING  # rad
+        lower, upper = (limit[columns] for limit in ends)
         near = short + 2.0 * np.pi * np.round((guess[columns] - short) / (2.0 * np.pi))
         allowed, within = ((lower <= angle) & (angle <= upper) for angle in (short, near))
         result[:, columns] = np.where(~allowed & within, near, short)
