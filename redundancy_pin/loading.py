@@ -31,7 +31,7 @@ from redundancy_pin.kinematics.mobility import check_mobility, check_reference_r
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
 from redundancy_pin.robot import Closure, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
-from redundancy_pin.robot.changes import changed_urdf
+from redundancy_pin.robot.changes import changed_urdf, require_still_joined
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.formats.urdf_tree import WITHOUT_INERTIAL
@@ -169,8 +169,9 @@ def robot_with(
             carrier_limits=robot.carrier_limits,
             own_meshes_only=robot.own_meshes_only,
             closed_form=None,  # it is written in the arguments, which say something else now
-            notes=(*robot.notes, f"{_CHANGED} {', '.join([*masses, *lengths])}"),
+            notes=(*robot.notes, f"{_CHANGED} {', '.join([*masses, *lengths])}", *_lengths_only(robot, lengths)),
         )
+        require_still_joined(robot, new)
         for bound in ("lower", "upper"):
             for what in ("Position", "Velocity", "Effort"):
                 setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
@@ -188,6 +189,15 @@ def _with_added(robot: Robot, loads: tuple[Load, ...]) -> Robot:
 
 _CHANGED = "changed since it was loaded:"
 """How a note begins that says so."""
+
+
+def _lengths_only(robot: Robot, lengths: Iterable[str]) -> tuple[str, ...]:
+    """Return a note that lengths change no masses, and log it; nothing without lengths."""
+    if not (names := ", ".join(lengths)):
+        return ()
+    note = f"The lengths at {names} move joints and frames: links keep masses, centres and moments of inertia."
+    _warn_once(f"{robot.name}: {note}")
+    return (note,)
 
 
 def _load(request: _Request, data: Mapping[str, Any]) -> Robot:

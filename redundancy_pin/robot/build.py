@@ -29,6 +29,7 @@ from redundancy_pin.robot.formats.urdf_tree import (
     read_tree,
     require_same,
 )
+from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link, joint_names, link_names
 from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot, slides
@@ -343,9 +344,16 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
     if joint.nq != 1:
         what = f"The carrier {entry.joint!r} is a continuous joint."
         raise _refused(entry.joint, what, "Give it a bounded revolute or prismatic joint.")
-    lower, upper = entry.position or (
-        float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit)
-    )
+    ends = tuple(float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+    lower, upper = entry.position or ends
+    slack = ROUNDING * (ends[1] - ends[0])
+    if slack > 0.0 and (lower < ends[0] - slack or upper > ends[1] + slack):
+        what = (
+            f"`position: [{lower:g}, {upper:g}]` of the carrier {entry.joint!r} exceeds the limits of its joint, "
+            f"{ends[0]:g} and {ends[1]:g}."
+        )
+        remedy = "Give a position within these, or leave it out to take them; or widen the <limit> of the joint."
+        raise _refused(entry.joint, what, remedy)
     if not lower < upper:
         what = f"The track of the carrier {entry.joint!r} runs from {lower:g} to {upper:g}."
         remedy = "Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`."

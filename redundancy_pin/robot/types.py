@@ -235,11 +235,13 @@ class Robot(Frozen):
         Args:
             masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays.
             lengths: by joint, its distance from the joint before it, m; or (3,) its place in the frame of its parent
-                link, m. Masses and centres of the links stay.
+                link, m. This moves joints and frames only: masses, centres and moments of inertia of the links stay as
+                they were, which ``notes`` and the log say. Xacro arguments of a file change both.
             **arguments: xacro arguments, as of ``load_robot``; the others stay.
 
         Raises:
-            InputError: unknown names, values out of their domain, or a robot that was not loaded from a URDF.
+            InputError: unknown names, values out of their domain, a robot that was not loaded from a URDF, or lengths
+                that part a frame of a closure or the platform from a joint or frame at the same place.
             DeclarationError: the chains do not close at the declared reference any more.
         """
         new: Robot = importlib.import_module("redundancy_pin.loading").robot_with(
