@@ -24,15 +24,15 @@ def facts_of(*arguments: str) -> dict:
 
 
 def test_bodies_are_those_of_the_file_with_what_is_fixed_to_them(tmp_path: Path) -> None:
-    """The five-bar: rods of 0.5 kg, a point of 0.2 kg fixed to the end of one of them (Steiner), no carriers."""
-    facts = facts_of("--robot", "five_bar", "--set", "carriers=false")
+    """The five-bar: rods of 0.5 kg, a point of 0.2 kg fixed to the end of one of them (Steiner)."""
+    facts = facts_of("--robot", "five_bar")
     bodies = {body["name"]: body for body in facts["bodies"]}
     assert set(bodies) == {"proximal_1", "distal_1", "proximal_2", "distal_2"}
     assert facts["moving_mass"] == pytest.approx(2.2, rel=ROUNDING)
     assert facts["moving_weight"] == 0.0  # it lies flat, without gravity
-    assert facts_of("--robot", "five_bar", "--set", "carriers=false", "--gravity", "0,0,-9.81")[
-        "moving_weight"
-    ] == pytest.approx(2.2 * GRAVITY, rel=ROUNDING)
+    assert facts_of("--robot", "five_bar", "--gravity", "0,0,-9.81")["moving_weight"] == pytest.approx(
+        2.2 * GRAVITY, rel=ROUNDING
+    )
     rod, tip, length = 0.5, 0.2, 0.5
     plain, heavy = bodies["distal_2"], bodies["distal_1"]
     np.testing.assert_allclose(plain["centre"], [length / 2, 0, 0], rtol=ROUNDING)
@@ -43,11 +43,11 @@ def test_bodies_are_those_of_the_file_with_what_is_fixed_to_them(tmp_path: Path)
     np.testing.assert_allclose(heavy["centre"], [centre, 0, 0], rtol=ROUNDING)
     np.testing.assert_allclose(heavy["principal_moments"], [0, moment, moment], rtol=ROUNDING, atol=1e-15)
     assert "end_effector" in heavy["links"]
-    text = call("info", "--robot", "five_bar", "--set", "carriers=false").stdout
+    text = call("info", "--robot", "five_bar").stdout
     assert "distal_1 with end_effector" in text
     assert "2.2 kg" in text
 
-    robot = rp.load_robot("five_bar", carriers=False)
+    robot = rp.load_robot("five_bar")
     assert [body.name for body in robot.bodies] == [body["name"] for body in facts["bodies"]]
     loaded = robot.loaded(Payload("end_effector", 0.3))
     assert loaded.moving_mass == pytest.approx(2.5, rel=ROUNDING)

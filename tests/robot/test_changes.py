@@ -24,7 +24,7 @@ GRAVITY = (0.0, -9.81, 0.0)
 
 @pytest.fixture(scope="module")
 def robot() -> Robot:
-    return rp.load_robot("five_bar", gravity=GRAVITY)
+    return rp.load_robot("five_bar", carriers=True, gravity=GRAVITY)
 
 
 def reduced(robot: Robot) -> Any:
@@ -34,7 +34,7 @@ def reduced(robot: Robot) -> Any:
 
 def test_masses_of_links_are_those_of_the_argument(robot: Robot) -> None:
     """The xacro file makes a rod of the same form, whose moments grow as its mass."""
-    other = rp.load_robot("five_bar", gravity=GRAVITY, proximal_mass=1.7, distal_mass=0.3)
+    other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, proximal_mass=1.7, distal_mass=0.3)
     masses = {"proximal_1": 1.7, "proximal_2": 1.7, "distal_1": 0.3, "distal_2": 0.3}
     changed = robot.with_parameters(masses=masses)
     for name in ("f", "carrier_force"):
@@ -47,7 +47,7 @@ def test_masses_of_links_are_those_of_the_argument(robot: Robot) -> None:
 
 def test_lengths_move_the_joints(robot: Robot) -> None:
     """W is kinematics alone; the links keep their masses, which the argument does not."""
-    other = rp.load_robot("five_bar", gravity=GRAVITY, proximal_length=0.6)
+    other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, proximal_length=0.6)
     changed = robot.with_parameters(lengths={"elbow_1": 0.6, "elbow_2": (0.6, 0.0, 0.0)})
     np.testing.assert_allclose(reduced(changed).W, reduced(other).W, atol=1e-9)
     assert np.abs(reduced(changed).W - reduced(robot).W).max() > 0.01
@@ -115,7 +115,7 @@ def test_lengths_may_not_part_a_tool_from_its_closure(tmp_path: Path) -> None:
 
 def test_arguments_are_those_of_load_robot(robot: Robot) -> None:
     changed = robot.with_parameters(carrier_mass=2.0)
-    other = rp.load_robot("five_bar", gravity=GRAVITY, carrier_mass=2.0)
+    other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, carrier_mass=2.0)
     np.testing.assert_array_equal(reduced(changed).f, reduced(other).f)
     both = robot.with_parameters(carrier_mass=2.0, masses={"distal_1": 0.9})
     after = changed.with_parameters(masses={"distal_1": 0.9})
