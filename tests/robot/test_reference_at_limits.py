@@ -10,7 +10,7 @@ from command_line import call
 from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import CarrierLimitError, InputError
 from redundancy_pin.kinematics.forward_kinematics import ForwardStatus
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Constant
@@ -89,3 +89,18 @@ def test_limits_at_the_reference(joint: str, end: str, scale: float, tmp_path: P
         path = slider(tmp_path, scale, ranges["slide"], ranges["knee"])
         found = verdicts(path, rp.load_robot(path))
         assert set(found.values()) == {inside}, (beyond, found)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_carriers_at_the_ends_of_their_tracks(scale: float) -> None:
+    """The same slack for the tracks of carriers, which a motion of the carriers is checked against."""
+    lengths = ("base_distance", "proximal_length", "distal_length", "tail_length")
+    robot = rp.load_robot("five_bar", carriers=True, **dict.fromkeys(lengths, 0.5 * scale))
+    slack, still = SLACK * robot.characteristic_length, np.zeros((1, 2))
+    motion = rp.PlatformMotion([0.0], [[0.25 * scale, 0.7 * scale]], still, still)
+    dynamics = rp.RneaDynamics(robot)
+    for side in (-1.0, 1.0):
+        for beyond in (0.0, 0.8 * slack):
+            dynamics.reduce(motion, rp.CarrierMotion([[0.0, side * (0.5 * scale + beyond)]], still, still))
+        with pytest.raises(CarrierLimitError, match="carrier_2"):
+            dynamics.reduce(motion, rp.CarrierMotion([[0.0, side * (0.5 * scale + 3.0 * slack)]], still, still))
