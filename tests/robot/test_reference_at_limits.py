@@ -72,8 +72,16 @@ def verdicts(path: Path, robot: Robot) -> dict[str, bool]:
     }
 
 
-@pytest.mark.parametrize("end", ["lower", "upper"])
-@pytest.mark.parametrize(("joint", "scale"), [*(("slide", scale) for scale in SCALES), ("knee", 1.0)])
+@pytest.mark.parametrize(
+    ("joint", "scale", "end"),
+    [
+        ("slide", 1e-3, "lower"),
+        ("slide", 1.0, "upper"),
+        ("slide", 1e3, "lower"),
+        ("knee", 1.0, "lower"),
+        ("knee", 1.0, "upper"),
+    ],
+)
 def test_limits_at_the_reference(joint: str, end: str, scale: float, tmp_path: Path) -> None:
     """Exactly there, rounded to either side, beyond by four fifths of the slack, and by three slacks."""
     size = scale if joint == "slide" else 1.0
