@@ -38,7 +38,7 @@ from redundancy_pin.trajectory.waypoints import through_points
 MACHINES = {
     "2rpr": ("2rpr", {"end_effector_mass": 0.5, "cylinder_mass": 0.3}),
     "thesis": ("2rpr", {}),
-    "five_bar": ("five_bar", {}),
+    "five_bar": ("five_bar", {"carriers": True}),
     "3rrr": ("3rrr", {}),
 }
 
@@ -74,7 +74,8 @@ FRICTION = "prismatic_coulomb", "prismatic_viscous", "revolute_coulomb", "revolu
 
 def machine(name, heavier=1.0):
     model, masses = MACHINES[name]
-    return rp.CompiledDynamics(rp.load_robot(model, **{key: heavier * mass for key, mass in masses.items()}))
+    own = {key: given if given is True else heavier * given for key, given in masses.items()}
+    return rp.CompiledDynamics(rp.load_robot(model, **own))
 
 
 def over_and_over(number):

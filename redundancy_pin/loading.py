@@ -30,11 +30,13 @@ from redundancy_pin.kinematics.mobility import check_mobility, check_reference_r
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
 from redundancy_pin.robot import Closure, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
-from redundancy_pin.robot.changes import changed_urdf
+from redundancy_pin.robot.changes import changed_urdf, require_still_joined
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
+from redundancy_pin.robot.formats.urdf_tree import WITHOUT_INERTIAL
 from redundancy_pin.robot.from_model import declared, depth_first, in_order_of, not_in_force
 from redundancy_pin.robot.loads import JointForces, Load
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
 from redundancy_pin.robot.named import too_few_motors
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
@@ -168,8 +170,9 @@ def robot_with(
             carrier_limits=robot.carrier_limits,
             own_meshes_only=robot.own_meshes_only,
             closed_form=None,  # it is written in the arguments, which say something else now
-            notes=(*robot.notes, f"{_CHANGED} {', '.join([*masses, *lengths])}"),
+            notes=(*robot.notes, f"{_CHANGED} {', '.join([*masses, *lengths])}", *_lengths_only(robot, lengths)),
         )
+        require_still_joined(robot, new)
         for bound in ("lower", "upper"):
             for what in ("Position", "Velocity", "Effort"):
                 setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
@@ -189,6 +192,15 @@ _CHANGED = "changed since it was loaded:"
 """How a note begins that says so."""
 
 
+def _lengths_only(robot: Robot, lengths: Iterable[str]) -> tuple[str, ...]:
+    """Return a note that lengths change no masses, and log it; nothing without lengths."""
+    if not (names := ", ".join(lengths)):
+        return ()
+    note = f"The lengths at {names} move joints and frames: links keep masses, centres and moments of inertia."
+    _warn_once(f"{robot.name}: {note}")
+    return (note,)
+
+
 def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     source_file = request.path.parent / data["urdf"]
     if is_model_file(source_file):
@@ -199,6 +211,7 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     require_conditions(data, parameters)
     declaration = parse(data, parameters)
     robot = _built(declaration, request.path, urdf, parameters, request.gravity, request.working_mode)
+    _report(robot.notes, source_file)
     robot = replace(robot, urdf_folder=str(source_file.resolve().parent))
     return _closed(robot, declaration, lambda: reference_coordinates(robot, declaration.coordinates(parameters)))
 
@@ -223,9 +236,7 @@ def _load_model(request: _Request, data: Mapping[str, Any]) -> Robot:
             raise
         mechanism = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
         robot = _of_mechanism(mechanism, request, file, data, parameters)
-    for note in mechanism.notes:
-        if note.startswith(NOT_IN_FORCE):
-            _warn_once(f"{file.name}: {note}")
+    _report(mechanism.notes, file)
     robot = replace(robot, notes=(*mechanism.notes, *robot.notes), urdf_folder=str(file.resolve().parent))
     if data.get("urdf_dynamics") is False:
         return replace(robot, notes=(*robot.notes, f"Friction and springs of {file.name} are not in force."))
@@ -269,6 +280,13 @@ def _of_mechanism(
         resisted={load.joint for load in mechanism.forces}
         | {name for name, size in mechanism.armature.items() if size},
     )
+
+
+def _report(notes: Iterable[str], file: Path) -> None:
+    """Log the notes that change results: forces of the file that are ignored, links whose mass it does not state."""
+    for note in notes:
+        if note.startswith((NOT_IN_FORCE, WITHOUT_INERTIAL)):
+            _warn_once(f"{file.name}: {note}")
 
 
 @lru_cache(maxsize=100)
@@ -328,7 +346,7 @@ def _prescribed(robot: Robot, guess: Array, goal: Array) -> Array:
     """Return a guess (nq,) with the joints whose positions are prescribed where they end."""
     start = guess.copy()
     for name, value in () if robot.platform else zip(robot.independent_joints, goal.tolist(), strict=True):
-        joint = robot.model.joints[robot.model.getJointId(name)]
+        joint = find_joint(robot.model, name)
         at = (value,) if joint.nq == 1 else (np.cos(value), np.sin(value))
         start[joint.idx_q : joint.idx_q + joint.nq] = at
     return start
@@ -336,7 +354,7 @@ def _prescribed(robot: Robot, guess: Array, goal: Array) -> Array:
 
 def _columns(model: pin.Model, names: Iterable[str]) -> IntArray:
     """Return the indices in q of joints."""
-    listed = [model.joints[model.getJointId(name)] for name in names]
+    listed = [find_joint(model, name) for name in names]
     return np.array([c for joint in listed for c in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp)
 
 
@@ -377,7 +395,7 @@ def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> 
     for name, value in positions.items():
         if name in counted or not is_revolute(robot, name) or abs(value) <= 2.0 * np.pi:
             continue
-        joint = robot.model.joints[robot.model.getJointId(name)]
+        joint = find_joint(robot.model, name)
         ends = [float(limit[joint.idx_q]) for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit)]
         if joint.nq == 1 and (ends[0] > 2.0 * np.pi or ends[1] < -2.0 * np.pi):
             continue
@@ -482,7 +500,7 @@ def made(
             robot = replace(robot, independent_joints=selection.independent)
             notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
         if drive_independent:
-            columns = [model.joints[model.getJointId(name)].idx_v for name in selection.independent]
+            columns = [find_joint(model, name).idx_v for name in selection.independent]
             driven = read_only(np.array(columns, dtype=np.intp))
             robot = replace(robot, actuated=selection.independent, actuated_velocity=driven)
             notes.append(

@@ -24,6 +24,7 @@ from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, JointForces, Payload, Robot
 from redundancy_pin.robot.formats.mechanism import angles
+from redundancy_pin.robot.lookup import find_joint_index, find_link
 from redundancy_pin.robot.scales import closure_tolerance
 
 IMPEDANCE = 0.9999
@@ -258,7 +259,7 @@ def _forces(robot: Robot, *, reflected: bool) -> tuple[dict[str, dict[str, float
             raise UnsupportedRobotError(
                 f"MJCF does not say {load!r}.", remedy="Write the robot without, and apply it as a force in MuJoCo."
             )
-        index = model.getJointId(load.joint)
+        index = find_joint_index(model, load.joint)
         if load.rotor_inertia and not reflected and _turns_with_its_rotor(model, index):
             raise UnsupportedRobotError(
                 f"The rotor of joint {load.joint!r} is carried by a link that turns about its axis, and the "
@@ -301,7 +302,7 @@ def _inertial(body: ElementTree.Element, inertia: pin.Inertia) -> None:
 
 
 def _site(bodies: list[ElementTree.Element], model: pin.Model, name: str, frame: str, offset: Array) -> None:
-    entry = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+    entry = find_link(model, frame)
     place = entry.placement
     quat = _quaternion(place.rotation)
     _add(bodies[entry.parentJoint], "site", name=name, pos=place.act(offset), quat=quat)
@@ -374,13 +375,13 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
     for index in range(model.njoints):
         link = _add(root, "link", name=names[index])
         inertia = model.inertias[index]
-        if inertia.mass or np.any(inertia.inertia):
+        if index or inertia.mass or np.any(inertia.inertia):  # of mass 0: that the link is massless, and meant
             _urdf_inertial(link, inertia)
     for index in range(1, model.njoints):
         _urdf_joint(root, model, data, index, names, forces, mimics)
     taken = {str(name) for name in model.names}
     for frame in _named_frames(robot):
-        entry = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+        entry = find_link(model, frame)
         _add(root, "link", name=frame)
         joint = _add(root, "joint", name=_free_name(frame, "::fixed", taken), type="fixed")
         _add(joint, "parent", link=names[entry.parentJoint])

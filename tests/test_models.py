@@ -7,12 +7,14 @@ Pinocchio merges rigidly attached links into one body; the merge is redone here 
 from __future__ import annotations
 
 import io
+import json
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import yourdfpy
+from command_line import call
 
 import redundancy_pin as rp
 from redundancy_pin.robot import Robot
@@ -35,8 +37,8 @@ VARIANTS: list[tuple[str, dict[str, object]]] = [
     ("3rrr", {"arm_length": 0.2}),
     ("3rrr", {"platform_inertia": 0.02, "tail_length": 0.6, "carrier_mass": 1.5}),
     ("five_bar", {}),
-    ("five_bar", {"carriers": False}),
-    ("five_bar", {"base_distance": 0.3, "distal_length": 0.6, "tail_length": 0.2}),
+    ("five_bar", {"carriers": True}),
+    ("five_bar", {"carriers": True, "base_distance": 0.3, "distal_length": 0.6, "tail_length": 0.2}),
     ("four_bar", {}),
     ("four_bar", {"crank_length": 0.12, "rocker_mass": 0.9}),
     ("gough", {}),
@@ -52,6 +54,10 @@ VARIANTS: list[tuple[str, dict[str, object]]] = [
     ("two_arms", {}),
     ("walking_leg", {}),
 ]
+
+
+THESIS = ("2rpr", "3rrr")
+"""The machines of the thesis, which are about carriers."""
 
 
 class Loaded(NamedTuple):
@@ -168,7 +174,8 @@ def _body(urdf: yourdfpy.URDF, link: str) -> tuple[float, np.ndarray, np.ndarray
         ("2rpr", {}, 2 * 1.0),
         ("3rrr", {}, 3 * (1.0 + 1.0 + 3.0) + 0.5),
         ("3rrr", {"carriers": False}, 3 * (1.0 + 1.0) + 0.5),
-        ("five_bar", {}, 2 * (0.5 + 0.5 + 1.0) + 0.2),
+        ("five_bar", {}, 2 * (0.5 + 0.5) + 0.2),
+        ("five_bar", {"carriers": True}, 2 * (0.5 + 0.5 + 1.0) + 0.2),
         ("four_bar", {}, 0.2 + 0.7 + 0.5),
         ("gough", {"carriers": True, "carrier_mass": 3.0}, 6 * (1.5 + 0.8 + 3.0) + 5.0),
         ("gough", {"payload_mass": 2.0}, 6 * (1.5 + 0.8) + 5.0 + 2.0),
@@ -179,10 +186,24 @@ def test_total_mass(name: str, arguments: dict[str, object], mass: float) -> Non
     assert pin.computeTotalMass(rp.load_robot(name, **arguments).model) == pytest.approx(mass, abs=ROUNDING)
 
 
+def test_only_the_machines_of_the_thesis_have_carriers_unless_asked() -> None:
+    """A carrier is a mass of a kilogram or so, and two motors more: who does not ask for it wants the plain machine."""
+    for name in shipped_robots():
+        plain, carriers = rp.load_robot(name), rp.load_robot(name).parameters.get("carriers")
+        assert (plain.k > 0) == (name in THESIS), name
+        assert carriers in (None, name in THESIS)
+        for asked in () if carriers is None else (True, False):
+            other = rp.load_robot(name, carriers=asked)
+            assert (other.k > 0) == asked
+            text = f"carriers={str(asked).lower()}"
+            told = json.loads(call("info", "--robot", name, "--set", text, "--json").stdout)
+            assert told["counts"]["carriers k"] == other.k
+
+
 def test_five_bar_distal_links_are_collinear_inside_the_workspace() -> None:
     """Elbows at 120 and 60 degrees are 1 m apart, as far as two distal links of 0.5 m reach: P is midway."""
     loaded = _load("five_bar", {})
-    outward = {"base_1": 120, "elbow_1": -120, "carrier_1": 0, "base_2": 60, "elbow_2": 120, "carrier_2": 0}
+    outward = {"base_1": 120, "elbow_1": -120, "base_2": 60, "elbow_2": 120}
     loaded.other.update_cfg({name: np.deg2rad(angle) for name, angle in outward.items()})
     tips = [loaded.other.get_transform(link) for link in ("end_effector", "tip_2")]
     for tip in tips:

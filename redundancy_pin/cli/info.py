@@ -26,8 +26,8 @@ _LIMITS = ("speed", "acceleration", "force")
 def info(robot: RobotOptions, as_json: bool) -> None:
     r"""Show a robot, or which there are.
 
-    Joints and their roles, closures, freedoms, parameters, limits, and how far the reference configuration is from
-    singularities. Without --robot: the shipped robots.
+    Masses of the moving bodies, joints and their roles, closures, freedoms, parameters, limits, the efforts that hold
+    the reference configuration, and how far that is from singularities. Without --robot: the shipped robots.
 
     \b
     Example:
@@ -64,6 +64,9 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
             "axes": platform.axes if platform else None,
             "joints": robot.independent_joints,
         },
+        "bodies": [vars(body) for body in robot.bodies],
+        "moving_mass": robot.moving_mass,
+        "moving_weight": robot.moving_mass * float(np.linalg.norm(robot.gravity)),
         "joints": [_joint(robot, index) for index in range(1, robot.model.njoints)],
         "closures": [{name: getattr(one, name) for name in ("frame_a", "frame_b", "axes")} for one in robot.closures],
         "couplings": [
@@ -96,25 +99,36 @@ def _load(load: Load) -> dict[str, Any]:
 
 
 def _reference(robot: Robot) -> dict[str, Any]:
-    """Return the reference coordinates and how far they are from singularities of type I and II."""
+    """Return the reference coordinates, how far they are from singularities, and the efforts that hold the robot."""
     from redundancy_pin.dynamics.distribution import distribute
     from redundancy_pin.dynamics.rnea import RneaDynamics
     from redundancy_pin.kinematics.closure import ConstraintSystem
     from redundancy_pin.kinematics.coordinates import coordinates
     from redundancy_pin.kinematics.lift import lift
     from redundancy_pin.motion import PlatformMotion
+    from redundancy_pin.robot.scales import is_revolute
 
     x = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))
     still = np.zeros((1, robot.n))
     motion = PlatformMotion([0.0], x, still, still)
-    distribution = distribute(RneaDynamics(robot).reduce(motion))
+    reduced = RneaDynamics(robot).reduce(motion)
+    distribution = distribute(reduced)
     serial, parallel = lift(robot, motion).serial_margin_bound[0], distribution.margin[0]
     margins = {"type_i_margin": serial, "type_ii_margin": parallel, "condition": distribution.condition[0]}
-    return {"coordinates": x[0].tolist(), **margins}
+    efforts = zip((*robot.actuated, *robot.carriers), (*distribution.tau[0], *reduced.carrier_force[0]), strict=True)
+    holding = {
+        "status": distribution.status_labels[0],
+        "efforts": [
+            {"joint": name, "effort": effort, "unit": "N·m" if is_revolute(robot, name) else "N"}
+            for name, effort in efforts
+        ],
+    }
+    return {"coordinates": x[0].tolist(), **margins, "holding": holding}
 
 
 def _joint(robot: Robot, index: int) -> dict[str, Any]:
     from redundancy_pin.kinematics.coordinates import joint_position
+    from redundancy_pin.robot.joint_ranges import all_ranges
 
     name, kind = str(robot.model.names[index]), str(robot.model.joints[index].shortname())
     # Pinocchio has a class for each axis: JointModelRX, JointModelPZ, JointModelRevoluteUnaligned, ...
@@ -126,7 +140,9 @@ def _joint(robot: Robot, index: int) -> dict[str, Any]:
         limits = [end if np.isfinite(end) and abs(end) < 1e300 else None for end in ends]
     at = float(joint_position(robot, name, robot.q_reference[None])[0]) if joint.nv == 1 else None
     kind = known.get(kind[: len("JointModelP")], kind)
-    return {"name": name, "type": kind, "role": role, "limits": limits, "reference": at}
+    ranges = (own for own in all_ranges(robot) if own.name == name)
+    outside = any(bool(own.is_left(robot.q_reference[None, own.at], False)[0]) for own in ranges)
+    return {"name": name, "type": kind, "role": role, "limits": limits, "reference": at, "outside": outside}
 
 
 def _list_robots(as_json: bool) -> None:
@@ -160,7 +176,24 @@ def _general(facts: dict[str, Any]) -> TextTable:
 
 
 def _tables(facts: dict[str, Any]) -> Iterator[TextTable]:
-    """Give the tables of joints and closures, and of parameters and limits where there are any."""
+    """Give the tables of bodies, joints and closures, and of parameters and limits where there are any."""
+    bodies = [
+        (
+            _body_name(body, facts),
+            f"{body['mass']:.6g}",
+            ", ".join(_texts(body["centre"])),
+            ", ".join(_texts(body["principal_moments"])),
+        )
+        for body in facts["bodies"]
+    ]
+    headings: tuple[str, ...] = ("body", "mass [kg]", "centre in its frame [m]", "principal moments [kg·m²]")
+    total = f"{facts['moving_mass']:.6g} kg, {facts['moving_weight']:.6g} N"
+    yield TextTable(f"moving bodies, with all links fixed to them: {total}", headings, bodies, numbers=True)
+    holding = facts["reference"]["holding"]
+    texts = _texts([each["effort"] for each in holding["efforts"]])
+    efforts = [(each["joint"], f"{text} {each['unit']}") for each, text in zip(holding["efforts"], texts, strict=True)]
+    rows = [*efforts, ("status", holding["status"])]
+    yield TextTable("efforts that hold the reference", ("joint", "effort at rest"), rows, numbers=True)
     joints = [(joint["name"], joint["type"], joint["role"], *_range(joint)) for joint in facts["joints"]]
     yield TextTable("joints of the tree", ("joint", "type", "role", "limits", "reference"), joints)
     closures = [(each["frame_a"], each["frame_b"], ", ".join(each["axes"])) for each in facts["closures"]]
@@ -173,7 +206,7 @@ def _tables(facts: dict[str, Any]) -> Iterator[TextTable]:
         yield TextTable("couplings, q = c0 + c1 p + ...", ("joint q", "of p", "polynomial"), couplings)
     values = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
     if values:
-        headings: tuple[str, ...] = ("parameter", "value", "default")
+        headings = ("parameter", "value", "default")
         yield TextTable("parameters (--set NAME=VALUE)", headings, values, numbers=True)
     limits = [
         (name, " … ".join(f"{end:g}" for end in entry["position"]), *(f"{entry[key]:g}" for key in _LIMITS))
@@ -186,14 +219,29 @@ def _tables(facts: dict[str, Any]) -> Iterator[TextTable]:
         yield _loads_table(facts)
 
 
+def _body_name(body: dict[str, Any], facts: dict[str, Any]) -> str:
+    """Return the name of a body, with that of the platform where it is fixed to the body."""
+    platform = facts["independent"]["platform"]
+    return f"{body['name']} with {platform}" if platform in body["links"][1:] else str(body["name"])
+
+
+def _texts(values: Any) -> list[str]:
+    """Return numbers with six digits, in any unit; what is rounding of the largest is zero."""
+    size = float(np.abs(values).max(initial=0.0))
+    return [f"{0.0 if abs(value) < _NOTHING * size else value:.6g}" for value in values]
+
+
+_NOTHING = 1e-12
+"""Part of the largest of some numbers that is rounding."""
+
+
 def _range(joint: dict[str, Any]) -> tuple[str, str]:
     """Return the limits of a joint, and where it is at the reference configuration, marked where that is outside."""
     at = joint["reference"]
     if at is None:
         return "", ""
     lower, upper = joint["limits"] or (None, None)
-    outside = (lower is not None and at < lower) or (upper is not None and at > upper)
-    shown = f"{round(at, 9):.4g}{' (outside)' if outside else ''}"
+    shown = f"{round(at, 9):.4g}{' (outside)' if joint['outside'] else ''}"
     if lower is None and upper is None:
         return "", shown
     ends = " … ".join("none" if end is None else f"{end:g}" for end in (lower, upper))

@@ -141,7 +141,7 @@ def inverse_dynamics(
 
         write_text(out, texts())  # block by block: memory does not grow with the motion
     _warn(result)
-    facts = {
+    facts: dict[str, Any] = {
         "robot": loaded.name,
         "backend": backend,
         "motion": motion.described,

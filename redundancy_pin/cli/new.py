@@ -17,6 +17,8 @@ from redundancy_pin.cli.options import json_option, trust_option
 from redundancy_pin.cli.output import report, warning
 from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.io.files import require_writable, write_text
+from redundancy_pin.robot.joint_ranges import joint_ranges
+from redundancy_pin.robot.lookup import find_link_index
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -28,9 +30,6 @@ _SINGLE = ("revolute", "continuous", "prismatic")
 
 _COINCIDE = 1e-5
 """m: frames that are nearer at the zero configuration are taken to be one point, cut in two; files are rounded."""
-
-_ROUNDED = 1e-6
-"""rad or m: what is written has six digits."""
 
 _BESIDE, _TRIES = 0.5, 8
 """How far from zero, rad and m, and how often poses are tried where loops lie in a line at zero."""
@@ -145,7 +144,7 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
-    at = {str(frame.name): data.oMf[model.getFrameId(frame.name, pin.FrameType.BODY)].translation for frame in frames}
+    at = {str(frame.name): data.oMf[find_link_index(model, frame.name)].translation for frame in frames}
     carrier = {str(frame.name): int(frame.parentJoint) for frame in frames}
     parents = {joint.parent for joint in tree.joints}
     weight = _NO_MASS * sum(link.mass for link in tree.links.values())
@@ -195,11 +194,8 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
 
 def _out_of_range(robot: Robot) -> list[str]:
     """Return a line on joints that the reference has beyond their limits."""
-    model, q = robot.model, robot.q_reference
-    named = list(zip(model.names, model.joints, strict=True))[1:]
-    joints = [(str(name), joint.idx_q) for name, joint in named if joint.nq == 1]
-    low, high = model.lowerPositionLimit, model.upperPositionLimit
-    beyond = [name for name, k in joints if not low[k] - _ROUNDED <= q[k] <= high[k] + _ROUNDED]
+    q = robot.q_reference[None]
+    beyond = [joint.name for joint in joint_ranges(robot) if joint.is_left(q[:, joint.at], False)[0]]
     return [f"The reference is out of the range of {', '.join(beyond)}: guess another."] if beyond else []
 
 

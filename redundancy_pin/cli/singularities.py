@@ -58,7 +58,7 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
     shown += [f"The motion is {motion.described}."] if motion.file else []
     shown += [f"The picture is {plot}."] if plot else []
     data = [crossing_data(crossing) for crossing in crossings] if followed is not None else None
-    facts = {"robot": loaded.name, "motion": motion.described if motion.given else None}
+    facts: dict[str, Any] = {"robot": loaded.name, "motion": motion.described if motion.given else None}
     facts |= {"ends": getattr(followed, "ends", None), "crossings": data, "plot": plot}
     output.report(as_json, facts, *shown)
     if failed:

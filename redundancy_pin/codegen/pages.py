@@ -21,6 +21,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, mode_name
 from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.scales import closure_tolerance, force_scale, is_revolute, row_scale, velocity_unit
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
@@ -107,7 +108,7 @@ def _drives(chain: SymbolicChain) -> Any:
     ca, robot = casadi(), chain.robot
     position, off = ca.SX.sym("position", robot.m), []
     for i, name in enumerate(robot.actuated):
-        joint = robot.model.joints[robot.model.getJointId(name)]
+        joint = find_joint(robot.model, name)
         q = chain.q[joint.idx_q : joint.idx_q + joint.nq]
         if joint.nq == 1:
             off.append(position[i] - q)
@@ -192,7 +193,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
 def _is_scalar(robot: Robot, name: str) -> bool:
     """Whether a coordinate has one number that does not come back to itself: no endless joint."""
     model = robot.model
-    return not model.existJointName(name) or int(model.joints[model.getJointId(name)].nq) == 1
+    return not has_joint(model, name) or int(find_joint(model, name).nq) == 1
 
 
 def _record(robot: Robot, recorded: Recorded, i: int) -> str:

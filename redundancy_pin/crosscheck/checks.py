@@ -22,6 +22,7 @@ from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 
@@ -328,7 +329,7 @@ def _efforts(robot: Robot, reduced: ReducedDynamics) -> tuple[IntArray, Array, d
     singular = np.linalg.svd(reduced.W, compute_uv=False)
     solvable: BoolArray = (robot.m >= robot.n) & (singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0])
     if robot.platform is None and not solvable.any():
-        joints = (robot.model.joints[robot.model.getJointId(name)] for name in robot.independent_joints)
+        joints = (find_joint(robot.model, name) for name in robot.independent_joints)
         unknown = ~np.isfinite(reduced.f).all(axis=1)
         return np.array([each.idx_v for each in joints]), reduced.f, {"not_finite": np.asarray(unknown)}
     safe = np.where(solvable[:, None, None], reduced.W, np.eye(*reduced.W.shape[1:]))

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import AXES, Closure, Platform, Robot
+from redundancy_pin.robot.lookup import find_joint, find_link_index
 
 _IDLE = 1e-12
 """Rounding of a row of a one-metre machine."""
@@ -83,10 +84,10 @@ class ClosedForward:
             rows += self._closure(closure)
         for each in self._robot.couplings:
             powers = np.polynomial.Polynomial(each.polynomial)
-            row, own = np.zeros(model.nv), model.joints[model.getJointId(each.joint)]
+            row, own = np.zeros(model.nv), find_joint(model, each.joint)
             row[own.idx_v], bend = 1.0, 0.0
             if each.of:
-                other = model.joints[model.getJointId(each.of)]
+                other = find_joint(model, each.of)
                 row[other.idx_v] -= powers.deriv()(q[other.idx_q])
                 bend = -float(powers.deriv(2)(q[other.idx_q])) * v[other.idx_v] ** 2
             rows.append((row, bend))
@@ -108,9 +109,9 @@ class ClosedForward:
         """Return J (n, nv) and J̇ v (n,) of the independent velocities; to be called after ``rows``."""
         model, platform = self._model, self._robot.platform
         if platform is None:
-            joints = (model.joints[model.getJointId(name)] for name in self._robot.independent_joints)
+            joints = (find_joint(model, name) for name in self._robot.independent_joints)
             return np.eye(model.nv)[[each.idx_v for each in joints]], np.zeros(self._robot.n)
-        frame = model.getFrameId(platform.frame, pin.FrameType.BODY)
+        frame = find_link_index(model, platform.frame)
         rows = [AXES.index(axis) for axis in platform.axes]
         J = pin.getFrameJacobian(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
         bias = pin.getFrameClassicalAcceleration(model, self._data, frame, pin.LOCAL_WORLD_ALIGNED).vector
@@ -125,7 +126,7 @@ class ClosedForward:
 
     def _closure(self, closure: Closure) -> list[tuple[Array, float]]:
         model, data, world = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
-        ids = [model.getFrameId(name, pin.FrameType.BODY) for name in (closure.frame_a, closure.frame_b)]
+        ids = [find_link_index(model, name) for name in (closure.frame_a, closure.frame_b)]
         places = [pin.updateFramePlacement(model, data, each) for each in ids]
         jacobians = [pin.getFrameJacobian(model, data, each, world) for each in ids]
         speeds = [pin.getFrameVelocity(model, data, each, world) for each in ids]

@@ -12,6 +12,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import JointForces, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
+from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_index
 
 
 def energy_rate(
@@ -58,7 +59,7 @@ def load_energy(robot: Robot, q: Array, v: Array) -> Array:
     for spring in of_kind(robot.loads, Spring):
         energy += 0.5 * spring.stiffness * (_length(robot, spring, q) - spring.length) ** 2
     for load in of_kind(robot.loads, JointForces):
-        index = model.getJointId(load.joint)
+        index = find_joint_index(model, load.joint)
         joint = model.joints[index]
         if load.stiffness:
             energy += 0.5 * load.stiffness * (q[joint.idx_q] - load.rest) ** 2
@@ -84,7 +85,7 @@ def load_power(robot: Robot, motion: PlatformMotion, q: Array, v: Array, wide: A
     """
     samples, power = q.shape[1], np.zeros(q.shape[1])
     for load in of_kind(robot.loads, JointForces):
-        joint = robot.model.joints[robot.model.getJointId(load.joint)]
+        joint = find_joint(robot.model, load.joint)
         speed = v[joint.idx_v : joint.idx_v + joint.nv]
         power += ((load.damping * speed + load.friction * np.tanh(speed / load.friction_speed)) * speed).sum(axis=0)
     for spring in of_kind(robot.loads, Spring):
@@ -112,7 +113,7 @@ def load_efforts(robot: Robot, motion: PlatformMotion, q: Array, v: Array, a: Ar
     """
     model, efforts = robot.model, np.zeros(v.shape)
     data = model.createData()
-    joints = [(load, int(model.getJointId(load.joint))) for load in of_kind(robot.loads, JointForces)]
+    joints = [(load, find_joint_index(model, load.joint)) for load in of_kind(robot.loads, JointForces)]
     for load, index in joints:
         joint = model.joints[index]
         columns = slice(joint.idx_v, joint.idx_v + joint.nv)
@@ -123,7 +124,7 @@ def load_efforts(robot: Robot, motion: PlatformMotion, q: Array, v: Array, a: Ar
 
     def at_point(frame: str, point: Array) -> tuple[Array, Array, Array, Array]:
         """Return place (3,), axes (3, 3), and Jacobians (3, nv) of a point and of the turn of its link."""
-        identifier = model.getFrameId(frame, pin.FrameType.BODY)
+        identifier = find_link_index(model, frame)
         placed = pin.updateFramePlacement(model, data, identifier)
         jacobian = pin.getFrameJacobian(model, data, identifier, pin.LOCAL_WORLD_ALIGNED)
         arm = placed.rotation @ point
@@ -180,7 +181,7 @@ def _length(robot: Robot, spring: Spring, q: Array) -> Array:
 def _placements(robot: Robot, frame: str, q: Array) -> tuple[Array, Array]:
     """Return (N, 3, 3) and (N, 3): axes and origin of a link in the world."""
     model = robot.model
-    data, index = model.createData(), model.getFrameId(frame, pin.FrameType.BODY)
+    data, index = model.createData(), find_link_index(model, frame)
     rotation, origin = np.empty((q.shape[1], 3, 3)), np.empty((q.shape[1], 3))
     for k in range(q.shape[1]):
         pin.framesForwardKinematics(model, data, q[:, k])

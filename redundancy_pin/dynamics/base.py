@@ -20,6 +20,7 @@ from redundancy_pin.motion import (
     require_sampled,
 )
 from redundancy_pin.robot import Load, Robot
+from redundancy_pin.robot.joint_ranges import track_slack
 
 OnUnreachable = Literal["raise", "mark"]
 """What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its gap."""
@@ -373,10 +374,6 @@ def _stacked(part: ArrayLike) -> ArrayLike:
     return cast(ArrayLike, [part])
 
 
-_TRACK_ROUNDING = 1e-12
-"""A carrier parked at the end of its track may overshoot it by this part of the characteristic length, by rounding."""
-
-
 def require_choice(unreachable: str) -> None:
     """Check what to do with unreachable poses.
 
@@ -418,7 +415,7 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
     lower = np.array([limits.lower for limits in robot.carrier_limits])
     upper = np.array([limits.upper for limits in robot.carrier_limits])
     outside = np.maximum(lower - carriers.s, carriers.s - upper)
-    if outside.size and outside.max() > _TRACK_ROUNDING * robot.characteristic_length:
+    if (outside > track_slack(robot)).any():
         k, i = (int(j) for j in np.unravel_index(int(outside.argmax()), outside.shape))
         raise CarrierLimitError(
             f"Carrier {robot.carriers[i]!r} leaves its track [{lower[i]:g}, {upper[i]:g}] m by {outside[k, i]:.3g} m "

@@ -39,6 +39,7 @@ from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
+from redundancy_pin.robot.lookup import find_link, joint_names
 from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale
 
 SAMPLES_PER_BLOCK = 20_000
@@ -315,14 +316,16 @@ class RneaAlongMotion(Frozen):
 
     @cached_property
     def _floating_pool(self) -> pin.ModelPool:
+        model = self.robot.model
         free = pin.Model()
-        base = free.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "redundancy_pin::base")
-        frame = free.addFrame(pin.Frame("redundancy_pin::base", base, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-        model = pin.appendModel(free, self.robot.model, frame, pin.SE3.Identity())
-        model.gravity = self.robot.model.gravity
-        # links fixed to the base stand on the ground: their weight is not the mechanism's
-        model.inertias[base] = pin.Inertia.Zero()
-        return pin.ModelPool(model, self.threads)
+        free.gravity = model.gravity
+        # links fixed to the base stand on the ground: their weight is not the mechanism's, and this body has none
+        root = free.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "redundancy_pin::base")
+        for index in range(1, model.njoints):  # pin.appendModel refuses a joint with the name of a link
+            parent = model.parents[index] + root
+            free.addJoint(parent, model.joints[index], model.jointPlacements[index], model.names[index])
+            free.inertias[index + root] = model.inertias[index]
+        return pin.ModelPool(free, self.threads)
 
 
 # --- reactions --------------------------------------------------------------------------------------------------------
@@ -393,7 +396,7 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     for array in (multipliers, wrench):
         array[~(usable & determined)] = np.nan
     return JointReactions(
-        joints=tuple(str(name) for name in robot.model.names)[1:],
+        joints=joint_names(robot.model),
         joint_wrench=read_only(wrench),
         closures=whole.constraint_names,
         closure_force=read_only(multipliers),
@@ -435,7 +438,7 @@ def _closure_wrenches(robot: Robot, state: ConstraintState, multipliers: Array) 
         # at an open frame pair the force acts where frame b is, on both bodies
         wrench = state.rows.wrench[:, index] * multipliers[:, index]
         for frame, sign in ((closure.frame_b, 1.0), (closure.frame_a, -1.0)):
-            joint = int(model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint)
+            joint = int(find_link(model, frame).parentJoint)
             total[joint] = total.get(joint, 0.0) + sign * wrench
     return total
 

@@ -25,6 +25,7 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.robot.types import slides
 
@@ -55,13 +56,13 @@ class TreeLoads:
         self.robot = robot
         loads, model = robot.loads, robot.model
         self._wrenches, self._springs = of_kind(loads, Wrench), of_kind(loads, Spring)
-        self._joints = [(load, model.joints[model.getJointId(load.joint)]) for load in of_kind(loads, JointForces)]
+        self._joints = [(load, find_joint(model, load.joint)) for load in of_kind(loads, JointForces)]
         self._rotors = [_Rotor(robot, load) for load, _ in self._joints if load.rotor_inertia and load.gear]
         frames = {wrench.frame for wrench in self._wrenches} | {rotor.frame for rotor in self._rotors}
         frames |= {frame for spring in self._springs for frame in (spring.frame_a, spring.frame_b)}
         self.has_rotors = bool(self._rotors)
         self._frames = sorted(frames)
-        self._carried_by = {name: int(_frame(model, name).parentJoint) for name in self._frames}
+        self._carried_by = {name: int(find_link(model, name).parentJoint) for name in self._frames}
         self.supports = [
             [
                 column
@@ -254,7 +255,7 @@ class _Rotor:
 
     def __init__(self, robot: Robot, load: JointForces) -> None:
         model = robot.model
-        index = int(model.getJointId(load.joint))
+        index = find_joint_index(model, load.joint)
         joint = model.joints[index]
         self.load, self.column, self.joint = load, int(joint.idx_v), index
         self.parent = int(model.parents[index])
@@ -321,10 +322,6 @@ def tree_equations(robot: Robot, data: pin.Data, q: Array, v: Array, a: Array) -
         effort += loads.efforts(state)[:, 0]
         mass = mass + loads.rotor_mass(state) if loads.has_rotors else mass
     return effort, mass
-
-
-def _frame(model: pin.Model, name: str) -> pin.Frame:
-    return model.frames[model.getFrameId(name, pin.FrameType.BODY)]
 
 
 def tree_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:

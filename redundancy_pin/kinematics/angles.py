@@ -21,6 +21,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Platform, Robot
+from redundancy_pin.robot.lookup import find_link_index
 
 ROLL, PITCH, ABOUT = "roll", "pitch", "about"
 
@@ -54,7 +55,7 @@ def pointer(platform: Platform) -> int:
 def _turns_about(robot: Robot, platform: Platform, k: int) -> bool:
     """Return whether all joints that turn the platform do so about one base axis: they then always do."""
     model, data = robot.model, robot.model.createData()
-    frame = model.getFrameId(platform.frame, pin.FrameType.BODY)
+    frame = find_link_index(model, platform.frame)
     world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     jacobian = pin.computeFrameJacobian(model, data, np.array(robot.q_reference), frame, world)
     across = np.delete(np.reshape(jacobian, (6, -1))[3:], k, axis=0)

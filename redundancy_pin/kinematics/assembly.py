@@ -18,6 +18,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode, joint_position
 from redundancy_pin.robot.joint_ranges import out_of_range
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
 
 SETTLED_STEP = 1e-8
@@ -237,7 +238,7 @@ class _Equations:
         if self.actuated is not None:
             off = self.actuated - np.stack([joint_position(robot, name, state.q) for name in robot.actuated], axis=1)
             # a continuous joint takes the shorter arc: its positions a turn apart are one
-            endless = [robot.model.joints[robot.model.getJointId(name)].nq == 2 for name in robot.actuated]
+            endless = [find_joint(robot.model, name).nq == 2 for name in robot.actuated]
             off[:, endless] = (off[:, endless] + np.pi) % (2.0 * np.pi) - np.pi
             parts.append(off)
         return np.concatenate(parts, axis=1)

@@ -33,6 +33,7 @@ from redundancy_pin.kinematics.continuation import (
 )
 from redundancy_pin.kinematics.coordinates import angle_columns, mode_indicators, pose_rows, readings
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
@@ -73,11 +74,11 @@ class ClosedChain:
         self.vectors, self._copied = _frame_memory(model, data)
         platform = None
         if robot.platform is not None:
-            platform = data.oMf[model.getFrameId(robot.platform.frame, pin.FrameType.BODY)]
+            platform = data.oMf[find_link_index(model, robot.platform.frame)]
         self._platform_pose = None if platform is None else (platform.rotation, platform.translation)
         self._is_pose = is_pose(robot)
         self._readings = readings(robot)
-        joints = (model.joints[model.getJointId(name)] for name in robot.independent_joints)
+        joints = (find_joint(model, name) for name in robot.independent_joints)
         self._joints = [(int(joint.idx_q), joint.nq == 2) for joint in joints]
         self.J, self.dJ = (part.reshape(6, -1) for part in (data.J, data.dJ))  # Pinocchio drops the axis of one column
 
@@ -221,7 +222,7 @@ class Tracker:
         self._is_pose, self._turns = is_pose(robot), angle_columns(robot)
         self._pose_rows = pose_rows(robot)
         self._legs = list(zip(*(part.tolist() for part in mode_indicators(robot)[:2]), strict=True))
-        ids = {name: 12 * robot.model.getFrameId(name, pin.FrameType.BODY) for name in chain.system.tree.support}
+        ids = {name: 12 * find_link_index(robot.model, name) for name in chain.system.tree.support}
         self._aligned = [(ids[a] + 3 * k, ids[b] + 3 * k) for a, b, k in chain.system.aligned]
         reference = np.array(robot.q_reference)
         chain.place(reference)

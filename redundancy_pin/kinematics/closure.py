@@ -38,7 +38,6 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, IntArray
@@ -46,6 +45,7 @@ from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
 from redundancy_pin.kinematics.tree import AFTER, NEXT, TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 OPEN = 1e-4
@@ -385,7 +385,7 @@ class ConstraintSystem:
         support, ids = np.zeros((len(at) + 1, nv)), np.zeros(len(at) + 1, dtype=np.intp)
         for name, columns in self.tree.support.items():
             support[at[name], list(columns)] = 1.0
-            ids[at[name]] = robot.model.getFrameId(name, pin.FrameType.BODY)
+            ids[at[name]] = find_link_index(robot.model, name)
         closures = [_row(closure, axis, at) for closure in robot.closures for axis in closure.axes]
         world = len(at)
         empty = Row((world, 0), (world, 1), world, world, 1.0)
@@ -490,7 +490,7 @@ class ConstraintSystem:
 def independent_velocity(robot: Robot) -> list[int]:
     """Return the velocity index of each independent joint of a robot without a platform."""
     model = robot.model
-    return [int(model.joints[model.getJointId(name)].idx_v) for name in robot.independent_joints]
+    return [int(find_joint(model, name).idx_v) for name in robot.independent_joints]
 
 
 def _aligned(closure: Closure) -> list[int]:

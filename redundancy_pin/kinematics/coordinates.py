@@ -16,6 +16,7 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray, checked
 from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import is_revolute, row_scale
 
@@ -134,7 +135,7 @@ _NORMAL = 1e-6
 
 def joint_position(robot: Robot, name: str, q: Array) -> Array:
     """Return (N,) positions of a joint of one freedom, m or rad; a continuous joint's lies in (−π, π]."""
-    joint = robot.model.joints[robot.model.getJointId(name)]
+    joint = find_joint(robot.model, name)
     if joint.nq == 2:
         angle: Array = np.arctan2(q[:, joint.idx_q + 1], q[:, joint.idx_q])
         return angle
@@ -164,7 +165,7 @@ def angle_columns(robot: Robot) -> list[int]:
     if robot.platform is not None:
         return [k for k, axis in enumerate(robot.platform.axes) if axis.startswith("r")]
     model = robot.model
-    return [k for k, name in enumerate(robot.independent_joints) if model.joints[model.getJointId(name)].nq == 2]
+    return [k for k, name in enumerate(robot.independent_joints) if find_joint(model, name).nq == 2]
 
 
 # --- working modes ----------------------------------------------------------------------------------------------------
@@ -191,7 +192,7 @@ def mode_indicators(robot: Robot) -> tuple[IntArray, BoolArray, Array, Array]:
     """Return what tells the mode of each leg, (legs,) each: a number of q, whether its sine counts, sign and unit."""
     modes, legs = robot.working_modes, []
     for name, sign in zip(modes.joints, modes.signs, strict=True) if modes else ():
-        joint = robot.model.joints[robot.model.getJointId(name)]
+        joint = find_joint(robot.model, name)
         # of a continuous joint the second number is the sine
         unit = 1.0 if is_revolute(robot, name) else robot.characteristic_length
         legs.append((joint.idx_q + (joint.nq == 2), joint.nq == 1 and is_revolute(robot, name), sign, unit))

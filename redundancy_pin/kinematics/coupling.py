@@ -13,6 +13,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.types import slides
 
 _DERIVATIVES = 3
@@ -34,10 +35,7 @@ class CouplingRows:
         model, self._nv = robot.model, robot.model.nv
         self.at = slice(first, first + len(robot.couplings))
         # what is held at a place is coupled to itself by a polynomial of degree zero
-        ends = [
-            [model.joints[model.getJointId(name)] for name in (each.joint, each.of or each.joint)]
-            for each in robot.couplings
-        ]
+        ends = [[find_joint(model, name) for name in (each.joint, each.of or each.joint)] for each in robot.couplings]
         self._q, self._of_q = np.array([[int(joint.idx_q) for joint in pair] for pair in ends], dtype=np.intp).T
         self._v, self._of_v = np.array([[int(joint.idx_v) for joint in pair] for pair in ends], dtype=np.intp).T
         self.turning = [not slides(joint) for joint, _ in ends]

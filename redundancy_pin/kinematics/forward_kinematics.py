@@ -39,7 +39,8 @@ from redundancy_pin.kinematics.inverse_kinematics import wrapped
 from redundancy_pin.kinematics.lift import TreeMotion, anchors_along, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, random_spread, range_excess
+from redundancy_pin.robot.joint_ranges import out_of_range, random_spread, range_excess, range_slack
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, turning_velocities, velocity_unit
 
@@ -259,7 +260,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
     for part in (x, xd, xdd, q, J):
         part[contradicted] = np.nan
     excess = range_excess(robot, q)
-    status[(status == ForwardStatus.CONVERGED) & (excess > ROUNDING).any(axis=1)] = ForwardStatus.OUT_OF_RANGE
+    status[(status == ForwardStatus.CONVERGED) & (excess > range_slack(robot)).any(axis=1)] = ForwardStatus.OUT_OF_RANGE
     return _Stretch(x, xd, xdd, q, J, status, gap, margin, excess)
 
 
@@ -356,7 +357,7 @@ def _whole_turns(driven: Robot, u: Array) -> IntArray:
     Raises:
         InputError: positions too large to say where in a turn they are.
     """
-    joints = [driven.model.joints[driven.model.getJointId(name)] for name in driven.independent_joints]
+    joints = [find_joint(driven.model, name) for name in driven.independent_joints]
     turning = np.array([bool(turning_velocities(driven)[each.idx_v]) and each.nq == 1 for each in joints])
     angles = np.where(turning, u, 0.0)
     largest = float(np.abs(angles).max(initial=0.0))

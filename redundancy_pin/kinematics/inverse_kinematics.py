@@ -17,7 +17,8 @@ from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.joint_ranges import random_spread
+from redundancy_pin.robot.joint_ranges import ROUNDING, random_spread
+from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link
 from redundancy_pin.robot.scales import position_unit
 from redundancy_pin.robot.types import slides
 
@@ -106,7 +107,7 @@ def mixed_legs(robot: Robot, q: Array, guess: Array) -> Array | None:
     if robot.working_modes is None or len(q) == 0:
         return None
     right = mode_indicator(robot, q) * np.array(robot.working_mode, dtype=float) > 0.0
-    indicators = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.working_modes.joints]
+    indicators = [find_joint(robot.model, name).idx_q for name in robot.working_modes.joints]
     result, unit = guess.copy(), position_unit(robot)
     for columns in _independent_parts(robot):
         usable: BoolArray = right[:, [leg for leg, column in enumerate(indicators) if column in columns]].all(axis=1)
@@ -134,15 +135,15 @@ def _independent_parts(robot: Robot) -> list[IntArray]:
     model = robot.model
 
     def ancestors(frame: str) -> set[int]:
-        return set(model.supports[model.frames[model.getFrameId(frame)].parentJoint].tolist()) - {0}
+        return set(model.supports[find_link(model, frame).parentJoint].tolist()) - {0}
 
     if robot.platform is not None:
         of_platform = ancestors(robot.platform.frame)
     else:
-        of_platform = {model.getJointId(name) for name in robot.independent_joints}
+        of_platform = {find_joint_index(model, name) for name in robot.independent_joints}
     parts: list[set[int]] = [of_platform]
     loops = [ancestors(closure.frame_a) | ancestors(closure.frame_b) for closure in robot.closures]
-    pairs = [{model.getJointId(name) for name in (each.joint, each.of) if name} for each in robot.couplings]
+    pairs = [{find_joint_index(model, name) for name in (each.joint, each.of) if name} for each in robot.couplings]
     for tied in (each - of_platform for each in (*loops, *pairs)):
         parts = [part for part in parts if not part & tied] + [tied.union(*(part for part in parts if part & tied))]
     spans = [[range(model.joints[j].idx_q, model.joints[j].idx_q + model.joints[j].nq) for j in part] for part in parts]
@@ -169,11 +170,12 @@ def wrapped(robot: Robot, q: Array, guess: Array | None = None) -> Array:
     Where that is beyond a joint's limits, and the turn nearest to the guess (nq,) is not, it is that turn.
     """
     result: Array = q.copy()
-    prescribed = {robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.independent_joints}
+    prescribed = {find_joint(robot.model, name).idx_q for name in robot.independent_joints}
     columns = [column for column in _bounded_angles(robot) if column not in prescribed]
     result[:, columns] = short = np.pi - (np.pi - q[:, columns]) % (2.0 * np.pi)
     if guess is not None:
-        lower, upper = (limit[columns] for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit))
+        ends = robot.model.lowerPositionLimit - ROUNDING, robot.model.upperPositionLimit + ROUNDING  # rad
+        lower, upper = (limit[columns] for limit in ends)
         near = short + 2.0 * np.pi * np.round((guess[columns] - short) / (2.0 * np.pi))
         allowed, within = ((lower <= angle) & (angle <= upper) for angle in (short, near))
         result[:, columns] = np.where(~allowed & within, near, short)

@@ -21,6 +21,7 @@ from redundancy_pin.kinematics.closing import SEED, close, closed_near, scattere
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
 from redundancy_pin.kinematics.mobility import row_names
 from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_index
 from redundancy_pin.robot.scales import closure_tolerance
 
 _NEIGHBOURS, _SPREAD = 6, 0.1
@@ -118,7 +119,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
     if fixed_spins:
         independent, loose = _independent(robot, q)
     if loose:
-        balls = tuple(name for name in loose if robot.model.joints[robot.model.getJointId(name)].nq == 4)
+        balls = tuple(name for name in loose if find_joint(robot.model, name).nq == 4)
         raise DeclarationError(
             f"{robot.name} has the joint(s) {', '.join(map(repr, loose))} of several freedoms, which its loops leave "
             "free in part: they cannot be independent, only joints of one freedom can.",
@@ -141,14 +142,14 @@ def rows_at(robot: Robot, q: Array) -> Robot:
 def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
     """Return the rod that a ball joint carries, if it has one more end, another ball, of a closure or of the tree."""
     model, data = robot.model, robot.model.createData()
-    index = model.getJointId(joint)
+    index = find_joint_index(model, joint)
     if model.joints[index].nq != 4:
         return None
     pin.framesForwardKinematics(model, data, q)
     joints = [each for each in range(index + 1, model.njoints) if model.parents[each] == index]
     ends = [_Rod(None, (index, each), data.oMi[index].translation, data.oMi[each].translation) for each in joints]
     for number, closure in enumerate(robot.closures):
-        frames = [model.getFrameId(name, pin.FrameType.BODY) for name in (closure.frame_a, closure.frame_b)]
+        frames = [find_link_index(model, name) for name in (closure.frame_a, closure.frame_b)]
         carriers = tuple(int(model.frames[frame].parentJoint) for frame in frames)
         for frame, carrier in zip(frames, carriers, strict=True):
             if carrier == index:
@@ -162,7 +163,7 @@ def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
 
 def _off_axis(robot: Robot, joint: str, rod: _Rod, q: Array) -> float:
     """Return how far the centre of mass of a rod is from the line between its balls, m; zero without a mass."""
-    model, data, index = robot.model, robot.model.createData(), robot.model.getJointId(joint)
+    model, data, index = robot.model, robot.model.createData(), find_joint_index(robot.model, joint)
     if model.inertias[index].mass == 0.0:
         return 0.0
     pin.forwardKinematics(model, data, q)
@@ -182,7 +183,7 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> R
     x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)
     place = pin.SE3(np.column_stack([x, np.cross(z, x), z]), rod.near if at_first else rod.far)
-    index = model.getJointId(joint)
+    index = find_joint_index(model, joint)
     ends = (int(model.parents[index]), int(index)) if at_first else rod.ends
     names = f"{joint}:a{UNIVERSAL}", f"{joint}:b{UNIVERSAL}"
     for name, carrier in zip(names, ends, strict=True):

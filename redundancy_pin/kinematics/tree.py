@@ -25,6 +25,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, IntArray, read_only
 from redundancy_pin.errors import UnsupportedRobotError
+from redundancy_pin.robot.lookup import find_link
 
 T = TypeVar("T")
 
@@ -145,7 +146,7 @@ class TreeKinematics:
 
     def __init__(self, model: pin.Model, frames: Sequence[str]) -> None:
         self._nv = model.nv
-        at = {name: model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in frames}
+        at = {name: find_link(model, name) for name in frames}
         chains = {name: [int(j) for j in model.supports[one.parentJoint] if j > 0] for name, one in at.items()}
         data = model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))

@@ -26,6 +26,7 @@ from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
 from redundancy_pin.spectrum import scaled, spectrum_of
@@ -231,7 +232,7 @@ def require_carriers(robot: Robot) -> None:
     bodies = np.abs([body.toDynamicParameters() for body in robot.model.inertias])
     massless = []
     for name in robot.carriers:
-        moved = bodies[list(robot.model.subtrees[robot.model.getJointId(name)])]
+        moved = bodies[list(robot.model.subtrees[find_joint_index(robot.model, name)])]
         if (moved.max(axis=0) <= MASSLESS * bodies.max(axis=0)).all():
             massless.append(name)
     if massless:

@@ -26,6 +26,7 @@ from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import RobotRecord, robot_of_record
 from redundancy_pin.robot import Robot, RobotLike
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.trajectory.csv_file import csv_rows, motion_columns
 from redundancy_pin.trajectory.trajectory import sample_times
 
@@ -200,7 +201,7 @@ def _before(times: Array) -> BoolArray:
 def _position(robot: Robot, name: str, q: Array) -> Array:
     """Return (N,) the position of a joint of one freedom, m or rad."""
     position = joint_position(robot, name, q)
-    continuous = robot.model.joints[robot.model.getJointId(name)].nq == 2
+    continuous = find_joint(robot.model, name).nq == 2
     return np.unwrap(position) if continuous else position
 
 

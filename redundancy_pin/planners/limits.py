@@ -13,7 +13,6 @@ from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, positi
 from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.robot import CarrierLimits, Robot
-from redundancy_pin.robot.joint_ranges import ROUNDING as RANGE_ROUNDING
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
@@ -289,7 +288,7 @@ def ranges_left(robot: Robot, t: Array, q: Array) -> tuple[LimitEvent, ...]:
     for joint in joint_ranges(robot):
         value = joint.counted(q[known, joint.at], True)
         for limit, excess in ((joint.lower, joint.lower - value), (joint.upper, value - joint.upper)):
-            events += _events(joint.name, "range", t[known], value, limit, excess, excess > RANGE_ROUNDING)
+            events += _events(joint.name, "range", t[known], value, limit, excess, excess > joint.slack)
     return tuple(events)
 
 

@@ -21,8 +21,24 @@ from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, Tree, impossible_moments, read_tree, require_same
+from redundancy_pin.robot.formats.urdf_tree import (
+    MOST_FREEDOMS,
+    Tree,
+    impossible_moments,
+    links_without_inertial,
+    read_tree,
+    require_same,
+)
+from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.loads import JointForces
+from redundancy_pin.robot.lookup import (
+    find_joint,
+    find_joint_index,
+    find_link,
+    find_link_index,
+    joint_names,
+    link_names,
+)
 from redundancy_pin.robot.types import CarrierLimits, Coupling, Platform, Robot, slides
 from redundancy_pin.robot.urdf import Argument, source_of
 
@@ -49,6 +65,7 @@ def build(
     tree = read_tree(urdf, path.parent / declaration.urdf)
     model, couplings, start = built(tree, urdf, path.parent / declaration.urdf), tree.couplings, None
     kinds = declaration.joint_types
+    massless = links_without_inertial(tree, kinds)
     if kinds or _turns_count(tree, (*couplings, *declaration.coupled)):
         mechanism = tree_mechanism(tree, path.parent.name, kinds=kinds, closures=(), actuated=(), shapes=urdf)
         model, couplings = mechanism.model(declaration.urdf), mechanism.couplings
@@ -70,7 +87,7 @@ def build(
         start=start,
     )
     frictions, notes = _frictions(declaration, tree)
-    notes += impossible_moments(tree.links.values())
+    notes += (*massless, *impossible_moments(tree.links.values()))
     return replace(robot.loaded(*frictions), notes=notes) if frictions or notes else robot
 
 
@@ -144,9 +161,11 @@ def robot_of_tree(
         actuated=declaration.actuated,
         carriers=carriers,
         carrier_limits=tuple(_limits(model, entry) for entry in entries),
-        actuated_velocity=read_only(np.array([_joint(model, j).idx_v for j in declaration.actuated], dtype=np.intp)),
-        carrier_velocity=read_only(np.array([_joint(model, j).idx_v for j in carriers], dtype=np.intp)),
-        carrier_position=read_only(np.array([_joint(model, j).idx_q for j in carriers], dtype=np.intp)),
+        actuated_velocity=read_only(
+            np.array([find_joint(model, j).idx_v for j in declaration.actuated], dtype=np.intp)
+        ),
+        carrier_velocity=read_only(np.array([find_joint(model, j).idx_v for j in carriers], dtype=np.intp)),
+        carrier_position=read_only(np.array([find_joint(model, j).idx_q for j in carriers], dtype=np.intp)),
         q_reference=read_only(guess),
         working_modes=declaration.modes,
         working_mode=_mode(declaration, mode),
@@ -250,16 +269,12 @@ def _closed_form(
         return None
     legs = len(modes.joints) if parameters.get("carriers") else 0
     own = carriers == tuple(f"carrier_{leg + 1}" for leg in range(legs))
-    return declaration.closed_form if own and all(slides(_joint(model, name)) for name in carriers) else None
+    return declaration.closed_form if own and all(slides(find_joint(model, name)) for name in carriers) else None
 
 
 def _body_of(model: pin.Model, frame: str) -> int:
     # a joint may have the name of a link: ask for the link
-    return int(model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint)
-
-
-def _joint(model: pin.Model, name: str) -> pin.JointModel:
-    return model.joints[model.getJointId(name)]
+    return int(find_link(model, frame).parentJoint)
 
 
 def _require_name(name: str, known: Sequence[str], what: str, of: str) -> None:
@@ -276,15 +291,15 @@ def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.M
             remedy="Take out those that say again what others say.",
             closures=count,
         )
-    joints = tuple(str(name) for name in model.names)[1:]
-    links = tuple(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
+    joints = joint_names(model)
+    links = link_names(model)
     driven = (*declaration.actuated, *carriers, *declaration.independent.joints)
     modes, guess = declaration.modes, declaration.reference.guess
     for name in (*driven, *guess, *(modes.joints if modes else ())):
         _require_name(name, joints, "moving joint", of)
     for name in driven:
-        if _joint(model, name).nv != 1:
-            what = f"Joint {name!r} has {_joint(model, name).nv} freedoms."
+        if find_joint(model, name).nv != 1:
+            what = f"Joint {name!r} has {find_joint(model, name).nv} freedoms."
             raise _refused(name, what, "Actuated, carrier and independent joints must have one.")
     twice = [name for name in carriers if driven.count(name) > 1]
     if twice:
@@ -307,11 +322,11 @@ def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.M
 def _check_couplings(
     couplings: Sequence[Coupling], declaration: Declaration, carriers: Sequence[str], model: pin.Model, of: str
 ) -> None:
-    joints = tuple(str(name) for name in model.names)[1:]
+    joints = joint_names(model)
     for coupling in couplings:
         for name in filter(None, (coupling.joint, coupling.of)):
             _require_name(name, joints, "moving joint", of)
-            joint = _joint(model, name)
+            joint = find_joint(model, name)
             if (joint.nq, joint.nv) != (1, 1):
                 kind = "continuous: its turns are not counted" if joint.nv == 1 else "of several freedoms"
                 remedy = "Couple revolute joints with (wide) limits, or prismatic ones."
@@ -332,13 +347,20 @@ def _refused(name: str, what: str, remedy: str) -> DeclarationError:
 
 def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
     """Return the declared limits, or those of the URDF, where a zero stands for "not known"."""
-    joint = _joint(model, entry.joint)
+    joint = find_joint(model, entry.joint)
     if joint.nq != 1:
         what = f"The carrier {entry.joint!r} is a continuous joint."
         raise _refused(entry.joint, what, "Give it a bounded revolute or prismatic joint.")
-    lower, upper = entry.position or (
-        float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit)
-    )
+    ends = tuple(float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+    lower, upper = entry.position or ends
+    slack = ROUNDING * (ends[1] - ends[0])
+    if slack > 0.0 and (lower < ends[0] - slack or upper > ends[1] + slack):
+        what = (
+            f"`position: [{lower:g}, {upper:g}]` of the carrier {entry.joint!r} exceeds the limits of its joint, "
+            f"{ends[0]:g} and {ends[1]:g}."
+        )
+        remedy = "Give a position within these, or leave it out to take them; or widen the <limit> of the joint."
+        raise _refused(entry.joint, what, remedy)
     if not lower < upper:
         what = f"The track of the carrier {entry.joint!r} runs from {lower:g} to {upper:g}."
         remedy = "Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`."
@@ -375,7 +397,7 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
 def _guess(model: pin.Model, positions: Mapping[str, float], start: Array | None = None) -> Array:
     q: Array = pin.neutral(model) if start is None else start.copy()
     for name, value in positions.items():
-        joint = _joint(model, name)
+        joint = find_joint(model, name)
         if joint.nq > 2:
             what = f"`reference.guess` cannot set joint {name!r}: it has {joint.nq} coordinates."
             raise _refused(name, what, "Leave it out: it starts at its neutral position.")
@@ -394,7 +416,7 @@ def with_pointer(platform: Platform | None, model: pin.Model, q: Array) -> Platf
         return platform
     data, k = model.createData(), platform.rotations[0]
     pin.framesForwardKinematics(model, data, q)
-    rotation = data.oMf[model.getFrameId(platform.frame, pin.FrameType.BODY)].rotation
+    rotation = data.oMf[find_link_index(model, platform.frame)].rotation
     i, j = (k + 1) % 3, (k + 2) % 3
     in_plane = np.hypot(rotation[i], rotation[j]) > _IN_PLANE
     return replace(platform, pointer=next((axis for axis in (i, j) if in_plane[axis]), k))
@@ -427,7 +449,7 @@ def _check_carriers_carry(robot: Robot) -> None:
     for frame in sorted(frames | ({robot.platform.frame} if robot.platform else set())):
         support = list(model.supports[_body_of(model, frame)])
         for carrier in robot.carriers:
-            if model.getJointId(carrier) in support:
+            if find_joint_index(model, carrier) in support:
                 what = f"The carrier {carrier!r} moves the frame {frame!r}, which closes a loop or is the platform."
                 remedy = "A carrier slides beside the load path; declare this joint as actuated instead."
                 raise DeclarationError(what, remedy=remedy, carrier=carrier, frame=frame)

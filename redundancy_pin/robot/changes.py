@@ -9,10 +9,13 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import checked
+from redundancy_pin.arrays import Array, checked
 from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.robot.joint_ranges import ROUNDING
+from redundancy_pin.robot.lookup import find_link, link_names
 from redundancy_pin.robot.types import CarrierLimits, Robot
 
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -27,7 +30,7 @@ def changed_urdf(urdf: str, masses: Mapping[str, float], lengths: Mapping[str, A
         urdf: its text.
         masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays.
         lengths: by joint, its distance from the joint before it, m, in the direction that it has; or (3,) its place in
-            the frame of its parent link, m. Links keep masses and centres.
+            the frame of its parent link, m. Links keep masses, centres and moments of inertia.
 
     Raises:
         InputError: an unknown name, a negative mass, a link without mass, a direction that is none.
@@ -104,6 +107,51 @@ def _place(joint: Any, name: str, value: Any) -> None:
             )
         place = place * (length / own)
     origin.set("xyz", " ".join(repr(part) for part in place.tolist()))
+
+
+def require_still_joined(before: Robot, after: Robot) -> None:
+    """Check that other lengths leave the frames of closures and platform where the same joints and frames are.
+
+    A frame at the end of a rod, and a joint or another frame that is there too, are two places in the file: a length
+    that moves one of them makes another mechanism.
+
+    Raises:
+        InputError: naming the frame, what was there, and the distance between them now.
+    """
+    closures = (name for each in before.closures for name in (each.frame_a, each.frame_b))
+    frames = dict.fromkeys((*closures, *((before.platform.frame,) if before.platform else ())))
+    joint_of = {
+        joint.find("child").get("link", ""): joint.get("name", "")  # type: ignore[union-attr]
+        for joint in ElementTree.fromstring(after.urdf).findall("joint")
+    }
+    places = [_places(robot.model, joint_of) for robot in (before, after)]
+    slack = ROUNDING * before.characteristic_length
+    for frame in frames:
+        own = [find_link(robot.model, frame) for robot in (before, after)]
+        for name, (body, place) in places[0].items():
+            if body != own[0].parentJoint or np.linalg.norm(place - own[0].placement.translation) > slack:
+                continue
+            apart = float(np.linalg.norm(places[1][name][1] - own[1].placement.translation))
+            if apart > slack:
+                raise InputError(
+                    f"The frame {frame!r} and the joint {name!r} were at one place, and are {apart:.4g} m apart now.",
+                    remedy=f"Pass the lengths of both: {joint_of[frame]!r} and {name!r}.",
+                    name=frame,
+                    distance=apart,
+                )
+
+
+def _places(model: pin.Model, joint_of: Mapping[str, str]) -> dict[str, tuple[int, Array]]:
+    """Return by joint, fixed ones too, the index of the body that it is on, and its place (3,) on that body, m."""
+    places = {
+        str(model.names[index]): (int(model.parents[index]), model.jointPlacements[index].translation.copy())
+        for index in range(1, model.njoints)
+    }
+    for link in link_names(model):
+        frame, name = find_link(model, link), joint_of.get(link, "")
+        if name and name not in places:
+            places[name] = int(frame.parentJoint), frame.placement.translation.copy()
+    return places
 
 
 def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mapping[str, ArrayLike | None]) -> Robot:

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
+from redundancy_pin.robot.lookup import find_joint_frame, has_link
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform
 
 _NO_MOMENT = 1e-12
@@ -91,7 +92,8 @@ def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> d
     loops = [_closure(model, each, number, at) for number, each in enumerate(loops)]
     roles = _independent(arguments["independent"])
     for frame in (*(name for loop in loops for name in loop["frames"]), roles.get("platform")):
-        _make_link(model, frame)
+        if isinstance(frame, str) and (found := find_joint_frame(model, frame)):  # a missing one is reported later
+            _make_link(model, found)
     return {
         "closures": loops,
         "couplings": [_coupling(each, number) for number, each in enumerate(couplings)],
@@ -209,15 +211,13 @@ def _name_links(model: pin.Model) -> None:
     bodies = {int(frame.parentJoint) for frame in model.frames if frame.type == pin.FrameType.BODY}
     for frame in list(model.frames):
         if frame.type in (pin.FrameType.OP_FRAME, pin.FrameType.SENSOR):
-            _make_link(model, str(frame.name))
+            _make_link(model, frame)
     for index, name in enumerate(model.names):
-        if index not in bodies and not model.existFrame(name, pin.FrameType.BODY):
+        if index not in bodies and not has_link(model, name):
             model.addFrame(pin.Frame(str(name), index, pin.SE3.Identity(), pin.FrameType.BODY))
 
 
-def _make_link(model: pin.Model, name: Any) -> None:
-    """Let a frame of another type be found as a link; a missing one is reported later."""
-    if not isinstance(name, str) or model.existFrame(name, pin.FrameType.BODY) or not model.existFrame(name):
-        return
-    frame = model.frames[model.getFrameId(name)]
-    model.addFrame(pin.Frame(name, frame.parentJoint, frame.placement, pin.FrameType.BODY))
+def _make_link(model: pin.Model, frame: pin.Frame) -> None:
+    """Let a frame of another type be found as a link."""
+    if not has_link(model, frame.name):
+        model.addFrame(pin.Frame(frame.name, frame.parentJoint, frame.placement, pin.FrameType.BODY))

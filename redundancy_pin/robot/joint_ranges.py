@@ -1,4 +1,7 @@
-"""Joints: how far random starts scatter them, their ranges, and where a motion leaves these."""
+"""Joints: how far random starts scatter them, their ranges, and where a motion leaves these.
+
+All comparisons of positions with limits allow the same slack, ``JointRange.slack``, which has no unit of its own.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,14 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, read_only
+from redundancy_pin.arrays import Array, BoolArray, frozen, read_only
 from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.robot.types import Robot, slides
 
 ROUNDING = 1e-9
-"""rad or m beyond a limit that count as being at it."""
+"""Distance beyond a limit that counts as being at it: rad, and of a slide as part of the characteristic length.
+
+Newton's method closes loops to 1e-11 of that length."""
 
 
 _A_TURN = 2.0 * np.pi + 0.01
@@ -64,7 +69,7 @@ class JointExcess:
 
 
 class JointRange(NamedTuple):
-    """The range of a joint of one freedom: its place among the joints and in q, whether it turns, and its ends."""
+    """The range of a joint of one freedom: places among the joints and in q, whether it turns, ends and slack."""
 
     column: int
     name: str
@@ -72,6 +77,11 @@ class JointRange(NamedTuple):
     turns: bool
     lower: float
     upper: float
+    slack: float
+
+    def is_left(self, value: Array, motion: bool) -> BoolArray:
+        """Return (N,) whether positions are beyond an end by more than the slack."""
+        return np.asarray(self.excess(value, motion) > self.slack)
 
     def excess(self, value: Array, motion: bool, turn: float | None = None) -> Array:
         """Return (N,) how far positions are beyond, rad or m; see ``range_excess``."""
@@ -103,21 +113,44 @@ def turns_of(robot: Robot, q: Array) -> Turns:
 
 
 @lru_cache(maxsize=64)
-def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
-    """Return the ranges of all joints that have one, actuated or passive.
+def all_ranges(robot: Robot) -> tuple[JointRange, ...]:
+    """Return the ranges of all joints that have one, actuated or passive, and the tracks of the carriers.
 
-    Carriers have tracks, which ``reduce`` and planners hold against their motion. A URDF gives equal ends where it
-    knows no limits; joints of several freedoms have none here.
+    A URDF gives equal ends where it knows no limits; joints of several freedoms have none here.
     """
-    model, ranges = robot.model, []
+    model, ranges, tracks = robot.model, [], dict(zip(robot.carriers, robot.carrier_limits, strict=True))
     for column, (name, joint) in enumerate(zip(list(model.names)[1:], list(model.joints)[1:], strict=True)):
-        if joint.nq != 1 or name in robot.carriers:
+        if joint.nq != 1:
             continue
         lower, upper = (float(ends[joint.idx_q]) for ends in (model.lowerPositionLimit, model.upperPositionLimit))
+        if name in tracks:
+            lower, upper = tracks[name].lower, tracks[name].upper
         if lower < upper:
-            turns = not slides(joint)
-            ranges.append(JointRange(column, str(name), int(joint.idx_q), turns, lower, upper))
+            slack = ROUNDING * (robot.characteristic_length if slides(joint) else 1.0)
+            ranges.append(JointRange(column, str(name), int(joint.idx_q), not slides(joint), lower, upper, slack))
     return tuple(ranges)
+
+
+@lru_cache(maxsize=64)
+def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
+    """Return the ranges of all joints that have one, but for carriers: their tracks are held against their motion."""
+    return tuple(joint for joint in all_ranges(robot) if joint.name not in robot.carriers)
+
+
+@lru_cache(maxsize=64)
+def track_slack(robot: Robot) -> Array:
+    """Return (k,) the slack of each carrier's track, m or rad."""
+    slack = {joint.name: joint.slack for joint in all_ranges(robot)}
+    return frozen([slack[name] for name in robot.carriers])
+
+
+@lru_cache(maxsize=64)
+def range_slack(robot: Robot) -> Array:
+    """Return (joints,) the slack of each joint of the model, m or rad; zero of joints without a range."""
+    slack = np.zeros(robot.model.njoints - 1)
+    for joint in joint_ranges(robot):
+        slack[joint.column] = joint.slack
+    return read_only(slack)
 
 
 def range_excess(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = MappingProxyType({})) -> Array:
@@ -136,9 +169,9 @@ def range_excess(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = 
 
 
 def out_of_range(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = MappingProxyType({})) -> BoolArray:
-    """Return (N,) whether some joint is beyond its range by more than rounding, as ``range_excess`` counts."""
+    """Return (N,) whether some joint is beyond its range by more than its slack, as ``range_excess`` counts."""
     excess = range_excess(robot, q, motion=motion, turns=turns)
-    return read_only(excess.max(axis=1, initial=-np.inf) > ROUNDING)
+    return read_only(np.asarray((excess > range_slack(robot)).any(axis=1)))
 
 
 def beyond_limits(robot: Robot, q: Array, t: Array, turns: Turns = MappingProxyType({})) -> tuple[JointExcess, ...]:
@@ -159,8 +192,8 @@ def beyond_limits(robot: Robot, q: Array, t: Array, turns: Turns = MappingProxyT
         value = q[known, joint.at]
         value = value - turns.get(joint.name, joint.turn(value, True))
         for limit, excess in ((joint.lower, joint.lower - value), (joint.upper, value - joint.upper)):
-            if excess.max() > ROUNDING:
-                first, worst = int(np.argmax(excess > ROUNDING)), int(np.argmax(excess))
+            if excess.max() > joint.slack:
+                first, worst = int(np.argmax(excess > joint.slack)), int(np.argmax(excess))
                 when = float(t[first]), float(t[worst]), float(value[worst])
                 excesses.append(JointExcess(joint.name, *when, limit, "rad" if joint.turns else "m"))
     return tuple(excesses)

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, assign, checked
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
+from redundancy_pin.robot.lookup import find_joint, find_link, link_names
 
 Axes: TypeAlias = Literal["world", "local"]
 """Axes of a wrench: those of the world, or those of its frame."""
@@ -270,13 +271,13 @@ def checked_loads(model: pin.Model, loads: Sequence[Load]) -> tuple[Load, ...]:
         InputError: no load, an unknown link or joint.
         UnsupportedRobotError: a joint of several freedoms, a spring in a continuous joint.
     """
-    links = tuple(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
+    links = link_names(model)
     for load in loads:
         if not isinstance(load, get_args(Load)):
             raise InputError(f"A load is {type(load).__name__}.", remedy="Pass Wrench, Payload, JointForces or Spring.")
         if isinstance(load, JointForces):
             _require(load.joint, tuple(model.names)[1:], "joint")
-            joint = model.joints[model.getJointId(load.joint)]
+            joint = find_joint(model, load.joint)
             others = load.friction or load.stiffness or load.rotor_inertia
             if str(joint.shortname()) == "JointModelSpherical" and not others:
                 continue
@@ -304,7 +305,7 @@ def carrying(model: pin.Model, payloads: Iterable[Payload]) -> pin.Model:
     """Return a model whose links have the payloads too."""
     heavier = model.copy()
     for load in payloads:
-        frame = model.frames[model.getFrameId(load.frame, pin.FrameType.BODY)]
+        frame = find_link(model, load.frame)
         body = pin.Inertia(load.mass, np.array(load.centre), np.array(load.inertia))
         heavier.appendBodyToJoint(int(frame.parentJoint), body, frame.placement)
     return cast(pin.Model, heavier)

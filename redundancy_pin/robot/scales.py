@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, read_only
 from redundancy_pin.robot.loads import JointForces, Spring
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.types import Robot, slides
 
 
@@ -81,7 +82,7 @@ def force_scale(robot: Robot) -> ForceScale:
     for load in robot.loads:
         if isinstance(load, JointForces):
             # a force of a slide, or the torque of a turning joint over the length; per m, or per rad
-            sliding = slides(model.joints[model.getJointId(load.joint)])
+            sliding = slides(find_joint(model, load.joint))
             arm, step = (1.0, length) if sliding else (length, 1.0)
             mass += load.rotor_inertia * load.gear**2 * step / (arm * length)
             viscous += load.damping * step / arm
@@ -130,7 +131,7 @@ def closure_tolerance(robot: Robot) -> float:
 
 def is_revolute(robot: Robot, name: str) -> bool:
     """Return whether a joint of one freedom turns."""
-    return not slides(robot.model.joints[robot.model.getJointId(name)])
+    return not slides(find_joint(robot.model, name))
 
 
 def turning_coordinates(robot: Robot) -> list[bool]:

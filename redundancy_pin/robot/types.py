@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
+from redundancy_pin.robot.bodies import Body, moving_bodies
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -248,11 +249,13 @@ class Robot(Frozen):
         Args:
             masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays.
             lengths: by joint, its distance from the joint before it, m; or (3,) its place in the frame of its parent
-                link, m. Masses and centres of the links stay.
+                link, m. This moves joints and frames only: masses, centres and moments of inertia of the links stay as
+                they were, which ``notes`` and the log say. Xacro arguments of a file change both.
             **arguments: xacro arguments, as of ``load_robot``; the others stay.
 
         Raises:
-            InputError: unknown names, values out of their domain, or a robot that was not loaded from a URDF.
+            InputError: unknown names, values out of their domain, a robot that was not loaded from a URDF, or lengths
+                that part a frame of a closure or the platform from a joint or frame at the same place.
             DeclarationError: the chains do not close at the declared reference any more.
         """
         new: Robot = importlib.import_module("redundancy_pin.loading").robot_with(
@@ -380,6 +383,16 @@ class Robot(Frozen):
         """Names of the rows of the constraints, ``"x of tip_2 = corner_2"``: closures, then couplings."""
         rows = (f"{axis} of {closure.name}" for closure in self.closures for axis in closure.axes)
         return (*rows, *(f"coupling {coupling.name}" for coupling in self.couplings))
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The moving bodies, in the order of the joints: mass, centre of mass and principal moments of each."""
+        return moving_bodies(self.model)
+
+    @property
+    def moving_mass(self) -> float:
+        """Mass of all moving bodies, kg."""
+        return sum(body.mass for body in self.bodies)
 
     @property
     def gravity(self) -> Array:

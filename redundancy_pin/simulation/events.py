@@ -22,6 +22,7 @@ from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import made_up
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.joint_ranges import ROUNDING, all_ranges
 from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.rank_loss import LOST, NEAR, Sheet, rank_ratio
 
@@ -34,10 +35,13 @@ ONE_SIDED = ("track", "joint_limit")
 """Kinds that stand for a stop: only leaving the allowed side counts."""
 
 _ROUNDING = 1e-12
-"""A carrier that starts at the very end of its track may overshoot it by rounding, m."""
+"""Values of functions other than stops, which have no unit, that are taken for zero at the start."""
+
+_HELD = 0.9
+"""Part of its slack by which a joint that starts at its limit may exceed it: a run then stops within the slack."""
 
 _UNLIMITED = 1e6
-"""rad or m; URDF writers put large numbers where there is no limit."""
+"""rad, or characteristic lengths; URDF writers put large numbers where there is no limit."""
 
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
 """Where in a step the functions are looked at."""
@@ -77,19 +81,27 @@ class Event:
 
 
 class EventFunctions:
-    """The scalar functions of a robot whose zeros are events, with their kinds and names; the stops come first."""
+    """The scalar functions of a robot whose zeros are events, with their kinds and names; the stops come first.
 
-    def __init__(self, chain: ClosedChain, stop_at: tuple[str, ...]) -> None:
+    Joints that are at a limit at the ``start`` (nq,) may exceed it by nearly its slack.
+    """
+
+    def __init__(self, chain: ClosedChain, stop_at: tuple[str, ...], start: Array | None = None) -> None:
         unknown = [kind for kind in stop_at if kind not in KINDS]
         if unknown:
             raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
         robot = chain.robot
         self.nq, self.stop_at = robot.model.nq, stop_at
-        labels, stops = _stops(robot)
+        labels, stops, slack = _stops(robot)
         self.stops = stops
         """(4, l) index in q and in v, side and bound of each stop; they come first among the functions."""
         indices = stops[:2].astype(np.intp)
         self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
+        self._slack = slack
+        if start is not None:
+            # a joint that starts at its limit is within it, however it was rounded, and may stay there
+            at_limit = np.abs(self._side * (self._bound - start[self._position])) <= slack
+            self._bound += np.where(at_limit, _HELD * self._side * slack, 0.0)
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
         self._square = robot.m == robot.n
@@ -131,21 +143,23 @@ class EventFunctions:
     def at_start(self, q: Array) -> Array:
         """Return (w,) the functions at the start (nq,), rounding taken for zero.
 
-        A machine that starts at a stop, as a run that stopped there leaves it, then stops again if it goes on outward,
-        whichever way its position was rounded; and one that starts at a singular pose has not come to it.
+        A machine that starts at a stop stops again if it goes on outward, whichever way its position was rounded; and
+        one that starts at a singular pose has not come to it.
 
         Raises:
             InputError: a stop at which the simulation ends has been passed already.
         """
         values: Array = self(q[None])[0]
-        for i in np.flatnonzero(self._one_sided & self._terminal & (values < -_ROUNDING)):
+        rounding = np.full(len(values), _ROUNDING)
+        rounding[: len(self._slack)] = self._slack
+        for i in np.flatnonzero(self._one_sided & self._terminal & (values < -rounding)):
             raise InputError(
                 f"The simulation starts {-values[i]:.3g} beyond the limit {self.names[i]!r}.",
                 remedy="Start within the limits, or leave the kind out of stop_at.",
                 event=self.names[i],
                 amount=float(-values[i]),
             )
-        values[np.abs(values) <= _ROUNDING] = 0.0
+        values[np.where(self._one_sided, (values < 0.0) & (values >= -rounding), np.abs(values) <= rounding)] = 0.0
         return values
 
     def sign_changes(self, before: Array, after: Array) -> BoolArray:
@@ -217,25 +231,17 @@ class EventFunctions:
         return Event(self.kinds[index], self.names[index], t, bool(self._terminal[index]))
 
 
-def _stops(robot: Robot) -> tuple[list[tuple[str, str]], Array]:
-    """Return kind and name of the finite limits of joints of one number; index in q and in v, side and bound (4, l)."""
-    tracks = {
-        int(position): (name, limits.lower, limits.upper)
-        for position, name, limits in zip(robot.carrier_position, robot.carriers, robot.carrier_limits, strict=True)
-    }
-    model, labels, stops = robot.model, [], []
-    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
-        if joint.nq != 1:
-            continue
-        i = int(joint.idx_q)
-        kind, lower, upper = "joint_limit", model.lowerPositionLimit[i], model.upperPositionLimit[i]
-        if i in tracks:
-            kind, (name, lower, upper) = "track", tracks[i]
-        for side, bound, which in ((-1.0, lower, "lower"), (1.0, upper, "upper")):
-            if lower < upper and abs(bound) < _UNLIMITED:  # a URDF says 0, 0 where it knows no limits
-                labels.append((kind, f"{name} {which}"))
-                stops.append((i, joint.idx_v, side, bound))
-    return labels, np.array(stops, dtype=float).reshape(-1, 4).T
+def _stops(robot: Robot) -> tuple[list[tuple[str, str]], Array, Array]:
+    """Return kind and name of the finite limits of joints; index in q and in v, side and bound (4, l); slack (l,)."""
+    labels, stops = [], []
+    for joint in all_ranges(robot):
+        kind, column = "track" if joint.name in robot.carriers else "joint_limit", robot.model.joints[joint.column + 1]
+        for side, bound, which in ((-1.0, joint.lower, "lower"), (1.0, joint.upper, "upper")):
+            if abs(bound) < _UNLIMITED * joint.slack / ROUNDING:
+                labels.append((kind, f"{joint.name} {which}"))
+                stops.append((joint.at, column.idx_v, side, bound, joint.slack))
+    table = np.array(stops, dtype=float).reshape(-1, 5).T
+    return labels, table[:4], table[4]
 
 
 def cubic_weights(fractions: Sequence[float]) -> Array:

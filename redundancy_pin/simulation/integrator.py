@@ -248,7 +248,7 @@ def _with_other_rows(
     if not made_up(robot, q):
         return None
     machine = problem.machine.with_rows(rows_at(robot, q))
-    functions = EventFunctions(machine.chain, problem.functions.stop_at)
+    functions = EventFunctions(machine.chain, problem.functions.stop_at, q)
     going_on = replace(progress, status=None, reason="", sheet=None, near=NEAR, next_step=None, short=0)
     going_on = replace(going_on, values=functions.at_start(q))
     return replace(problem, machine=machine, functions=functions), going_on

@@ -148,8 +148,8 @@ def simulate(
     limits = load_limits(robot, effort_limit, carrier_force_limit)
     kernel = _kernel(robot, dynamics, method)
     machine = Machine(robot, Amplifiers(controller, *limits), law, external, method, kernel)
-    functions = EventFunctions(machine.chain, tuple(stop_at))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
+    functions = EventFunctions(machine.chain, tuple(stop_at), first.q)
     _require_closed(machine, first)  # before it is projected, which would close any start
     ratio = functions(first.q[None])[0, functions.kinds.index("closure_rank")]
     sheet = _sheet_at_start(machine, first, float(ratio))

@@ -17,6 +17,7 @@ from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseEr
 from redundancy_pin.kinematics.closure import left_open
 from redundancy_pin.robot import Closure, Payload, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
+from redundancy_pin.robot.lookup import find_link
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
@@ -69,9 +70,7 @@ class ConstraintDynamics:
         self._constraints = pin.StdVec_RigidConstraintModel()
         self._constraint_data = pin.StdVec_RigidConstraintData()
         for closure in robot.closures:
-            ends = (
-                model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in (closure.frame_a, closure.frame_b)
-            )
+            ends = (find_link(model, name) for name in (closure.frame_a, closure.frame_b))
             places = (part for end in ends for part in (end.parentJoint, end.placement))
             constraint = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *places, pin.ReferenceFrame.LOCAL)
             self._constraints.append(constraint)

@@ -29,6 +29,7 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, each, read_only
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.kinematics.assembly import project
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.singularities.classify import closed_state
 from redundancy_pin.spectrum import scaled, spectrum_of
@@ -156,7 +157,7 @@ def platform_stiffness(robot: RobotLike, q: ArrayLike, stiffness: ArrayLike | Ma
         stiffness = dict(zip(robot.actuated, values.tolist(), strict=True))
     springs, model = np.zeros(robot.model.nv), robot.model
     for name, value in stiffness.items():
-        joint = model.joints[model.getJointId(name)] if isinstance(name, str) and model.existJointName(name) else None
+        joint = find_joint(model, name) if isinstance(name, str) and has_joint(model, name) else None
         known = isinstance(value, int | float | np.number) and 0.0 <= value <= _LARGEST
         if joint is None or joint.nv != 1 or not known:
             raise InputError(

@@ -196,7 +196,8 @@ def _with_masses(path: str, speed: float) -> Case:
 _DESCENT = Case(
     "five-bar-0.3", "five_bar", "polygon",
     options(vertices=((0.25, 0.6), (0.32, 0.3)), radius=0.01, speed=0.3, ramp_time=0.2),  # a line: there is no corner
-    working_mode=(1, -1), title="five-bar, straight down through its singularity at 0.3 m/s",
+    working_mode=(1, -1), arguments=options(carriers=True),
+    title="five-bar, straight down through its singularity at 0.3 m/s",
 )  # fmt: skip
 
 SINGULAR: tuple[Case, ...] = (

@@ -12,6 +12,7 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.base_wrench import load_at_rest
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
+from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.simulation.replay import replay
 from redundancy_pin.studies.case import Case, Plans, machine_code, options
 from redundancy_pin.studies.cases import Extent
@@ -158,7 +159,7 @@ def task_record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePl
     dynamics, carriers = case.dynamics(), outcome.carriers
     robot, point = dynamics.robot, np.array(CENTRE if case.robot == "3rrr" else (0.0, 0.0, 0.0))
     push = outcome.base_wrench(dynamics, point) - load_at_rest(dynamics, outcome.motion, carriers.s[0], point)
-    added = sum(robot.model.inertias[robot.model.getJointId(name)].mass for name in robot.carriers)
+    added = sum(robot.model.inertias[find_joint_index(robot.model, name)].mass for name in robot.carriers)
     return {
         **numbers(outcome),
         "task": task,

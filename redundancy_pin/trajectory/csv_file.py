@@ -244,8 +244,8 @@ def from_csv(
     Raises:
         InputError: no such file, not text, a missing column (with the names seen), a unit that is not known or not one
             of that quantity, a cell that is not a finite number (with row and column), rows of different lengths,
-            columns of another robot, rates that are not those of the positions (with column, sample and both values), positions
-            without rates, or a motion that is not one.
+            columns of another robot, rates that are not those of the positions (with column, sample and both values),
+            positions without rates, or a motion that is not one.
     """
     table = _sampled(path, robot)
     motion = _platform(table, check_rates)

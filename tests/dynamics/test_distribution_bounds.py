@@ -417,7 +417,7 @@ def test_bounds_of_a_motor_fall_with_its_speed():
 
 def test_preload_against_backlash_presses_every_gear_to_its_side():
     """A five-bar with a third motor: bounds one side of zero, against the segment of all solutions, by hand."""
-    shipped = load_robot("five_bar")
+    shipped = load_robot("five_bar", carriers=True)
     robot = Robot.from_model(
         shipped.model, closures=shipped.closures, actuated=[*shipped.actuated, "elbow_1"], carriers=shipped.carriers,
         independent=shipped.platform, reference=np.array(shipped.q_reference),

@@ -212,7 +212,8 @@ def test_a_jump_to_another_branch_is_refused_or_marked(monkeypatch: pytest.Monke
     """Fault injected: the guess of one sample has the other elbow, on a robot that declares no modes to tell them."""
     shipped = zoo.robot_of("five_bar")
     robot = replace(shipped, working_modes=None, working_mode=())
-    other = np.array(load_robot("five_bar", working_mode=tuple(-sign for sign in shipped.working_mode)).q_reference)
+    flipped = zoo.robot_of("five_bar", working_mode=tuple(-sign for sign in shipped.working_mode))
+    other = np.array(flipped.q_reference)
     motion = along(zoo.home_of(shipped) + np.array([[0.0, 0.0], [0.0, -0.01], [0.0, -0.02]]))
     guesses = np.stack([np.array(shipped.q_reference), np.array(shipped.q_reference), other])
     monkeypatch.setattr(state, "guesses_along", lambda *_: (guesses, None))

@@ -36,11 +36,11 @@ def test_a_motion_stays_in_the_mode_of_its_start(mode: tuple[int, ...], count: i
     """Whatever mode the robot was loaded in: it is the motion of the robot of that mode."""
     home = zoo.home_of(zoo.robot_of("five_bar"))
     first, last = home + np.array([0.02, -0.03]), home + np.array([-0.05, 0.04])
-    own = rp.load_robot("five_bar", working_mode=mode)
+    own = zoo.robot_of("five_bar", working_mode=mode)
     expected = lift(own, straight(first, last)[:count])
     start = point(lift(own, straight(home, first)), 0)
     for declared in ((1, -1), (-1, 1)):
-        found = lift(rp.load_robot("five_bar", working_mode=declared), straight(first, last)[:count], start=start)
+        found = lift(zoo.robot_of("five_bar", working_mode=declared), straight(first, last)[:count], start=start)
         assert (np.sign(mode_indicator(own, found.q)) == mode).all()
         for what in ("q", "v", "a", "gamma", "W"):
             np.testing.assert_allclose(getattr(found, what), getattr(expected, what), atol=SAME)

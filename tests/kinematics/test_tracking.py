@@ -119,7 +119,7 @@ def test_the_way_to_a_pose_is_gone_in_steps_of_a_part_of_the_machine(
     """As many as it takes at the anchors' spacing; a way of more than a hundred is left to others at once."""
     names = ("base_distance", "proximal_length", "distal_length", "tail_length")
     plain = zoo.robot_of("five_bar").parameters
-    robot = rp.load_robot("five_bar", **{name: size * float(plain[name]) for name in names})
+    robot = rp.load_robot("five_bar", carriers=True, **{name: size * float(plain[name]) for name in names})
     follower, targets, step = tracker(robot), [], Tracker.step
 
     def counted(self: Tracker, here: Point, x: np.ndarray) -> Tracked | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ GRAVITY = (0.0, -9.81, 0.0)
 
 @pytest.fixture(scope="module")
 def robot() -> Robot:
-    return rp.load_robot("five_bar", gravity=GRAVITY)
+    return rp.load_robot("five_bar", carriers=True, gravity=GRAVITY)
 
 
 def reduced(robot: Robot) -> Any:
@@ -33,7 +34,7 @@ def reduced(robot: Robot) -> Any:
 
 def test_masses_of_links_are_those_of_the_argument(robot: Robot) -> None:
     """The xacro file makes a rod of the same form, whose moments grow as its mass."""
-    other = rp.load_robot("five_bar", gravity=GRAVITY, proximal_mass=1.7, distal_mass=0.3)
+    other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, proximal_mass=1.7, distal_mass=0.3)
     masses = {"proximal_1": 1.7, "proximal_2": 1.7, "distal_1": 0.3, "distal_2": 0.3}
     changed = robot.with_parameters(masses=masses)
     for name in ("f", "carrier_force"):
@@ -46,7 +47,7 @@ def test_masses_of_links_are_those_of_the_argument(robot: Robot) -> None:
 
 def test_lengths_move_the_joints(robot: Robot) -> None:
     """W is kinematics alone; the links keep their masses, which the argument does not."""
-    other = rp.load_robot("five_bar", gravity=GRAVITY, proximal_length=0.6)
+    other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, proximal_length=0.6)
     changed = robot.with_parameters(lengths={"elbow_1": 0.6, "elbow_2": (0.6, 0.0, 0.0)})
     np.testing.assert_allclose(reduced(changed).W, reduced(other).W, atol=1e-9)
     assert np.abs(reduced(changed).W - reduced(robot).W).max() > 0.01
@@ -61,9 +62,60 @@ def test_lengths_move_the_joints(robot: Robot) -> None:
         robot.with_parameters(lengths={"elbow_1": 0.1})
 
 
+def test_lengths_change_no_masses_and_say_so(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "redundancy_pin"):
+        changed = [robot.with_parameters(lengths={"elbow_1": length, "elbow_2": length}) for length in (0.61, 0.62)]
+        robot.with_parameters(masses={"distal_1": 0.6})
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) <= 1  # once a process
+    for one in (changed[0].notes[-1], *said):
+        assert "elbow_1, elbow_2 move joints and frames: links keep masses, centres and moments of inertia" in one
+    for one, other in zip(changed[0].bodies, robot.bodies, strict=True):
+        assert one.mass == other.mass
+        np.testing.assert_array_equal(one.centre, other.centre)
+        np.testing.assert_array_equal(one.principal_moments, other.principal_moments)
+
+
+def test_lengths_may_not_part_a_tool_from_its_closure(tmp_path: Path) -> None:
+    """A four-bar whose coupler ends in a pin, where a tool and the hinge of a pendulum are too."""
+    joints = [
+        J("crank", "revolute", "base", "crank"),
+        J("knee", "revolute", "crank", "coupler", (0.1, 0, 0)),
+        J("rocker", "revolute", "base", "rocker", (0.3, 0, 0)),
+        J("coupler_end", "fixed", "coupler", "coupler_tip", (0.3, 0, 0)),
+        J("tool_mount", "fixed", "coupler", "tool", (0.3, 0, 0)),
+        J("rocker_end", "fixed", "rocker", "rocker_tip", (0.2, 0, 0)),
+        J("pendulum", "revolute", "rocker", "bob", (0.2, 0, 0)),
+        J("far_mount", "fixed", "coupler", "far", (0.4, 0, 0)),
+    ]
+    declaration = {
+        "closures": [{"frames": ["coupler_tip", "rocker_tip"], "axes": ["x", "y"]}],
+        "actuated": ["crank"],
+        "independent": {"joints": ["crank", "pendulum"]},
+        "reference": {"joints": {"crank": 1.0, "pendulum": 0.2}, "guess": {"knee": -0.6, "rocker": 1.4}},
+    }
+    robot = rp.load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
+    for parted, frame, other in (
+        ({"coupler_end": 0.32}, "coupler_tip", "tool_mount"),
+        ({"tool_mount": 0.32}, "coupler_tip", "tool_mount"),
+        ({"rocker_end": 0.22}, "rocker_tip", "pendulum"),
+        ({"pendulum": 0.22}, "rocker_tip", "pendulum"),
+    ):
+        with pytest.raises(InputError, match=f"'{frame}' and the joint '{other}' .* 0.02 m apart") as refusal:
+            robot.with_parameters(lengths=parted)
+        assert refusal.value.details["distance"] == pytest.approx(0.02, rel=1e-9)
+        assert all(repr(name) in refusal.value.remedy for name in parted)
+    # the remedy: both; and what was nowhere else may go alone
+    changed = robot.with_parameters(lengths={"coupler_end": 0.32, "tool_mount": 0.32, "far_mount": 0.5, "knee": 0.11})
+    data = changed.model.createData()
+    pin.framesForwardKinematics(changed.model, data, np.array(changed.q_reference))
+    tips = [data.oMf[changed.model.getFrameId(name)].translation for name in ("coupler_tip", "tool", "rocker_tip")]
+    np.testing.assert_allclose(tips[1:], [tips[0]] * 2, atol=1e-10)
+
+
 def test_arguments_are_those_of_load_robot(robot: Robot) -> None:
     changed = robot.with_parameters(carrier_mass=2.0)
-    other = rp.load_robot("five_bar", gravity=GRAVITY, carrier_mass=2.0)
+    other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, carrier_mass=2.0)
     np.testing.assert_array_equal(reduced(changed).f, reduced(other).f)
     both = robot.with_parameters(carrier_mass=2.0, masses={"distal_1": 0.9})
     after = changed.with_parameters(masses={"distal_1": 0.9})

@@ -13,7 +13,7 @@ ENDS = {"arm": (-1.0, 2.0), "slide": (-0.3, 0.4), "screw": (-5.0, 2.0), "free": 
 """rad and m; the screw's are a turn and 0.72 rad apart, so that its turns count; equal ones are none."""
 
 SLACK = 1e-9
-"""rad or m."""
+"""rad, and characteristic lengths of the robot."""
 
 
 @pytest.fixture(scope="module")
@@ -53,15 +53,16 @@ def test_joints_with_ranges_are_those_of_the_model(robot):
 def test_a_joint_is_beyond_its_limit_by_the_difference(robot, name, end, motion):
     """1e-15 is rounding of numbers of about one; half and twice the slack are told apart."""
     limit, outwards = ENDS[name][end], (-1.0, 1.0)[end]
-    for beyond in (-0.1, 0.0, 0.5 * SLACK, 2.0 * SLACK, 0.1):
+    slack = SLACK * (robot.characteristic_length if name == "slide" else 1.0)
+    for beyond in (-0.1, 0.0, 0.5 * slack, 2.0 * slack, 0.1):
         q = at(robot, **{name: [limit + outwards * beyond]})
         excess = range_excess(robot, q, motion=motion)
         assert excess.shape == (1, len(ENDS))
         assert excess[0, column(robot, name)] == pytest.approx(beyond, abs=2e-15)
         assert excess[0, column(robot, "free")] == -np.inf
-        assert out_of_range(robot, q, motion=motion).tolist() == [beyond > SLACK]
+        assert out_of_range(robot, q, motion=motion).tolist() == [beyond > slack]
         found = beyond_limits(robot, q, np.array([0.25]))
-        assert len(found) == (beyond > SLACK)
+        assert len(found) == (beyond > slack)
         for one in found:
             assert (one.joint, one.t, one.worst, one.limit) == (name, 0.25, 0.25, limit)
             assert one.value == pytest.approx(limit + outwards * beyond, abs=2e-15)

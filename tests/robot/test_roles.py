@@ -83,6 +83,41 @@ def test_a_carrier_whose_urdf_gives_no_track_is_refused(tmp_path: Path) -> None:
     assert load_robot(path).carrier_limits[0].upper == 0.1
 
 
+@pytest.mark.parametrize(
+    ("position", "fits"),
+    [
+        ((-0.25, 0.25), True),
+        ((-0.25 * (1.0 + 1e-12), 0.25), True),  # rounding of an expression
+        ((-0.1, 0.2), True),
+        ((-200.0, 200.0), False),  # mm for m
+        ((-0.2, 0.25001), False),
+        ((-0.25001, 0.2), False),
+    ],
+)
+def test_the_track_of_a_carrier_is_within_the_limits_of_its_joint(
+    position: tuple[float, float], fits: bool, tmp_path: Path
+) -> None:
+    urdf = urdf_of([*FIVE_BAR, RIDER])
+    head, tail = urdf.split('<joint name="rider"')
+    tail = tail.replace('lower="-100" upper="100"', 'lower="-0.25" upper="0.25"', 1)
+    carriers = [{"joint": "rider", "position": list(position)}]
+    path = write_robot(tmp_path, f'{head}<joint name="rider"{tail}', {**DECLARATION, "carriers": carriers})
+    if fits:
+        limits = load_robot(path).carrier_limits[0]
+        assert (limits.lower, limits.upper) == position
+        return
+    with pytest.raises(DeclarationError) as refusal:
+        load_robot(path)
+    for part in ("'rider'", f"[{position[0]:g}, {position[1]:g}]", "-0.25 and 0.25"):
+        assert part in refusal.value.message
+    # what the remedy says
+    carriers[0].pop("position")
+    limits = load_robot(
+        write_robot(tmp_path, f'{head}<joint name="rider"{tail}', {**DECLARATION, "carriers": carriers})
+    )
+    assert limits.carrier_limits[0].upper == 0.25
+
+
 def test_the_guess_may_not_move_a_carrier(tmp_path: Path) -> None:
     reference = {"platform": [0.25, 0.7], "guess": {**DECLARATION["reference"]["guess"], "rider": 0.1}}
     with pytest.raises(DeclarationError, match="sets the carrier 'rider'"):

@@ -330,6 +330,7 @@ def test_a_robot_without_a_version_that_has_no_carriers_is_planned_stepwise() ->
         gravity=(0.0, -9.81, 0.0),
         backend="rnea",
         planners=(STEPWISE,),
+        settings={"carriers": True},
     )
     assert [settings["lam"] for settings in problem.attempts(STEPWISE)] == [0.0] or problem.has_baseline
     heavy, light = compute(problem, STEPWISE, 0.05, 0.4), compute(replace(problem, gravity=None), STEPWISE, 0.05, 0.4)

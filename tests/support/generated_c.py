@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -58,7 +59,7 @@ def actuated_by(model: str, *joints: str) -> Robot:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
         data["actuated"] = list(joints)
         path.write_text(yaml.safe_dump(data), encoding="utf-8")
-        return rp.load_robot(path)
+        return rp.load_robot(path, **zoo.WITH_CARRIERS.get(model, {}))
 
 
 class Code:

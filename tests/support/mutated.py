@@ -76,8 +76,8 @@ def xacro_of(name: str) -> str:
 
 @functools.cache
 def urdf_of(name: str) -> str:
-    """Return the URDF that a shipped xacro gives by default."""
-    return render(models_root() / name / f"{name}.urdf.xacro", {})[0]
+    """Return the URDF that a shipped xacro gives for the robots of the zoo."""
+    return render(models_root() / name / f"{name}.urdf.xacro", zoo.WITH_CARRIERS.get(name, {}))[0]
 
 
 @functools.cache
@@ -88,8 +88,8 @@ def plain_declaration(name: str) -> str:
     for key in ("requires", "closed_form"):
         data.pop(key, None)
     data["urdf"] = "robot.urdf"
-    for carrier in data.get("carriers", ()):
-        carrier.pop("when", None)
+    carriers = [each for each in data.pop("carriers", ()) if each["joint"] in robot.carriers]
+    data["carriers"] = [{key: value for key, value in each.items() if key != "when"} for each in carriers]
     values = dict(robot.parameters)
 
     def number(value: Any) -> Any:

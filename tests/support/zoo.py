@@ -21,10 +21,14 @@ SHIPPED = shipped_robots(gallery=False)
 """Those that every test of all robots takes; those of the gallery have ``test_gallery.py``."""
 
 
+WITH_CARRIERS: dict[str, dict[str, object]] = {"five_bar": {"carriers": True}}
+"""The third planar machine with carriers, beside the two of the thesis: tests ask for them, it has none by itself."""
+
+
 @functools.cache
 def robot_of(name: str, **arguments: object) -> Robot:
-    """Load a robot once a session (arguments must be hashable)."""
-    return load_robot(name, **arguments)
+    """Load a robot once a session (arguments must be hashable); those of ``WITH_CARRIERS`` with theirs."""
+    return load_robot(name, **{**WITH_CARRIERS.get(name, {}), **arguments})
 
 
 @functools.cache

@@ -86,7 +86,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "snapshots of a corner": lambda: rp.plot.snapshots(rp.show(corner())),
     "comparison": lambda: rp.plot.comparison({"stepwise": corner(), "the same again": corner()}),
     "locus": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("2rpr"), resolution=24)),
-    "ellipsoids": lambda: rp.plot.ellipsoids(rp.performance("five_bar", zoo.robot_of("five_bar").q_reference)),
+    "ellipsoids": lambda: rp.plot.ellipsoids(rp.performance("five_bar", rp.load_robot("five_bar").q_reference)),
     "workspace": lambda: rp.plot.workspace(rp.workspace("five_bar", bounds=BOX, resolution=8, modes="all")),
     "locus of one coordinate": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("four_bar"))),
     "side by side": lambda: plot_side_by_side(SINGULAR[0].title, dict.fromkeys(

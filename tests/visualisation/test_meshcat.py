@@ -181,7 +181,7 @@ def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a.html", "b.html"):
         view.save(tmp_path / name)
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
-    assert (tmp_path / "a.html").read_text(encoding="utf-8") == show("five_bar").html()
+    assert (tmp_path / "a.html").read_text(encoding="utf-8") == show(zoo.robot_of("five_bar")).html()
 
 
 def test_a_notebook_gets_the_page_in_a_frame() -> None:

@@ -41,6 +41,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
+from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.named import is_pose, require_matching
 from redundancy_pin.robot.scales import sample_scales
 from redundancy_pin.robot.types import slides
@@ -198,8 +199,8 @@ class CompiledDynamics(Dynamics):
         if robot.platform is not None:
             rows = [axis.startswith("r") for axis in robot.platform.axes]
         else:
-            rows = [turning[robot.model.getJointId(name)] for name in robot.independent_joints]
-        columns = [turning[robot.model.getJointId(name)] for name in robot.actuated]
+            rows = [turning[find_joint_index(robot.model, name)] for name in robot.independent_joints]
+        columns = [turning[find_joint_index(robot.model, name)] for name in robot.actuated]
         by_row, by_column = (frozen(np.where(np.array(which, dtype=bool), length, 1.0)) for which in (rows, columns))
         return by_row, by_column
 

@@ -29,6 +29,7 @@ from redundancy_pin.robot.declaration import parse, read_declaration
 from redundancy_pin.robot.formats.duals import Dual, derivatives_kept, read
 from redundancy_pin.robot.formats.xacro_engine import expand
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.lookup import find_joint_index, find_link
 from redundancy_pin.robot.urdf import declaration_path, render
 
 _STEP = 0.01
@@ -135,7 +136,7 @@ def _numbers(robot: Robot) -> _Numbers:
     model = robot.model
     placements = {str(model.names[i]): model.jointPlacements[i] for i in range(1, model.njoints)}
     for link in links_of(robot):
-        placements[link] = model.frames[model.getFrameId(link, pin.FrameType.BODY)].placement
+        placements[link] = find_link(model, link).placement
     return _Numbers(placements, {str(model.names[i]): _moments(model.inertias[i]) for i in range(1, model.njoints)})
 
 
@@ -158,7 +159,7 @@ def by_tree(robot: Robot, name: str) -> _Column:
     if what == "origin" and owner in numbers.placements and axis in _OF_FRAMES:
         return {owner: np.eye(6)[_OF_FRAMES.index(axis)]}, {}
     if owner in numbers.inertias:
-        body = robot.model.inertias[robot.model.getJointId(owner)]
+        body = robot.model.inertias[find_joint_index(robot.model, owner)]
         mass, centre = body.mass, np.array(body.lever) if body.mass else np.zeros(3)
         if what == "mass" and not axis:
             about = centre @ centre * np.eye(3) - np.outer(centre, centre)

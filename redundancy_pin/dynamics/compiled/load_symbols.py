@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.robot import JointForces, Load, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.lookup import find_joint_index, find_link
 
 if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
@@ -78,7 +78,7 @@ class LoadSymbols:
         (q, v, a), moment = own, self.ca.SX.zeros(3)
         effort = 0.0 * v
         for load in of_kind(self._loads, JointForces):
-            if self.chain.model.getJointId(load.joint) == index:
+            if find_joint_index(self.chain.model, load.joint) == index:
                 effort += load.damping * v + load.friction * self.ca.tanh(v / load.friction_speed)
                 if load.stiffness:
                     effort += load.stiffness * (q - load.rest)
@@ -91,7 +91,7 @@ class LoadSymbols:
         """Return what rotors and springs add to the energy, J; ``joint`` gives q, v, axis and spin, world axes."""
         total = self.ca.SX(0.0)
         for load in (each for each in of_kind(self._loads, JointForces) if each.stiffness or each.rotor_inertia):
-            q, v, axis, spin = joint(int(self.chain.model.getJointId(load.joint)))
+            q, v, axis, spin = joint(find_joint_index(self.chain.model, load.joint))
             if load.stiffness:
                 total += 0.5 * load.stiffness * (q - load.rest) ** 2
             total += load.rotor_inertia * load.gear * v * (0.5 * load.gear * v + self.ca.dot(axis, spin))
@@ -107,7 +107,7 @@ class LoadSymbols:
 
     def _body(self, name: str) -> int:
         model = self.chain.model
-        return int(model.frames[model.getFrameId(name, pin.FrameType.BODY)].parentJoint)
+        return int(find_link(model, name).parentJoint)
 
     def _point(self, name: str, point: Array) -> tuple[SX, SX, SX]:
         """Return rotation of a link, a point of it and its velocity, in the world."""

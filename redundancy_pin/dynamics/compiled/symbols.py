@@ -25,6 +25,7 @@ from redundancy_pin.dynamics.compiled.load_symbols import LoadSymbols
 from redundancy_pin.errors import UnsupportedRobotError, optional
 from redundancy_pin.robot import AXES, Closure, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.lookup import find_joint, find_link
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.types import slides
 
@@ -212,20 +213,20 @@ class SymbolicChain:
             self.row_scale = np.where(rotations, length, 1.0)
             self.angles: list[int] = np.flatnonzero(rotations).tolist()
         else:
-            joints = [self.model.joints[self.model.getJointId(name)] for name in robot.independent_joints]
+            joints = [find_joint(self.model, name) for name in robot.independent_joints]
             self.independent = [int(joint.idx_v) for joint in joints]
             self.row_scale = self.velocity_scale[self.independent]
             self.angles = [i for i, joint in enumerate(joints) if joint.nq == 2]
         rows = [axis.startswith("r") for closure in robot.closures for axis in closure.axes]
-        ends = [(self._joint_at(each.joint), self._joint_at(each.of or each.joint)) for each in robot.couplings]
+        ends = [
+            (find_joint(self.model, each.joint), find_joint(self.model, each.of or each.joint))
+            for each in robot.couplings
+        ]
         self._coupled = [(joint.idx_q, of.idx_q) for joint, of in ends]
         scales = [*np.where(rows, length, 1.0), *(self.velocity_scale[joint.idx_v] for joint, _ in ends)]
         self.closure_scale = np.array(scales, dtype=float)
         self.equation_unit = length / np.concatenate([self.closure_scale, self.row_scale])
         self.step_unit = length / self.velocity_scale[self.pose_columns]
-
-    def _joint_at(self, name: str) -> pin.JointModel:
-        return self.model.joints[self.model.getJointId(name)]
 
     def _place(self) -> None:
         """Place the frames of closures and platform in the world, and give them their velocities."""
@@ -243,7 +244,7 @@ class SymbolicChain:
     def frame(self, name: str) -> tuple[SX, SX, SX, SX]:
         """Return rotation (3, 3), origin (3), angular velocity (3) and velocity of the origin (3) of a link, world."""
         ca = casadi()
-        frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
+        frame = find_link(self.model, name)
         rotation, origin, spin, speed = self._world[int(frame.parentJoint)]
         turned, shift = self.frame_placement(frame)
         arm = rotation @ shift
@@ -341,7 +342,7 @@ class SymbolicChain:
         return ca.vertcat(*rows)
 
     def _joint_missing(self, i: int, name: str) -> SX:
-        ca, joint = casadi(), self.model.joints[self.model.getJointId(name)]
+        ca, joint = casadi(), find_joint(self.model, name)
         q = self.q[joint.idx_q : joint.idx_q + joint.nq]
         return _wrapped(self.x[i] - ca.atan2(q[1], q[0])) if joint.nq == 2 else self.x[i] - q
 
@@ -372,7 +373,7 @@ class SymbolicChain:
         """(n) independent coordinates at q, or the 16 of a pose, row by row."""
         ca, platform = casadi(), self.robot.platform
         if platform is None:
-            joints = [self.model.joints[self.model.getJointId(name)] for name in self.robot.independent_joints]
+            joints = [find_joint(self.model, name) for name in self.robot.independent_joints]
             parts = [self.q[joint.idx_q : joint.idx_q + joint.nq] for joint in joints]
             return ca.vertcat(*(ca.atan2(q[1], q[0]) if q.numel() == 2 else q for q in parts))
         rotation, origin, *_ = self.frame(platform.frame)
@@ -417,7 +418,7 @@ class SymbolicChain:
         for name, sign, own in zip(
             *((modes.joints, modes.signs, self.robot.working_mode) if modes else ((), (), ())), strict=True
         ):
-            joint = self.model.joints[self.model.getJointId(name)]
+            joint = find_joint(self.model, name)
             q = self.q[joint.idx_q : joint.idx_q + joint.nq]
             length = self.robot.characteristic_length
             side = q[1] if joint.nq == 2 else q / length if slides(joint) else self._trig_of(joint.idx_q)[1]

@@ -23,7 +23,7 @@ from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, Unsup
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
-from redundancy_pin.robot.joint_ranges import ROUNDING, joint_ranges
+from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import closure_tolerance, sample_scales
@@ -149,7 +149,7 @@ class VirtualWorkAlongMotion(Frozen):
         for joint in joint_ranges(self._robot):
             value = self._dynamics.joint(joint.name, still, still, still).position[self._reachable]
             value = np.unwrap(value) if joint.turns else value  # a closed form has angles in (−π, π]
-            beyond[self._reachable] |= joint.excess(value, True) > ROUNDING
+            beyond[self._reachable] |= joint.is_left(value, True)
         return read_only(beyond)
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:

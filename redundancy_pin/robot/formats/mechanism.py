@@ -13,6 +13,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
 from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, MOST_LINKS, JointEntry, LinkEntry
 from redundancy_pin.robot.loads import JointForces
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.types import AXES, Closure, Coupling
 
 _ALIGNED = {
@@ -151,7 +152,7 @@ class Mechanism:
         """Return (nq,) the configuration that the file starts from."""
         q: Array = pin.neutral(model)
         for name, value in self.start.items():
-            joint = model.joints[model.getJointId(name)]
+            joint = find_joint(model, name)
             q[joint.idx_q : joint.idx_q + joint.nq] = value
         return q
 

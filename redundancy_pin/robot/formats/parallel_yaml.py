@@ -19,7 +19,7 @@ from redundancy_pin.io.schema import Schema, bad_value, validated
 from redundancy_pin.io.yaml_file import parse_yaml
 from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.formats.urdf_tree import Tree, impossible_moments, read_tree
+from redundancy_pin.robot.formats.urdf_tree import Tree, impossible_moments, links_without_inertial, read_tree
 from redundancy_pin.robot.formats.xml_files import read_model
 from redundancy_pin.robot.types import AXES, Closure
 
@@ -87,7 +87,8 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
         made = tree_mechanism(
             tree, name, kinds=kinds, closures=tuple(closures), actuated=content.name_mot, base=base, shapes=urdf
         )
-        return replace(made, notes=(*notes, *impossible_moments(tree.links.values())))
+        massless = links_without_inertial(tree, kinds, root_moves=base == "free")
+        return replace(made, notes=(*notes, *massless, *impossible_moments(tree.links.values())))
 
 
 def _urdf_beside(path: Path) -> Path:

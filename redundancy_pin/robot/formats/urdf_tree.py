@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import NoReturn
 
 import numpy as np
@@ -20,6 +21,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import ModelFileError, did_you_mean
 from redundancy_pin.robot.formats.xml_files import FORMATS, Element, parsed_text
+from redundancy_pin.robot.lookup import find_link
 from redundancy_pin.robot.types import Coupling
 
 MOST_LINKS = 2000
@@ -78,12 +80,16 @@ class LinkEntry:
         mass: kg.
         centre: (3,) centre of mass in the frame of the link, m.
         inertia: (3, 3) about the centre of mass, in the axes of the link, kg·m².
+        has_inertial: whether the file states mass and inertia; what it does not state is zero.
+        has_shape: whether a URDF gives the link a visual or collision element.
     """
 
     name: str
     mass: float
     centre: Array
     inertia: Array
+    has_inertial: bool = True
+    has_shape: bool = False
 
 
 @dataclass(frozen=True)
@@ -272,11 +278,46 @@ def impossible_moments(links: Iterable[LinkEntry]) -> tuple[str, ...]:
     return tuple(notes)
 
 
+WITHOUT_INERTIAL = "Links without <inertial> count as massless:"
+"""How the note begins that names them."""
+
+
+def links_without_inertial(
+    tree: Tree, kinds: Mapping[str, str] = MappingProxyType({}), *, root_moves: bool = False
+) -> tuple[str, ...]:
+    """Return a note that names the moving links whose mass the file does not state; none if there are no such links.
+
+    These are links with a shape, and bodies (links between two moving joints, with all links fixed to them) of which no
+    link has an ``<inertial>``. A mark, a link without shape that is fixed to another, is not among them; nor is a link
+    that the file states to be massless, by an ``<inertial>`` of mass zero.
+
+    Args:
+        tree: the tree of the file.
+        kinds: by joint, the kind that replaces the one of the file.
+        root_moves: whether the root of the tree is not fixed to the ground.
+    """
+    body = {tree.root: tree.root}
+    for joint in tree.joints:
+        is_fixed = kinds.get(joint.name, joint.kind) == "fixed"
+        body[joint.child] = body[joint.parent] if is_fixed else joint.child
+    stated = {body[name] for name, link in tree.links.items() if link.has_inertial}
+    names = [
+        name
+        for name, link in tree.links.items()
+        if (root_moves or body[name] != tree.root)
+        and not link.has_inertial
+        and (link.has_shape or (body[name] == name and name not in stated))
+    ]
+    remedy = "Give each an <inertial>; one with mass 0 states that the link is massless."
+    return (f"{WITHOUT_INERTIAL} {', '.join(names)}. {remedy}",) if names else ()
+
+
 def _link(name: str, part: _Part) -> LinkEntry:
     part.require_known_parts()
     inertial = part.one("inertial")
+    has_shape = any(child.tag in ("visual", "collision") for child in part.element)
     if inertial is None:
-        return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)))
+        return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)), False, has_shape)
     inertial.require_known_parts()
     mass, inertia = inertial.required("mass"), inertial.required("inertia")
     kilograms = mass.number("value", "mass")
@@ -290,7 +331,7 @@ def _link(name: str, part: _Part) -> LinkEntry:
         inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have: a negative one")
     placement = inertial.placement()
     turn = placement[:3, :3]
-    return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T)
+    return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T, True, has_shape)
 
 
 def _joint(name: str, part: _Part, links: Mapping[str, LinkEntry]) -> JointEntry:
@@ -442,7 +483,7 @@ def _pairs(tree: Tree, model: pin.Model, names: list[str]) -> Iterator[tuple[str
     for name, (index, place) in places.items():
         link = tree.links[name]
         bodies[index] += place @ _pseudo_inertia(link.mass, link.centre, link.inertia) @ place.T
-        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        frame = find_link(model, name)
         yield f"the joint that carries the link {name!r}", int(frame.parentJoint), index, 0.0
         yield f"the placement of the link {name!r}", frame.placement.homogeneous, place, 0.0
     for index, body in enumerate(bodies):

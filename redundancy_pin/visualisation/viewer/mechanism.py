@@ -16,6 +16,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot.lookup import find_joint_index, find_link
 from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
 
@@ -77,7 +78,7 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
     for body in range(1, model.njoints):
         points = _hinges(robot, body, data)
         if robot.platform is not None and len(points) < 3:
-            frame = _frame(model, robot.platform.frame)
+            frame = find_link(model, robot.platform.frame)
             if int(frame.parentJoint) == body:
                 points = _distinct(robot, [*points, (data.oMi[body] * frame.placement).translation])
         pairs += _outline(_ordered(points))
@@ -103,7 +104,7 @@ def _hinges(robot: Robot, body: int, data: pin.Data) -> Array:
         if model.parents[j] == body and model.names[j] not in robot.carriers and not _floats(model, j)
     ]
     points += [data.oMi[j].translation for j in children]
-    frames = [_frame(model, name) for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
+    frames = [find_link(model, name) for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
     points += [(data.oMi[body] * frame.placement).translation for frame in frames if int(frame.parentJoint) == body]
     return _distinct(robot, points)
 
@@ -152,7 +153,7 @@ def _plates(robot: Robot, size: float) -> list[Solid]:
     base = _ordered(body_points(robot, 0))
     plates = [_plate("base", 0, base, 0.5 * thickness)] if len(base) > 1 else []
     if robot.platform is not None:
-        frame = _frame(robot.model, robot.platform.frame)
+        frame = find_link(robot.model, robot.platform.frame)
         body = int(frame.parentJoint)
         corners = _ordered(body_points(robot, body))
         if len(corners) > 2:
@@ -208,7 +209,7 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
             parent, placement = body, axis
         solids.append(_solid(f"joint_{name}", parent, placement, shape, form, role))
     for closure in robot.closures:
-        frame = _frame(model, closure.frame_a)
+        frame = find_link(model, closure.frame_a)
         ball = (1.3 * JOINT_RADIUS * size,)
         placement = frame.placement.homogeneous.copy()
         solids.append(_solid(f"closure_{closure.name}", int(frame.parentJoint), placement, "sphere", ball, "closure"))
@@ -229,7 +230,7 @@ def _carriers(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:
     """Return the tracks of all carriers, and the carriers that the URDF gives no shape."""
     solids = []
     for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True):
-        body = int(robot.model.getJointId(name))
+        body = find_joint_index(robot.model, name)
         drawn = _sliding if slides(robot.model.joints[body]) else _turning
         track, *shapes = drawn(robot, body, limits, size)
         solids += [track, *([] if body in clothed else shapes)]
@@ -318,7 +319,3 @@ def place(rotation: Array | None = None, translation: Array | None = None) -> Ar
     turn, shift = np.eye(3) if rotation is None else rotation, np.zeros(3) if translation is None else translation
     placement: Array = pin.SE3(turn, shift).homogeneous
     return placement
-
-
-def _frame(model: pin.Model, name: str) -> pin.Frame:
-    return model.frames[model.getFrameId(name, pin.FrameType.BODY)]

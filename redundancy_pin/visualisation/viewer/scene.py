@@ -20,6 +20,7 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.tree import TreeKinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.mechanism import joint_axis, solids_of
 from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, Role, Solid
@@ -228,7 +229,7 @@ def _arrows(
 ) -> tuple[tuple[Arrow, ...], tuple[str, ...]]:
     """Return the arrows of efforts (N,), forces and torques each on a scale of their own, and what the longest mean."""
     arrows, captions = [], []
-    bodies = {name: int(robot.model.getJointId(name)) for name, _, _ in efforts}
+    bodies = {name: find_joint_index(robot.model, name) for name, _, _ in efforts}
     for turns, longest, unit, what in ((False, LONGEST_FORCE, "N", "force"), (True, LONGEST_TORQUE, "N·m", "torque")):
         alike = [entry for entry in efforts if slides(robot.model.joints[bodies[entry[0]]]) is not turns]
         values = np.abs(np.array([effort for _, _, effort in alike]).reshape(len(alike), len(singular)))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import online
 import pytest
+import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -52,7 +53,7 @@ def dynamics_of(name: str) -> Dynamics:
         elbow = robot.model.joints[robot.model.getJointId("elbow_1")].idx_v
         velocity = np.append(robot.actuated_velocity, elbow)
         return rp.RneaDynamics(replace(robot, actuated=(*robot.actuated, "elbow_1"), actuated_velocity=velocity))
-    return rp.CompiledDynamics(rp.load_robot(name))
+    return rp.CompiledDynamics(zoo.robot_of(name))
 
 
 RANDOM = {

@@ -364,7 +364,7 @@ def test_all_that_is_known_is_what_was_evaluated_and_lies_in_one_piece() -> None
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
 def test_what_cannot_be_reached_is_zero_and_not_known(backend: Callable[[Any], Any]) -> None:
     """Up until the legs are stretched, and beyond: first between instants that are known, then from the start."""
-    robot = rp.load_robot("five_bar")
+    robot = rp.load_robot("five_bar", carriers=True)
     edge = np.sqrt(1.0 - 0.25**2)
 
     def up(t: Array) -> rp.PlatformMotion:

@@ -35,7 +35,7 @@ MISSING = 1e-4
 @cache
 def machine(name="2rpr"):
     masses = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if name == "2rpr" else {}
-    robot = rp.load_robot(name, **masses)
+    robot = zoo.robot_of(name, **masses)
     return rp.CompiledDynamics(robot), (rp.VirtualWork if name == "2rpr" else rp.RneaDynamics)(robot)
 
 

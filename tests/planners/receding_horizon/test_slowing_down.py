@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import online
 import pytest
+import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
@@ -29,7 +30,7 @@ MISSING = 1e-5
 @cache
 def machine(name: str = "2rpr"):
     masses = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if name == "2rpr" else {}
-    robot = rp.load_robot(name, **masses)
+    robot = zoo.robot_of(name, **masses)
     return rp.CompiledDynamics(robot), (rp.VirtualWork if name == "2rpr" else rp.RneaDynamics)(robot)
 
 

@@ -143,7 +143,7 @@ def declared(folder, source, name, **changes):
     (folder / f"{source}.urdf.xacro").write_text(text)
     declaration = yaml.safe_load((MODELS / source / "robot.yaml").read_text()) | {"name": name} | changes
     (folder / "robot.yaml").write_text(yaml.safe_dump(declaration))
-    return load_robot(folder / "robot.yaml")
+    return load_robot(folder / "robot.yaml", **zoo.WITH_CARRIERS.get(source, {}))
 
 
 def test_one_freedom_crosses_its_singularity(tmp_path):
