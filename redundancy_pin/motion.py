@@ -249,8 +249,9 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     From 9 samples on this finds, whatever the motion: a wrong sign, milli and kilo, degrees for radians, a factor of 2
     (10 samples in the shortest period), of 1.1 (20 samples; of ẍ against ẋ 30), and positions that move, or rates that
     change, while their rate is zero in more than eight steps. Of fewer samples it finds that rates have the wrong sign
-    or travel at least four times as far as the positions, in each step in which they are large, as a factor of ten does
-    on a motion that does not turn back between two samples. Not found: smaller factors; a bias of up to 3 %; what noise
+    or travel at least four times as far as the positions, in each step and coordinate in which they are large, as a
+    factor of ten does on a motion that does not turn back between two samples; rates that are too small, and ẍ, pass
+    there. Not found: smaller factors; a bias of up to 3 %; what noise
     hides; one wrong ẋ or ẍ among right ones, for it may be a motion that is too short for the samples.
 
     Raises:
@@ -302,7 +303,7 @@ def _require_rate(
     compared = _compare(h, found, size, largest_rate, ends, tilt)
     far = np.abs(steps) > np.pi
     if compared.wrong.any() and far.any():  # an angle may be written within a turn
-        within = np.abs(steps).max(axis=1, keepdims=True) <= 2.0 * np.pi
+        within = np.ptp(np.cumsum(steps, axis=1), axis=1, keepdims=True) <= 2.0 * np.pi
         turned = found - np.where(far & within, 2.0 * np.pi * np.sign(steps) / h, 0.0)
         other = _compare(h, turned, size, largest_rate, ends, tilt)
         compared = compared._replace(wrong=compared.wrong & other.wrong.any(axis=1, keepdims=True))

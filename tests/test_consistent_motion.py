@@ -184,6 +184,7 @@ FOUND = {  # factors of x, ẋ, ẍ, and samples in the shortest period from whi
     "a sign": ((1.0, -1.0, -1.0), 6),
     "milli": ((1.0, 1e3, 1e3), 5),
     "degrees": ((1.0, 180.0 / np.pi, 180.0 / np.pi), 5),
+    "positions in mm": ((1e3, 1.0, 1.0), 6),
     "twice": ((1.0, 2.0, 2.0), 10),
     "half": ((1.0, 0.5, 0.5), 10),
     "1.1": ((1.0, 1.1, 1.0), 20),
@@ -243,11 +244,12 @@ def test_timing_laws_pass_at_any_step() -> None:
     laws = [rp.trajectory.RestToRest(path.length, 1.0, shape) for shape in ("3-4-5", "4-5-6-7")]
     laws += [rp.trajectory.SpeedProfile(path.length, 0.5, ramp) for ramp in (1e-3, 0.02, 0.3)]
     motions = [rp.trajectory.Trajectory(path, law) for law in laws]
-    motions.append(rp.trajectory.from_points([[0.0, 0.0], [0.2, 0.1], [0.1, 0.5]], "time-optimal", max_speed=0.5,
-                                             max_acceleration=2.0))  # fmt: skip
+    points = [[0.0, 0.0], [0.2, 0.1], [0.3, 0.4], [0.1, 0.5], [0.0, 0.3]]
+    motions.append(rp.trajectory.from_points(points, "time-optimal", max_speed=0.5, max_acceleration=2.0))
+    motions.append(rp.trajectory.from_points(points, speed=0.2, ramp_time=0.02))
     for trajectory in motions:
         even = [np.linspace(0.0, trajectory.duration, samples) for samples in (*range(2, 30), 200)]
-        for times in (*even, *(np.array([0.0, part, 1.0]) * trajectory.duration for part in (0.1, 0.9, 0.98))):
+        for times in (*even, *(np.array([0.0, part, 1.0]) * trajectory.duration for part in (0.1, 0.9, 0.96, 0.98))):
             sampled = trajectory.sample(times=times, two_sided=False)
             require_consistent(PlatformMotion(sampled.t, sampled.x, sampled.xd, sampled.xdd))
 
@@ -306,7 +308,7 @@ def test_poses_turn_as_their_twist_says() -> None:
 @pytest.mark.parametrize(("turning", "tilting"), [(1.0, 1.0), (3.0, 1.0), (1.0, 3.0), (0.5, 4.0)])
 def test_rotations_whose_axis_tilts_pass_at_any_step(turning: float, tilting: float) -> None:
     """Rz(Ω t) exp(t (ω ex − Ω ez)) turns at ω about an axis that turns at Ω: in finite steps about z too."""
-    for h in (1e-3, 0.01, 0.05, 0.2, 0.4):
+    for h in (1e-3, 0.01, 0.05, 0.2, 0.4, 0.9):  # up to more than half a turn, whose sense nobody can tell
         for samples in (3, 9, 30):
             t = h * np.arange(samples)
             x, still = np.tile(np.eye(4), (samples, 1, 1)), np.zeros((samples, 3))
