@@ -32,7 +32,7 @@ from redundancy_pin.planners.export import PlanTable, write_csv, write_json, wri
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies.table import csv_text
-from redundancy_pin.trajectory.csv_file import table_of_csv
+from redundancy_pin.trajectory.csv_file import read_table
 from redundancy_pin.view import show
 
 HARMLESS = "plain"
@@ -83,13 +83,14 @@ def in_csv(one: Named, folder: Path) -> None:
     write_csv(one.table, folder / "plan.csv")
     with (folder / "plan.csv").open(encoding="utf-8", newline="") as stream:
         heading = next(csv.reader(stream))
-    assert all(no_formula(cell) for cell in heading)
-    wanted = [
-        f"{joint}.{quantity}" for joint in one.joints for quantity in ("position", "rate", "acceleration", "effort")
-    ]
-    assert [unguarded(cell).rpartition(" [")[0] for cell in heading] == ["t", *wanted, "platform.x", "platform.y"]
-    read = table_of_csv(folder / "plan.csv", needs=())
-    np.testing.assert_array_equal(read[f"{one.joints[0]}.effort [N]"], one.table.effort[:, 0])
+        assert all(no_formula(cell) for cell in heading)
+        rows = [[float(cell) for cell in row] for row in csv.reader(stream)]
+    names = [unguarded(cell).rpartition(" [")[0] for cell in heading]
+    for joint in one.joints:
+        assert {f"tau:{joint}"} <= set(names)
+    column = names.index(f"tau:{one.joints[0]}")
+    np.testing.assert_array_equal([row[column] for row in rows], one.table.effort[:, 0])
+    assert len(read_table(folder / "plan.csv").columns["t"]) == len(rows)  # it is read as a motion, too
     (text,) = list(csv.reader(io.StringIO(csv_text({one.name: np.array([one.name])}))))[1]
     assert no_formula(text)
     assert unguarded(text) == one.name
@@ -99,7 +100,7 @@ def in_json(one: Named, folder: Path) -> None:
     write_json(one.table, folder / "plan.json")
     read = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
     assert (read["robot"], tuple(read["joints"])) == (one.name, one.joints)
-    assert read["columns"][f"{one.joints[2]}.position"] == one.table.position[:, 2].tolist()
+    assert read["columns"][f"s:{one.joints[2]}"] == one.table.position[:, 2].tolist()
 
 
 def in_mat(one: Named, folder: Path) -> None:
@@ -269,7 +270,7 @@ def test_a_picture_of_a_robot_with_a_dollar_is_drawn_and_its_plan_kept(tmp_path:
     out, plot = tmp_path / "plan.npz", tmp_path / "plan.png"
     points = tmp_path / "points.csv"
     points.write_text("t,x,y\n0,0.2,0.36\n0.1,0.21,0.36\n0.2,0.22,0.36\n")
-    task = ("plan", "stepwise", "--robot", robot, "--trajectory", points, "--step", "0.02")
+    task = ("plan", "stepwise", "--robot", robot, "--trajectory", f"{points}:ends=rest", "--step", "0.02")
     result = call(*map(str, (*task, "--out", out, "--plot", plot)))
     assert result.exit_code in (0, 3, 4), result.stderr  # there is a plan, and it is written
     assert rp.load_plan(out).robot.actuated[0] == NAMES["mathtext that fails"]

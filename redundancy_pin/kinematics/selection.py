@@ -22,7 +22,6 @@ from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_syste
 from redundancy_pin.kinematics.mobility import row_names
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_index
-from redundancy_pin.robot.scales import closure_tolerance
 
 _NEIGHBOURS, _SPREAD = 6, 0.1
 """Configurations around the reference, and how far the joints are from it, rad, or in characteristic lengths."""
@@ -199,7 +198,7 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> R
 def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot, tuple[str, ...], float]:
     """Return the robot with the rows that count, the names of the others, and how far these open (at ``most``)."""
     system = ConstraintSystem(robot)
-    rows = [_rows(system, each) for each in _neighbours(system, q)]
+    rows = [_rows(system, each) for each in _neighbours(system, q, most)]
     ranks = [_rank(each) for each in rows]
     # at a singular reference the rank is lower than around it, and the choice is made where it is not
     best = int(np.argmax(ranks))
@@ -224,11 +223,11 @@ def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot,
     )
 
 
-def _neighbours(system: ConstraintSystem, q: Array) -> Array:
-    """Return closed configurations (N, nq), the first of them q itself."""
+def _neighbours(system: ConstraintSystem, q: Array, tolerance: float = CLOSURE_TOLERANCE) -> Array:
+    """Return configurations (N, nq) closed to a relative tolerance, the first of them q itself."""
     around = scattered(system, q, _NEIGHBOURS, _SPREAD, np.random.default_rng(SEED))
     reached = [close(system, each) for each in (q, *around)]
-    closed = [each for each, gap in reached if gap < closure_tolerance(system.robot)]
+    closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
     return np.array(closed) if closed else q[None]
 
 

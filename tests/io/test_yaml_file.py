@@ -121,7 +121,7 @@ REFUSED = {
     "a million values": ("a: [" + "0," * 400_000 + "]", str(MOST_VALUES)),
     "definitions of tags": ("".join(f"%TAG !a{i}! x\n" for i in range(60_000)) + "--- 1", "line 1", "tag"),
     "two documents": ("a: 1\n---\nb: 2\n", "line 2", "second document"),
-    "a tab": ("a:\n\t- 1\n", "line 2", "not readable YAML"),
+    "a tab": ("a:\n\t- 1\n", "line 2", "column 1", "a tab", "Put spaces"),
     "a NUL": ("a: \x00\n", "not readable YAML"),
     "half a list": ("a: 1\nb: [1,\n", "not readable YAML"),
 }

@@ -177,7 +177,7 @@ def numbers_of(root: ElementTree.Element) -> Counter[tuple[str, str, str]]:
     for element in root.iter():
         for key, text in element.attrib.items():
             try:
-                values = [f"{float(part):.6g}" for part in text.split()]
+                values = [f"{round(float(part), 12) + 0.0:.6g}" for part in text.split()]  # 1e-32 is zero
             except ValueError:
                 continue
             counted[element.tag, key, " ".join(values) if element.tag != "key" else " ".join(sorted(values))] += 1
