@@ -19,10 +19,12 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck.cases import RandomCase, random_case
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.continuation import follows
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import JointForces, Spring, Wrench
-from redundancy_pin.robot.scales import force_scale, sample_scales
+from redundancy_pin.robot.scales import force_scale, sample_scales, velocity_unit
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
 
 EXACT, ROUNDED = 1e-12, 1e-9
@@ -224,6 +226,30 @@ def test_poses_modes_and_workspaces_scale_with_the_length(choice: tuple[float, f
     np.testing.assert_array_equal(one.reachable, other.reachable)
     one, other = (rp.singular_locus(each, resolution=40) for each in (plain, robot))
     assert [curve.kind for curve in one.curves] == [curve.kind for curve in other.curves]
+
+
+@pytest.mark.parametrize("length", [1e-6, 1.0, 1e6])
+def test_an_angle_counts_beside_slides_of_any_length(length: float) -> None:
+    """A step follows where each joint moves as Γ says, whatever the metres of the slides are."""
+    robot = scaled_robot(rp.load_robot("2rpr"), Units(length=length))
+    unit, system = velocity_unit(robot), constraint_system(robot)
+    gamma = unit[None, :, None]
+    for k in range(len(unit)):
+        step = np.repeat(0.1 * unit[None], 2, axis=0)
+        step[1, k] *= 1.5
+        both = np.repeat(gamma, 2, axis=0)
+        assert follows(system, step, both, both, np.full((2, 1), 0.1)).tolist() == [True, False]
+
+
+def test_slides_that_are_long_in_metres_are_followed_as_short_ones() -> None:
+    plain = rp.load_robot("2rpr")
+    box = (0.05, 0.45), (0.05, 0.4)
+    want = rp.workspace(plain, bounds=box, resolution=8)
+    assert want.reachable.any()
+    for length in (1e-6, 1e6):
+        scaled = tuple(tuple(length * end for end in ends) for ends in box)
+        got = rp.workspace(scaled_robot(plain, Units(length=length)), bounds=scaled, resolution=8)
+        np.testing.assert_array_equal(got.reachable, want.reachable)
 
 
 # --- the sizes themselves -------------------------------------------------------------------------------------------
