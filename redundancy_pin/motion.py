@@ -246,11 +246,12 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     - rounding of x to six digits, over h, four times the noise that fourth differences of the comparison show, and of
       rotations h² |ω| |ω̇|/6, as their axis tilts.
 
-    From 9 samples on this finds, whatever the motion: a wrong sign, milli and kilo, degrees for radians, a factor of 2
-    (10 samples in the shortest period), of 1.1 (20 samples; of ẍ against ẋ 30), and positions that move, or rates that
-    change, while their rate is zero in more than eight steps. Of fewer samples it finds that rates have the wrong sign
-    or travel at least four times as far as the positions, in each step and coordinate in which they are large, as a
-    factor of ten does on a motion that does not turn back between two samples; rates that are too small, and ẍ, pass
+    From 9 samples and one period on this finds a wrong sign, milli and kilo, degrees for radians, a factor of 2 (10
+    samples in the shortest period; of ẍ against ẋ 15), of 1.1 (20 samples; of ẍ against ẋ 40), and positions that
+    move, or rates that change, while their rate is zero in more than eight steps. Of fewer samples it finds that
+    rates have the wrong sign or travel at least four times as far as the positions, in each step and coordinate in
+    which they are large, as a factor of ten does on a motion that does not turn back between two samples; rates
+    that are too small, and ẍ, pass
     there. Not found: smaller factors; a bias of up to 3 %; what noise
     hides; one wrong ẋ or ẍ among right ones, for it may be a motion that is too short for the samples.
 
@@ -327,6 +328,10 @@ def _require_rate(
     )
 
 
+_SIX_DIGITS = 1e-5
+"""Largest difference, over the size, of two numbers that are rounded to six digits."""
+
+
 class _Compared(NamedTuple):
     """Mean rates in (n, K) steps by trapezoids, how much others may differ, and which differ by more."""
 
@@ -341,8 +346,7 @@ def _compare(h: Array, found: Array, size: Array, largest_rate: Array, ends: Seq
     given, change = 0.5 * (first + last), np.abs(last - first)
     apart, top = np.abs(found - given), largest_rate[:, None]
     nothing = _NOTHING * largest_rate.max()
-    digits = np.floor(np.log10(np.maximum(size, np.finfo(float).tiny))) - 5.0
-    sure = RATE_TOLERANCE * top + nothing + 10.0 ** digits[:, None] / h + tilt
+    sure = RATE_TOLERANCE * top + nothing + _SIX_DIGITS * size[:, None] / h + tilt
     bends = np.diff(found - given, 4)
     if bends.shape[1] >= 4:
         sure = sure + _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: noise of its size 1

@@ -284,12 +284,12 @@ def _trajectories() -> Mapping[str, Callable[..., Trajectory]]:
     return TRAJECTORIES
 
 
-def _maker(name: object) -> Callable[..., Trajectory] | None:
+def _maker(name: object, robot: Robot | None = None) -> Callable[..., Trajectory] | None:
     """Return what makes the trajectory of a name or of a file of points; None where there is no such name."""
     if is_points_file(name):
         from redundancy_pin.trajectory import from_points
 
-        return functools.partial(from_points, name)
+        return functools.partial(from_points, name, robot=robot)
     return _trajectories().get(name) if isinstance(name, str) else None  # a file may say anything
 
 
@@ -298,20 +298,20 @@ def is_points_file(name: object) -> TypeGuard[str]:
     return isinstance(name, str) and name.lower().endswith((".csv", ".json"))
 
 
-def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
-    """Return a trajectory by name, or through the points of a file."""
+def make_trajectory(name: str, options: Mapping[str, Any], robot: Robot | None = None) -> Trajectory:
+    """Return a trajectory by name, or through the points of a file, whose columns are those of the robot."""
     # the maker's signature is the schema: a new trajectory needs no table of its keys here
-    make = _maker(name) or _trajectories()[require_choice(name, tuple(_trajectories()), "the trajectory")]
-    signature = inspect.signature(make)
+    make = _maker(name, robot) or _trajectories()[require_choice(name, tuple(_trajectories()), "the trajectory")]
+    parameters = {key: one for key, one in inspect.signature(make).parameters.items() if key != "robot"}
     where = f"the trajectory {name}"
-    require_known(options, tuple(signature.parameters), where)
-    for key, parameter in signature.parameters.items():
+    require_known(options, tuple(parameters), where)
+    for key, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty and key not in options:
             raise InputError(f"The trajectory {name} lacks the key {key!r}.", remedy=f"Add {key}.", key=key)
     return make(**{key: _value(key, value, where) for key, value in options.items()})
 
 
-def parse_trajectory(text: str, flags: Mapping[str, float | str | None]) -> Trajectory:
+def parse_trajectory(text: str, flags: Mapping[str, float | str | None], robot: Robot | None = None) -> Trajectory:
     """Return the trajectory that ``name`` or ``name:key=value,...`` and flags describe together."""
     name, texts = split_trajectory(text)
     options = trajectory_values(name, texts)
@@ -326,7 +326,7 @@ def parse_trajectory(text: str, flags: Mapping[str, float | str | None]) -> Traj
             remedy = f"It takes {', '.join(known)}."
             raise InputError(f"The trajectory {name} takes no {flag(key)}.", remedy=remedy, key=key)
     with in_words(OPTIONS.knowing({key: flag(key) for key in given})):
-        return make_trajectory(name, {**options, **given})
+        return make_trajectory(name, {**options, **given}, robot)
 
 
 @dataclass(frozen=True)
@@ -373,7 +373,7 @@ class MotionOptions:
         if (self.trajectory is None) == (self.path is None):
             raise InputError(f"{who} needs either --trajectory or --motion.", remedy="Give one of them.")
         if not self.is_sampled:
-            return parse_trajectory(str(self.given), self.flags)
+            return parse_trajectory(str(self.given), self.flags, robot)
         from redundancy_pin.trajectory import from_csv
 
         # refused rather than ignored: --speed beside samples would seem to have an effect
@@ -478,14 +478,26 @@ def motion_options(
     return decorate
 
 
+def _ends(text: str | None, words: Sequence[str]) -> str | list[str] | None:
+    """Return the word, or the pair of words, of ``--ends``."""
+    if text is None:
+        return None
+    given = re.split(r"[,\s]+", text.strip())
+    for word in given:
+        require_choice(word, tuple(words), "--ends")
+    return given[0] if len(given) == 1 else given
+
+
 def _ends_option(command: _Command) -> _Command:
     """Return the option ``--ends``, the argument of ``from_points``."""
     from redundancy_pin.trajectory.waypoints import ENDS  # as ``_trajectories``
 
     return click.option(
         "--ends",
-        type=click.Choice(ENDS),
-        help="Of points with times: start and end at rest, or with the rates of the samples; auto: as the points show.",
+        callback=lambda _, __, text: _ends(text, ENDS),
+        metavar="|".join(ENDS),
+        help="Of points with times: start and end at rest, or with the rates of the samples; auto: as the points show; "
+        "a pair such as rest,samples for start and end.",
     )(command)
 
 

@@ -343,7 +343,7 @@ def problem(
             f"lam = {values['lam']:g} asks for a fraction of the efforts of a baseline robot, and none is given.",
             remedy="Write --baseline carriers=false: the same robot without carriers.",
         )
-    ends = getattr(motion, "ends", None)
+    ends = None if planner == "time-optimal" else getattr(motion, "ends", None)  # its path alone counts there
     # the other planners choose their own samples of a trajectory; the steps of this one are samples
     if planner == "stepwise" and isinstance(motion, Trajectory):
         motion = motion.sample(STEP if step is None else step)
@@ -453,7 +453,7 @@ def _motion(data: Mapping[str, Any], path: Path, robot: Robot) -> tuple[Platform
             if chosen.is_sampled:
                 options.require_known(given, (), f"the file {name}, which has rates,")
                 return chosen.follow("A plan", robot), chosen.described
-        return options.make_trajectory(name, given), str(data["trajectory"]["name"])
+        return options.make_trajectory(name, given, robot), str(data["trajectory"]["name"])
 
 
 def _robot(data: Mapping[str, Any], folder: Path) -> options.RobotOptions:

@@ -170,7 +170,7 @@ static int distribute(const double *W, const double *f, double force_scale, robo
   double residual = ldexp(consistent ? sqrt(missing) : outside, exponent);
   for (int j = 0; j < M; ++j) u[j] = ldexp(u[j] * COLUMN_SCALE[j], exponent);
   if ((consistent && !finite(u, M)) || !isfinite(residual)) return ROBOT_NOT_FINITE;
-  for (int j = 0; j < M; ++j) out->tau[j] = consistent ? u[j] : NAN;
+  for (int j = 0; j < M; ++j) out->tau[j] = consistent ? u[j] : (double)NAN;
   out->residual = residual;
   out->margin = s.margin;
   out->condition = s.condition;

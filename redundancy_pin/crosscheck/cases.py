@@ -55,6 +55,7 @@ REASONS: Mapping[str, str] = {
     "underactuated": "fewer motors than degrees of freedom of the platform",
     "not_finite": "the forces of the independent joints are not finite",
     "ill_conditioned": "the forward dynamics have less than three digits",
+    "massless": "a part of the tree moves no mass: forces do not say how fast it moves",
     "too_close": "too close in time to another state for differences",
     "no_carriers": "drawn without carriers",
     "refused": "refused for another reason",

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from rich.markup import escape
 from rich.table import Table
 from scipy.optimize import brentq
@@ -159,6 +160,9 @@ MOTION = 1e-10
 """Rounding of rows and of the solution of their equations is 1e-14 of their terms, and closures are open by 1e-12."""
 POWER = 1e-10
 MOMENTUM = 1e-8
+_IDLE_MASS = 1e-12
+"""Smallest eigenvalue of the mass matrix, over its diagonal, of a tree in which every motion moves a mass."""
+
 ROUND_TRIP = 1e-7
 """Limited by the damped solver of the forward dynamics (mu 1e-8, 30 iterations) and the conditioning of W."""
 _JUDGED = 1e-3
@@ -268,9 +272,21 @@ def check_round_trip(case: RandomCase, dynamics: Dynamics, label: str) -> Iterat
         for i, k in enumerate(keep):
             forward[i], rounding[i] = closed(q[:, k], v[:, k], effort[:, k])
     coarse = ~(rounding <= _JUDGED * np.abs(a.T[keep]).max(axis=1))
-    judged, more = select(len(keep), ill_conditioned=coarse)
+    lost: BoolArray = np.logical_not(np.isfinite(forward).all(axis=1))
+    lost[lost] = [has_massless_motion(robot.model, q[:, k]) for k in keep[lost]]
+    judged, more = select(len(keep), massless=lost, ill_conditioned=coarse)
     floor = np.maximum(rounding / ROUND_TRIP, 1e-6)
     yield Deviation(name, relative(forward, a.T[keep], floor)[judged], ROUND_TRIP, {**skipped, **more})
+
+
+def has_massless_motion(model: pin.Model, q: Array) -> bool:
+    """Return whether the tree moves in some direction without moving a mass, so that no force says how fast."""
+    mass = pin.crba(model, model.createData(), q)
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    size = np.sqrt(np.diag(mass))
+    if not size.all():
+        return True
+    return bool(np.linalg.eigvalsh(mass / np.outer(size, size))[0] < _IDLE_MASS)
 
 
 def check_derivatives(case: RandomCase, along: DynamicsAlongMotion, label: str) -> Iterator[Deviation]:

@@ -240,11 +240,20 @@ def temporary_folder(parent: Path, mode: int = 0o700) -> Iterator[Path]:
 def remove_leftovers(folder: Path) -> None:
     """Remove temporary folders whose process has ended without removing them: their locks are free."""
     for left in folder.glob(f"{_TEMPORARY}*"):
-        with suppress(OSError):  # in use, or of another user
+        with suppress(OSError, RecursionError):  # in use, or deeper than Python goes
+            if not _own(left):
+                continue
             lock = _lock(left)
-            if lock is not None:
-                shutil.rmtree(left)
+            try:
+                if lock is not None:
+                    shutil.rmtree(left)
+            finally:
                 _unlock(lock)
+
+
+def _own(path: Path) -> bool:
+    """Return whether a file or folder, not a link to it, belongs to this user."""
+    return sys.platform == "win32" or path.lstat().st_uid == os.geteuid()
 
 
 def _made_locked(parent: Path, mode: int) -> tuple[Path, int | None]:
@@ -254,9 +263,12 @@ def _made_locked(parent: Path, mode: int) -> tuple[Path, int | None]:
         path.mkdir(mode)
         with suppress(FileNotFoundError):
             lock = _lock(path, wait=True)
-            if lock is None or os.path.samestat(os.fstat(lock), path.stat()):
-                return path, lock
-            _unlock(lock)
+            try:
+                if lock is None or os.path.samestat(os.fstat(lock), path.stat()):
+                    kept, lock = lock, None
+                    return path, kept
+            finally:
+                _unlock(lock)
 
 
 def _lock(path: Path, *, wait: bool = False) -> int | None:

@@ -194,7 +194,7 @@ class JointForces:
 
     def __post_init__(self) -> None:
         for name in ("damping", "friction", "friction_speed", "stiffness", "rest", "rotor_inertia", "gear"):
-            least = -np.inf if name in ("rest", "gear") else 1e-9 if name == "friction_speed" else 0.0
+            least = -np.inf if name in ("rest", "gear") else 1e-100 if name == "friction_speed" else 0.0
             assign(self, **{name: _number(getattr(self, name), f"{name} of {self.joint!r}", least=least)})
 
     def resistance(self, q: Array, v: Array) -> Array:

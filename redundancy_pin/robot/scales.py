@@ -48,7 +48,7 @@ class ForceScale:
         mass: kg, as in ``Scales``.
         gravity: size of gravity, m/s².
         viscous: sum of the dampings, N·s.
-        static: sum of friction and of springs moved by the characteristic length or one radian, N.
+        static: sum of friction, and of ``_OF_SPRINGS`` of springs moved by the characteristic length or a radian, N.
     """
 
     length: float
@@ -68,16 +68,20 @@ class ForceScale:
         )
 
 
+_OF_SPRINGS = 1e-3
+"""Part of the force of a spring moved by the characteristic length that counts: stops and flexures are stiff, and their
+forces, known to rounding, would hide all others."""
+
+
 @lru_cache(maxsize=64)
 def force_scale(robot: Robot) -> ForceScale:
     """Return what the forces of a robot are compared with."""
     model, length = robot.model, robot.characteristic_length
     mass = 0.0
     for index in range(1, model.njoints):
-        body, joint = model.inertias[index], model.joints[index]
+        body = model.inertias[index]
         mass += float(body.mass) + float(np.trace(body.inertia)) / length**2
-        armature = float(model.armature[joint.idx_v : joint.idx_v + joint.nv].sum())
-        mass += armature if slides(joint) else armature / length**2
+    mass += float((model.armature / np.where(turning_velocities(robot), length**2, 1.0)).sum())
     viscous = static = 0.0
     for load in robot.loads:
         if isinstance(load, JointForces):
@@ -86,10 +90,10 @@ def force_scale(robot: Robot) -> ForceScale:
             arm, step = (1.0, length) if sliding else (length, 1.0)
             mass += load.rotor_inertia * load.gear**2 * step / (arm * length)
             viscous += load.damping * step / arm
-            static += (load.friction + load.stiffness * (step + abs(load.rest))) / arm
+            static += (load.friction + _OF_SPRINGS * load.stiffness * (step + abs(load.rest))) / arm
         elif isinstance(load, Spring):
             viscous += load.damping * length
-            static += load.stiffness * (length + load.length)
+            static += _OF_SPRINGS * load.stiffness * (length + load.length)
     return ForceScale(length, mass, float(np.linalg.norm(robot.gravity)), viscous, static)
 
 
@@ -182,11 +186,14 @@ def coordinate_unit(robot: Robot) -> Array:
 
 @lru_cache(maxsize=64)
 def position_unit(robot: Robot) -> Array:
-    """Return (nq,) the characteristic length, m, for slides and 1 for all other numbers of a configuration."""
-    unit = np.ones(robot.model.nq)
-    for joint in robot.model.joints:
-        if slides(joint):
-            unit[joint.idx_q] = robot.characteristic_length
+    """Return (nq,) the characteristic length, m, for translations and 1 for all other numbers of a configuration.
+
+    Joints that translate and turn have their translations first, in q as in v.
+    """
+    unit, turning = np.ones(robot.model.nq), turning_velocities(robot)
+    for joint in robot.model.joints[1:]:
+        translations = int((~turning[joint.idx_v : joint.idx_v + joint.nv]).sum())
+        unit[joint.idx_q : joint.idx_q + translations] = robot.characteristic_length
     return read_only(unit)
 
 

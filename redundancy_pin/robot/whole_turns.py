@@ -29,8 +29,8 @@ WHOLE = 1e-9
 EXACT = 2.0**15
 """rad beyond which a dependent joint loses its turns: the rounding of the angle, 4e-12, would open loops."""
 
-FARTHEST = 2.0**33
-"""rad beyond which a number does not say where in a turn: it is known to 1e-6."""
+FARTHEST = 2.0**25
+"""rad beyond which closures cannot be told to be closed: the angle is known to 7e-9."""
 
 Follow = Callable[[Array, Array, Array], Array | None]
 """From a configuration closed at coordinates to others, straight; None where that fails."""

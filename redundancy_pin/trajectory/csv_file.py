@@ -305,13 +305,15 @@ def _platform(table: MotionTable, check_rates: bool) -> PlatformMotion:
         return PlatformMotion(table.columns["t"], x, *rates, check_rates=check_rates)
 
 
-def in_order_of(robot: Robot, table: MotionTable) -> MotionTable:
+def in_order_of(robot: Robot, table: MotionTable, *, but_last: bool = False) -> MotionTable:
     """Return a table with the coordinates and the carriers of a robot, in its order.
+
+    With ``but_last`` the file has all coordinates except the last one, which is constant.
 
     Raises:
         InputError: the columns are named, and not those of the robot, or have units of other quantities.
     """
-    own, carriers = coordinate_names(robot), tuple(f"s:{joint}" for joint in robot.carriers)
+    own, carriers = coordinate_names(robot)[: -1 if but_last else None], tuple(f"s:{joint}" for joint in robot.carriers)
     coordinates = _in_order(table, table.coordinates, own, "coordinates", robot)
     moved = _in_order(table, table.carriers, carriers, "carriers", robot) if table.carriers else ()
     for given, expected in ((coordinates, own), (moved, carriers)):
@@ -337,13 +339,18 @@ def _in_order(
         return given
     if set(given) == set(own):
         return own
+    if len(given) == len(own) == 1:  # one coordinate may have any name
+        return given
+    bare = {name.partition(":")[2]: name for name in own if ":" in name}
+    if set(given) == set(bare):  # names of joints
+        return tuple(bare)
     # a plane's angle may have any name: phi, alpha, yaw
     free, left = [name for name in given if name not in AXES and ":" not in name], [n for n in own if n not in given]
     if len(given) == len(own) and len(free) == len(left) == 1 and left[0].startswith("r"):
         return tuple(free[0] if name == left[0] else name for name in own)
     message = f" has the {what} {', '.join(given)}; {robot.name} has {', '.join(own) if own else 'none'}."
     rated = AXES if own == POSE else own
-    names = ", ".join((*own, _listed(rated, 1), _listed(rated, 2)))
+    names = ", ".join((*own, _listed(rated, 1), _listed(rated, 2)) if table.has_rates else own)
     remedy = f"Name the columns {names}." if own else "Leave these columns out."
     raise _bad(table.path, message, remedy, axes_seen=given)
 

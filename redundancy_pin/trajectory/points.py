@@ -14,7 +14,8 @@ from redundancy_pin.arrays import Array, checked, positive
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.trajectory.csv_file import POSE, checked_poses, differentiated, read_table
+from redundancy_pin.robot import RobotLike, as_robot
+from redundancy_pin.trajectory.csv_file import POSE, MotionTable, checked_poses, differentiated, in_order_of, read_table
 from redundancy_pin.trajectory.paths import Path, with_constant
 from redundancy_pin.trajectory.quaternions import quaternions_of
 from redundancy_pin.trajectory.time_optimal import fastest_law
@@ -46,6 +47,7 @@ def from_points(
     alpha: float | None = None,
     closed: bool = False,
     ends: str | Sequence[str] = "auto",
+    robot: RobotLike | None = None,
 ) -> Trajectory:
     """Return a smooth motion through points or poses.
 
@@ -78,6 +80,8 @@ def from_points(
         ends: with ``times``: "rest" starts and ends at rest without acceleration; "samples" with the speed and the
             acceleration of the points; "auto" chooses for each end, by the points (``resolve_ends``: six or more may
             show rest). A pair of these words is for the start and the end. What was chosen is ``Trajectory.ends``.
+        robot: whose coordinates a file has: columns go by name, foreign names and units of other quantities are
+            refused. Without it columns are taken in their order, x, y and z first.
 
     Returns:
         The motion; ``ends`` of it is a pair of "rest" and "samples", None without times.
@@ -94,7 +98,7 @@ def from_points(
             'Give it a column t, or pass speed=0.1, or times="time-optimal" with limits '
             f"(--trajectory {file}:speed=0.1 on the command line)."
         )
-        points, own_times, own_speed = read_points(points)
+        points, own_times, own_speed = read_points(points, robot, but_last=alpha is not None)
         if own_times is not None:
             if times is not None or speed is not None:
                 both = "times" if times is not None else "speed"
@@ -189,8 +193,12 @@ def _split(points: Any) -> tuple[Array, Array | None]:
     return given[:, :3, 3], given[:, :3, :3]
 
 
-def read_points(path: str | os.PathLike[str]) -> tuple[Array, Array | None, Array | None]:
+def read_points(
+    path: str | os.PathLike[str], robot: RobotLike | None = None, *, but_last: bool = False
+) -> tuple[Array, Array | None, Array | None]:
     """Return points (N, n), times (N,) and speeds (N,) of a CSV or JSON file; the latter two where it has them.
+
+    The columns are those of ``robot``, if given; with ``but_last`` all except the last coordinate.
 
     Raises:
         InputError: another suffix, a file that cannot be read, or one without points.
@@ -199,10 +207,11 @@ def read_points(path: str | os.PathLike[str]) -> tuple[Array, Array | None, Arra
     suffix = place.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{place} ends in neither .csv nor .json.", remedy="Name it as what it is.", path=str(place))
-    columns = read_table(place, most=MOST_POINTS).columns if suffix == ".csv" else _read_json(place)
-    if isinstance(columns, tuple):
-        return columns
-    columns = dict(columns)
+    table = read_table(place, most=MOST_POINTS) if suffix == ".csv" else None
+    read = _read_json(place) if table is None else table.columns
+    if isinstance(read, tuple):
+        return read
+    columns = dict(read)
     times = columns.pop("t", columns.pop("time", None))
     speed = columns.pop("speed", None)
     if any(differentiated(name, columns)[1] for name in columns):
@@ -213,7 +222,11 @@ def read_points(path: str | os.PathLike[str]) -> tuple[Array, Array | None, Arra
         )
     if not columns:
         raise InputError(f"{place} has no coordinates.", remedy="Name its columns t, x, y, ....", path=str(place))
-    names = POSE if set(POSE) == set(columns) else _in_order(columns, place)
+    if robot is not None:
+        table = table or MotionTable(str(place), tuple(_in_order(columns, place)), (), (), columns)
+        names: Sequence[str] = in_order_of(as_robot(robot), table, but_last=but_last).coordinates
+    else:
+        names = POSE if set(POSE) == set(columns) else _in_order(columns, place)
     return np.stack([columns[name] for name in names], axis=1), times, speed
 
 

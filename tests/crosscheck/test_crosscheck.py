@@ -1,6 +1,7 @@
 """The cross-check itself: it passes on what is right and fails on every fault put into a backend."""
 
 import io
+import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_line import call
 from examples import FACTOR
 from mjcf_models import GEARED, write
 from rich.console import Console
@@ -518,3 +520,34 @@ def test_rows_by_definition_are_those_of_the_kinematics_where_these_are_closed(a
     theirs = ConstraintSystem(closed).evaluate(q[None]).Jc[0]
     both = np.concatenate([ours, theirs])
     assert np.linalg.matrix_rank(ours) == np.linalg.matrix_rank(both) == np.linalg.matrix_rank(theirs) == len(axes)
+
+
+def test_links_without_mass_are_skipped_with_their_reason(tmp_path: Path) -> None:
+    """A rod that weighs nothing: no force says how fast the open tree turns it, so there is no round trip."""
+
+    def link(name: str, mass: float) -> str:
+        inertia = f'<inertia ixx="{0.01 * mass}" iyy="{0.01 * mass}" izz="{0.01 * mass}" ixy="0" ixz="0" iyz="0"/>'
+        return f'<link name="{name}"><inertial><mass value="{mass}"/>{inertia}</inertial></link>'
+
+    def joint(name: str, parent: str, child: str, x: float, kind: str = "revolute") -> str:
+        limit = '<axis xyz="0 0 1"/><limit lower="-9" upper="9" effort="9" velocity="9"/>' if kind != "fixed" else ""
+        ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{x} 0 0"/>'
+        return f'<joint name="{name}" type="{kind}">{ends}{limit}</joint>'
+
+    parts = ['<link name="base"/>', link("crank", 1.0), link("rod", 0.0), link("rocker", 1.0)]
+    parts += [joint("drive", "base", "crank", 0.0), joint("knee", "crank", "rod", 0.2)]
+    parts += [joint("pivot", "base", "rocker", 0.5)]
+    for name, on, x in (("rod_end", "rod", 0.45), ("rocker_end", "rocker", 0.4)):
+        parts += [f'<link name="{name}"/>', joint(f"to_{name}", on, name, x, "fixed")]
+    (tmp_path / "bars.urdf").write_text(f'<robot name="bars">{"".join(parts)}</robot>')
+    (tmp_path / "robot.yaml").write_text(
+        "name: bars\nurdf: bars.urdf\nclosures: [{frames: [rod_end, rocker_end], axes: [x, y]}]\nactuated: [drive]\n"
+        "gravity: [0, -9.81, 0]\nindependent: {joints: [drive]}\n"
+        "reference: {joints: {drive: 1.0}, guess: {knee: -0.8, pivot: 1.8}}\n"
+    )
+    result = call("validate", "--robot", tmp_path / "robot.yaml", "--samples", "20", "--json", "--jobs", "1")
+    assert result.exit_code == 0, result.stdout
+    rows = json.loads(result.stdout)["rows"]
+    (trip,) = [row for row in rows if row["check"].startswith("inverse -> forward (rnea")]
+    assert trip["skipped"] == {"massless": trip["total"]}
+    assert trip["samples"] == 0

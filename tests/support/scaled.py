@@ -49,6 +49,8 @@ def scaled_robot(robot: Robot, units: Units) -> Robot:
         slide = slides(joint)
         unit = L if slide else 1.0
         force = units.force if slide else units.torque
+        if joint.shortname() in ("JointModelFreeFlyer", "JointModelTranslation"):
+            q[joint.idx_q : joint.idx_q + 3] *= L
         q[place] *= unit
         for limits in (model.lowerPositionLimit, model.upperPositionLimit):
             limits[place] = np.clip(limits[place] * unit, -1e300, 1e300)

@@ -6,12 +6,15 @@ change no mantissa, so that efforts agree to rounding; other factors round every
 
 from __future__ import annotations
 
+import ctypes
 import functools
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
-from generated_c import COMPILERS, Code
+from generated_c import COMPILERS, Code, compiled, filled, folder_of
 from scaled import Units, coordinate_units, effort_units, scaled_carriers, scaled_motion, scaled_robot
 
 import redundancy_pin as rp
@@ -156,6 +159,81 @@ def test_generated_c_has_the_statuses_and_efforts_of_python_in_all_units(choice:
             np.testing.assert_allclose(got.tau, want.tau[k], rtol=1e-9)
 
 
+PROBE = """
+#include "unit.c"
+double probe(const unit_motion *motion);
+double probe(const unit_motion *motion) { return unit_own_force_scale_of(motion); }
+"""
+
+
+@pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not installed")
+def test_generated_c_has_the_same_sizes_of_forces(tmp_path: Path) -> None:
+    robot = rp.load_robot("2rpr", end_effector_mass=0.5, gravity=(0.0, -9.81, 0.0)).loaded(
+        JointForces("slide_1", damping=3.0, friction=2.0, stiffness=50.0, rest=0.1),
+        Spring("base", "end_effector", stiffness=20.0, damping=2.0, length=0.2),
+    )
+    (tmp_path / "probe.c").write_text(PROBE)
+    flags = f"-I{folder_of(robot)}", "-O1", "-shared", "-fPIC"
+    probe = ctypes.CDLL(str(compiled([tmp_path / "probe.c"], tmp_path / "probe.so", *flags))).probe
+    probe.restype, code = ctypes.c_double, Code(robot)
+    random = np.random.default_rng(5)
+    for moving in (1, 2, 3, 4):  # one part alone is seen, too
+        xd, xdd, sd, sdd = (random.normal(size=(1, 2)) * (k + 1 == moving) for k in range(4))
+        given = filled(code.motion_type, np.array([0.2, 0.3]), xd, xdd, np.zeros(2), sd, sdd)
+        want = sample_scales(robot, xd, xdd, sd, sdd).force[0]
+        assert probe(ctypes.byref(given)) == pytest.approx(want, rel=1e-14)
+
+
+def free_rod(length: float) -> Robot:
+    """A planar four-bar whose coupler is a free body, hinged to crank and rocker by closures."""
+    model = pin.Model()
+    model.gravity = pin.Motion(np.array([0.0, -9.81, 0.0]) * length, np.zeros(3))
+    about_z = pin.JointModelRZ()
+    crank = model.addJoint(0, about_z, pin.SE3.Identity(), "crank")
+    rocker = model.addJoint(0, about_z, pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]) * length), "rocker")
+    rod = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "rod")
+    bars = {crank: 0.2, rocker: 0.4, rod: 0.45}
+    for joint, bar in bars.items():
+        box = pin.Inertia.FromBox(1.0, bar * length, 0.05 * length, 0.04 * length)
+        model.appendBodyToJoint(joint, box, pin.SE3(np.eye(3), np.array([0.5 * bar * length, 0.0, 0.0])))
+    for name, joint, x in (
+        ("crank_tip", crank, 0.2), ("rocker_tip", rocker, 0.4), ("rod_start", rod, 0.0), ("rod_end", rod, 0.45)
+    ):  # fmt: skip
+        place = pin.SE3(np.eye(3), np.array([x * length, 0.0, 0.0]))
+        model.addFrame(pin.Frame(name, joint, place, pin.FrameType.BODY))
+    q = pin.neutral(model)
+    q[:2] = 1.0, 1.8
+    tip = 0.2 * np.array([np.cos(1.0), np.sin(1.0)])
+    q[2:4] = tip * length
+    q[7:9] = np.sin(0.15), np.cos(0.15)
+    return Robot.from_model(
+        model, actuated=["rocker"], independent=["crank"], reference=q,
+        closures=[("crank_tip", "rod_start", ["x", "y", "z", "rx", "ry"]), ("rod_end", "rocker_tip", ["x", "y"])],
+    )  # fmt: skip
+
+
+def test_free_bodies_have_lengths_too() -> None:
+    """The crank goes round: the rocker, which drives, is at rest twice in a turn, whatever the metres."""
+    t = np.linspace(0.0, 1.0, 201)
+    found = []
+    for length in (1.0, 1e-6, 1e6):
+        robot = free_rod(length)
+        x = (1.0 + 6.0 * t)[:, None]
+        motion = PlatformMotion(t, x, np.full_like(x, 6.0), np.zeros_like(x))
+        crossings = rp.find_crossings(robot, motion)
+        found.append([crossing.t for crossing in crossings])
+        status = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).status
+        assert (status <= SampleStatus.NEAR_SINGULAR).all()
+    # crank and rod in line: |rod ± crank| from pivot to tip (cosine rule at the ground)
+    want = []
+    for reach, flip in ((0.45 + 0.2, 0.0), (0.45 - 0.2, np.pi)):
+        angle = np.arccos((0.5**2 + reach**2 - 0.4**2) / (2.0 * 0.5 * reach)) + flip
+        want += [(angle + 2.0 * np.pi * k - 1.0) / 6.0 for k in range(2)]
+    want = [instant for instant in want if 0.0 < instant < 1.0]
+    for instants in found:
+        np.testing.assert_allclose(instants, sorted(want), rtol=1e-8)
+
+
 @pytest.mark.parametrize("choice", [(1.0, 1.0, 1.0), *CORNERS])
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_forces_that_carriers_cancel_are_none_in_all_units(
@@ -267,7 +345,7 @@ def test_sizes_of_forces_are_those_of_a_mass_that_moves() -> None:
     size = force_scale(robot)
     assert size.mass == pytest.approx(2.5 + 1e-3 * 100.0 / L**2)  # two carriers, the end-effector, and the rotor
     assert size.viscous == pytest.approx(3.0 * L + 0.3 / L)
-    assert size.static == pytest.approx(2.0 + 50.0 * (L + 0.1) + 20.0 * (L + 0.2))
+    assert size.static == pytest.approx(2.0 + 1e-3 * (50.0 * (L + 0.1) + 20.0 * (L + 0.2)))
     xd, xdd = np.array([[0.3, -0.6]]), np.array([[1.0, 2.0]])
     sd, sdd = np.array([[0.1, 0.0]]), np.array([[5.0, 0.0]])
     scales = sample_scales(robot, xd, xdd, sd, sdd, (np.array([[3.0, -4.0, 0.0, 0.0, 0.0, 0.0]]),))

@@ -213,7 +213,7 @@ static int follow(Pose *pose, const double *x) {
 #define MOST_TURNS 10000.0 /* turns that are followed one by one where they do not repeat */
 #define WHOLE 1e-9         /* rad or characteristic lengths by which joints may miss whole turns */
 #define EXACT 32768.0      /* rad beyond which a dependent joint loses its turns */
-#define FARTHEST 8589934592.0 /* rad beyond which a number does not say where in a turn: it is known to 1e-6 */
+#define FARTHEST 33554432.0 /* rad beyond which closures cannot be told to be closed: the angle is known to 7e-9 */
 
 /* Bring a pose so many turns of coordinate c on; at is moved along. A turn that brings all joints back, but for whole
    turns of their own, does so again. With gears several turns may pass until it does. */
