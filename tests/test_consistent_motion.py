@@ -403,3 +403,22 @@ def test_the_command_line_takes_the_word(tmp_path: Path) -> None:
     assert "check_rates: false" in refused("plan", "--problem", problem)
     problem.write_text(problem.read_text() + "check_rates: false\n")
     assert call("plan", "--problem", problem).exit_code == 0
+
+
+@pytest.mark.parametrize("wrong", [1.3, 1.0])
+def test_the_verdict_does_not_depend_on_the_unit_of_length(wrong: float) -> None:
+    """A small swing far from the origin, where the digits of the place limit what is found."""
+    t = np.arange(500) * 1e-3
+    angle = 2.0 * np.pi * t / 0.1
+    x, xd = 0.9 + 2e-4 * np.sin(angle), 2e-4 * 20.0 * np.pi * np.cos(angle)
+    xdd = -2e-4 * (20.0 * np.pi) ** 2 * np.sin(angle)
+    verdicts = set()
+    for length in (1e-6, 1e-3, 1.0, 1.05, 1.1112, 1.2, 2.0, 5.0, 39.37, 1e3, 1e6):
+        motion = PlatformMotion(t, *(length * part[:, None] for part in (x, wrong * xd, wrong * xdd)))
+        try:
+            require_consistent(motion)
+            verdicts.add("accepted")
+        except InputError:
+            verdicts.add("refused")
+    assert len(verdicts) == 1
+    assert wrong != 1.0 or verdicts == {"accepted"}

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import stat
+import subprocess
 import sys
 import threading
 import time
@@ -314,3 +315,31 @@ def test_a_disk_without_locks_is_written_too(tmp_path: Path, monkeypatch: pytest
     _write_results(tmp_path / "results", "c.csv")
     assert _names(tmp_path) == ["a.txt", "results"]
     assert _names(tmp_path / "results") == ["c.csv", "summary.json"]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only the superuser gives files away")
+def test_what_others_left_stays(tmp_path: Path) -> None:
+    theirs = tmp_path / ".redundancy_pin-of-somebody"
+    theirs.mkdir()
+    os.chown(theirs, 65534, 65534)
+    write_text(tmp_path / "a.txt", "text")
+    assert _names(tmp_path) == [theirs.name, "a.txt"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders are no handles there")
+def test_a_leftover_deeper_than_python_goes_stops_no_writer(tmp_path: Path) -> None:
+    inner = tmp_path / ".redundancy_pin-deep"
+    inner.mkdir()
+    here = os.open(inner, os.O_RDONLY)
+    for _ in range(2000):
+        os.mkdir("d", dir_fd=here)
+        below = os.open("d", os.O_RDONLY, dir_fd=here)
+        os.close(here)
+        here = below
+    os.close(here)
+    before = len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").exists() else 0
+    for _ in range(3):
+        write_text(tmp_path / "a.txt", "text")
+    assert (tmp_path / "a.txt").read_text() == "text"
+    assert before in (0, len(os.listdir("/proc/self/fd")))  # no lock stays open
+    subprocess.run(["rm", "-rf", str(inner)], check=True)

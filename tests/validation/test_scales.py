@@ -110,6 +110,21 @@ def test_virtual_work_has_the_same_efforts_in_all_units(name: str, choice: tuple
     require_same(got, want, effort_units(robot, units), ROUNDED * np.maximum(1.0, want.condition / 1e6))
 
 
+@pytest.mark.parametrize("choice", CORNERS)
+def test_loads_are_the_same_in_all_units(choice: tuple[float, float, float]) -> None:
+    units = Units(*choice)
+    plain = rp.load_robot("2rpr", end_effector_mass=0.5, gravity=(0.0, -9.81, 0.0)).loaded(
+        JointForces("slide_1", damping=3.0, friction=2.0, friction_speed=0.05, stiffness=50.0, rest=0.1),
+        JointForces("swivel_2", damping=0.3, friction=0.1, rotor_inertia=1e-3, gear=10.0),
+        Spring("base", "end_effector", stiffness=20.0, damping=2.0, length=0.2),
+    )
+    case = case_of("2rpr", 0)
+    case = RandomCase(plain, case.t, case.path, case.tracks)
+    want, got = (solved(rp.RneaDynamics, case, each) for each in (Units(), units))
+    share = ROUNDED * np.maximum(1.0, want.condition / 1e6)
+    require_same(got, want, effort_units(plain, units), share)
+
+
 # --- singular poses -------------------------------------------------------------------------------------------------
 
 
