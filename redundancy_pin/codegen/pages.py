@@ -180,7 +180,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "samples": len(recorded),
         "recorded": ",\n".join(_record(robot, recorded, i) for i in range(len(recorded))),
         "closure": _listed([*jacobian.tolist(), [0.0] * model.nv]),
-        "closure_scale": repr(max(float(np.abs(jacobian).max(initial=0.0)), 1e-3)),
+        "jacobian_size": repr(float(np.abs(jacobian).max(initial=0.0)) or 1.0),
         "gamma": _listed(recorded.gamma),
         "gamma_scale": repr(float(np.abs(recorded.gamma).max())),
         "row_scale": _listed(row_scale(robot)),

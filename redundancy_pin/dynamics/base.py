@@ -46,8 +46,8 @@ class ReducedDynamics(Frozen):
             turns moments into forces.
         column_scale: (m,) the characteristic length for revolute actuators, 1 for prismatic ones.
         out_of_range: (N,) whether some joint is beyond its range, passive ones too; None where that was not checked.
-        force_scale: (N,) ``Scales.force``, N, which tolerances are relative to; None for numbers that do not come
-            from a robot, of which f alone says how large they are.
+        force_scale: (N,) size of the forces of the motion before they cancel, N: mass · (gravity + length · (rate² +
+            acceleration)), plus loads. Tolerances on f are fractions of it. None if W and f do not come from a robot.
     """
 
     t: Array

@@ -89,11 +89,12 @@ def multistart_nearest(
     if not usable.any():
         return _from_mixed_legs(system, q[solution.closed], guess, x) or multistart(system, guess, x)
     columns = listed if len(listed) else np.arange(len(guess))
-    away = q[:, columns] - prescribed[columns]
+    unit = position_unit(system.robot)
+    away = (q[:, columns] - prescribed[columns]) / unit[columns]
     turning = np.isin(columns, _bounded_angles(system.robot))
     away[:, turning] = (away[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
     # the joints that are not listed decide among equals, so that the answer does not hang on the order of the starts
-    distance = np.abs(away).sum(axis=1).round(9) + 1e-12 * np.abs(q - prescribed).sum(axis=1)
+    distance = np.abs(away).sum(axis=1).round(9) + 1e-12 * np.abs((q - prescribed) / unit).sum(axis=1)
     nearest = int(np.argmin(np.where(usable, distance, np.inf)))
     return PoseSolution(q[nearest], float(solution.gap[nearest]), True)
 

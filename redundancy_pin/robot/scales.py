@@ -1,7 +1,8 @@
 """Sizes that tolerances are relative to: those of a robot, and of one sample of its motion.
 
-No tolerance of the package has a unit. A length is compared with the robot's characteristic length, an angle with one
-radian, a force with ``Scales.force``: the same machine, written in other units, gets the same statuses.
+No tolerance in kinematics, singularities, dynamics and generated C has a unit. A length is compared with the robot's
+characteristic length, an angle with one radian, a force with ``Scales.force``: the same machine, written in other
+units, gets the same statuses.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class ForceScale:
         mass: kg, as in ``Scales``.
         gravity: size of gravity, m/s².
         viscous: sum of the dampings, N·s.
-        static: sum of friction, and of ``_OF_SPRINGS`` of springs moved by the characteristic length or a radian, N.
+        static: sum of friction, and of a thousandth of springs moved by the characteristic length or 1 rad, N.
     """
 
     length: float
@@ -69,8 +70,8 @@ class ForceScale:
 
 
 _OF_SPRINGS = 1e-3
-"""Part of the force of a spring moved by the characteristic length that counts: stops and flexures are stiff, and their
-forces, known to rounding, would hide all others."""
+"""Share of the force of a spring, moved by the characteristic length or 1 rad, that counts: stiff stops would otherwise
+hide all other forces."""
 
 
 @lru_cache(maxsize=64)

@@ -26,7 +26,7 @@ from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.named import require_matching
-from redundancy_pin.robot.scales import closure_tolerance, sample_scales
+from redundancy_pin.robot.scales import sample_scales
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
@@ -78,11 +78,11 @@ class VirtualWork(Dynamics):
         require_matching(self._robot, motion)
         legs = self._mechanism.legs(motion.x)
         gap = legs.gap.max(axis=0)
-        bad_leg = (legs.gap > closure_tolerance(self._robot)) | (legs.margin <= self._mechanism.least_margin)
+        bad_leg = (legs.gap > self._mechanism.tolerance) | (legs.margin <= self._mechanism.least_margin)
         reachable: BoolArray = np.logical_not(bad_leg.any(axis=0))
         if not reachable.all():
             if unreachable == "raise":
-                _refuse(legs, int(reachable.argmin()), self._robot, self._mechanism.least_margin)
+                _refuse(legs, int(reachable.argmin()), self._robot, self._mechanism)
             # NaN in, NaN out: the samples to blank take part in the arithmetic, and in no warning.
             legs = self._mechanism.legs(np.where(reachable[:, None], motion.x, np.nan))
         return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, gap, reachable)
@@ -233,9 +233,9 @@ def _mechanism_of(robot: Robot) -> Mechanism:
     )
 
 
-def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, least_margin: float) -> None:
+def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, mechanism: Mechanism) -> None:
     gap, margin = legs.gap[:, sample], legs.margin[:, sample]
-    if gap.max() > closure_tolerance(robot):
+    if gap.max() > mechanism.tolerance:
         leg = int(gap.argmax())
         raise UnreachablePoseError(
             f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {gap[leg]:.3g} m."
@@ -248,7 +248,7 @@ def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, least_ma
     leg = int(margin.argmin())
     raise SingularPoseError(
         f"{robot.name} is at a type I singularity at sample {sample}: the rate of leg {leg + 1} is not determined "
-        f"(margin {margin[leg]:.3g}, at least {least_margin:.3g} is needed).",
+        f"(margin {margin[leg]:.3g}, at least {mechanism.least_margin:.3g} is needed).",
         remedy='Keep the motion away from the edge of the working mode, or pass unreachable="mark".',
         sample=sample,
         leg=leg,

@@ -260,6 +260,7 @@ class ThreeRrrMechanism:
 
     def __init__(self, parameters: Parameters, gravity: Sequence[float], mode: Sequence[int]) -> None:
         self.geometry = geometry = ThreeRrrGeometry.from_parameters(parameters)
+        self.tolerance = geometry.tolerance
         self.gravity, self.mode = gravity, mode
         carriers, given = bool(parameters["carriers"]), parameters["platform_inertia"]
         tail = float(parameters["tail_length"]) if carriers else 0.0

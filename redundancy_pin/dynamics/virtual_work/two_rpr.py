@@ -170,7 +170,8 @@ class TwoRprMechanism:
 
     def __init__(self, parameters: Parameters, gravity: Sequence[float], mode: Sequence[int]) -> None:
         self.geometry = TwoRprGeometry.from_parameters(parameters)
-        self.least_margin = CLOSURE_TOLERANCE * self.geometry.base_distance  # a leg of no length, m
+        self.tolerance = CLOSURE_TOLERANCE * self.geometry.base_distance
+        self.least_margin = self.tolerance  # a leg of no length, m
         self.gravity, self.mode = gravity, mode
         self.track_offset = float(parameters["track_offset"])
         self.carrier_mass = float(parameters["carrier_mass"]) if parameters["carriers"] else 0.0
