@@ -250,10 +250,9 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     samples in the shortest period; of ẍ against ẋ 15), of 1.1 (20 samples; of ẍ against ẋ 40), and positions that
     move, or rates that change, while their rate is zero in more than eight steps. Of fewer samples it finds that
     rates have the wrong sign or travel at least four times as far as the positions, in each step and coordinate in
-    which they are large, as a factor of ten does on a motion that does not turn back between two samples; rates
-    that are too small, and ẍ, pass
-    there. Not found: smaller factors; a bias of up to 3 %; what noise
-    hides; one wrong ẋ or ẍ among right ones, for it may be a motion that is too short for the samples.
+    which they are large, as a factor of ten does on a motion that does not turn back between two samples; rates that
+    are too small, and ẍ, pass there. Not found: smaller factors; a bias of up to 3 %; errors below the noise; one
+    wrong ẋ or ẍ among right ones, which may be a motion that is too short for the samples.
 
     Raises:
         InputError: rates that are not those of the positions, with ``column``, ``sample``, ``time``, the mean rate
@@ -273,9 +272,7 @@ def _require_rates(name: str, time: Array, motion: tuple[Array, Array, Array]) -
         t, values, rates, seconds = (each[inside] for each in (time, *motion))
         size = np.abs(values).max(axis=0) if values.ndim == 2 else [*np.abs(values[:, :3, 3]).max(axis=0), *np.ones(3)]
         tilt = np.zeros((rates.shape[1], max(len(t) - 1, 0)))
-        if (
-            values.ndim == 3
-        ):  # where the axis tilts, the rotation vector of a step is h³ ω̇ × ω/12 more than the mean of h ω
+        if values.ndim == 3:  # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
             omega, alpha = (np.linalg.norm(array[:, 3:], axis=1) for array in (rates, seconds))
             turn = np.diff(t) * np.maximum(omega[1:], omega[:-1])
             tilt[3:] = np.where(turn < _TURN, turn * np.diff(t) * np.maximum(alpha[1:], alpha[:-1]) / 6.0, np.inf)
@@ -328,8 +325,8 @@ def _require_rate(
     )
 
 
-_SIX_DIGITS = 1e-5
-"""Largest difference, over the size, of two numbers that are rounded to six digits."""
+SIX_DIGITS = 5e-6
+"""Largest error of a number that is rounded to six digits, relative to the number."""
 
 
 class _Compared(NamedTuple):
@@ -346,7 +343,7 @@ def _compare(h: Array, found: Array, size: Array, largest_rate: Array, ends: Seq
     given, change = 0.5 * (first + last), np.abs(last - first)
     apart, top = np.abs(found - given), largest_rate[:, None]
     nothing = _NOTHING * largest_rate.max()
-    sure = RATE_TOLERANCE * top + nothing + _SIX_DIGITS * size[:, None] / h + tilt
+    sure = RATE_TOLERANCE * top + nothing + 2.0 * SIX_DIGITS * size[:, None] / h + tilt
     bends = np.diff(found - given, 4)
     if bends.shape[1] >= 4:
         sure = sure + _NOISE * np.sqrt((bends**2).mean(axis=1, keepdims=True) / 70.0)  # 70: noise of its size 1

@@ -26,7 +26,7 @@ from scipy.io import loadmat
 import redundancy_pin as rp
 from redundancy_pin import codegen
 from redundancy_pin.cli.output import warning
-from redundancy_pin.io.csv_cells import guarded, unguarded
+from redundancy_pin.io.csv_cells import escape_formula, unescape_formula
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.export import PlanTable, write_csv, write_json, write_mat, write_ros
 from redundancy_pin.planners.plan import Plan
@@ -85,7 +85,7 @@ def in_csv(one: Named, folder: Path) -> None:
         heading = next(csv.reader(stream))
         assert all(no_formula(cell) for cell in heading)
         rows = [[float(cell) for cell in row] for row in csv.reader(stream)]
-    names = [unguarded(cell).rpartition(" [")[0] for cell in heading]
+    names = [unescape_formula(cell).rpartition(" [")[0] for cell in heading]
     for joint in one.joints:
         assert {f"tau:{joint}"} <= set(names)
     column = names.index(f"tau:{one.joints[0]}")
@@ -93,7 +93,7 @@ def in_csv(one: Named, folder: Path) -> None:
     assert len(read_table(folder / "plan.csv").columns["t"]) == len(rows)  # it is read as a motion, too
     (text,) = list(csv.reader(io.StringIO(csv_text({one.name: np.array([one.name])}))))[1]
     assert no_formula(text)
-    assert unguarded(text) == one.name
+    assert unescape_formula(text) == one.name
 
 
 def in_json(one: Named, folder: Path) -> None:
@@ -279,8 +279,8 @@ def test_a_picture_of_a_robot_with_a_dollar_is_drawn_and_its_plan_kept(tmp_path:
 
 @pytest.mark.parametrize("text", ["", "a", "'", "''", "'=", "a;'=b", "=;=\t=|=,=", "'a", "+", "a=b", "−1"])
 def test_a_guard_is_taken_away_again(text: str) -> None:
-    assert no_formula(guarded(text))
-    assert unguarded(guarded(text)) == text
+    assert no_formula(escape_formula(text))
+    assert unescape_formula(escape_formula(text)) == text
 
 
 def test_numbers_and_working_modes_need_no_guard() -> None:

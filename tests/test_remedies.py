@@ -151,6 +151,16 @@ COMMANDS = (
 )
 
 
+def require_working_remedy(plan: rp.Plan) -> None:
+    """Run the Python that the refusal to show a plan recommends."""
+    with pytest.raises(PlanFileError) as caught:
+        rp.show(plan)
+    names: dict[str, Any] = {"rp": rp, "plan": plan}
+    load, show, *_ = parts(caught.value.remedy)
+    exec(load, names)
+    assert eval(show, names).scene.title
+
+
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
 def test_a_plan_outside_its_robots_folder(
     command: tuple[str, ...], own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -165,12 +175,7 @@ def test_a_plan_outside_its_robots_folder(
     (flag,) = re.findall(r"--robot \S+robot\.yaml(?=\.)", line)
     assert call(*command, *flag.split()).exit_code in (0, 3)
     plan = rp.load_plan("plan.npz")
-    with pytest.raises(PlanFileError) as caught:
-        rp.show(plan)
-    names: dict[str, Any] = {"rp": rp, "plan": plan}
-    load, show, *_ = parts(caught.value.remedy)
-    exec(load, names)
-    assert eval(show, names).scene.title
+    require_working_remedy(plan)
 
 
 def test_a_robot_that_moved(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,12 +190,7 @@ def test_a_robot_that_moved(own: Path, tmp_path: Path, monkeypatch: pytest.Monke
         assert call(*command, "--robot", "there/robot.yaml").exit_code in (0, 3)
     monkeypatch.chdir(tmp_path / "there")
     plan = rp.load_plan("../plan.npz")
-    with pytest.raises(PlanFileError) as caught:
-        rp.show(plan)
-    names: dict[str, Any] = {"rp": rp, "plan": plan}
-    load, show, *_ = parts(caught.value.remedy)
-    exec(load, names)
-    assert eval(show, names).scene.title
+    require_working_remedy(plan)
 
 
 # --- declarations and files ---

@@ -17,9 +17,6 @@ from redundancy_pin.codegen import write_c
 from redundancy_pin.dynamics.compiled.symbols import casadi
 from redundancy_pin.io.files import require_replaceable
 
-_DT = 0.005
-"""Between samples of a trajectory, s."""
-
 
 @click.command()
 @robot_options()
@@ -41,7 +38,7 @@ def codegen(robot: RobotOptions, out: str, prefix: str | None, motion: MotionOpt
     require_replaceable(out)  # before the robot is loaded
     casadi()
     loaded = robot.load()
-    moves = motion.sampled("The test program", loaded, _DT) if motion.path else None
+    moves = motion.sampled("The test program", loaded) if motion.path else None
     written = write_c(loaded, out, prefix=prefix, motion=moves, carriers=motion.carriers(loaded))
     facts = {**vars(written), "folder": str(written.folder)}
     report(as_json, facts, f"{written.folder}: {', '.join(written.files)}")

@@ -234,6 +234,9 @@ def parse_vector(given: Any) -> tuple[float, ...]:
     return numbers
 
 
+STEP = 5e-3
+"""Default time between samples of a trajectory, s."""
+
 MOTION_CSV = "a CSV of samples (t,x,y,xd,yd,xdd,ydd) or of points (t,x,y)."
 """What ``--motion`` takes, for help."""
 
@@ -386,10 +389,10 @@ class MotionOptions:
                 )
         return from_csv(str(self.file), robot, check_rates=self.check_rates)
 
-    def sampled(self, who: str, robot: Robot, dt: float) -> PlatformMotion:
-        """Return the motion as ``follow``, a trajectory sampled every ``dt``, s."""
+    def sampled(self, who: str, robot: Robot) -> PlatformMotion:
+        """Return the motion as ``follow``, a trajectory sampled every ``STEP``, s."""
         motion = self.follow(who, robot)
-        return motion.sample(dt) if hasattr(motion, "sample") else motion
+        return motion.sample(STEP) if hasattr(motion, "sample") else motion
 
     def carriers(self, robot: Robot) -> CarrierMotion | None:
         """Return the motion of the carriers that the file has; None without, or without a file."""
@@ -417,7 +420,7 @@ def trajectory_values(name: str, texts: Mapping[str, str]) -> dict[str, Any]:
 
 
 def trajectory_value(key: str, text: str, where: str) -> Any:
-    """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;`; or words."""
+    """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;``, or words."""
     if text in ("true", "false"):
         return text == "true"
     if key == "ends":

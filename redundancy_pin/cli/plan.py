@@ -260,7 +260,7 @@ def switch_off(**given: Any) -> int:
 @_shared_options
 @plan_problem.planner_options("stepwise")
 @click.option(
-    "--step", "--dt", type=float, metavar="SECONDS", help=f"Length of the steps.  [default: {plan_problem.STEP:g}]"
+    "--step", "--dt", type=float, metavar="SECONDS", help=f"Length of the steps.  [default: {options.STEP:g}]"
 )
 def stepwise(**given: Any) -> int:
     r"""Least torque around corners, step by step.

@@ -291,10 +291,6 @@ def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command
     )
 
 
-STEP = 5e-3
-"""Length of the steps of the stepwise planner along a trajectory, s, where none is given."""
-
-
 @dataclass(frozen=True, eq=False)
 class PlanProblem:
     """Everything a planner needs.
@@ -346,7 +342,7 @@ def problem(
     ends = None if planner == "time-optimal" else getattr(motion, "ends", None)  # its path alone counts there
     # the other planners choose their own samples of a trajectory; the steps of this one are samples
     if planner == "stepwise" and isinstance(motion, Trajectory):
-        motion = motion.sample(STEP if step is None else step)
+        motion = motion.sample(options.STEP if step is None else step)
     elif step is not None:
         raise InputError("A motion from a file has its own steps.", remedy="Leave the step out, or resample the file.")
     if baseline is not None:

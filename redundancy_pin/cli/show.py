@@ -25,9 +25,6 @@ from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.video import require_video, save_video
 from redundancy_pin.visualisation.viewer.page import View, require_html, require_meshcat
 
-_DT = 0.005
-"""Between samples of a trajectory, s."""
-
 
 @click.command()
 @robot_options(required=False)
@@ -115,7 +112,7 @@ def _view(
     robot = options.load()
     if not motion.path:
         return view(robot, **settings)
-    return view(robot, motion.sampled("A picture", robot, _DT), motion.carriers(robot), **settings)
+    return view(robot, motion.sampled("A picture", robot), motion.carriers(robot), **settings)
 
 
 def robot_of(subject: Plan | Simulation, options: RobotOptions) -> Robot:

@@ -134,7 +134,7 @@ static double least_norm(const Spectrum *s, const double *g, double *u) {
 }
 
 /* The size of the forces of a motion before they cancel, N: Scales.force of redundancy_pin. */
-static double force_scale_of(const robot_motion *motion) {
+static double force_size_of(const robot_motion *motion) {
   double rate = 0.0, acceleration = 0.0;
   for (int i = 0; i < N; ++i) {
     rate = fmax(rate, fabs(motion->xd[i]) / EQUATION_UNIT[R + i]);
@@ -151,7 +151,7 @@ static double force_scale_of(const robot_motion *motion) {
 
 /* tau with W tau = f, or NaN; the decisions are those of redundancy_pin.distribute. Nothing is written where a result is
    beyond what a double holds. */
-static int distribute(const double *W, const double *f, double force_scale, robot_efforts *out) {
+static int distribute(const double *W, const double *f, double force_size, robot_efforts *out) {
   Spectrum s;
   double g[N], u[M], missing = 0.0, size = 0.0;
   for (int i = 0; i < N; ++i) g[i] = f[i] / ROW_SCALE[i];
@@ -165,7 +165,7 @@ static int distribute(const double *W, const double *f, double force_scale, robo
     missing += row * row;
     size += g[i] * g[i];
   }
-  int consistent = outside <= CONSISTENCY_TOLERANCE * sqrt(size) + ldexp(FORCE_TOLERANCE * force_scale, -exponent);
+  int consistent = outside <= CONSISTENCY_TOLERANCE * sqrt(size) + ldexp(FORCE_TOLERANCE * force_size, -exponent);
   int full = s.rank == SHORT;
   double residual = ldexp(consistent ? sqrt(missing) : outside, exponent);
   for (int j = 0; j < M; ++j) u[j] = ldexp(u[j] * COLUMN_SCALE[j], exponent);
@@ -248,7 +248,7 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
   int closed = rp_sample(from, in, out);
   if (closed != CLOSED) return status_of(closed);
   if (!finite(out, N * M + N + NK + 2)) return ROBOT_NOT_FINITE; /* rates so large that forces overflow */
-  int status = distribute(W, f, force_scale_of(motion), efforts);
+  int status = distribute(W, f, force_size_of(motion), efforts);
   if (status == ROBOT_NOT_FINITE) return status;
   copy(state->q, from, NQ);
   state->sign = from[NQ];

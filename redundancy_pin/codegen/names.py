@@ -16,7 +16,7 @@ _BLOCK, _LIST = "\0", "\1"
 """What stands for {…} and for (…) where only what is outside of them matters."""
 
 
-def names_of(text: str) -> set[str]:
+def file_scope_names(text: str) -> set[str]:
     """Return the names of a C file's scope: macros, types, enumerators, functions and variables, one a declaration."""
     code = _TEXTS.sub(" ", text)
     names = set(re.findall(r"^[ \t]*#[ \t]*define[ \t]+(\w+)", code, flags=re.M))
@@ -24,13 +24,13 @@ def names_of(text: str) -> set[str]:
     code = re.sub(r"^[ \t]*#.*", "", code, flags=re.M)
     for listed in re.findall(r"\benum\b[^{};]*\{([^{}]*)\}", code):
         names.update(re.findall(r"(\w+)[^,]*", listed))
-    code = _without(r"\([^()]*\)", _LIST, _without(r"\{[^{}]*\}", _BLOCK, code))
+    code = _replace_nested(r"\([^()]*\)", _LIST, _replace_nested(r"\{[^{}]*\}", _BLOCK, code))
     names.update(re.findall(rf"(\w+)\s*{_LIST}", code))
     names.update(re.findall(r"(\w+)\s*(?:\[[^\]]*\]\s*)*(?:=[^;]*)?;", code))
     return names
 
 
-def _without(pattern: str, mark: str, code: str) -> str:
+def _replace_nested(pattern: str, mark: str, code: str) -> str:
     """Return the code with what the pattern encloses, however deep, replaced by a mark."""
     count = 1
     while count:
@@ -38,13 +38,13 @@ def _without(pattern: str, mark: str, code: str) -> str:
     return code
 
 
-def private(text: str, prefix: str, header: str) -> str:
+def add_prefix(text: str, prefix: str, header: str) -> str:
     """Return a C file whose own names begin with ``prefix_own_`` or ``PREFIX_OWN_``.
 
     Those that the header declares stay as they are, and those that belong to the compiler: with an underscore in front,
     and main.
     """
-    own = {name for name in names_of(text) - names_of(header) - {"main"} if not name.startswith("_")}
+    own = {name for name in file_scope_names(text) - file_scope_names(header) - {"main"} if not name.startswith("_")}
     renamed = {name: f"{prefix.upper()}_OWN_{name}" if name.isupper() else f"{prefix}_own_{name}" for name in own}
     # members of structures are names of their own
     name = re.compile(r"(?<!->)(?<!\.)\b[A-Za-z]\w*")

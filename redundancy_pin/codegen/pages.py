@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 import redundancy_pin
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE
-from redundancy_pin.codegen.names import private
+from redundancy_pin.codegen.names import add_prefix
 from redundancy_pin.codegen.recorded import Recorded
 from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
@@ -22,7 +22,7 @@ from redundancy_pin.kinematics.coordinates import coordinates, mode_name
 from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
-from redundancy_pin.robot.scales import closure_tolerance, force_scale, is_revolute, row_scale, velocity_unit
+from redundancy_pin.robot.scales import closure_tolerance, force_terms, is_revolute, row_scale, velocity_unit
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
 """Generated functions that ``driver.c`` and ``controller.c`` call; a static one without a caller is a warning."""
@@ -33,9 +33,9 @@ def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
     facts = _facts(robot, prefix, recorded)
     header = _rendered("controller.h.j2", facts)
     return {
-        f"{prefix}.c": private(source(robot, prefix), prefix, header),
+        f"{prefix}.c": add_prefix(source(robot, prefix), prefix, header),
         f"{prefix}.h": header,
-        f"test_{prefix}.c": private(_rendered("test.c.j2", facts), prefix, header),
+        f"test_{prefix}.c": add_prefix(_rendered("test.c.j2", facts), prefix, header),
         "CMakeLists.txt": _rendered("CMakeLists.txt.j2", facts),
         "README.md": _rendered("README.md.j2", facts),
     }
@@ -45,7 +45,7 @@ def source(robot: Robot, prefix: str) -> str:
     """Return the C source: expressions, driver and what a controller calls."""
     definition, functions = _written(robot)
     chain = definition.chain
-    forces = force_scale(robot)
+    forces = force_terms(robot)
     constants = {
         "RANK_TOLERANCE": RANK_TOLERANCE,
         "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,

@@ -46,7 +46,7 @@ class ReducedDynamics(Frozen):
             turns moments into forces.
         column_scale: (m,) the characteristic length for revolute actuators, 1 for prismatic ones.
         out_of_range: (N,) whether some joint is beyond its range, passive ones too; None where that was not checked.
-        force_scale: (N,) size of the forces of the motion before they cancel, N: mass · (gravity + length · (rate² +
+        force_size: (N,) size of the forces of the motion before they cancel, N: mass · (gravity + length · (rate² +
             acceleration)), plus loads. Tolerances on f are fractions of it. None if W and f do not come from a robot.
     """
 
@@ -59,7 +59,7 @@ class ReducedDynamics(Frozen):
     row_scale: Array
     column_scale: Array
     out_of_range: BoolArray | None = None
-    force_scale: Array | None = None
+    force_size: Array | None = None
 
     def __repr__(self) -> str:
         """Return shapes and peaks, not the arrays."""
@@ -71,7 +71,7 @@ class ReducedDynamics(Frozen):
 
     def at(self, samples: slice | IntArray) -> ReducedDynamics:
         """Return some of the samples."""
-        names = ("t", "f", "W", "carrier_force", "reachable", "gap", "out_of_range", "force_scale")
+        names = ("t", "f", "W", "carrier_force", "reachable", "gap", "out_of_range", "force_size")
         parts = {name: getattr(self, name) for name in names}
         chosen: dict[str, Any] = {name: part if part is None else part[samples] for name, part in parts.items()}
         return replace(self, **chosen)

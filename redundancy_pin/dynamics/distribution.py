@@ -201,7 +201,7 @@ def distribute(
         near_singular: margin below which a sample is near-singular (scaled, no unit).
         rank_tolerance: singular values up to this fraction of the largest one, and up to this, count as zero.
         consistency_tolerance: fraction of f that may lie outside the range of W, ...
-        force_tolerance: ... plus this fraction of ``reduced.force_scale``, if there is one.
+        force_tolerance: ... plus this fraction of ``reduced.force_size``, if there is one.
 
     Raises:
         InputError: shapes do not fit; weights that are not positive or too far apart; lower above upper, NaN bounds;
@@ -246,8 +246,8 @@ def distribute(
     u, outside = np.full((len(rank), problem.A.shape[2]), np.nan), np.full(len(rank), np.nan)
     u[at], outside[at] = minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost)
     allowed = consistency_tolerance * size
-    if reduced.force_scale is not None:
-        allowed = allowed + np.ldexp(force_tolerance * reduced.force_scale, -exponent)
+    if reduced.force_size is not None:
+        allowed = allowed + np.ldexp(force_tolerance * reduced.force_size, -exponent)
     consistent = at & (outside <= allowed)
     u[~consistent] = np.nan
     u, infeasible = _within_bounds(problem, u, rank)

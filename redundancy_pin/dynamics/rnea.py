@@ -207,7 +207,7 @@ class RneaAlongMotion(Frozen):
             row_scale=self._rows,
             column_scale=self._columns,
             out_of_range=self.tree.out_of_range,
-            force_scale=sample_scales(self.robot, *moving, self._wrenches).force,
+            force_size=sample_scales(self.robot, *moving, self._wrenches).force,
         )
 
     def tree_motion(

@@ -10,19 +10,19 @@ _NO_FORMULA = re.compile(r"[-+]*(\d[\d.]*(e[-+]?\d+)?|nan|inf)?")
 _STARTS = "(^|[,;|\\t])"  # of a cell, also where a program divides at something else than commas
 
 
-def guarded(text: str) -> str:
+def escape_formula(text: str) -> str:
     """Return the name of a column, or another text of a cell, as no spreadsheet takes it for a formula.
 
-    An apostrophe stands in front of what could begin one; ``unguarded`` takes it away again.
+    An apostrophe stands in front of what could begin one; ``unescape_formula`` takes it away again.
     """
     return re.sub(f"{_STARTS}(?={_FORMULA})", r"\1'", text)
 
 
-def guarded_value(text: str) -> str:
-    """Return a text as ``guarded`` does, except numbers and working modes, which may begin with a sign."""
-    return text if _NO_FORMULA.fullmatch(text) else guarded(text)
+def escape_value(text: str) -> str:
+    """Return a text as ``escape_formula`` does, except numbers and working modes, which may begin with a sign."""
+    return text if _NO_FORMULA.fullmatch(text) else escape_formula(text)
 
 
-def unguarded(cell: str) -> str:
-    """Return the text whose ``guarded`` form stands in a cell."""
+def unescape_formula(cell: str) -> str:
+    """Return the text whose ``escape_formula`` form stands in a cell."""
     return re.sub(f"{_STARTS}'(?={_FORMULA})", r"\1", cell)

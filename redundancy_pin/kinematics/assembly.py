@@ -163,7 +163,7 @@ def assemble(
     if len(active) < len(q):
         state = system.evaluate(q)
         residual = everything.residual(state)
-    gap = system.robot.characteristic_length * np.abs(residual / everything.unit).max(axis=1, initial=0.0)
+    gap = system.gap(residual, everything.unit)
     misaligned = system.misalignment(state)
     gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, system.robot.characteristic_length * misaligned), gap)
     return Assembly(system, state, gap)

@@ -412,12 +412,14 @@ class ConstraintSystem:
         """(r,) the part of ``equation_unit`` that belongs to the closures."""
         return self.equation_unit[: len(self.rows)]
 
-    def gap(self, residual: Array) -> Array:
-        """Return (N,) the largest closure residual, m, of (N, r) or, with the coordinates, (N, r + n) residuals.
+    def gap(self, residual: Array, unit: Array | None = None) -> Array:
+        """Return (N,) the largest residual, m; angles count times the characteristic length.
 
-        Angles count times the characteristic length.
+        Args:
+            residual: (N, r) of the closures, or (N, r + n) with the coordinates, or (N, e) of other equations.
+            unit: (e,) of other equations, as ``equation_unit``.
         """
-        unit = self.equation_unit[: residual.shape[1]]
+        unit = self.equation_unit[: residual.shape[1]] if unit is None else unit
         largest: Array = self.robot.characteristic_length * np.abs(residual / unit).max(axis=1, initial=0.0)
         return largest
 

@@ -45,7 +45,7 @@ from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
-from redundancy_pin.robot.whole_turns import turned_to
+from redundancy_pin.robot.whole_turns import follow_whole_turns
 
 _FAR_STARTS = 5
 """Samples of a motion that no Newton from the reference closes anywhere at which multistart is tried before it is
@@ -412,7 +412,7 @@ def _straight(system: ConstraintSystem, home: Point, x: Array) -> tuple[Point, b
         gamma = anchors.gamma[-1]
         return anchors.q[-1] if anchors.valid[-1] else None
 
-    q = turned_to(system.robot, home.q, home.x, x, follow)
+    q = follow_whole_turns(system.robot, home.q, home.x, x, follow)
     return Point(x, home.q if q is None else q, gamma), q is not None
 
 

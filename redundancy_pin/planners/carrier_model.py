@@ -363,7 +363,7 @@ def _inverse(reduced: ReducedDynamics) -> tuple[Array, Array]:
     each = {
         name: np.repeat(getattr(reduced, name), n, axis=0) for name in ("t", "W", "carrier_force", "reachable", "gap")
     }
-    solved = distribute(replace(reduced, f=unit, out_of_range=None, force_scale=None, **each))
+    solved = distribute(replace(reduced, f=unit, out_of_range=None, force_size=None, **each))
     efforts = np.where((solved.status > SampleStatus.NEAR_SINGULAR)[:, None], np.nan, solved.tau)
     return efforts.reshape(samples, n, -1).swapaxes(1, 2), read_only(np.array(solved.margin[::n]))
 

@@ -58,7 +58,7 @@ def inverse_dynamics(
         row_scale=row_scale(robot),
         column_scale=column_scale(robot),
         out_of_range=tree.out_of_range,
-        force_scale=sample_scales(
+        force_size=sample_scales(
             robot,
             motion.xd,
             motion.xdd,

@@ -37,7 +37,7 @@ class Scales(Frozen):
 
 
 @dataclass(frozen=True)
-class ForceScale:
+class ForceTerms:
     """What ``Scales.force`` of a robot is made of; generated code has these numbers as constants.
 
     With the rate r = max |ẋ|/unit (1/s) and its derivative r' = max |ẍ|/unit, carriers included, it is
@@ -75,7 +75,7 @@ hide all other forces."""
 
 
 @lru_cache(maxsize=64)
-def force_scale(robot: Robot) -> ForceScale:
+def force_terms(robot: Robot) -> ForceTerms:
     """Return what the forces of a robot are compared with."""
     model, length = robot.model, robot.characteristic_length
     mass = 0.0
@@ -95,7 +95,7 @@ def force_scale(robot: Robot) -> ForceScale:
         elif isinstance(load, Spring):
             viscous += load.damping * length
             static += _OF_SPRINGS * load.stiffness * (length + load.length)
-    return ForceScale(length, mass, float(np.linalg.norm(robot.gravity)), viscous, static)
+    return ForceTerms(length, mass, float(np.linalg.norm(robot.gravity)), viscous, static)
 
 
 def wrench_size(robot: Robot, wrenches: tuple[Array, ...]) -> Array | float:
@@ -123,7 +123,7 @@ def sample_scales(
         for part, unit in zip(parts, units, strict=True):
             for column, one in zip(part.T, unit.tolist(), strict=True):
                 np.maximum(size, np.abs(column) / one, out=size)
-    return force_scale(robot).scales(rate, acceleration, wrench_size(robot, wrenches))
+    return force_terms(robot).scales(rate, acceleration, wrench_size(robot, wrenches))
 
 
 def closure_tolerance(robot: Robot) -> float:

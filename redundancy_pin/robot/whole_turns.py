@@ -21,7 +21,7 @@ from redundancy_pin.robot.types import Robot, slides
 TURN = 2.0 * np.pi
 
 MOST_TURNS = 10_000
-"""Turns that are followed one by one where they do not repeat."""
+"""CountedTurns that are followed one by one where they do not repeat."""
 
 WHOLE = 1e-9
 """rad or characteristic lengths by which joints may miss whole turns; Newton's method comes to 1e-13."""
@@ -36,7 +36,7 @@ Follow = Callable[[Array, Array, Array], Array | None]
 """From a configuration closed at coordinates to others, straight; None where that fails."""
 
 
-class Turns(NamedTuple):
+class CountedTurns(NamedTuple):
     """What counts turns.
 
     Attributes:
@@ -51,7 +51,7 @@ class Turns(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def turns_of(robot: Robot) -> Turns:
+def counted_turns(robot: Robot) -> CountedTurns:
     """Return what counts turns in a robot."""
     model = robot.model
     joints = {str(name): joint for name, joint in zip(model.names, model.joints, strict=True)}
@@ -61,10 +61,10 @@ def turns_of(robot: Robot) -> Turns:
     angles[list(bounded.values())] = True
     coupled = {name for each in robot.couplings for name in (each.joint, each.of)}
     kept[[place for name, place in bounded.items() if name in coupled or name in robot.independent_joints]] = True
-    return Turns(read_only(coordinates), read_only(angles), read_only(kept))
+    return CountedTurns(read_only(coordinates), read_only(angles), read_only(kept))
 
 
-def turned_to(robot: Robot, q: Array, x: Array, target: Array, follow: Follow) -> Array | None:
+def follow_whole_turns(robot: Robot, q: Array, x: Array, target: Array, follow: Follow) -> Array | None:
     """Return the configuration at target coordinates on the straight way from others, or None.
 
     Args:
@@ -74,7 +74,7 @@ def turned_to(robot: Robot, q: Array, x: Array, target: Array, follow: Follow) -
         target: (n,) coordinates, or a pose.
         follow: what follows the branch.
     """
-    turns = turns_of(robot)
+    turns = counted_turns(robot)
     if np.abs(target[turns.coordinates]).max(initial=0.0) > FARTHEST:
         return None
     counts = np.trunc((target[turns.coordinates] - x[turns.coordinates]) / TURN)
@@ -83,14 +83,14 @@ def turned_to(robot: Robot, q: Array, x: Array, target: Array, follow: Follow) -
         at[turns.coordinates] -= TURN * counts
         reached = follow(q, x, at)
         for column, count in zip(turns.coordinates, counts, strict=True):
-            reached = None if reached is None else _turned(robot, reached, at, int(column), float(count), follow)
+            reached = None if reached is None else _advance_turns(robot, reached, at, int(column), float(count), follow)
         reached = None if reached is None else follow(reached, at, target)
         if reached is not None:
             return reached
     return follow(q, x, target)
 
 
-def _turned(robot: Robot, q: Array, at: Array, column: int, count: float, follow: Follow) -> Array | None:
+def _advance_turns(robot: Robot, q: Array, at: Array, column: int, count: float, follow: Follow) -> Array | None:
     """Return the configuration so many turns of one coordinate on; ``at`` is moved along."""
     start, here, left, period = q, q, abs(count), 0.0
     step, followed = np.copysign(TURN, count), 0.0
@@ -102,19 +102,19 @@ def _turned(robot: Robot, q: Array, at: Array, column: int, count: float, follow
         if there is None or followed > MOST_TURNS:
             return None
         here, left = there, left - 1.0
-        shift = None if period or not left else _whole(robot, start, here)
+        shift = None if period or not left else _whole_turns_between(robot, start, here)
         if shift is not None:
             period, repeats = followed, float(left // followed)
             further = here + repeats * shift
-            keeps = turns_of(robot).kept | (np.abs(further) < EXACT)
+            keeps = counted_turns(robot).kept | (np.abs(further) < EXACT)
             here = np.where(keeps, further, here - shift)
             at[column] += repeats * period * step
             left -= repeats * period
     return here
 
 
-def _whole(robot: Robot, start: Array, end: Array) -> Array | None:
+def _whole_turns_between(robot: Robot, start: Array, end: Array) -> Array | None:
     """Return (nq,) the whole turns from one configuration to another, rad; None where they are not whole."""
-    shift = np.where(turns_of(robot).angles, TURN * np.round((end - start) / TURN), 0.0)
+    shift = np.where(counted_turns(robot).angles, TURN * np.round((end - start) / TURN), 0.0)
     rest = pin.difference(robot.model, start, end - shift)
     return shift if np.abs(rest / velocity_unit(robot)).max(initial=0.0) < WHOLE else None

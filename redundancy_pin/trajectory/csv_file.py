@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import InputError, shown
-from redundancy_pin.io.csv_cells import guarded, guarded_value, unguarded
+from redundancy_pin.io.csv_cells import escape_formula, escape_value, unescape_formula
 from redundancy_pin.io.reading import opened
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.robot import AXES, Robot, RobotLike, as_robot
@@ -92,7 +92,7 @@ def _unit(text: str) -> tuple[str, int, float] | None:
 
 def heading(name: str, unit: str = "") -> str:
     """Return the cell of the first row that names a column."""
-    return guarded(f"{name} [{unit}]" if unit else name)
+    return escape_formula(f"{name} [{unit}]" if unit else name)
 
 
 _HEADING = re.compile(r"(?P<name>.*?) ?\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
@@ -178,7 +178,7 @@ def csv_rows(columns: Columns, *, digits: int | None = None, first: bool = True)
 
     def text(value: object) -> str:
         return (
-            guarded_value(value) if isinstance(value, str) else repr(value) if digits is None else f"{value:.{digits}g}"
+            escape_value(value) if isinstance(value, str) else repr(value) if digits is None else f"{value:.{digits}g}"
         )
 
     out = io.StringIO()
@@ -314,8 +314,8 @@ def in_order_of(robot: Robot, table: MotionTable, *, but_last: bool = False) -> 
         InputError: the columns are named, and not those of the robot, or have units of other quantities.
     """
     own, carriers = coordinate_names(robot)[: -1 if but_last else None], tuple(f"s:{joint}" for joint in robot.carriers)
-    coordinates = _in_order(table, table.coordinates, own, "coordinates", robot)
-    moved = _in_order(table, table.carriers, carriers, "carriers", robot) if table.carriers else ()
+    coordinates = _match_columns(table, table.coordinates, own, "coordinates", robot)
+    moved = _match_columns(table, table.carriers, carriers, "carriers", robot) if table.carriers else ()
     for given, expected in ((coordinates, own), (moved, carriers)):
         for column, name in zip(given, expected, strict=False):  # counts are judged by what takes the motion
             wanted = NUMBER if name in _QUATERNION else ANGLE if _turns(robot, name) else LENGTH
@@ -330,7 +330,7 @@ def in_order_of(robot: Robot, table: MotionTable, *, but_last: bool = False) -> 
     return MotionTable(table.path, coordinates, rates if table.rates else (), moved, table.columns, table.measures)
 
 
-def _in_order(
+def _match_columns(
     table: MotionTable, given: tuple[str, ...], own: tuple[str, ...], what: str, robot: Robot
 ) -> tuple[str, ...]:
     """Return the columns of a file in the order of a robot's names; numbered ones are in it."""
@@ -396,7 +396,7 @@ def _rows(path: str) -> Iterator[tuple[_Header, Iterator[tuple[int, list[str]]]]
             reader = csv.reader(_lines(stream, path))
             # The row number is that of the line in the file, as an editor shows it.
             rows = ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
-            cells = [unguarded(cell.strip()) for _, row in islice(rows, 1) for cell in row]
+            cells = [unescape_formula(cell.strip()) for _, row in islice(rows, 1) for cell in row]
             first = list(islice(rows, 1))
             if not first:
                 remedy = "Give a row of column names (t, x, y, ..., xd, yd, ...) and at least one row of numbers."
@@ -437,9 +437,9 @@ class _Header:
         places = [name for name in own if not of[name][1] and not _of_carrier(name)]
         if moved:  # what is no coordinate is a note
             places = [name for name in places if name in moved or name in (*POSE, *AXES) or _INDEXED.fullmatch(name)]
-        self.coordinates = self._in_order("x", _sorted(places), moved)
+        self.coordinates = self._number_order("x", sort_coordinates(places), moved)
         tracks = [name for name in own if not of[name][1] and _of_carrier(name)]
-        self.carriers = self._in_order("s", tracks, [stem for stem, _ in of.values()])
+        self.carriers = self._number_order("s", tracks, [stem for stem, _ in of.values()])
         self.rates = self._rates() if moved else ()
         if (moved or self.carriers) and not {"t", "time"} & set(units):
             raise self._missing("t")
@@ -460,7 +460,7 @@ class _Header:
                 stem, order = of.get(name, (name, 0))
                 self.factor[name], self.measures[name] = self._factor(name, unit, _quantities(stem), order)
 
-    def _in_order(self, symbol: str, names: Sequence[str], moved: Sequence[str]) -> tuple[str, ...]:
+    def _number_order(self, symbol: str, names: Sequence[str], moved: Sequence[str]) -> tuple[str, ...]:
         """Return coordinates, or carriers, in the order of their numbers, if they have numbers: all, from zero on."""
         numbered = [name for name in (*names, *moved) if re.fullmatch(rf"{symbol}(0|[1-9]\d*)", name, re.ASCII)]
         if not numbered or not moved:
@@ -537,7 +537,7 @@ def _quantities(stem: str) -> tuple[str, ...]:
     return LENGTH, ANGLE
 
 
-def _sorted(names: Iterable[str]) -> list[str]:
+def sort_coordinates(names: Iterable[str]) -> list[str]:
     """Return coordinates, x, y, z and rotations first, then others as they come; a pose as ``POSE``."""
     listed = list(names)
     first = POSE if set(_QUATERNION) & set(listed) else AXES

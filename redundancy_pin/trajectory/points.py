@@ -15,7 +15,14 @@ from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import RobotLike, as_robot
-from redundancy_pin.trajectory.csv_file import POSE, MotionTable, checked_poses, differentiated, in_order_of, read_table
+from redundancy_pin.trajectory.csv_file import (
+    MotionTable,
+    checked_poses,
+    differentiated,
+    in_order_of,
+    read_table,
+    sort_coordinates,
+)
 from redundancy_pin.trajectory.paths import Path, with_constant
 from redundancy_pin.trajectory.quaternions import quaternions_of
 from redundancy_pin.trajectory.time_optimal import fastest_law
@@ -81,7 +88,7 @@ def from_points(
             acceleration of the points; "auto" chooses for each end, by the points (``resolve_ends``: six or more may
             show rest). A pair of these words is for the start and the end. What was chosen is ``Trajectory.ends``.
         robot: whose coordinates a file has: columns go by name, foreign names and units of other quantities are
-            refused. Without it columns are taken in their order, x, y and z first.
+            refused. Without it columns are taken in their order, x, y, z, rx, ry and rz first.
 
     Returns:
         The motion; ``ends`` of it is a pair of "rest" and "samples", None without times.
@@ -222,16 +229,17 @@ def read_points(
         )
     if not columns:
         raise InputError(f"{place} has no coordinates.", remedy="Name its columns t, x, y, ....", path=str(place))
+    if table is None or robot is None:
+        _require_no_euler_angles(columns, place)
+    names = sort_coordinates(columns)
     if robot is not None:
-        table = table or MotionTable(str(place), tuple(_in_order(columns, place)), (), (), columns)
-        names: Sequence[str] = in_order_of(as_robot(robot), table, but_last=but_last).coordinates
-    else:
-        names = POSE if set(POSE) == set(columns) else _in_order(columns, place)
+        table = table or MotionTable(str(place), tuple(names), (), (), columns)
+        names = list(in_order_of(as_robot(robot), table, but_last=but_last).coordinates)
     return np.stack([columns[name] for name in names], axis=1), times, speed
 
 
-def _in_order(columns: Mapping[str, Array], path: File) -> list[str]:
-    """Return the names of coordinates, x, y and z first, in whatever order the file has them."""
+def _require_no_euler_angles(columns: Mapping[str, Array], path: File) -> None:
+    """Refuse roll, pitch and yaw angles: their names do not determine a rotation."""
     angles = [name for name in columns if name.lower() in ("roll", "pitch", "yaw")]
     if angles and (len(angles) > 1 or angles[0].lower() != "yaw" or "z" in columns):  # x, y and yaw are a plane's
         raise InputError(
@@ -240,7 +248,6 @@ def _in_order(columns: Mapping[str, Array], path: File) -> list[str]:
             'Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_quat()).',
             path=str(path),
         )
-    return sorted(columns, key=lambda name: POSE.index(name) if name in POSE[:3] else len(POSE))
 
 
 def _read_json(path: File) -> Mapping[str, Array] | tuple[Array, Array | None, Array | None]:

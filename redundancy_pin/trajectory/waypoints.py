@@ -12,6 +12,7 @@ from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from redundancy_pin.arrays import ROUNDING, Array, Frozen, assign, checked, frozen, positive
 from redundancy_pin.errors import InputError, shown
+from redundancy_pin.motion import SIX_DIGITS
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, SmoothPath, straight_pieces
 from redundancy_pin.trajectory.quaternions import (
     HALF_TURN_MARGIN,
@@ -345,9 +346,6 @@ _ROUGHER = 1.25
 """Rest is shown by points that no end makes smoother: by so many times the largest jerk near the end. The ratio is
 1 or less for motions from rest of the third and higher orders in time, and 100 at constant speed."""
 
-_SIX_DIGITS = 5e-6
-"""Largest error of a number with six digits, relative to the number."""
-
 _MOVES = 100.0
 """Roundings by which points move that stood in two steps: at constant acceleration seven steps are 49 times one."""
 
@@ -388,7 +386,7 @@ def _rounding(points: Array) -> Array:
     """Return (d,) the error of (N, d) points: that of six digits, or less where eighth differences show less."""
     size = np.abs(points).max(axis=0)
     differences = np.abs(np.diff(points, 8, axis=0)).max(axis=0, initial=0.0) / 64.0  # of noise 65 times its size
-    return np.asarray(np.clip(differences, 4.0 * np.finfo(float).eps * size, _SIX_DIGITS * size))
+    return np.asarray(np.clip(differences, 4.0 * np.finfo(float).eps * size, SIX_DIGITS * size))
 
 
 def _shows_rest(points: Array, times: Array) -> bool:

@@ -61,8 +61,12 @@ def test_a_command_prints_lines_and_its_result() -> None:
 
 
 def test_a_log_that_cannot_be_written_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    attempts = 0
+
     class Full:
         def write(self, *_: object) -> int:
+            nonlocal attempts
+            attempts += 1
             raise OSError(28, "No space left on device")
 
         def flush(self) -> None:
@@ -77,6 +81,7 @@ def test_a_log_that_cannot_be_written_stops_nothing(monkeypatch: pytest.MonkeyPa
         with progress("plan") as advance:
             time.sleep(0.1)
             advance(1, 3, "writing")
+    assert attempts > 0
 
 
 def test_a_terminal_has_a_bar_and_no_lines() -> None:

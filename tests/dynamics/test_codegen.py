@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import spatial_chains
 import zoo
-from generated_c import COMPILERS, NOTHING_WRITTEN, Code, actuated_by, compiled, filled_with, folder_of, run
+from generated_c import ACTUATED, COMPILERS, NOTHING_WRITTEN, Code, actuated_by, compiled, filled_with, folder_of, run
 from prescribed import factors, times
 
 import redundancy_pin as rp
@@ -49,10 +49,8 @@ LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("3rrr", "univers
 
 @cache
 def robot_of(name: str) -> Robot:
-    if name == "more actuators":
-        return actuated_by("four_bar", "crank", "rocker")
-    if name == "fewer actuators":
-        return actuated_by("five_bar", "base_1")
+    if name in ACTUATED:
+        return actuated_by(*ACTUATED[name])
     return spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name, **MASSIVE[name])
 
 
@@ -281,7 +279,7 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
         f = np.ldexp(g * scales.row_scale, power[:, None])
         reduced = ReducedDynamics(
             np.arange(count, dtype=float), f, W, nothing, np.ones(count, dtype=bool),
-            np.zeros(count), scales.row_scale, scales.column_scale, force_scale=np.ones(count),
+            np.zeros(count), scales.row_scale, scales.column_scale, force_size=np.ones(count),
         )  # fmt: skip
         want = rp.distribute(reduced)
         seen |= set(want.status.tolist())

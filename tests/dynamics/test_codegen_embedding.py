@@ -17,7 +17,7 @@ import pytest
 import stack
 import zoo
 from flat_linkages import row_of_four_bars
-from generated_c import COMPILERS, NOTHING_WRITTEN, Code, actuated_by, compiled, filled_with, folder_of, run
+from generated_c import ACTUATED, COMPILERS, NOTHING_WRITTEN, Code, actuated_by, compiled, filled_with, folder_of, run
 
 import redundancy_pin as rp
 from redundancy_pin.dynamics.base import ReducedDynamics
@@ -44,10 +44,8 @@ LONG = partial(pytest.param, marks=pytest.mark.long)
 
 @cache
 def robot_of(name: str) -> Robot:
-    if name == "more actuators":
-        return actuated_by("four_bar", "crank", "rocker")
-    if name == "fewer actuators":
-        return actuated_by("five_bar", "base_1")
+    if name in ACTUATED:
+        return actuated_by(*ACTUATED[name])
     return row_of_four_bars(40) if name == "40 loops" else zoo.robot_of(name)
 
 

@@ -223,7 +223,7 @@ def test_edges_of_the_tolerances():
     assert distribute(small, rank_tolerance=0.125 + 1e-12).rank.tolist() == [1]  # and a number without unit
     lost = [np.diag([1.0, 0.0])]
     given = {"consistency_tolerance": 0.5, "force_tolerance": 0.5}  # of 5 N, and of a scale of 1 N: 3 N
-    within, over = (replace(reduced(lost, [[4.0, off]]), force_scale=np.ones(1)) for off in (2.999, 3.001))
+    within, over = (replace(reduced(lost, [[4.0, off]]), force_size=np.ones(1)) for off in (2.999, 3.001))
     assert distribute(within, **given).status_labels.tolist() == ["singular_consistent"]
     over = distribute(over, **given)
     assert over.status_labels.tolist() == ["singular_inconsistent"]

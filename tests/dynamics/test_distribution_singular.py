@@ -152,11 +152,11 @@ def test_consistency_is_relative_to_the_force_down_to_the_smallest_force_that_co
     just = CONSISTENCY_TOLERANCE
     f = np.array([[1e6, 0.5e6 * just], [1e6, 2e6 * just], [1e-15, 1e-13], [0.0, 1e-6]])
     labels = ["singular_consistent", "singular_inconsistent", "singular_consistent", "singular_inconsistent"]
-    given = replace(reduced(W, f), force_scale=np.ones(4))
+    given = replace(reduced(W, f), force_size=np.ones(4))
     assert distribute(given).status_labels.tolist() == labels
     assert distribute(given, force_tolerance=1e-5).status[3] == SampleStatus.SINGULAR_CONSISTENT
     # of a machine a thousand times as strong, and where nothing says how strong it is
-    assert distribute(replace(given, force_scale=np.full(4, 1e3))).status[3] == SampleStatus.SINGULAR_CONSISTENT
+    assert distribute(replace(given, force_size=np.full(4, 1e3))).status[3] == SampleStatus.SINGULAR_CONSISTENT
     assert distribute(reduced(W, f)).status[2] == SampleStatus.SINGULAR_INCONSISTENT
 
 

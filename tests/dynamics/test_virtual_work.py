@@ -54,7 +54,7 @@ def test_shapes_and_read_only_results(robot):
     N, n, m, k = 7, robot.n, robot.m, robot.k
     along = VirtualWork(robot).along(motion)
     shapes = {"t": (N,), "f": (N, n), "W": (N, n, m), "carrier_force": (N, k), "reachable": (N,), "gap": (N,)}
-    shapes |= {"row_scale": (n,), "column_scale": (m,), "out_of_range": (N,), "force_scale": (N,)}
+    shapes |= {"row_scale": (n,), "column_scale": (m,), "out_of_range": (N,), "force_size": (N,)}
     assert {name: a.shape for name, a in arrays(along.reduce(carriers)).items()} == shapes
     derivatives = arrays(along.carrier_derivatives(carriers))
     for name, array in derivatives.items():
@@ -146,7 +146,7 @@ def test_marked_samples_are_nan_and_leave_the_others_alone(robot):
     pairs += [({"energy": along.energy(carriers)}, {"energy": intact.energy(carriers)})]
     for marked, whole in pairs:
         for name, array in marked.items():
-            if name in ("t", "reachable", "gap", "row_scale", "column_scale", "out_of_range", "force_scale"):
+            if name in ("t", "reachable", "gap", "row_scale", "column_scale", "out_of_range", "force_size"):
                 continue
             assert np.isnan(array[~good]).all(), name
             np.testing.assert_array_equal(array[good], whole[name][good])

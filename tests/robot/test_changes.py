@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from written import J, urdf_of, write_robot
+from written import FOUR_BAR, J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, PlanFileError, UnsupportedRobotError
@@ -79,12 +79,8 @@ def test_lengths_change_no_masses_and_say_so(robot: Robot, caplog: pytest.LogCap
 def test_lengths_may_not_part_a_tool_from_its_closure(tmp_path: Path) -> None:
     """A four-bar whose coupler ends in a pin, where a tool and the hinge of a pendulum are too."""
     joints = [
-        J("crank", "revolute", "base", "crank"),
-        J("knee", "revolute", "crank", "coupler", (0.1, 0, 0)),
-        J("rocker", "revolute", "base", "rocker", (0.3, 0, 0)),
-        J("coupler_end", "fixed", "coupler", "coupler_tip", (0.3, 0, 0)),
+        *FOUR_BAR,
         J("tool_mount", "fixed", "coupler", "tool", (0.3, 0, 0)),
-        J("rocker_end", "fixed", "rocker", "rocker_tip", (0.2, 0, 0)),
         J("pendulum", "revolute", "rocker", "bob", (0.2, 0, 0)),
         J("far_mount", "fixed", "coupler", "far", (0.4, 0, 0)),
     ]

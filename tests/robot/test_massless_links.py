@@ -11,20 +11,13 @@ import numpy as np
 import pytest
 import yaml
 from command_line import call
-from written import J, urdf_of, write_robot
+from written import FOUR_BAR, J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import shipped_robots
 
-FOUR_BAR = [
-    J("crank", "revolute", "base", "crank", (0, 0, 0)),
-    J("knee", "revolute", "crank", "coupler", (0.1, 0, 0)),
-    J("rocker", "revolute", "base", "rocker", (0.3, 0, 0)),
-    J("coupler_end", "fixed", "coupler", "coupler_tip", (0.3, 0, 0)),
-    J("rocker_end", "fixed", "rocker", "rocker_tip", (0.2, 0, 0)),
-    J("plate", "fixed", "base", "ground_plate", (0.2, 0, 0)),
-]
+JOINTS = (*FOUR_BAR, J("plate", "fixed", "base", "ground_plate", (0.2, 0, 0)))
 DECLARATION = {
     "closures": [{"frames": ["coupler_tip", "rocker_tip"], "axes": ["x", "y"]}],
     "gravity": [0, -9.81, 0],
@@ -53,7 +46,7 @@ def note_of(robot: Robot) -> str:
 
 def reported(folder: Path, **contents: str) -> str:
     """Return the names that the note of the four-bar lists; empty without a note."""
-    urdf = urdf_of(FOUR_BAR)
+    urdf = urdf_of(JOINTS)
     for name, content in contents.items():
         urdf = link(urdf, name, content)
     return note_of(rp.load_robot(write_robot(folder, urdf, DECLARATION))).partition(": ")[2].partition(". ")[0]
@@ -79,8 +72,8 @@ def test_links_are_named(contents: dict[str, str], names: str, tmp_path: Path) -
 
 def test_the_mass_counts_as_zero_and_the_user_is_told_so_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """In Python by a note and one line of the log; on the command line on stderr, beside whatever was asked for."""
-    bare = link(urdf_of(FOUR_BAR), "rocker", "")
-    stated = link(urdf_of(FOUR_BAR), "rocker", NO_MASS)
+    bare = link(urdf_of(JOINTS), "rocker", "")
+    stated = link(urdf_of(JOINTS), "rocker", NO_MASS)
     robots = []
     for name, urdf in (("bare", bare), ("stated", stated)):
         (tmp_path / name).mkdir()
@@ -110,13 +103,13 @@ def test_the_mass_counts_as_zero_and_the_user_is_told_so_once(tmp_path: Path, ca
 def test_other_files_that_hold_a_urdf_report_them_too(tmp_path: Path) -> None:
     """The format of example-parallel-robots, whose root may move, and whose joints may be replaced by fixed ones."""
     content = {"closed_loop": [["coupler_tip", "rocker_tip"]], "type": ["3d"], "name_mot": ["crank"]}
-    (tmp_path / "robot.urdf").write_text(link(urdf_of(FOUR_BAR), "crank", ""), encoding="utf-8")
+    (tmp_path / "robot.urdf").write_text(link(urdf_of(JOINTS), "crank", ""), encoding="utf-8")
     (tmp_path / "robot.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     assert ": crank. " in note_of(rp.load_robot(tmp_path / "robot.yaml"))
     assert ": base, crank. " in note_of(rp.load_robot(tmp_path / "robot.yaml", base="free"))
     declaration = DECLARATION | {"joint_types": {"spare": "fixed"}}
     (tmp_path / "fixed").mkdir()
-    urdf = link(urdf_of([*FOUR_BAR, J("spare", "revolute", "crank", "spare")]), "spare", "")
+    urdf = link(urdf_of([*JOINTS, J("spare", "revolute", "crank", "spare")]), "spare", "")
     assert not note_of(rp.load_robot(write_robot(tmp_path / "fixed", urdf, declaration)))
 
 

@@ -7,7 +7,7 @@ import functools
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -49,6 +49,13 @@ def folder_of(robot: Robot) -> Path:
 
 
 _KEPT: list[tempfile.TemporaryDirectory[str]] = []
+
+
+ACTUATED: Mapping[str, tuple[str, ...]] = {
+    "more actuators": ("four_bar", "crank", "rocker"),
+    "fewer actuators": ("five_bar", "base_1"),
+}
+"""Shipped machines with other actuated joints: arguments of ``actuated_by``."""
 
 
 def actuated_by(model: str, *joints: str) -> Robot:

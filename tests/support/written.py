@@ -24,6 +24,16 @@ class J:
     axis: Sequence[float] = (0.0, 0.0, 1.0)
 
 
+FOUR_BAR = (
+    J("crank", "revolute", "base", "crank"),
+    J("knee", "revolute", "crank", "coupler", (0.1, 0, 0)),
+    J("rocker", "revolute", "base", "rocker", (0.3, 0, 0)),
+    J("coupler_end", "fixed", "coupler", "coupler_tip", (0.3, 0, 0)),
+    J("rocker_end", "fixed", "rocker", "rocker_tip", (0.2, 0, 0)),
+)
+"""Joints of a four-bar whose loop ``coupler_tip`` and ``rocker_tip`` close."""
+
+
 def urdf_of(joints: Sequence[J], mass: float = 1.0) -> str:
     """Return the URDF of a tree that hangs on the link ``base``."""
     parts = ['<robot name="written">', '<link name="base"/>']

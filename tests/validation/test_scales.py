@@ -27,7 +27,7 @@ from redundancy_pin.kinematics.continuation import follows
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import JointForces, Spring, Wrench
-from redundancy_pin.robot.scales import force_scale, sample_scales, velocity_unit
+from redundancy_pin.robot.scales import force_terms, sample_scales, velocity_unit
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
 
 EXACT, ROUNDED = 1e-12, 1e-9
@@ -177,7 +177,7 @@ def test_generated_c_has_the_statuses_and_efforts_of_python_in_all_units(choice:
 PROBE = """
 #include "unit.c"
 double probe(const unit_motion *motion);
-double probe(const unit_motion *motion) { return unit_own_force_scale_of(motion); }
+double probe(const unit_motion *motion) { return unit_own_force_size_of(motion); }
 """
 
 
@@ -357,7 +357,7 @@ def test_sizes_of_forces_are_those_of_a_mass_that_moves() -> None:
         Wrench("end_effector", [3.0, -4.0, 0.0, 0.0, 0.0, 0.0]),
     )
     L = robot.characteristic_length
-    size = force_scale(robot)
+    size = force_terms(robot)
     assert size.mass == pytest.approx(2.5 + 1e-3 * 100.0 / L**2)  # two carriers, the end-effector, and the rotor
     assert size.viscous == pytest.approx(3.0 * L + 0.3 / L)
     assert size.static == pytest.approx(2.0 + 1e-3 * (50.0 * (L + 0.1) + 20.0 * (L + 0.2)))
@@ -371,7 +371,7 @@ def test_sizes_of_forces_are_those_of_a_mass_that_moves() -> None:
     reduced = rp.RneaDynamics(robot).reduce(
         PlatformMotion([0.0], [[0.2, 0.3]], xd, xdd), CarrierMotion(0.0 * sd, sd, sdd)
     )
-    np.testing.assert_allclose(reduced.force_scale, force)
+    np.testing.assert_allclose(reduced.force_size, force)
 
 
 def test_coordinates_are_over_the_length_and_angles_over_a_radian() -> None:

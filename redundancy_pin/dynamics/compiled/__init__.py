@@ -324,7 +324,7 @@ class CompiledAlongMotion(Frozen):
             row_scale=rows,
             column_scale=columns,
             out_of_range=self._out_of_range,
-            force_scale=sample_scales(self.robot, *moving, self._wrenches).force,
+            force_size=sample_scales(self.robot, *moving, self._wrenches).force,
         )
 
     @cached_property

@@ -27,7 +27,7 @@ from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.machine_code import FLAGS, built, digest, loaded
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import position_unit
-from redundancy_pin.robot.whole_turns import turns_of
+from redundancy_pin.robot.whole_turns import counted_turns
 
 LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
@@ -127,7 +127,7 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
 
     With ``storage`` "static" nothing of it is seen from other files; who stands behind it calls all of it.
     """
-    turns = turns_of(definition.chain.robot)
+    turns = counted_turns(definition.chain.robot)
     listed = ", ".join(map(str, turns.coordinates.tolist()))
     counted = [
         f"#define TURNS {len(turns.coordinates)}",

@@ -14,7 +14,7 @@ import numpy as np
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray
 from redundancy_pin.dynamics.compiled.build import LEAST_MARGIN, Definition
 from redundancy_pin.robot.scales import position_unit
-from redundancy_pin.robot.whole_turns import turned_to
+from redundancy_pin.robot.whole_turns import follow_whole_turns
 
 _CONTRACTION, _SETTLED, _ROUNDED, _FLOOR, _LONGEST, _SHORTEST, _ITERATIONS = 0.3, 1e-13, 4e-16, 1e-9, 0.5, 1e-4, 15
 _CLOSED, _LOST, _SINGULAR, _OTHER_MODE, _NOT_FINITE = range(5)
@@ -122,7 +122,7 @@ class Interpreter:
             pose = None if start is None else self.follow(start, x)
             return None if pose is None else pose.q
 
-        reached = turned_to(self._robot, q, home, x, follow)
+        reached = follow_whole_turns(self._robot, q, home, x, follow)
         if reached is None:
             return _LOST
         q[:] = reached

@@ -137,7 +137,7 @@ class VirtualWorkAlongMotion(Frozen):
             row_scale=self._row_scale,
             column_scale=self._column_scale,
             out_of_range=self._out_of_range,
-            force_scale=sample_scales(
+            force_size=sample_scales(
                 self._robot, self._motion.xd, self._motion.xdd, moved[1][:k].T, moved[2][:k].T, self._wrenches
             ).force,
         )
