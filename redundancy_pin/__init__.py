@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
     from redundancy_pin.dynamics.virtual_work import VirtualWork
     from redundancy_pin.kinematics.forward_kinematics import assembly_modes, forward_kinematics
-    from redundancy_pin.kinematics.lift import lift
+    from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
     from redundancy_pin.loading import load_robot
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.planners.check import check_plan
@@ -57,7 +57,7 @@ _PLACES = {
         "dynamics.rnea": "RneaDynamics joint_reactions",
         "dynamics.virtual_work": "VirtualWork",
         "kinematics.forward_kinematics": "assembly_modes forward_kinematics",
-        "kinematics.lift": "lift",
+        "kinematics.inverse_kinematics": "inverse_kinematics",
         "loading": "load_robot",
         "motion": "CarrierMotion PlatformMotion",
         "planners.check": "check_plan",
@@ -108,8 +108,8 @@ __all__ = [
     "forward_kinematics",
     "inverse_dynamics",
     "inverse_dynamics_in_blocks",
+    "inverse_kinematics",
     "joint_reactions",
-    "lift",
     "load_plan",
     "load_robot",
     "load_robot_of",

@@ -19,7 +19,7 @@ MOVED = {
     "kinematics.singular_crossings": "singularities.crossings",
     "kinematics.singular_locus": "singularities.locus",
     "kinematics.singularity": "singularities.classify",
-    "kinematics.state": "kinematics.lift",
+    "kinematics.state": "kinematics.inverse_kinematics",
     "kinematics.three_rrr": "dynamics.virtual_work.three_rrr",
     "kinematics.three_rrr_forward": "dynamics.virtual_work.three_rrr_forward",
     "kinematics.two_rpr": "dynamics.virtual_work.two_rpr",

@@ -25,8 +25,8 @@ from redundancy_pin.kinematics.coordinates import (
     reference_coordinates,
     working_modes,
 )
-from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
+from redundancy_pin.kinematics.multistart import multistart_nearest
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
 from redundancy_pin.robot import Closure, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree

@@ -235,7 +235,7 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     """Check that x, ẋ, ẍ (and s, ṡ, s̈) are samples of one motion, unless whoever made them says that they need not be.
 
     For what takes samples as a motion: efforts along it, planners, the search of crossings. Where they are poses and no
-    more (``lift``, ``classify_motion``, ``along``) rates play no part.
+    more (``inverse_kinematics``, ``classify_motion``, ``along``) rates play no part.
 
     In each step of each coordinate the mean rate by the positions, Δx/h, is compared with the mean of the rates at its
     ends, by the trapezoid rule; so is Δẋ/h with the mean of ẍ. They may differ by the sum of

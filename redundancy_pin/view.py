@@ -14,7 +14,7 @@ from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, moved
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.planners.plan import Plan
@@ -68,12 +68,12 @@ def show(
     Raises:
         InputError: no plan, simulation, robot or name; a motion or carriers together with a plan or a simulation; a
             motion that is not sampled or not the robot's; or commands of another time.
-        RedundancyPinError: what ``load_robot``, ``load_robot_of`` and ``lift`` raise.
+        RedundancyPinError: what ``load_robot``, ``load_robot_of`` and ``inverse_kinematics`` raise.
     """
     if isinstance(subject, (Plan, Simulation)) and (motion is not None or carriers is not None):
         kind = "plan" if isinstance(subject, Plan) else "simulation"
         raise InputError(f"A {kind} has its own motions.", remedy=f"Pass a robot instead of the {kind}, or no motion.")
-    positive(force_scale, "force_scale", "")  # before the lift, which takes long
+    positive(force_scale, "force_scale", "")  # before the inverse_kinematics, which takes long
     if isinstance(subject, Simulation):
         shown = robot_of_record(subject.robot, robot)
         drawn = curves_of_run(subject, shown)
@@ -125,7 +125,7 @@ def default_motion(robot: Robot) -> PlatformMotion:
     motions += [_swing(robot, SWING * 0.5**halving) for halving in range(_HALVINGS)]
     for motion in motions:
         try:
-            lift(robot, motion)
+            inverse_kinematics(robot, motion)
         except (UnreachablePoseError, SingularPoseError, WorkingModeError):
             continue
         return motion

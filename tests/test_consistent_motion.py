@@ -353,7 +353,7 @@ def test_efforts_plans_crossings_and_references_refuse_and_take_the_word() -> No
     with pytest.raises(InputError, match="x0 does not change"):
         rp.plan_whole_trajectory(dynamics, wrong)
     # poses alone: rates play no part
-    assert rp.lift(robot, wrong).reachable.all()
+    assert rp.inverse_kinematics(robot, wrong).reachable.all()
 
 
 def test_the_word_goes_with_slices_and_copies() -> None:

@@ -45,7 +45,7 @@ ROBOTS: dict[str, Callable[[Any], Any]] = {
     "VirtualWork": lambda robot: rp.VirtualWork(robot).reduce(MOTION).f,
     "CompiledDynamics": lambda robot: compiled(robot).reduce(MOTION).f,
     "symbolic": lambda robot: str(symbolic(robot).W),
-    "lift": lambda robot: rp.lift(robot, MOTION).q,
+    "inverse_kinematics": lambda robot: rp.inverse_kinematics(robot, MOTION).q,
     "forward_kinematics": lambda robot: rp.forward_kinematics(robot, [0.4, 0.5]).x,
     "assembly_modes": lambda robot: rp.assembly_modes(robot, [0.4, 0.5]).x,
     "performance": lambda robot: rp.performance(robot, rp.load_robot("2rpr").q_reference).manipulability,
@@ -66,7 +66,7 @@ def test_a_name_or_a_path_is_as_good_as_the_robot(name: str, robot: Robot) -> No
     shipped = "five_bar" if name == "simulate" else "2rpr"  # the other has no mass at its end
     expected = ROBOTS[name](robot if shipped == "2rpr" else rp.load_robot(shipped))
     np.testing.assert_array_equal(ROBOTS[name](shipped), expected)
-    if name == "lift":  # they share what turns a name into a robot
+    if name == "inverse_kinematics":  # they share what turns a name into a robot
         np.testing.assert_array_equal(ROBOTS[name](Path(rp.__file__).parents[1] / "models" / "2rpr"), expected)
 
 
@@ -85,7 +85,7 @@ def test_a_plan_goes_with_the_name_of_its_robot(plan: Plan) -> None:
 
 
 OTHERS: dict[str, Callable[[Any, Robot, Plan], Any]] = {
-    "lift, motion": lambda wrong, robot, plan: rp.lift(robot, wrong),
+    "inverse_kinematics, motion": lambda wrong, robot, plan: rp.inverse_kinematics(robot, wrong),
     "find_crossings, motion": lambda wrong, robot, plan: rp.find_crossings(robot, wrong),
     "along, motion": lambda wrong, robot, plan: rp.RneaDynamics(robot).along(wrong),
     "reduce, carriers": lambda wrong, robot, plan: rp.RneaDynamics(robot).reduce(MOTION, wrong),

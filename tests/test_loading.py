@@ -290,7 +290,7 @@ def test_a_platform_may_be_mounted_any_way_round(tmp_path, turn):
     x = np.stack([1.2 + 0.1 * np.sin(t), 1.0 + 0.1 * t, 0.3 + 0.5 * np.sin(2 * t)], axis=1)
     xd = np.stack([0.1 * np.cos(t), 0.1 + 0 * t, np.cos(2 * t)], axis=1)
     xdd = np.stack([-0.1 * np.sin(t), 0 * t, -2 * np.sin(2 * t)], axis=1)
-    tree = rp.lift(robot, rp.PlatformMotion(t, x, xd, xdd))
+    tree = rp.inverse_kinematics(robot, rp.PlatformMotion(t, x, xd, xdd))
     numeric = np.gradient(np.asarray(tree.q), t, axis=0, edge_order=2)
     # second-order differences with a step of 5e-4 of motions of order 1 to 10
     np.testing.assert_allclose(numeric, tree.v, atol=1e-5)

@@ -111,7 +111,7 @@ def test_a_trajectory_in_place_of_its_samples_is_refused_with_how_to_sample_it()
     robot, corner = zoo.robot_of("3rrr"), rp.trajectory.reference.corner()
     for computed in (
         lambda: rp.show(robot, corner),  # type: ignore[arg-type]
-        lambda: rp.lift(robot, corner),  # type: ignore[arg-type]
+        lambda: rp.inverse_kinematics(robot, corner),  # type: ignore[arg-type]
         lambda: rp.RneaDynamics(robot).reduce(corner),  # type: ignore[arg-type]
         lambda: rp.VirtualWork(robot).reduce(corner),  # type: ignore[arg-type]
         lambda: rp.plot.path(robot, corner),  # type: ignore[arg-type]

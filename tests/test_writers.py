@@ -33,7 +33,9 @@ def efforts_of(robot: Robot, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )  # fmt: skip
     motion = rp.PlatformMotion(t, home + np.outer(wave, swing), np.outer(rate, swing), np.outer(second, swing))
     reduced = rp.RneaDynamics(robot).reduce(motion)
-    return np.concatenate([rp.distribute(reduced).tau, reduced.carrier_force], axis=1), rp.lift(robot, motion).q
+    return np.concatenate([rp.distribute(reduced).tau, reduced.carrier_force], axis=1), rp.inverse_kinematics(
+        robot, motion
+    ).q
 
 
 def elbow_of(robot: Robot) -> str:

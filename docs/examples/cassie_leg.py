@@ -96,7 +96,7 @@ def main() -> None:
     motion = bend(robot)
     column = robot.model.joints[robot.model.getJointId("left-shin-tarsus-joint")].idx_q
     knee = motion.x[:, robot.independent_joints.index("left-knee-op")]
-    both = knee + rp.lift(robot, motion).q[:, column]
+    both = knee + rp.inverse_kinematics(robot, motion).q[:, column]
     print(
         f"knee by {knee[-1]:.2f} rad, tarsus by as much the other way: their sum stays within {np.abs(both).max():.1e}"
     )

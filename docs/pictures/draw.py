@@ -85,7 +85,7 @@ def cassie_leg() -> Figure:
     with tempfile.TemporaryDirectory() as folder:
         robot = load(Path(folder))
     motion = bend(robot)
-    tau, q, data = torques(robot, motion).tau, rp.lift(robot, motion).q, robot.model.createData()
+    tau, q, data = torques(robot, motion).tau, rp.inverse_kinematics(robot, motion).q, robot.model.createData()
     knee = motion.x[:, robot.independent_joints.index("left-knee-op")]
     rod, foot = (0.5012, 0.0, 0.0), (0.055, 0.0, 0.008)  # ends of the rods, m, in the axes of rod and foot
     bars = {
@@ -143,7 +143,7 @@ def delta_crossing() -> Figure:
     with figure(9.0, 2.2) as drawn:
         for panel, t in enumerate((singular - 0.1, singular, singular + 0.1), 1):
             k = int(np.abs(plan.t - t).argmin())
-            q = rp.lift(robot, plan.motion).with_carriers(plan.carriers).q
+            q = rp.inverse_kinematics(robot, plan.motion).with_carriers(plan.carriers).q
             axes: Any = drawn.add_subplot(1, 3, panel, projection="3d", proj_type="ortho")
             draw_machine(axes, robot, [np.array(q[k]), np.array(q[0]), np.array(q[-1])], (12, -75), zoom=1.25)
             axes.set_title(f"t = {plan.t[k]:.3f} s", fontsize=9)

@@ -104,7 +104,7 @@ def _reference(robot: Robot) -> dict[str, Any]:
     from redundancy_pin.dynamics.rnea import RneaDynamics
     from redundancy_pin.kinematics.closure import ConstraintSystem
     from redundancy_pin.kinematics.coordinates import coordinates
-    from redundancy_pin.kinematics.lift import lift
+    from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
     from redundancy_pin.motion import PlatformMotion
     from redundancy_pin.robot.scales import is_revolute
 
@@ -113,7 +113,7 @@ def _reference(robot: Robot) -> dict[str, Any]:
     motion = PlatformMotion([0.0], x, still, still)
     reduced = RneaDynamics(robot).reduce(motion)
     distribution = distribute(reduced)
-    serial, parallel = lift(robot, motion).serial_margin_bound[0], distribution.margin[0]
+    serial, parallel = inverse_kinematics(robot, motion).serial_margin_bound[0], distribution.margin[0]
     margins = {"type_i_margin": serial, "type_ii_margin": parallel, "condition": distribution.condition[0]}
     efforts = zip((*robot.actuated, *robot.carriers), (*distribution.tau[0], *reduced.carrier_force[0]), strict=True)
     holding = {

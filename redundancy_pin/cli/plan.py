@@ -13,7 +13,7 @@ from redundancy_pin.arrays import stretches
 from redundancy_pin.cli import options, output, plan_problem
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.robot.joint_ranges import beyond_limits
@@ -352,7 +352,7 @@ def _run(
         failed = output.drawn(plot, lambda path: save(plot_plan(result), path))
         plot = None if failed else plot
     robot = task.dynamics.robot
-    left = beyond_limits(robot, lift(robot, result.motion, mark_unreachable=True).q, result.t)
+    left = beyond_limits(robot, inverse_kinematics(robot, result.motion, mark_unreachable=True).q, result.t)
     point = task.parameters.get("base_point", (0.0, 0.0, 0.0))
     base = np.linalg.norm(result.base_wrench(task.dynamics, point).reshape(-1, 2, 3), axis=2).max(axis=0)
     base_facts = {"peak_base_force": base[0], "peak_base_moment": base[1], "base_point": np.asarray(point)}

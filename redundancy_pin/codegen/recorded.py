@@ -13,7 +13,7 @@ from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, joint_position, moved
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
@@ -74,7 +74,7 @@ def record(robot: Robot, motion: PlatformMotion | None, carriers: CarrierMotion 
     if not len(reachable):
         raise InputError(f"No sample of the motion can be reached by {robot.name}.", remedy="Move it.")
     # the whole motion is lifted, which is followed from sample to sample; some of it is kept
-    tree = lift(robot, motion, mark_unreachable=True)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     kept = reachable[np.unique(np.linspace(0, len(reachable) - 1, SAMPLES).round().astype(int))]
     reduced = whole.at(kept)
     return Recorded(
@@ -103,7 +103,7 @@ def _random_motion(robot: Robot) -> tuple[PlatformMotion, CarrierMotion]:
     while True:
         motion = PlatformMotion(t, moved(robot, np.repeat(home, len(t), axis=0), path * reach / scale), xd, xdd)
         try:
-            lift(robot, motion)
+            inverse_kinematics(robot, motion)
             break
         except (UnreachablePoseError, SingularPoseError, WorkingModeError):
             reach *= 0.5

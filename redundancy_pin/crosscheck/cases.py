@@ -24,7 +24,7 @@ from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.continuation import closed_around
 from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
@@ -42,7 +42,7 @@ _SPREAD = 0.2
 enough that most draws still close."""
 TRIES, _PLAIN_TRIES = 60, 55
 """Draws; of a robot that does not vary, those whose motion has to be far from singularities all along. That is judged
-in a hundredth of the time that a lift takes to be lost beside one."""
+in a hundredth of the time that a inverse kinematics takes to be lost beside one."""
 
 
 REASONS: Mapping[str, str] = {
@@ -177,8 +177,8 @@ def random_case(
             if not vary and attempt < _PLAIN_TRIES and (reason := _why_not_followed(case)):
                 skipped[reason] += 1
                 continue
-            lift(robot, case.motion(np.linspace(0.0, case.t[-1], 200)))
-            lift(robot, case.motion(case.t))  # these are farther apart in places
+            inverse_kinematics(robot, case.motion(np.linspace(0.0, case.t[-1], 200)))
+            inverse_kinematics(robot, case.motion(case.t))  # these are farther apart in places
         except RedundancyPinError as error:
             skipped[reason_of(error)] += 1  # the swing leaves the workspace: draw again, smaller
             continue

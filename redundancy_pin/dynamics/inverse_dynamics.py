@@ -23,7 +23,7 @@ from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, dis
 from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
 from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import difference, working_modes
-from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, joined, require_consistent, require_sampled
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess, Turns, beyond_limits, out_of_range, turns_of
@@ -233,7 +233,7 @@ def _part(
     between: bool,
     turns: Turns,
     wanted: Mapping[str, Any],
-) -> tuple[InverseDynamics, TreeMotion]:
+) -> tuple[InverseDynamics, JointTrajectory]:
     """Return the efforts along consistent samples and the motion of the tree; ``between`` looks between them.
 
     ``wanted`` are arguments of ``distribute``.
@@ -242,8 +242,8 @@ def _part(
     require_on_track(robot, require_matching_carriers(robot, carriers, len(motion)), motion.t)
     along = dynamics.along(motion, unreachable=unreachable)
     reduced, tree = along.reduce(carriers), getattr(along, "tree", None)
-    if not isinstance(tree, TreeMotion):
-        tree = lift(robot, motion, mark_unreachable=unreachable == "mark")
+    if not isinstance(tree, JointTrajectory):
+        tree = inverse_kinematics(robot, motion, mark_unreachable=unreachable == "mark")
     if turns and reduced.out_of_range is not None:
         reduced = replace(reduced, out_of_range=out_of_range(robot, tree.q, turns=turns))
     margins = signed_margin(scaled(reduced.W, reduced.row_scale, reduced.column_scale))
@@ -282,7 +282,7 @@ def _without(result: InverseDynamics, again: int, until: float) -> InverseDynami
     return replace(result, reduced=reduced, efforts=efforts, instants=instants)
 
 
-def edge_of(tree: TreeMotion) -> int:
+def edge_of(tree: JointTrajectory) -> int:
     """Return the sample of the last tenth that is farthest from losing the branch, or the last where none is closed."""
     first = len(tree.motion) - max(1, len(tree.motion) // 10)
     margin = np.where(tree.reachable, tree.serial_margin_bound, -1.0)[first:]

@@ -35,7 +35,7 @@ from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
 from redundancy_pin.kinematics.chain import tracker
 from redundancy_pin.kinematics.closure import ConstraintState, constraint_system, with_all_rows
 from redundancy_pin.kinematics.continuation import Point
-from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
@@ -94,10 +94,10 @@ class RneaDynamics(Dynamics):
         return self._robot
 
     def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> RneaAlongMotion:
-        """Solve the kinematics of a platform motion once; raises as ``kinematics.lift.lift``."""
+        """Solve the kinematics of a platform motion once; raises as ``inverse_kinematics``."""
         require_choice(unreachable)
         marked = unreachable == "mark"
-        tree = lift(self._robot, motion, mark_unreachable=marked, progress=self._progress)
+        tree = inverse_kinematics(self._robot, motion, mark_unreachable=marked, progress=self._progress)
         return RneaAlongMotion(tree, self.threads)
 
     def for_robot(self, robot: Robot) -> RneaDynamics:
@@ -134,7 +134,7 @@ class RneaDynamics(Dynamics):
         if sample is not None:
             return sample
         motion, carriers = one_sample(robot, x, xd, xdd, s, sd, sdd, t=t)
-        tree = lift(robot, motion, start=None if start is None else start.point)
+        tree = inverse_kinematics(robot, motion, start=None if start is None else start.point)
         one = RneaAlongMotion(tree).reduce(carriers)
         margin = float(tree.serial_margin_bound[0])
         point = Point(motion.x[0], tree.q[0], tree.gamma[0])
@@ -180,7 +180,7 @@ class RneaAlongMotion(Frozen):
         robot, motion: the robot, and its platform motion.
     """
 
-    def __init__(self, tree: TreeMotion, threads: int = 1) -> None:
+    def __init__(self, tree: JointTrajectory, threads: int = 1) -> None:
         self.tree, self.robot, self.motion = tree, tree.robot, tree.motion
         self.threads = max(1, min(threads, len(tree.motion) // _SAMPLES_PER_THREAD))
         self._rows = frozen(row_scale(tree.robot))

@@ -3,10 +3,11 @@
 The rows are those of ``kinematics.closure``, whose batched evaluator walks the tree in numpy; at one configuration
 Pinocchio's joint Jacobian and its rate are there already, an order of magnitude faster (``ClosedChain``).
 
-``continuation`` and ``lift`` follow many poses at once, in numpy; for a single pose the calls cost a hundred times the
-arithmetic. ``Tracker`` does predictor, Newton and their checks in tens of microseconds, and takes only what is regular
-beyond doubt: Newton converges without a line search, the step is what Γ at both ends says, the working mode stays, and
-no rank loss is near, nor could be within the step. Of everything else it returns None, and leaves it to ``lift``.
+``continuation`` and ``inverse_kinematics`` follow many poses at once, in numpy; for a single pose the calls cost a
+hundred times the arithmetic. ``Tracker`` does predictor, Newton and their checks in tens of microseconds, and takes
+only what is regular beyond doubt: Newton converges without a line search, the step is what Γ at both ends says, the
+working mode stays, and no rank loss is near, nor could be within the step. Of everything else it returns None, and
+leaves it to ``inverse_kinematics``.
 """
 
 from __future__ import annotations

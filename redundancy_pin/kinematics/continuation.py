@@ -30,7 +30,7 @@ from redundancy_pin.kinematics.assembly import (
 )
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
-from redundancy_pin.kinematics.inverse_kinematics import multistart
+from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, row_scale, velocity_unit
 
 ANCHOR_SPACING = 0.04

@@ -1,9 +1,9 @@
 """Forward kinematics: from the positions of the main actuators to the platform, along one branch, and all branches.
 
 Motors are independent coordinates like any others: the same tree and closures with the actuated joints in the place of
-the platform are a robot whose ``lift`` is the forward kinematics. Its K is T = [J_c; S], so that its type I poses are
-the type II poses of the robot: there the motors do not determine the platform, and two assembly modes meet. With
-rates u̇ of the motors and v = Γ' u̇
+the platform are a robot whose ``inverse_kinematics`` is the forward kinematics. Its K is T = [J_c; S], so that its type
+I poses are the type II poses of the robot: there the motors do not determine the platform, and two assembly modes meet.
+With rates u̇ of the motors and v = Γ' u̇
 
     ẋ = J_x Γ' u̇,      ẍ = J_x a + J̇_x v.
 """
@@ -35,8 +35,8 @@ from redundancy_pin.kinematics.assembly import assemble, configuration_differenc
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, difference, joint_position
-from redundancy_pin.kinematics.inverse_kinematics import wrapped
-from redundancy_pin.kinematics.lift import TreeMotion, anchors_along, lift
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, anchors_along, inverse_kinematics
+from redundancy_pin.kinematics.multistart import wrapped
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range, random_spread, range_excess, range_slack
@@ -100,8 +100,8 @@ class ForwardKinematics(Frozen):
         status: (N,) a ``ForwardStatus`` each.
         gap: (N,) closure residual, m (angles times the characteristic length); of redundant motors also what they
             contradict each other by.
-        margin: (N,) lower bound of the scaled distance to type II, as ``TreeMotion.serial_margin_bound``; of redundant
-            motors that of those which were followed.
+        margin: (N,) lower bound of the scaled distance to type II, as ``JointTrajectory.serial_margin_bound``; of
+            redundant motors that of those which were followed.
         excess: (N, joints) how far each joint of the model is beyond its range, m or rad, not positive inside.
     """
 
@@ -219,7 +219,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
     if not home.closed[0]:
         raise InputError(
             f"start does not close the chains of {robot.name}: they stay open by {home.gap[0]:.3g} m.",
-            remedy="Pass a configuration of lift, assembly_modes or forward_kinematics.",
+            remedy="Pass a configuration of inverse_kinematics, assembly_modes or forward_kinematics.",
         )
     if home.projection.margin[0] == 0.0:
         raise SingularPoseError(
@@ -276,7 +276,7 @@ def _followed(system: ConstraintSystem, q: Array) -> IntArray:
     if robot.m < robot.n:
         raise UnsupportedRobotError(
             f"{robot.name} has {robot.m} main actuators and {robot.n} freedoms: they do not say where its platform is.",
-            remedy="Declare more joints as actuated, or use lift from platform to joints.",
+            remedy="Declare more joints as actuated, or use inverse_kinematics from platform to joints.",
         )
     if robot.m == robot.n:
         return np.arange(robot.m)
@@ -337,18 +337,20 @@ def _whole(angles: Array) -> Array:
     return np.asarray(2.0 * np.pi * np.round(angles / (2.0 * np.pi)))
 
 
-def _lifted(driven: Robot, route: _Route, path: list[Array], first: Point) -> tuple[TreeMotion, Array]:
+def _lifted(driven: Robot, route: _Route, path: list[Array], first: Point) -> tuple[JointTrajectory, Array]:
     """Return the motion along a route, rates of the path at samples, and its (A, nq), NaN where the branch ends."""
     rate, second = np.zeros((2, *route.u.shape))
     rate[route.places], second[route.places] = path[1:]
     motion = PlatformMotion(np.arange(len(route.u)), route.u, rate, second, check_rates=False)
-    tree = lift(driven, motion, mark_unreachable=True, start=first)
+    tree = inverse_kinematics(driven, motion, mark_unreachable=True, start=first)
     good = np.logical_and.accumulate(tree.reachable)
     steps = np.linalg.norm(difference(driven, route.u[1:], route.u[:-1]) / coordinate_unit(driven), axis=1)
     if (steps > ANCHOR_SPACING).any():  # the branch may end between two samples
         anchors = anchors_along(constraint_system(driven), route.u, first.q, first.gamma, False)
         good &= np.arange(len(good)) < np.append(anchors.position[~anchors.valid], np.inf)[0]
-    return tree, np.where(good[:, None], tree.q, np.nan)  # what lift takes up again behind a gap is on any branch
+    return tree, np.where(
+        good[:, None], tree.q, np.nan
+    )  # what inverse_kinematics takes up again behind a gap is on any branch
 
 
 def _whole_turns(driven: Robot, u: Array) -> IntArray:

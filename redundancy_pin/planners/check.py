@@ -15,7 +15,7 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only,
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics, require_dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute, solved_status
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import (
     PIECE_DEGREE,
@@ -224,7 +224,7 @@ def _ranges_left(robot: Robot, motion: PlatformMotion, platform: ContinuousMotio
     joints = joint_ranges(robot)
     if not joints:
         return ()
-    t, q = motion.t, lift(robot, motion, mark_unreachable=True).q
+    t, q = motion.t, inverse_kinematics(robot, motion, mark_unreachable=True).q
     known = np.isfinite(q).all(axis=1)
     if platform is not None and known.sum() > 1:
         at, near = t[known], np.zeros(known.sum() - 1, dtype=bool)
@@ -236,7 +236,7 @@ def _ranges_left(robot: Robot, motion: PlatformMotion, platform: ContinuousMotio
             parts = np.linspace(0.0, 1.0, INSIDE + 1)[1:-1]
             inside = (at[:-1, None][near] + np.diff(at)[near, None] * parts).ravel()
             t = np.sort(np.concatenate([t, inside]))
-            q = lift(robot, platform.sample_at(t), mark_unreachable=True).q
+            q = inverse_kinematics(robot, platform.sample_at(t), mark_unreachable=True).q
     return ranges_left(robot, t, q)
 
 

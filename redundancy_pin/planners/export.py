@@ -20,7 +20,7 @@ from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
 from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, write_text
 from redundancy_pin.kinematics.coordinates import joint_position
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
@@ -160,7 +160,7 @@ _States: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array, Arra
 
 def _at_samples(plan: Plan, robot: Robot) -> _States:
     """Return the samples of a plan."""
-    tree, efforts = lift(robot, plan.motion).with_carriers(plan.carriers), [plan.tau, plan.carrier_force]
+    tree, efforts = inverse_kinematics(robot, plan.motion).with_carriers(plan.carriers), [plan.tau, plan.carrier_force]
     motion = plan.motion
     return plan.t, motion.x, motion.xd, motion.xdd, tree.q, tree.v, tree.a, np.concatenate(efforts, axis=1)
 

@@ -21,7 +21,7 @@ from redundancy_pin.arrays import Array, Frozen, positive, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.robot_record import robot_of_record
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 
 def inverse_dynamics(
     robot: Robot, motion: PlatformMotion, carriers: CarrierMotion
-) -> tuple[TreeMotion, ReducedDynamics]:
-    """Return N samples of the tree, carriers included, and W τ = f; raises like ``lift``.
+) -> tuple[JointTrajectory, ReducedDynamics]:
+    """Return N samples of the tree, carriers included, and W τ = f; raises like ``inverse_kinematics``.
 
     It forms f without a backend on purpose: the simulation judges the plans that a backend made.
     """
-    tree = lift(robot, motion).with_carriers(carriers)
+    tree = inverse_kinematics(robot, motion).with_carriers(carriers)
     model, data, states = robot.model, robot.model.createData(), (tree.q, tree.v, tree.a)
     effort = np.array([pin.rnea(model, data, *row) for row in zip(*states, strict=True)]).reshape(-1, model.nv)
     loads = tree_loads(robot)

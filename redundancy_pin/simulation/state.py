@@ -13,7 +13,7 @@ from scipy.linalg import lapack
 from redundancy_pin.arrays import Array, Frozen, checked, each, read_only
 from redundancy_pin.dynamics.forward import Reader
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import velocity_scale
@@ -149,7 +149,7 @@ def closed_state(
 
     Raises:
         InputError: wrong shapes.
-        UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.lift.lift``.
+        UnreachablePoseError, SingularPoseError, WorkingModeError: see ``inverse_kinematics``.
     """
     chain = ClosedChain(robot)
     if x is None:
@@ -157,7 +157,7 @@ def closed_state(
         x = chain.platform_position()
     rate = np.zeros(robot.n) if xd is None else checked(xd, "xd", (robot.n,))
     motion = PlatformMotion([t], np.asarray(x, dtype=float)[None], rate[None], np.zeros((1, robot.n)))
-    tree = lift(robot, motion)
+    tree = inverse_kinematics(robot, motion)
     q, v = np.array(tree.q[0]), np.array(tree.v[0])
     q[robot.carrier_position] = each(s, "s", (robot.k,))
     v[robot.carrier_velocity] = each(sd, "sd", (robot.k,))

@@ -39,7 +39,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import inverses
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system, with_all_rows
-from redundancy_pin.kinematics.lift import TreeMotion
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.scales import closure_tolerance, column_scale, row_scale, velocity_scale
 from redundancy_pin.spectrum import oriented, spectrum_of
@@ -197,7 +197,7 @@ class Singularities(Frozen):
 
 
 def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
-    """Classify closed configurations, exact type I singularities included (where ``lift`` has to refuse).
+    """Classify closed configurations, exact type I singularities included (where ``inverse_kinematics`` has to refuse).
 
     Args:
         robot: the robot, or its name or path.
@@ -233,24 +233,24 @@ def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, Constrai
         raise InputError(
             f"Configuration {k} is not closed: its largest closure row is {gap[k]:.3g} ({len(bad)} of {len(gap)} are "
             "open).",
-            remedy="Close the chains first, with lift or assemble.",
+            remedy="Close the chains first, with inverse_kinematics or assemble.",
             sample=k,
             gap=float(gap[k]),
         )
     return system, state
 
 
-def classify_motion(motion: TreeMotion, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
+def classify_motion(motion: JointTrajectory, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
     """Classify the samples of a lifted motion; unreachable ones are marked.
 
     Args:
-        motion: N samples, from ``lift``.
+        motion: N samples, from ``inverse_kinematics``.
         tolerance: see ``classify``.
 
     Raises:
         InputError: a tolerance outside (0, 1).
     """
-    require_type(motion, TreeMotion, "A lifted motion", "Pass what lift(robot, motion) returns.")
+    require_type(motion, JointTrajectory, "A lifted motion", "Pass what inverse_kinematics(robot, motion) returns.")
     good = motion.reachable
     part = vars(classify(motion.robot, motion.q[good], tolerance=tolerance))
     if good.all():

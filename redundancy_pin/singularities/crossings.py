@@ -18,7 +18,7 @@ from redundancy_pin.kinematics.assembly import assemble, configuration_differenc
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import Point, continuous
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows
-from redundancy_pin.kinematics.lift import SAME_CONFIGURATION, lift
+from redundancy_pin.kinematics.inverse_kinematics import SAME_CONFIGURATION, inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.named import require_matching
@@ -133,7 +133,7 @@ def follow_law(
     """
     t, x = _times(system.robot, law, spacing)
     still = np.zeros((len(t), system.robot.n))
-    tree = lift(
+    tree = inverse_kinematics(
         system.robot, PlatformMotion(t, x, still, still), mark_unreachable=True, start=start, positions_only=True
     )
     q = _without_strays(np.array(tree.q), position_unit(system.robot))
@@ -172,7 +172,7 @@ def _without_strays(q: Array, unit: Array) -> Array:
 
 
 def _fill_in(system: ConstraintSystem, law: ContinuousMotion, t: Array, x: Array, q: Array, gap: Array) -> None:
-    """Close the samples that the lift passed over (NaN in q), each from its nearest neighbour.
+    """Close the samples that the inverse kinematics passed over (NaN in q), each from its nearest neighbour.
 
     They lie at a type I singularity, or so near that a predicted step would end behind it. Newton without prediction
     stays on its side of a square root.
@@ -342,7 +342,7 @@ def find_crossings(
             through x, ẋ, ẍ; see ``continuous_motion``).
         spacing: longest step of the search along the path, in characteristic lengths.
         tolerance: scaled margin of W below which a minimum counts as touching type II.
-        start: as in ``lift``, where the motion's first pose has been solved already.
+        start: as in ``inverse_kinematics``, where the motion's first pose has been solved already.
 
     Raises:
         InputError: coordinates of another robot, a single instant, a spacing or tolerance that is not positive.

@@ -104,7 +104,7 @@ def performance(
 
     Args:
         robot: the robot, or its name or path.
-        q: (N, nq) or (nq,) closed configurations, such as ``lift(...).q``.
+        q: (N, nq) or (nq,) closed configurations, such as ``inverse_kinematics(...).q``.
         rates: scalar or (m,) u̇_max, m/s or rad/s; left out: 1 m/s at the characteristic length.
         efforts: scalar or (m,) τ_max, N or N·m; left out: 1 N at the characteristic length.
 

@@ -13,7 +13,7 @@ from redundancy_pin.kinematics.assembly import assemble, configuration_differenc
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follows
 from redundancy_pin.kinematics.coordinates import coordinates, difference
-from redundancy_pin.kinematics.lift import point_on_branch
+from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.scales import is_revolute, turning_velocities, velocity_unit

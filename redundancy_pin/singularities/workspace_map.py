@@ -36,7 +36,7 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates
-from redundancy_pin.kinematics.lift import point_on_branch
+from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import is_pose

@@ -11,7 +11,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck import CrossCheckReport
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
@@ -131,7 +131,7 @@ def _carriers(case: Case) -> str:
 
 def _mechanism(robot: Robot, motion: PlatformMotion) -> tuple[tuple[Array, ...], Array]:
     """Return the lines and the hinges of a robot at the start of a motion, in the plane."""
-    start = lift(robot, motion[:1]).q[0]
+    start = inverse_kinematics(robot, motion[:1]).q[0]
     return tuple(np.stack(ends)[:, :2] for ends in links(robot, start)), base_hinges(robot)[:, :2]
 
 

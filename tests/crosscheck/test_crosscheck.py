@@ -402,7 +402,7 @@ def test_a_robot_without_workspace_is_reported(monkeypatch):
     def never(*_, **__):
         raise UnreachablePoseError("too far")
 
-    monkeypatch.setattr(cases, "lift", never)
+    monkeypatch.setattr(cases, "inverse_kinematics", never)
     monkeypatch.setattr(cases, "TRIES", 2)
     with pytest.raises(UnreachablePoseError, match=r"motion of 2rpr .* in 2 draws .*do not close: 2"):
         crosscheck.run(["2rpr"], samples=5)

@@ -314,7 +314,7 @@ def code_type(robot: Robot) -> type[ctypes.Structure]:
 
 def drives_along(robot: Robot, motion: rp.PlatformMotion) -> tuple[np.ndarray, np.ndarray]:
     """Positions and rates of the actuators, from the lifted tree."""
-    tree, model = rp.lift(robot, motion), robot.model
+    tree, model = rp.inverse_kinematics(robot, motion), robot.model
     joints = [model.joints[model.getJointId(name)] for name in robot.actuated]
     columns = [
         tree.q[:, joint.idx_q] if joint.nq == 1 else np.arctan2(tree.q[:, joint.idx_q + 1], tree.q[:, joint.idx_q])
@@ -408,7 +408,7 @@ def test_more_actuators_than_freedoms_take_the_nearest_pose() -> None:
 def test_jacobians_and_margins(name: str) -> None:
     robot, code, t = robot_of(name), code_of(name), np.linspace(0.0, 2.0, 20)
     motion = zoo.smooth_motion(robot, 9).at(t)
-    tree = rp.lift(robot, motion)
+    tree = rp.inverse_kinematics(robot, motion)
     want, efforts = ConstraintSystem(robot).evaluate(tree.q).Jc, rp.distribute(rp.RneaDynamics(robot).reduce(motion))
     state, nv = code.start(), robot.model.nv
     for k in range(len(t)):

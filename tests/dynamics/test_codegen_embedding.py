@@ -244,7 +244,7 @@ def test_what_no_efforts_balance_is_as_many_times_as_large() -> None:
 def test_rates_of_the_platform_are_as_many_times_as_large_as_those_of_actuators(name: str) -> None:
     robot, code, rate = robot_of(name), code_of(name), np.array([0.9, -0.9])
     still = np.zeros((1, robot.n))
-    q = rp.lift(robot, rp.PlatformMotion([0.0], zoo.home_of(robot)[None], still, still)).q[0]
+    q = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], zoo.home_of(robot)[None], still, still)).q[0]
     position = np.array([q[robot.model.joints[robot.model.getJointId(each)].idx_q] for each in robot.actuated])
     one = code.platform(code.start(), position, rate)
     assert one.status < NOTHING_WRITTEN

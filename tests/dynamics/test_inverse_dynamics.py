@@ -187,7 +187,7 @@ def test_a_passive_joint_that_leaves_its_limit_is_named_with_time_value_and_limi
     free = rp.load_robot("four_bar")
     # without limits the same machine says where the rocker is
     place = free.model.joints[free.model.getJointId("rocker")].idx_q
-    rocker = rp.lift(free, motion).q[:, place]
+    rocker = rp.inverse_kinematics(free, motion).q[:, place]
     result = {one.value > one.limit: one for one in rp.inverse_dynamics(rp.RneaDynamics(limited), motion).joint_limits}
     assert (rocker > 2.0).any()
     for upper, limit, beyond in ((True, 2.0, rocker > 2.0), (False, 1.5, rocker < 1.5)):
@@ -208,7 +208,7 @@ def test_limits_may_be_counted_from_another_turn(limited) -> None:
     from redundancy_pin.robot.joint_ranges import beyond_limits
 
     motion = crank(1.0, 1.1)
-    q = np.array(rp.lift(limited, motion).q)
+    q = np.array(rp.inverse_kinematics(limited, motion).q)
     place = limited.model.joints[limited.model.getJointId("rocker")].idx_q
     for turns in (-2, 1):
         moved = q.copy()
@@ -245,7 +245,7 @@ def test_a_plan_whose_motion_leaves_a_limit_says_so(tmp_path: Path) -> None:
     assert result.exit_code == 3
     assert "limits broken" not in result.stderr  # the same in other words
     robot, motion = zoo.robot_of("2rpr"), reference.line().sample(0.05)
-    q = rp.lift(robot, motion).q
+    q = rp.inverse_kinematics(robot, motion).q
     beyond = {
         name: q[:, robot.model.joints[robot.model.getJointId(name)].idx_q].max() for name in ("swivel_1", "swivel_2")
     }

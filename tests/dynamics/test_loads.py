@@ -326,7 +326,7 @@ def test_symbols_hold_constant_wrenches_only() -> None:
     link = str(robot.model.frames[-1].name)
     loaded = robot.loaded(Wrench(link, (1.0, 2.0, 0.0, 0.0, 0.0, 0.5)))
     motion = moving(loaded, 4)[0]
-    tree, expected = rp.lift(loaded, motion), RneaDynamics(loaded).reduce(motion)
+    tree, expected = rp.inverse_kinematics(loaded, motion), RneaDynamics(loaded).reduce(motion)
     f = rp.symbolic(loaded).f(tree.q[2], tree.v[2], tree.a[2])
     assert_alike(np.array(f).ravel(), expected.f[2])
     with pytest.raises(UnsupportedRobotError, match="constant"):

@@ -70,7 +70,7 @@ def test_statuses_without_a_solution_come_first(robot: rp.Robot) -> None:
 
 
 def test_lift_and_assembly_know_ranges(robot: rp.Robot) -> None:
-    tree = rp.lift(robot, LINE)
+    tree = rp.inverse_kinematics(robot, LINE)
     assert (tree.out_of_range == beyond(LINE)).all()
     assert tree.reachable.all()
     system = ConstraintSystem(robot)
@@ -83,7 +83,7 @@ def test_limits_that_are_none_are_none(ends: tuple[float, float]) -> None:
     model = free.model.copy()
     at = model.joints[model.getJointId("swivel_1")].idx_q
     model.lowerPositionLimit[at], model.upperPositionLimit[at] = ends
-    assert not rp.lift(replace(free, model=model), LINE).out_of_range.any()
+    assert not rp.inverse_kinematics(replace(free, model=model), LINE).out_of_range.any()
 
 
 def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp.Robot) -> None:

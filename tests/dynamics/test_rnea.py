@@ -22,7 +22,7 @@ from redundancy_pin.arrays import blocks
 from redundancy_pin.dynamics import rnea as rnea_module
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.kinematics import continuation as continuation_module
-from redundancy_pin.kinematics import lift as lift_module
+from redundancy_pin.kinematics import inverse_kinematics as lift_module
 from redundancy_pin.robot import Robot
 
 MASSIVE = {

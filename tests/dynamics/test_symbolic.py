@@ -14,7 +14,7 @@ import zoo
 
 from redundancy_pin import RneaDynamics, joint_reactions, symbolic
 from redundancy_pin.dynamics.compiled.symbolic import SymbolicRobot
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
@@ -39,7 +39,7 @@ def test_they_say_what_rnea_says(name: str) -> None:
     t = np.linspace(0.0, 1.0, 3)
     motion, carriers = zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1)
     along = RneaDynamics(robot).along(motion)
-    reduced, tree = along.reduce(carriers), lift(robot, motion)
+    reduced, tree = along.reduce(carriers), inverse_kinematics(robot, motion)
     tau = np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0]
     reactions = joint_reactions(along, tau, carriers)
     wrench, energy, rnea = along.base_wrench(carriers), along.energy(carriers), along.tree_effort(carriers)
@@ -132,7 +132,7 @@ def test_fatrop_crosses_in_stages_like_ipopt() -> None:
     n, d, nv = robot.n, robot.n + robot.k, robot.model.nv
     line = Line([0.15, 0.62], [0.35, 0.25])
     guess = Trajectory(line, RestToRest(line.length, duration=0.6)).sample(dt=h)
-    tree = lift(robot, guess)
+    tree = inverse_kinematics(robot, guess)
     sizes = np.cumsum([0, d, robot.model.nq, nv, nv, robot.m, robot.k, 2]).tolist()
     opti, cost, controls = ca.Opti(), 0.0, []
     state = opti.variable(2 * d)

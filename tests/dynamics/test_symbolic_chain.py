@@ -45,7 +45,7 @@ def test_rows_coordinates_and_modes_are_those_of_the_kinematics(robot: rp.Robot)
     motion = rp.PlatformMotion(
         np.arange(3.0), targets, np.zeros((3, robot.n)), np.zeros((3, robot.n)), check_rates=False
     )
-    closed = np.asarray(rp.lift(robot, motion).q)
+    closed = np.asarray(rp.inverse_kinematics(robot, motion).q)
     for q in closed:
         state = system.evaluate(q[None])
         xd = rng.normal(size=robot.n)

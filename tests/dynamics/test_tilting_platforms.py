@@ -20,7 +20,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation import FeedForward, motion_reference
@@ -38,8 +38,8 @@ def robot_of(name: str) -> Robot:
 
 
 @cache
-def lifted(name: str) -> TreeMotion:
-    return lift(robot_of(name), motion(name, TIMES))
+def lifted(name: str) -> JointTrajectory:
+    return inverse_kinematics(robot_of(name), motion(name, TIMES))
 
 
 @cache
@@ -81,7 +81,7 @@ def test_f_is_dual_to_the_rates_of_the_coordinates(name: str) -> None:
     """The power f · ẋ, and that of the actuators, is the rate of the energy."""
     robot, h = robot_of(name), 1e-3
     along = motion(name, TIMES)
-    energy = [_energy(robot, lift(robot, motion(name, TIMES + step))) for step in (-2 * h, -h, h, 2 * h)]
+    energy = [_energy(robot, inverse_kinematics(robot, motion(name, TIMES + step))) for step in (-2 * h, -h, h, 2 * h)]
     rate = (energy[0] - 8.0 * energy[1] + 8.0 * energy[2] - energy[3]) / (12.0 * h)
     for result in reduced(name):
         tau = rp.distribute(result).tau
@@ -90,7 +90,7 @@ def test_f_is_dual_to_the_rates_of_the_coordinates(name: str) -> None:
         near((tau * speeds).sum(axis=1), rate, DIFFERENCES)
 
 
-def _energy(robot: Robot, tree: TreeMotion) -> Array:
+def _energy(robot: Robot, tree: JointTrajectory) -> Array:
     data = robot.model.createData()
     return np.array(
         [

@@ -16,7 +16,7 @@ import redundancy_pin as rp
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.errors import UnreachablePoseError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 
 TURN = 2.0 * np.pi
@@ -97,7 +97,7 @@ def test_a_crank_is_the_same_after_any_number_of_turns(backend: str, turns: int)
 def test_a_joint_that_turns_along_keeps_its_turns(backend: str, turns: int) -> None:
     """Each turn winds the spring up by 2π; the work of that is STIFFNESS 2π turns dφ."""
     dynamics, x = BACKENDS[backend](drag_link()), angle_after(turns)
-    slope = float(lift(drag_link(), motion_at(within_a_turn(x))).gamma[0, 1, 0])
+    slope = float(inverse_kinematics(drag_link(), motion_at(within_a_turn(x))).gamma[0, 1, 0])
     assert abs(slope) > 0.2
     plain, far = (dynamics.reduce(motion_at(each)).f for each in (within_a_turn(x), x))
     wound = STIFFNESS * TURN * turns * slope

@@ -100,7 +100,7 @@ def test_we_read_what_the_file_says() -> None:
     robot = rp.load_robot(FILES["cassie_v2.sdf"])
     row = dict(zip(robot.independent_joints, np.eye(robot.n), strict=True))
     x = (-0.3 * row["left-knee-op"] + 0.13 * row["left-tarsus-spring-joint"])[None]
-    q = rp.lift(robot, rp.PlatformMotion([0.0], x, 0 * x, 0 * x)).q[0]
+    q = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], x, 0 * x, 0 * x)).q[0]
     names = ("knee-op", "knee-shin-joint", "shin-tarsus-joint", "tarsus-spring-joint")
     angles = [q[robot.model.joints[robot.model.getJointId(f"left-{name}")].idx_q] for name in names]
     assert abs(angles[1]) > 0.1
@@ -111,7 +111,7 @@ def test_corrected_it_bends_and_carries_as_geometry_says(tmp_path: Path) -> None
     robot = example.load(tmp_path)
     leg, motion = Leg(tmp_path / "cassie.sdf"), example.bend(robot)
     at = {name: robot.independent_joints.index(f"left-{name}") for name in example.MOTORS}
-    q = rp.lift(robot, motion).q
+    q = rp.inverse_kinematics(robot, motion).q
     pose = motion.x[:, [at["pitch-op"], at["knee-op"], at["tarsus-crank-joint"]]]
     for name, wanted in (("shin-tarsus-joint", leg.tarsus), ("foot-op", leg.foot)):
         column = robot.model.joints[robot.model.getJointId(f"left-{name}")].idx_q
@@ -145,7 +145,7 @@ def test_loops_that_stand_beside_a_rank_loss_take_no_digits_from_those_that_move
         start = right * (np.arange(robot.n) == robot.independent_joints.index("right-tarsus-crank-joint"))
         end = start - 0.5 * (np.arange(robot.n) == robot.independent_joints.index("left-knee-op"))
         motion = rp.trajectory.from_points([start, end], [0.0, 1.0], ends="rest").sample(0.02)
-        margins.append(rp.lift(robot, motion).serial_margin_bound.max())
+        margins.append(rp.inverse_kinematics(robot, motion).serial_margin_bound.max())
         tau.append(rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[:, left])
     assert margins[0] < 1e-4 < margins[1]
     np.testing.assert_allclose(*tau, rtol=0.0, atol=1e-7)

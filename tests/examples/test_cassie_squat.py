@@ -39,7 +39,7 @@ def robot() -> Robot:
 
 def test_edges_of_the_feet_carry_the_machine_within_their_cones(robot: Robot) -> None:
     motion = example.squat(robot, 9)
-    tree = rp.lift(robot, motion)
+    tree = rp.inverse_kinematics(robot, motion)
     model, data = robot.model, robot.model.createData()
     assert (robot.n, robot.m, len(robot.constraint_names)) == (6, 10, 2 * (4 + 2) + 10 + 4)
     free, _ = example.efforts(robot, motion, 5.0)
@@ -94,7 +94,7 @@ def test_mujoco_agrees(robot: Robot, tmp_path: Path) -> None:
     """Contact forces by MuJoCo's equation of motion; accelerations too by its solver, in the limit of rigid."""
     mujoco = pytest.importorskip("mujoco")
     motion, data = example.squat(robot, 5), robot.model.createData()
-    tree = rp.lift(robot, motion)
+    tree = rp.inverse_kinematics(robot, motion)
     efforts, feet = example.efforts(robot, motion, 0.6)
     tips: dict[str, tuple[str, Any, Any]] = {}
     for name, way in zip(example.CONTACTS, (1.0, -1.0) * 2, strict=True):
@@ -212,7 +212,7 @@ def _compare(mj: Any, state: Any, force: np.ndarray, ours: dict[str, float], tol
 def test_the_squat_looks_like_one(robot: Robot) -> None:
     """Ten centimetres down and up, the edges where they were."""
     motion = example.squat(robot, 3)
-    tree = rp.lift(robot, motion)
+    tree = rp.inverse_kinematics(robot, motion)
     data = robot.model.createData()
     ends = {name: robot.model.getFrameId(f"{name} tip", pin.FrameType.BODY) for name in example.CONTACTS}
     pelvis = robot.model.getFrameId("pelvis", pin.FrameType.BODY)

@@ -25,7 +25,7 @@ except (PackageNotFoundError, IndexError):
 
 def test_feet_carry_the_machine_within_their_cones() -> None:
     robot, motion = example.load(), example.squat(15)
-    tree = rp.lift(robot, motion)
+    tree = rp.inverse_kinematics(robot, motion)
     model, data = robot.model, robot.model.createData()
     free, _ = example.efforts(robot, motion, 5.0)
     for friction, bites in ((0.6, False), (0.2, True)):

@@ -26,11 +26,11 @@ except (PackageNotFoundError, ValueError):
 
 def test_each_arm_carries_its_share_and_the_bar_is_squeezed() -> None:
     robot = example.load()
-    motion = example.lift(robot, 5)
+    motion = example.inverse_kinematics(robot, 5)
     efforts, wrench = example.torques(robot, motion, SQUEEZE)
     assert (robot.n, robot.m) == (6, 12)
     assert efforts.solved.all()
-    tree = rp.lift(robot, motion)
+    tree = rp.inverse_kinematics(robot, motion)
     arm = pin.buildModelFromUrdf(URDF)
     data, tool = arm.createData(), arm.getFrameId("tool0")
     for k in range(len(motion)):

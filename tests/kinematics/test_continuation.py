@@ -19,7 +19,7 @@ from redundancy_pin.kinematics.continuation import (
     reacquire,
 )
 from redundancy_pin.kinematics.coordinates import difference, in_working_mode
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale, velocity_unit
 
@@ -27,7 +27,7 @@ from redundancy_pin.robot.scales import row_scale, velocity_unit
 def test_anchors_are_dense_enough_and_no_denser(shipped: Robot) -> None:
     system = zoo.system_of(shipped)
     x = zoo.smooth_motion(shipped, 1).at(np.linspace(0.0, 2.0, 2000)).x
-    anchors = follow(system, x, lift(shipped, zoo.smooth_motion(shipped, 1).at(np.zeros(1))).q[0])
+    anchors = follow(system, x, inverse_kinematics(shipped, zoo.smooth_motion(shipped, 1).at(np.zeros(1))).q[0])
     assert anchors.valid.all()
     steps = np.linalg.norm(difference(shipped, anchors.x[1:], anchors.x[:-1]) * row_scale(shipped), axis=1)
     sample = np.linalg.norm(difference(shipped, x[1:], x[:-1]) * row_scale(shipped), axis=1).max()
@@ -81,7 +81,7 @@ def test_guesses_between_anchors_are_cubic(shipped: Robot) -> None:
     """A cubic through values and slopes errs with the fourth power of the spacing: far below the anchors' steps."""
     system = zoo.system_of(shipped)
     motion = zoo.smooth_motion(shipped, 2).at(np.linspace(0.0, 1.0, 500))
-    tree = lift(shipped, motion)
+    tree = inverse_kinematics(shipped, motion)
     anchors = follow(system, motion.x, tree.q[0])
     guess = initial_guess(system, motion.x, anchors)
     step = np.abs(np.diff(anchors.q, axis=0)).max()
@@ -117,7 +117,7 @@ def test_a_jump_to_the_other_elbow_is_not_continuous() -> None:
     robot = zoo.robot_of("five_bar")
     system = zoo.system_of(robot)
     x = np.linspace(zoo.home_of(robot), zoo.home_of(robot) - [0.0, 0.01], 3)
-    q = lift(robot, zoo.smooth_motion(robot, 0).at(np.zeros(1))).q  # any closed start
+    q = inverse_kinematics(robot, zoo.smooth_motion(robot, 0).at(np.zeros(1))).q  # any closed start
     q = assemble(system, np.repeat(robot.q_reference[None], 3, axis=0), x).q
     other = zoo.robot_of("five_bar", working_mode=(-1, -1))
     q[2] = assemble(system, other.q_reference[None], x[2:]).q[0]

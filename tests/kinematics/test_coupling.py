@@ -175,7 +175,9 @@ def test_forward_dynamics_and_derivatives(robot: Robot) -> None:
 
 
 def test_a_gear_counts_turns(robot: Robot) -> None:
-    lifted = rp.lift(robot, rp.PlatformMotion([0.0, 1.0], [[0.3, 0.2], [0.4, 1.4]], np.zeros((2, 2)), np.zeros((2, 2))))
+    lifted = rp.inverse_kinematics(
+        robot, rp.PlatformMotion([0.0, 1.0], [[0.3, 0.2], [0.4, 1.4]], np.zeros((2, 2)), np.zeros((2, 2)))
+    )
     np.testing.assert_allclose(lifted.q[1], by_hand(np.array([0.4, 1.4]))[0], atol=1e-12)
 
 

@@ -32,12 +32,12 @@ def test_a_pose_beyond_all_reach_is_an_error_and_not_a_burden(far):
     robot = rp.load_robot("five_bar")
     home = [0.25, 0.6]
     with pytest.raises(UnreachablePoseError) as caught:
-        rp.lift(robot, still([[far, 0.0]]))
+        rp.inverse_kinematics(robot, still([[far, 0.0]]))
     # the legs reach one metre from bases half a metre apart: the rest of the way stays open
     assert caught.value.details["gap"] > 0.1 * far
     with pytest.raises(UnreachablePoseError):
-        rp.lift(robot, still([home, [far, 0.0]]))
-    marked = rp.lift(robot, still([home, [far, 0.0], home]), mark_unreachable=True)
+        rp.inverse_kinematics(robot, still([home, [far, 0.0]]))
+    marked = rp.inverse_kinematics(robot, still([home, [far, 0.0], home]), mark_unreachable=True)
     np.testing.assert_array_equal(marked.reachable, [True, False, True])
 
 
@@ -55,14 +55,14 @@ def test_the_elbow_stays_on_its_side_next_to_full_stretch(five_bar_without_modes
     full = float(robot.parameters["proximal_length"] + robot.parameters["distal_length"])
     reach = full * (1.0 - below - 0.2 * np.abs(np.linspace(-1.0, 1.0, samples)))
     elbow = robot.model.joints[robot.model.getJointId("elbow_1")].idx_q
-    expected = np.sign(rp.lift(robot, still(reach[:1, None] * direction)).q[0, elbow])
+    expected = np.sign(rp.inverse_kinematics(robot, still(reach[:1, None] * direction)).q[0, elbow])
     try:
-        tree = rp.lift(robot, still(reach[:, None] * direction))
+        tree = rp.inverse_kinematics(robot, still(reach[:, None] * direction))
     except RedundancyPinError:
         assert below < 1e-6  # so near that the branches cannot be told apart: refused, not guessed
     else:
         np.testing.assert_array_equal(np.sign(tree.q[:, elbow]), expected)
-    marked = rp.lift(robot, still(reach[:, None] * direction), mark_unreachable=True)
+    marked = rp.inverse_kinematics(robot, still(reach[:, None] * direction), mark_unreachable=True)
     sides = np.sign(marked.q[:, elbow])
     both = marked.reachable[1:] & marked.reachable[:-1]
     assert not (both & (sides[1:] * sides[:-1] < 0)).any()
@@ -72,5 +72,5 @@ def test_a_crank_counts_its_turns():
     robot = rp.load_robot("four_bar")
     crank = robot.model.joints[robot.model.getJointId("crank")].idx_q
     for x in ([0.5, 5.5], [0.5, 10 * np.pi], [0.5, -7.0, 3.0]):
-        tree = rp.lift(robot, still(np.array(x)[:, None]))
+        tree = rp.inverse_kinematics(robot, still(np.array(x)[:, None]))
         np.testing.assert_allclose(tree.q[:, crank], x, atol=1e-9)

@@ -224,7 +224,7 @@ def test_gough_modes_have_their_leg_lengths_and_come_in_mirror_images() -> None:
 def test_gough_forwards_is_its_inverse_backwards() -> None:
     robot = zoo.robot_of("gough")
     motion = zoo.smooth_motion(robot, 3).at(np.linspace(0.0, 1.0, 9))
-    tree = rp.lift(robot, motion)
+    tree = rp.inverse_kinematics(robot, motion)
     u, ud, udd = (part[:, robot.actuated_velocity] for part in (tree.q, tree.v, tree.a))
     solution = rp.forward_kinematics(robot, u, rates=ud, accelerations=udd)
     assert (
@@ -276,7 +276,7 @@ def test_redundant_motors_lead_through_singularities_of_some_of_them(five_bar: r
     """Those on the base alone lose the platform on the way, or take it elsewhere; all three never do."""
     robot = redundant(five_bar)
     motion = rp.trajectory.from_points([(0.25, 0.75), end], speed=0.5).sample(0.02)
-    tree = rp.lift(robot, motion)  # from the platform to the joints nothing is singular
+    tree = rp.inverse_kinematics(robot, motion)  # from the platform to the joints nothing is singular
     u, ud, udd = (np.array(part)[:, robot.actuated_velocity] for part in (tree.q, tree.v, tree.a))
     alone = rp.forward_kinematics(five_bar, u[:, :2])
     assert not (np.abs(alone.x - motion.x) < 0.01).all()

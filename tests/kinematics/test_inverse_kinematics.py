@@ -1,142 +1,191 @@
-"""One pose on the robot's branch: the straight way from the reference, or the search in the working mode."""
+"""Inverse kinematics: q, v, a along platform motions, judged by finite differences, Pinocchio and denser samples."""
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from redundancy_pin import load_robot
+from redundancy_pin import PlatformMotion
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
-from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode, moved, working_modes
-from redundancy_pin.kinematics.inverse_kinematics import mixed_legs, multistart
-from redundancy_pin.kinematics.lift import point_on_branch
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.assembly import configuration_difference
+from redundancy_pin.kinematics.coordinates import working_modes
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.robot import Robot
 
+STEP = 1e-5
+VELOCITY = 2e-8  # central differences: STEP² times third derivatives of 10², and the closure tolerance over STEP
+ACCELERATION = 1e-6  # the same on v, whose third derivatives reach 10⁴
 
-@examples(20)
+
+@examples(8)
 @given(name=st.sampled_from(zoo.SHIPPED), seed=st.integers(0, 2**16))
-def test_the_pose_is_met_in_the_working_mode(name: str, seed: int) -> None:
+def test_velocity_and_acceleration_are_derivatives(name: str, seed: int) -> None:
     robot = zoo.robot_of(name)
-    system = zoo.system_of(robot)
-    increment = np.random.default_rng(seed).uniform(-1.0, 1.0, (1, robot.n)) * zoo.reach_of(robot)
-    x = moved(robot, zoo.home_of(robot)[None], increment)
-    state = system.evaluate(point_on_branch(system, x[0]).q[None])
-    assert np.abs(state.phi).max() < CLOSURE_TOLERANCE
-    np.testing.assert_allclose(difference(robot, x, coordinates(robot, state)), 0.0, atol=CLOSURE_TOLERANCE)
-    assert in_working_mode(robot, state.q)[0]
+    motion = zoo.smooth_motion(robot, seed)
+    t = np.linspace(0.0, 1.0, 6)
+    tree, after, before = (inverse_kinematics(robot, motion.at(t + shift)) for shift in (0.0, STEP, -STEP))
+    rate = configuration_difference(robot.model, before.q, after.q) / (2 * STEP)
+    np.testing.assert_allclose(tree.v, rate, atol=VELOCITY)
+    np.testing.assert_allclose(tree.a, (after.v - before.v) / (2 * STEP), atol=ACCELERATION)
 
 
-@pytest.mark.long
-def test_behind_an_obstacle_the_search_takes_over() -> None:
-    """The straight way of the 2-RPR from home runs through the base hinge of leg 1, where the branch ends."""
+def pinocchio_gap(robot: Robot, q: np.ndarray) -> float:
+    """Return the largest distance of the frames of a point or pin closure, by Pinocchio (all shipped ones are such)."""
+    data = robot.model.createData()
+    worst = 0.0
+    for configuration in q:
+        pin.framesForwardKinematics(robot.model, data, configuration)
+        for closure in robot.closures:
+            a, b = (data.oMf[robot.model.getFrameId(name)].translation for name in (closure.frame_a, closure.frame_b))
+            worst = max(worst, float(np.abs(a - b).max()))
+    return worst
+
+
+def test_a_dense_motion_stays_closed(shipped: Robot) -> None:
+    tree = inverse_kinematics(shipped, zoo.smooth_motion(shipped, 5).at(np.linspace(0.0, 3.0, 1500)))
+    assert tree.reachable.all()
+    assert tree.gap.max() < CLOSURE_TOLERANCE
+    assert pinocchio_gap(shipped, tree.q[::10]) < CLOSURE_TOLERANCE
+
+
+def test_the_platform_is_where_the_motion_says(shipped: Robot) -> None:
+    if shipped.platform is None:
+        pytest.skip("no platform")
+    motion = zoo.smooth_motion(shipped, 6).at(np.linspace(0.0, 1.0, 9))
+    tree = inverse_kinematics(shipped, motion)
+    data, frame = shipped.model.createData(), shipped.model.getFrameId(shipped.platform.frame)
+    for k in range(len(motion)):
+        pin.forwardKinematics(shipped.model, data, tree.q[k], tree.v[k], tree.a[k])
+        placement = pin.updateFramePlacement(shipped.model, data, frame)
+        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        twist = pin.getFrameVelocity(shipped.model, data, frame, world).vector
+        rate = pin.getFrameClassicalAcceleration(shipped.model, data, frame, world).vector
+        if motion.is_pose:
+            np.testing.assert_allclose(placement.homogeneous, motion.x[k], atol=CLOSURE_TOLERANCE)
+            rows = np.arange(6)
+        else:
+            np.testing.assert_allclose(placement.translation[:2], motion.x[k, :2], atol=CLOSURE_TOLERANCE)
+            rows = np.array([0, 1, 5])[: shipped.n]
+        np.testing.assert_allclose(twist[rows], motion.xd[k], atol=1e-10)
+        np.testing.assert_allclose(rate[rows], motion.xdd[k], atol=1e-9)
+
+
+def test_sparse_samples_give_the_configurations_of_dense_ones(shipped: Robot) -> None:
+    """Ten samples over a large motion: the way between them is followed all the same."""
+    motion = zoo.smooth_motion(shipped, 8, scale=2.0)
+    dense = inverse_kinematics(shipped, motion.at(np.linspace(0.0, 3.0, 901)))
+    sparse = inverse_kinematics(shipped, motion.at(np.linspace(0.0, 3.0, 10)))
+    assert np.abs(np.diff(sparse.q, axis=0)).max() > 0.05
+    np.testing.assert_allclose(sparse.q, dense.q[::100], atol=1e-9)
+    np.testing.assert_allclose(sparse.a, dense.a[::100], rtol=1e-8, atol=1e-7)
+
+
+def test_w_is_the_actuated_part_of_gamma(shipped: Robot) -> None:
+    tree = inverse_kinematics(shipped, zoo.smooth_motion(shipped, 9).at(np.linspace(0.0, 1.0, 5)))
+    rates = np.einsum("nim,ni->nm", tree.W, tree.motion.xd)
+    np.testing.assert_allclose(rates, tree.v[:, shipped.actuated_velocity], atol=1e-13)
+    assert np.all(tree.v[:, shipped.carrier_velocity] == 0.0)
+    assert np.all(tree.a[:, shipped.carrier_velocity] == 0.0)
+
+
+def test_columns_of_w_come_in_the_order_of_the_declaration() -> None:
+    """Parsa 2014, eq. 2.4: the rows of the 2-RPR's J = Wᵀ are the directions of leg 1, then of leg 2."""
     robot = zoo.robot_of("2rpr")
-    system = zoo.system_of(robot)
-    behind = -0.5 * zoo.home_of(robot)
-    q = point_on_branch(system, behind).q
-    assert in_working_mode(robot, q[None])[0]
-    slides = [robot.model.joints[robot.model.getJointId(f"slide_{leg}")].idx_q for leg in (1, 2)]
-    np.testing.assert_allclose(q[slides], [np.hypot(*behind), np.hypot(*(behind - [0.5, 0.0]))], atol=1e-10)
+    assert robot.actuated == ("slide_1", "slide_2")
+    tree = inverse_kinematics(robot, zoo.smooth_motion(robot, 9).at(np.linspace(0.0, 1.0, 5)))
+    for leg, hinge in enumerate(([0.0, 0.0], [0.5, 0.0])):
+        away = tree.motion.x - hinge
+        np.testing.assert_allclose(tree.W[:, :, leg], away / np.linalg.norm(away, axis=1)[:, None], atol=1e-12)
 
 
-def test_out_of_reach_names_pose_gap_and_remedy() -> None:
-    robot = zoo.robot_of("3rrr")
-    with pytest.raises(UnreachablePoseError, match=r"sample 4, x = \[9.0, 9.0, 0.0\].*open by") as caught:
-        point_on_branch(zoo.system_of(robot), np.array([9.0, 9.0, 0.0]), sample=4)
-    assert caught.value.details["gap"] > 1.0
-    assert "workspace" in caught.value.remedy
+@examples(4)
+@given(
+    mode=st.sampled_from(list(itertools.product((1, -1), repeat=3))),
+    radius=st.floats(0.15, 0.35),
+    proximal=st.floats(0.8, 1.2),
+    distal=st.floats(0.8, 1.2),
+)
+def test_every_working_mode_of_the_3rrr_is_the_one_asked_for(
+    mode: tuple[int, ...], radius: float, proximal: float, distal: float
+) -> None:
+    from redundancy_pin import load_robot
+
+    robot = load_robot(
+        "3rrr", working_mode=mode, platform_radius=radius, proximal_length=proximal, distal_length=distal
+    )
+    motion = zoo.smooth_motion(robot, 1, scale=0.7).at(np.linspace(0.0, 1.0, 30))
+    tree = inverse_kinematics(robot, motion)
+    np.testing.assert_array_equal(working_modes(robot, tree.q), np.tile(mode, (30, 1)))
+    # Parsa 2014, eq. 2.22: θ = γ + ψ in mode +1, θ = γ − ψ in mode −1
+    hinges = [np.zeros(2), np.array([np.sqrt(3), 0.0]), np.array([np.sqrt(3) / 2, 1.5])]
+    for leg, hinge in enumerate(hinges):
+        phi = motion.x[:, 2] + (np.pi / 6, 5 * np.pi / 6, -np.pi / 2)[leg]
+        away = motion.x[:, :2] - radius * np.stack([np.cos(phi), np.sin(phi)], axis=1) - hinge
+        rho = np.linalg.norm(away, axis=1)
+        psi = np.arccos((proximal**2 + rho**2 - distal**2) / (2 * proximal * rho))
+        theta = np.arctan2(away[:, 1], away[:, 0]) + mode[leg] * psi
+        column = robot.model.joints[robot.model.getJointId(f"base_{leg + 1}")].idx_q
+        np.testing.assert_allclose(np.sin(tree.q[:, column] - theta), 0.0, atol=1e-9)
+        np.testing.assert_allclose(np.cos(tree.q[:, column] - theta), 1.0, atol=1e-9)
 
 
-def test_each_mode_has_its_own_configuration_of_a_pose() -> None:
-    pose = np.array([1.0])
-    robots = [load_robot("four_bar", working_mode=mode) for mode in ((1,), (-1,))]
-    q = np.stack([point_on_branch(ConstraintSystem(robot), pose).q for robot in robots])
-    assert working_modes(robots[0], q).tolist() == [[1], [-1]]
+def test_a_single_sample_equals_the_same_sample_of_a_motion(shipped: Robot) -> None:
+    motion = zoo.smooth_motion(shipped, 10).at(np.linspace(0.0, 1.0, 50))
+    whole, alone = inverse_kinematics(shipped, motion), inverse_kinematics(shipped, motion[20:21])
+    wrapped = configuration_difference(shipped.model, whole.q[20:21], alone.q)
+    np.testing.assert_allclose(np.sin(wrapped), 0.0, atol=1e-9)
+    np.testing.assert_allclose(alone.a[0], whole.a[20], rtol=1e-8, atol=1e-8)
 
 
-def test_only_other_modes_close_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fault injected: the search finds closed configurations, but none that counts as the right mode."""
-    from redundancy_pin.kinematics import inverse_kinematics as search_module
-    from redundancy_pin.kinematics import lift as branch
-
-    robot = zoo.robot_of("five_bar")
-    nowhere = lambda robot, q: np.zeros(len(q), dtype=bool)  # noqa: E731
-    monkeypatch.setattr(branch, "in_working_mode", nowhere)
-    monkeypatch.setattr(search_module, "in_working_mode", nowhere)
-    with pytest.raises(WorkingModeError, match=r"closes only in other working modes than \+- of five_bar") as caught:
-        point_on_branch(zoo.system_of(robot), zoo.home_of(robot), sample=2)
-    assert caught.value.details["sample"] == 2
-    assert "working_mode" in caught.value.remedy
+def test_two_sided_samples_differ_in_acceleration_only(shipped: Robot) -> None:
+    motion = zoo.smooth_motion(shipped, 12).at(np.linspace(0.0, 1.0, 9))
+    order = np.array([0, 1, 2, 3, 4, 4, 5, 6, 7, 8])
+    jumped = motion.xdd[order].copy()
+    jumped[5] += 1.0
+    tree = inverse_kinematics(shipped, PlatformMotion(motion.t[order], motion.x[order], motion.xd[order], jumped))
+    np.testing.assert_allclose(tree.q[4], tree.q[5], atol=1e-12)
+    np.testing.assert_allclose(tree.v[4], tree.v[5], atol=1e-10)
+    jump = np.einsum("vi,i->v", tree.gamma[4], np.ones(shipped.n))
+    np.testing.assert_allclose(tree.a[5] - tree.a[4], jump, atol=1e-8)
 
 
-def test_search_prefers_the_solution_nearest_to_the_guess(shipped: Robot) -> None:
-    system = zoo.system_of(shipped)
-    q, gap, closed = multistart(system, np.array(shipped.q_reference), zoo.home_of(shipped))
-    assert closed
-    assert gap < CLOSURE_TOLERANCE
-    np.testing.assert_allclose(q, shipped.q_reference, atol=1e-9)
+def test_uneven_sampling_gives_the_same_configurations(shipped: Robot) -> None:
+    """Clusters of samples nanoseconds apart beside wide gaps: anchors are laid by distance, not by sample."""
+    motion = zoo.smooth_motion(shipped, 13)
+    base = np.linspace(0.0, 2.0, 7)
+    clustered = np.sort(np.concatenate([base, base + 1e-9, base + 2e-9]))
+    uneven, even = inverse_kinematics(shipped, motion.at(clustered)), inverse_kinematics(shipped, motion.at(base))
+    np.testing.assert_allclose(uneven.q[::3], even.q, atol=1e-9)
 
 
-def test_search_finds_the_mode_from_a_guess_in_another() -> None:
-    robot = zoo.robot_of("3rrr", working_mode=(1, -1, 1))
-    other = zoo.robot_of("3rrr", working_mode=(-1, 1, -1))
-    q, _, closed = multistart(zoo.system_of(robot), np.array(other.q_reference), zoo.home_of(robot))
-    assert closed
-    np.testing.assert_array_equal(working_modes(robot, q[None])[0], [1, -1, 1])
+@pytest.mark.long_for("gough")
+def test_ten_thousand_samples_are_lifted_in_one_go(shipped: Robot) -> None:
+    motion = zoo.smooth_motion(shipped, 14)
+    long = inverse_kinematics(shipped, motion.at(np.linspace(0.0, 5.0, 10_001)))
+    short = inverse_kinematics(shipped, motion.at(np.linspace(0.0, 5.0, 101)))
+    np.testing.assert_allclose(long.q[::100], short.q, atol=1e-9)
 
 
-def test_search_is_the_same_every_time() -> None:
-    robot = zoo.robot_of("3rrr", working_mode=(1, -1, 1))
-    guess = np.array(zoo.robot_of("3rrr").q_reference)
-    first, second = (multistart(zoo.system_of(robot), guess, zoo.home_of(robot))[0] for _ in range(2))
-    np.testing.assert_array_equal(first, second)
+def test_results_are_read_only(shipped: Robot) -> None:
+    tree = inverse_kinematics(shipped, zoo.smooth_motion(shipped, 15).at(np.linspace(0.0, 0.1, 3)))
+    for name, value in vars(tree).items():
+        if isinstance(value, np.ndarray):
+            assert not value.flags.writeable, name
+    assert isinstance(tree, JointTrajectory)
 
 
-def test_search_returns_angles_within_a_turn() -> None:
-    robot = zoo.robot_of("3rrr")
-    wound = np.array(robot.q_reference)
-    wound[robot.actuated_velocity] += 2 * np.pi
-    q, _, closed = multistart(zoo.system_of(robot), wound, zoo.home_of(robot))
-    assert closed
-    assert np.abs(q).max() <= np.pi
-
-
-def test_search_turns_joints_all_around_whatever_the_characteristic_length() -> None:
-    """A characteristic length of exactly 1 m must not make angles look like lengths."""
-    from dataclasses import replace
-
-    robot = replace(zoo.robot_of("3rrr"), characteristic_length=1.0, working_mode=(-1, -1, -1))
-    q, _, closed = multistart(ConstraintSystem(robot), np.array(robot.q_reference), zoo.home_of(zoo.robot_of("3rrr")))
-    assert closed
-    np.testing.assert_array_equal(working_modes(robot, q[None])[0], [-1, -1, -1])
-
-
-@pytest.mark.long_for("mode0", "mode1")
-@pytest.mark.parametrize("mode", [(-1, -1, -1, -1, -1, -1), (1, -1, 1, 1, -1, -1), (-1, 1, 1, -1, 1, 1)])
-def test_every_mode_of_six_legs_is_found_for_other_lengths(mode: tuple[int, ...]) -> None:
-    """One random start in 64 falls to a given mode of six legs: they are put together leg by leg."""
-    robot = load_robot("gough", base_radius=0.7, platform_radius=0.27, height=0.52, working_mode=mode)
-    assembled = zoo.system_of(robot).evaluate(np.array(robot.q_reference)[None])
-    assert np.abs(assembled.phi).max() < CLOSURE_TOLERANCE
-    np.testing.assert_array_equal(working_modes(robot, np.array(robot.q_reference)[None])[0], mode)
-    lengths = [
-        robot.q_reference[robot.model.joints[robot.model.getJointId(f"slide_{leg}")].idx_q] for leg in range(1, 7)
-    ]
-    np.testing.assert_array_equal(np.sign(lengths), mode)
-
-
-def test_legs_are_not_mixed_where_one_is_right_in_none() -> None:
-    robot = zoo.robot_of("3rrr", working_mode=(1, 1, 1))
-    other = zoo.robot_of("3rrr", working_mode=(-1, 1, 1))
-    guess, q = np.array(robot.q_reference), np.array(other.q_reference)
-    assert mixed_legs(robot, q[None], guess) is None
-    assert mixed_legs(robot, q[None][:0], guess) is None
-    third = np.array(zoo.robot_of("3rrr", working_mode=(1, -1, 1)).q_reference)
-    mixed = mixed_legs(robot, np.array([q, third]), guess)
-    np.testing.assert_array_equal(working_modes(robot, mixed[None])[0], [1, 1, 1])
-    assert np.abs(zoo.system_of(robot).evaluate(mixed[None]).phi).max() < CLOSURE_TOLERANCE
+@pytest.mark.parametrize("name", zoo.SHIPPED)
+def test_a_motion_in_other_coordinates_is_refused(name: str) -> None:
+    robot = zoo.robot_of(name)
+    wrong = PlatformMotion([0.0], np.zeros((1, robot.n + 1)), np.zeros((1, robot.n + 1)), np.zeros((1, robot.n + 1)))
+    with pytest.raises(InputError, match=f"{robot.name} moves in {robot.n} coordinates") as caught:
+        inverse_kinematics(robot, wrong)
+    assert f"xd, xdd as (N, {robot.n})" in caught.value.remedy

@@ -10,8 +10,8 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.kinematics.inverse_kinematics import multistart
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.robot.scales import turning_velocities
 
 SAME = 1e-8
@@ -53,8 +53,8 @@ def close(found: Array, expected: Array) -> None:
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("name", LENGTHS)
 def test_joints_follow_the_platform_alike(name: str, unit: tuple[float, float]) -> None:
-    (length, time), plain = unit, lift(robot_in(name, 1.0), motion_in(name, 1.0, 1.0))
-    other = lift(robot_in(name, length), motion_in(name, length, time))
+    (length, time), plain = unit, inverse_kinematics(robot_in(name, 1.0), motion_in(name, 1.0, 1.0))
+    other = inverse_kinematics(robot_in(name, length), motion_in(name, length, time))
     own, joints = sizes(plain.robot, length)
     assert other.robot.characteristic_length == pytest.approx(length * plain.robot.characteristic_length, rel=1e-9)
     close(other.q / joints, plain.q)
@@ -70,7 +70,7 @@ def test_joints_follow_the_platform_alike(name: str, unit: tuple[float, float]) 
 def test_the_platform_follows_the_motors_alike(name: str, unit: tuple[float, float]) -> None:
     (length, time), found = unit, []
     for robot, (L, T) in ((robot_in(name, 1.0), (1.0, 1.0)), (robot_in(name, length), (length, time))):
-        tree = lift(robot, motion_in(name, L, T))
+        tree = inverse_kinematics(robot, motion_in(name, L, T))
         at = robot.actuated_velocity
         u, ud, udd = (np.array(part[:, at]) for part in (tree.q, tree.v, tree.a))
         found.append((robot, rp.forward_kinematics(robot, u, rates=ud, accelerations=udd, start=tree.q[0]), u[20]))

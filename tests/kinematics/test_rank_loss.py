@@ -15,12 +15,12 @@ from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics import lift as lifting
+from redundancy_pin.kinematics import inverse_kinematics as lifting
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point, crosses, determinants, near_rank_loss
 from redundancy_pin.kinematics.coordinates import mode_indicator
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import classify_motion
@@ -82,7 +82,7 @@ def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
         guess = (guess[0] + 4.0, guess[1] + 3.0, guess[2])
     robot = folding_four_bar(tmp_path, lengths, guess, modes=modes)
     motion = turning(np.pi + offsets)
-    tree = lift(robot, motion, mark_unreachable=mark)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=mark)
     angle, rate, second = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
     rocker = joint(robot, "rocker")
     assert tree.reachable.all()
@@ -99,7 +99,7 @@ def test_positions_alone_are_on_the_branch_too(linkage: str, samples: str, tmp_p
     lengths, guess = LINKAGES[linkage]
     robot = folding_four_bar(tmp_path, lengths, guess)
     motion = turning(np.pi + SAMPLES[samples])
-    tree = lift(robot, motion, positions_only=True)
+    tree = inverse_kinematics(robot, motion, positions_only=True)
     angle, *_ = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
     assert np.abs(np.sin((tree.q[:, joint(robot, "rocker")] - angle) / 2.0)).max() < POSITION
 
@@ -107,7 +107,7 @@ def test_positions_alone_are_on_the_branch_too(linkage: str, samples: str, tmp_p
 def test_two_turns_of_a_parallelogram_leave_its_sides_parallel(tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
     motion = turning(np.linspace(1.0, 1.0 + 4.0 * np.pi, 3001))
-    tree = lift(robot, motion)
+    tree = inverse_kinematics(robot, motion)
     crank, rocker = joint(robot, "crank"), joint(robot, "rocker")
     assert np.abs(np.sin((tree.q[:, rocker] - tree.q[:, crank]) / 2.0)).max() < POSITION
     assert np.abs(tree.v[:, rocker] - RATE_OF_CRANK).max() < RATE
@@ -124,7 +124,7 @@ def test_branches_that_all_but_touch_are_not_taken_for_one_another(samples: int,
     robot = folding_four_bar(tmp_path, lengths, guess)
     side = np.sign(np.sin(robot.q_reference[joint(robot, "coupler")]))
     motion = turning(np.linspace(np.pi - 1.0, np.pi + 1.0, samples))
-    tree = lift(robot, motion)
+    tree = inverse_kinematics(robot, motion)
     assert (np.sign(np.sin(tree.q[:, joint(robot, "coupler")])) == side).all()
     home = np.array([robot.q_reference[joint(robot, "crank")]])
     sign = min(
@@ -139,7 +139,7 @@ def test_branches_that_all_but_touch_are_not_taken_for_one_another(samples: int,
 def test_the_branch_may_lead_into_another_working_mode(tmp_path: Path) -> None:
     """Behind the flat pose the smooth branch has the coupler on its other side; the mode of before has a kink there."""
     robot = folding_four_bar(tmp_path, *LINKAGES["folding"], modes=True)
-    tree = lift(robot, turning(np.pi + SAMPLES["coarse"]))
+    tree = inverse_kinematics(robot, turning(np.pi + SAMPLES["coarse"]))
     side = np.sign(mode_indicator(robot, tree.q)[:, 0])
     assert (side == np.where(tree.motion.x[:, 0] < np.pi, side[0], -side[0])).all()
 
@@ -150,9 +150,9 @@ def test_a_linkage_that_ends_flat_is_refused_there(tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, lengths, (1.0, 2.0, 1.5))
     limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
     with pytest.raises((SingularPoseError, UnreachablePoseError)):
-        lift(robot, turning(np.linspace(1.0, limit, 51)))
+        inverse_kinematics(robot, turning(np.linspace(1.0, limit, 51)))
     with pytest.raises(UnreachablePoseError):
-        lift(robot, turning(np.linspace(1.0, limit + 0.1, 51)))
+        inverse_kinematics(robot, turning(np.linspace(1.0, limit + 0.1, 51)))
 
 
 def test_efforts_are_continuous_through_the_flat_pose(tmp_path: Path) -> None:
@@ -188,13 +188,13 @@ def test_reactions_are_not_made_up_where_the_closures_determine_none(tmp_path: P
 
 def test_the_flat_pose_is_classified_as_the_rank_loss_it_is(tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
-    tree = lift(robot, turning(np.pi + np.linspace(-0.5, 0.5, 5)))
+    tree = inverse_kinematics(robot, turning(np.pi + np.linspace(-0.5, 0.5, 5)))
     assert classify_motion(tree, tolerance=1e-7).type_i.tolist() == [False, False, True, False, False]
 
 
 def test_a_motion_that_stays_on_the_pose_has_the_rates_of_its_branch(tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
-    tree = lift(robot, turning(np.full(4, np.pi)))
+    tree = inverse_kinematics(robot, turning(np.full(4, np.pi)))
     assert np.abs(tree.v[:, joint(robot, "rocker")] - RATE_OF_CRANK).max() < RATE
     assert np.abs(tree.a[:, joint(robot, "rocker")] - SECOND_RATE).max() < ACCELERATION
 
@@ -202,7 +202,7 @@ def test_a_motion_that_stays_on_the_pose_has_the_rates_of_its_branch(tmp_path: P
 def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
     """Multistart keeps the turn of the joint that the motion prescribes."""
     robot = folding_four_bar(tmp_path, *LINKAGES["folding"], modes=True)
-    tree = lift(robot, turning(np.linspace(4.1, 4.2, 5)))
+    tree = inverse_kinematics(robot, turning(np.linspace(4.1, 4.2, 5)))
     np.testing.assert_allclose(tree.q[:, joint(robot, "crank")], tree.motion.x[:, 0], atol=POSITION)
     assert (mode_indicator(robot, tree.q) > 0.0).all()
 
@@ -246,7 +246,7 @@ def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(be
     assert near_rank_loss(constraint_system(robot)) == NEAR_RANK_LOSS
     crank = np.linspace(beside, -1.02 * beside, 41)[:, None]
     rate = np.ones_like(crank)
-    tree = lift(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
+    tree = inverse_kinematics(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
     for values, expected in ((tree.q, crank * turn), (tree.v, 2.0 * rate * turn), (tree.a, 3.0 * rate * turn)):
         np.testing.assert_allclose(values, expected, atol=1e-6)
 
@@ -279,7 +279,7 @@ def require_closed_form(
     except (SingularPoseError, WorkingModeError):
         return False
     effort = np.full(len(crank), second * (1.0 - len(loops)) / 3.0)  # each loop's inertia has the crank's in it
-    tree = lift(robot, motion) if dynamics is RneaDynamics else None
+    tree = inverse_kinematics(robot, motion) if dynamics is RneaDynamics else None
     for i, (coupler, rocker, ground, towards, side) in enumerate(loops):
         branch = change_point((1.0, coupler, rocker, ground), side)
         inertia, slope = (np.array(part((crank - towards)[None])).ravel() for part in (branch.inertia, branch.slope))
@@ -315,7 +315,7 @@ def test_a_loop_that_rests_at_or_beside_its_flat_pose_while_another_goes_through
     x = np.stack([turning, np.full(11, beside)], axis=1)
     t = np.linspace(0.0, 1.0, 11)
     xd, xdd = np.tile([-0.1, 0.0], (11, 1)), np.tile([0.7, -0.3], (11, 1))
-    tree = lift(robot, PlatformMotion(t, x, xd, xdd, check_rates=False))
+    tree = inverse_kinematics(robot, PlatformMotion(t, x, xd, xdd, check_rates=False))
     for name, column, sign in (("crank_1", 0, 1.0), ("coupler_1", 0, -1.0), ("second_1", 1, 1.0), ("beam", 1, -1.0)):
         at = joint(robot, name)
         np.testing.assert_allclose(tree.q[:, at], sign * x[:, column], atol=POSITION)
@@ -329,8 +329,8 @@ def test_rates_that_are_rounding_beside_a_rank_loss_are_refused(monkeypatch: pyt
     robot, rate = row_of_four_bars(1), np.array([[-1.0], [-1.0]])
     motion = PlatformMotion(np.array([0.0, 1.0]), np.array([[1.0], [1e-5]]), rate, 0.0 * rate, check_rates=False)
     with pytest.raises(SingularPoseError, match=r"sample 1 \(t = 1 s, x = \[1e-05\]\) the closures lose rank"):
-        lift(robot, motion)
-    assert lift(robot, motion, positions_only=True).q[1, 1] == pytest.approx(-1e-5, abs=1e-10)
+        inverse_kinematics(robot, motion)
+    assert inverse_kinematics(robot, motion, positions_only=True).q[1, 1] == pytest.approx(-1e-5, abs=1e-10)
 
 
 @pytest.mark.parametrize("length", [2.0**-6, 1.0, 2.0**6])
@@ -348,10 +348,10 @@ def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
         rates = np.full((2, 1), rate), np.full((2, 1), second)
         motion = PlatformMotion(np.array([0.0, 1.0]), np.array([[1.0], [beside]]), *rates, check_rates=False)
         if taken:
-            assert lift(robot, motion).q[1, 1] == pytest.approx(-beside, abs=1e-9)
+            assert inverse_kinematics(robot, motion).q[1, 1] == pytest.approx(-beside, abs=1e-9)
         else:
             with pytest.raises(SingularPoseError, match="the closures lose rank"):
-                lift(robot, motion)
+                inverse_kinematics(robot, motion)
 
 
 def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:

@@ -12,7 +12,7 @@ from written import J, urdf_of, write_robot
 from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 
 CLOSED = 1e-11  # the package's own closure tolerance, here measured by Pinocchio
@@ -39,7 +39,7 @@ def relative_placements(robot: Robot, q: np.ndarray) -> list[pin.SE3]:
 @pytest.mark.parametrize("name", CHAINS)
 def test_lifted_motion_closes_the_joint_as_pinocchio_sees_it(name: str) -> None:
     robot = chain_of(name)
-    for placement in relative_placements(robot, lift(robot, swing(robot, np.linspace(0.0, 1.5, 40))).q):
+    for placement in relative_placements(robot, inverse_kinematics(robot, swing(robot, np.linspace(0.0, 1.5, 40))).q):
         translation, turn = placement.translation, placement.rotation
         if name == "universal":  # centres together, the cross square
             np.testing.assert_allclose(translation, 0.0, atol=CLOSED)
@@ -58,7 +58,7 @@ def test_lifted_motion_closes_the_joint_as_pinocchio_sees_it(name: str) -> None:
 def test_velocity_and_acceleration_are_derivatives(name: str) -> None:
     robot = chain_of(name)
     t = np.linspace(0.1, 1.2, 12)
-    tree, after, before = (lift(robot, swing(robot, t + shift)) for shift in (0.0, STEP, -STEP))
+    tree, after, before = (inverse_kinematics(robot, swing(robot, t + shift)) for shift in (0.0, STEP, -STEP))
     rate = configuration_difference(robot.model, before.q, after.q) / (2 * STEP)
     np.testing.assert_allclose(tree.v, rate, atol=DIFFERENCES)
     np.testing.assert_allclose(tree.a, (after.v - before.v) / (2 * STEP), atol=50 * DIFFERENCES)
@@ -67,7 +67,7 @@ def test_velocity_and_acceleration_are_derivatives(name: str) -> None:
 def test_rccc_axes_obey_the_spherical_four_bar() -> None:
     """Duffy's cosine law: the axes' directions form a spherical quadrilateral, whatever the slides do."""
     robot = chain_of("cylindrical")
-    q = lift(robot, swing(robot, np.linspace(0.0, 1.2, 15))).q
+    q = inverse_kinematics(robot, swing(robot, np.linspace(0.0, 1.2, 15))).q
     crank, turn_2 = (q[:, robot.model.joints[robot.model.getJointId(name)].idx_q] for name in ("crank", "turn_2"))
     alpha, beta, gamma, delta = RCCC_TWISTS
     # axis 1 = z of the base, axis 4 = z of the pivot; axes 3 and 4 keep the angle gamma
@@ -102,7 +102,7 @@ def test_continuous_joints_move_like_revolute_ones() -> None:
     # the crank turns four times: the coordinate leaves (−π, π], which continuous joints cannot hold
     angle, rate = (1.0 + 4 * np.pi * t)[:, None], np.full((60, 1), 4 * np.pi)
     motion = PlatformMotion(t, angle, rate, np.zeros((60, 1)))
-    one, two = lift(endless, motion), lift(bounded, motion)
+    one, two = inverse_kinematics(endless, motion), inverse_kinematics(bounded, motion)
     for joint in ("crank", "rocker", "coupler"):
         i, j = (robot.model.joints[robot.model.getJointId(joint)].idx_v for robot in (endless, bounded))
         np.testing.assert_allclose(one.v[:, i], two.v[:, j], atol=1e-9)

@@ -19,7 +19,7 @@ from redundancy_pin.kinematics.chain import Tracked, Tracker, tracker
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point, follow
 from redundancy_pin.kinematics.coordinates import moved
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 
@@ -97,7 +97,7 @@ def test_poses_beside_a_rank_loss_are_left_to_others(beside: float, tmp_path: Pa
     follower = tracker(robot)
     still = np.zeros((1, 1))
     for before in (0.05, 2e-3):  # by a long step and by a short one
-        tree = lift(robot, PlatformMotion(np.zeros(1), np.array([[np.pi - before]]), still, still))
+        tree = inverse_kinematics(robot, PlatformMotion(np.zeros(1), np.array([[np.pi - before]]), still, still))
         near = Point(tree.motion.x[0], tree.q[0], tree.gamma[0])
         assert follower.towards(near, np.array([np.pi + beside])) is None
 
@@ -106,7 +106,7 @@ def test_a_step_in_which_rank_may_be_lost_is_left_to_others(tmp_path: Path) -> N
     """Halfway between both poses linkages fold flat, and the branch that has a kink there closes as well."""
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
     follower, still = tracker(robot), np.zeros((1, 1))
-    tree = lift(robot, PlatformMotion(np.zeros(1), np.array([[np.pi - 0.015]]), still, still))
+    tree = inverse_kinematics(robot, PlatformMotion(np.zeros(1), np.array([[np.pi - 0.015]]), still, still))
     near = Point(tree.motion.x[0], tree.q[0], tree.gamma[0])
     assert follower.towards(near, np.array([np.pi + 0.015])) is None
     assert follower.towards(near, np.array([np.pi - 0.017])) is not None

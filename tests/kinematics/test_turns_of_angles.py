@@ -14,7 +14,7 @@ from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.closing import brought_near, scattered
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.inverse_kinematics import wrapped
+from redundancy_pin.kinematics.multistart import wrapped
 from redundancy_pin.robot import Robot
 
 TURN = 2.0 * np.pi

@@ -23,8 +23,8 @@ from redundancy_pin.kinematics.chain import ClosedChain, tracker
 from redundancy_pin.kinematics.closing import brought_near, close
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follow, initial_guess
-from redundancy_pin.kinematics.inverse_kinematics import multistart
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
 
@@ -76,14 +76,14 @@ def even(count: int) -> np.ndarray:
 
 def test_dense_and_sparse_motions_take_few_newton_steps(shipped: Robot, counted: Callable[..., list[int]]) -> None:
     motion = zoo.smooth_motion(shipped, 1)
-    dense, sparse = (counted(lambda t=t: lift(shipped, motion.at(t))) for t in map(even, (1000, 7)))
+    dense, sparse = (counted(lambda t=t: inverse_kinematics(shipped, motion.at(t))) for t in map(even, (1000, 7)))
     at_most(dense, DENSE[shipped.name])
     at_most(sparse, SPARSE[shipped.name])
 
 
 def test_guesses_between_anchors_are_near_enough_for_two_steps(shipped: Robot) -> None:
     system, motion = zoo.system_of(shipped), zoo.smooth_motion(shipped, 1).at(even(500))
-    tree = lift(shipped, motion)
+    tree = inverse_kinematics(shipped, motion)
     anchors = follow(system, np.asarray(motion.x), np.asarray(tree.q[0]))
     assert np.abs(initial_guess(system, np.asarray(motion.x), anchors) - tree.q).max() < MORE * GUESS[shipped.name]
 
@@ -93,14 +93,14 @@ def test_next_to_full_stretch_steps_get_shorter(counted: Callable[..., list[int]
     y = np.linspace(0.76, np.sqrt(1.0 - 0.25**2) - 1e-6, 50)
     x = np.stack([np.full(50, 0.25), y], axis=1)
     motion = rp.PlatformMotion(np.arange(50.0), x, np.zeros((50, 2)), np.zeros((50, 2)), check_rates=False)
-    at_most(counted(lambda: lift(robot, motion)), (723, 1218))
+    at_most(counted(lambda: inverse_kinematics(robot, motion)), (723, 1218))
 
 
 def test_a_rank_loss_is_crossed_on_a_line_of_nodes(counted: Callable[..., list[int]], tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
     angle = np.pi + np.linspace(-1.0, 1.0, 11)[:, None] + 0.033
     motion = rp.PlatformMotion(np.arange(11.0), angle, np.ones((11, 1)), np.zeros((11, 1)), check_rates=False)
-    at_most(counted(lambda: lift(robot, motion)), (146, 614))
+    at_most(counted(lambda: inverse_kinematics(robot, motion)), (146, 614))
 
 
 def test_searches_take_a_few_dozen_starts(counted: Callable[..., list[int]]) -> None:

@@ -17,7 +17,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import RedundancyPinError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.receding_horizon import run_online
 from redundancy_pin.robot import Robot
@@ -92,7 +92,7 @@ def uses(plan: Plan, robot: Robot, given: dict[str, Any]) -> dict[str, float]:
             np.abs(reduced.carrier_force / of("carrier_force", [limit.force for limit in own])).max(initial=0.0)
         ),
         "jerk": float(np.abs(third / of("jerk", [np.inf] * robot.k)).max(initial=0.0)),
-        "range": 1.0 + float(range_excess(robot, lift(robot, platform).q).max(initial=-1.0)),
+        "range": 1.0 + float(range_excess(robot, inverse_kinematics(robot, platform).q).max(initial=-1.0)),
     }
 
 
@@ -223,7 +223,7 @@ def test_a_joint_that_leaves_its_range_between_two_samples_breaks_a_limit(backen
     whole, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner()
     t = np.linspace(0.0, corner.duration, 20_001)
     samples = np.unique(rp.plan_stepwise(backend(whole), corner, dt=0.05, stop="within").t)
-    dense, few = (lift(whole, corner.sample_at(times)).q for times in (t, samples))
+    dense, few = (inverse_kinematics(whole, corner.sample_at(times)).q for times in (t, samples))
     at = int(np.argmax(dense.max(axis=0) - few.max(axis=0)))
     top, shown = float(dense[:, at].max()), float(few[:, at].max())
     assert top - shown > 1e-5

@@ -11,7 +11,7 @@ import zoo
 
 from redundancy_pin import PlatformMotion, RneaDynamics, Robot, VirtualWork, plan_stepwise, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.base_wrench import base_wrench
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory import from_points, reference
@@ -41,7 +41,7 @@ def plan(
 def momentum(made: Plan, t: np.ndarray) -> np.ndarray:
     """Momentum (N, 6) of all bodies, N·s, and its moment about the centre of the base, N·m·s, at times t."""
     robot = dynamics().robot
-    carriers, tree = made.carriers_at(t), lift(robot, made.platform_at(t))
+    carriers, tree = made.carriers_at(t), inverse_kinematics(robot, made.platform_at(t))
     q, v = np.array(tree.q), np.array(tree.v)
     q[:, robot.carrier_position], v[:, robot.carrier_velocity] = carriers.s, carriers.sd
     data, rows = robot.model.createData(), []

@@ -22,7 +22,7 @@ from redundancy_pin import (
     simulate,
 )
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.trajectory import reference
 
@@ -73,7 +73,7 @@ def test_rates_are_looked_at_between_the_nodes(monkeypatch: pytest.MonkeyPatch) 
     for each in (coarse, plan, fine):
         t = np.linspace(0.0, each.t[-1], 1000)
         at = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.actuated]
-        angles = np.asarray(lift(robot, each.platform_at(t)).q)[:, at]
+        angles = np.asarray(inverse_kinematics(robot, each.platform_at(t)).q)[:, at]
         worst.append(np.abs(np.gradient(np.unwrap(angles, axis=0), t, axis=0)).max() / 0.35)
     assert worst[0] > 1.05
     assert coarse.status is PlanStatus.VIOLATES_LIMITS

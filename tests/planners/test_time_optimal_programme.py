@@ -254,7 +254,9 @@ def test_bounds_are_those_of_the_unknowns_and_the_cost_is_time(numbers):
     ones = {name: np.ones_like(value) for name, value in numbers.points[0].items()}
     platform, _ = numbers.motion({**ones, "pdd": 0.0 * ones["pdd"]})
     robot = of.other.robot
-    rates = np.abs(rp.kinematics.lift.lift(robot, platform).v[:, robot.actuated_velocity]).max(axis=1)
+    rates = np.abs(
+        rp.kinematics.inverse_kinematics.inverse_kinematics(robot, platform).v[:, robot.actuated_velocity]
+    ).max(axis=1)
     ends = np.zeros(len(rates), dtype=bool)
     ends[[0, -1]] = not of.problem.lap
     np.testing.assert_allclose(upper["pd"][:, 0] * u.speed, np.where(ends, 0.0, 0.5 / rates * keep), rtol=1e-9)

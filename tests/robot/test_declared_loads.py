@@ -52,7 +52,7 @@ def test_friction_of_a_urdf_is_in_force(tmp_path: Path) -> None:
     assert set(robot.loads) == {JointForces(joint, 0.3, 0.2) for joint in ("crank", "rocker", "coupler")}
     frictionless = zoo.robot_of("four_bar")
     motion = zoo.smooth_motion(frictionless, 13).at(np.linspace(0.1, 1.0, 8))
-    tree = rp.lift(frictionless, motion)
+    tree = rp.inverse_kinematics(frictionless, motion)
     columns = [
         frictionless.model.joints[frictionless.model.getJointId(name)].idx_v for name in ("crank", "rocker", "coupler")
     ]

@@ -138,7 +138,7 @@ def _agrees_with_constraint_dynamics(robot):
     """Forward dynamics of Pinocchio under the effort of our inverse dynamics gives the acceleration back."""
     tau = np.zeros(robot.model.nv)
     tau[robot.actuated_velocity] = _effort(robot)
-    lifted = rp.lift(robot, MOTION)
+    lifted = rp.inverse_kinematics(robot, MOTION)
     model, (closure,) = robot.model, robot.closures
     a, b = (model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in (closure.frame_a, closure.frame_b))
     point = pin.RigidConstraintModel(
@@ -369,7 +369,9 @@ def test_bricards_six_hinges_stay_closed_in_all_six_rows():
     assert sum(len(closure.axes) for closure in robot.closures) == 5
     home = robot.q_reference[robot.model.joints[robot.model.getJointId(robot.independent_joints[0])].idx_q]
     x = home - np.linspace(0.0, 0.3, 20)[:, None]  # a hinge opens by 2π/3 and no wider
-    lifted = rp.lift(robot, rp.PlatformMotion(np.linspace(0.0, 1.0, 20), x, np.ones_like(x), np.zeros_like(x)))
+    lifted = rp.inverse_kinematics(
+        robot, rp.PlatformMotion(np.linspace(0.0, 1.0, 20), x, np.ones_like(x), np.zeros_like(x))
+    )
     data = robot.model.createData()
     for q in lifted.q:
         pin.forwardKinematics(robot.model, data, np.array(q))
@@ -405,7 +407,7 @@ def test_loads_act_on_points_of_the_model_and_on_what_joints_carry():
     x = robot.q_reference[:1] + np.zeros((2, 1))
     motion = rp.PlatformMotion([0.0, 1.0], x, np.zeros((2, 1)), np.ones((2, 1)))
     free, wrench = rp.RneaDynamics(robot).reduce(motion).f, np.array([1.0, 2.0, 0.0, 0.0, 0.0, 3.0])
-    gamma, data = rp.lift(robot, motion).gamma[0], model.createData()
+    gamma, data = rp.inverse_kinematics(robot, motion).gamma[0], model.createData()
     pin.computeJointJacobians(model, data, np.array(robot.q_reference))
     pin.updateFramePlacements(model, data)
     for name, jacobian in (
@@ -417,7 +419,7 @@ def test_loads_act_on_points_of_the_model_and_on_what_joints_carry():
         np.testing.assert_allclose(free - f, np.tile(gamma.T @ jacobian.T @ wrench, (2, 1)), atol=1e-12)
     rotor = rp.RneaDynamics(robot.loaded(rp.JointForces("rocker", rotor_inertia=1e-3, gear=10.0))).reduce(motion).f
     # the rocker stands on the ground: gear² · inertia at its own rate
-    a = rp.lift(robot, motion).a[:, 2]
+    a = rp.inverse_kinematics(robot, motion).a[:, 2]
     np.testing.assert_allclose(rotor - free, 0.1 * a[:, None] * gamma[2], atol=1e-12)
 
 

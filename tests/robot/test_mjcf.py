@@ -90,7 +90,7 @@ def test_efforts_of_the_closed_chain_are_those_of_mujoco(name, tmp_path):
     rng = np.random.default_rng(5)
     x = home_of(robot) + rng.uniform(-0.05, 0.05, (4, robot.n))
     motion = rp.PlatformMotion(np.arange(4.0), x, rng.normal(size=x.shape), rng.normal(size=x.shape), check_rates=False)
-    lifted = rp.lift(robot, motion)
+    lifted = rp.inverse_kinematics(robot, motion)
     efforts = rp.distribute(rp.RneaDynamics(robot).reduce(motion))
     assert robot.loads
     assert robot.n == robot.m

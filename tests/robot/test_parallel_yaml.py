@@ -109,7 +109,7 @@ def test_accelerations_are_those_of_pinocchio(joints: list[J], content: dict, tm
     pin.initConstraintDynamics(model, data, constraints, own)
     rng = np.random.default_rng(2)
     x, xd = home_of(robot)[None] + 0.05, rng.normal(size=(1, robot.n))
-    lifted = rp.lift(robot, rp.PlatformMotion([0.0], x, xd, 0.0 * xd))
+    lifted = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], x, xd, 0.0 * xd))
     tau = rng.normal(size=robot.m)
     force = np.zeros(robot.model.nv)
     force[robot.actuated_velocity] = tau
@@ -123,7 +123,9 @@ def test_accelerations_are_those_of_pinocchio(joints: list[J], content: dict, tm
     a = np.array(pin.constraintDynamics(model, data, q, v, u, constraints, own, settings))
     rates = [model.joints[model.getJointId(name)].idx_v for name in robot.independent_joints]
     motion = rp.PlatformMotion([0.0], x, xd, a[rates][None])
-    np.testing.assert_allclose(in_order(robot, model, rp.lift(robot, motion).a[0], "v"), a, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        in_order(robot, model, rp.inverse_kinematics(robot, motion).a[0], "v"), a, rtol=1e-8, atol=1e-8
+    )
     reduced = rp.RneaDynamics(robot).reduce(motion)
     np.testing.assert_allclose(reduced.f[0], reduced.W[0] @ tau, rtol=1e-7, atol=1e-7 * np.abs(reduced.f).max())
 

@@ -65,7 +65,7 @@ def verdicts(path: Path, robot: Robot) -> dict[str, bool]:
     driven = rp.forward_kinematics(robot, np.full((1, 1), np.pi / 2))
     return {
         "info": "(outside)" not in shown,
-        "lift": not rp.lift(robot, motion).out_of_range[0],
+        "inverse_kinematics": not rp.inverse_kinematics(robot, motion).out_of_range[0],
         "efforts": rp.distribute(rp.RneaDynamics(robot).reduce(motion)).status_labels[0] != "out_of_range",
         "forward kinematics": driven.status[0] == ForwardStatus.CONVERGED,
         "simulation": simulated,

@@ -14,7 +14,7 @@ from written import J, urdf_of, write_robot
 import redundancy_pin as rp
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.build import model_of
 from redundancy_pin.robot.formats.urdf_tree import read_tree
@@ -175,7 +175,7 @@ def test_a_platform_that_tilts_has_the_angle_about_one_base_axis(tmp_path: Path)
         reference={"platform": [0.5]},
     )
     rz = np.linspace(0.5, 6.5, 60)
-    tree = lift(robot, rp.PlatformMotion(rz, rz[:, None], np.full((60, 1), 1.5), np.full((60, 1), -2.0)))
+    tree = inverse_kinematics(robot, rp.PlatformMotion(rz, rz[:, None], np.full((60, 1), 1.5), np.full((60, 1), -2.0)))
     sine, cosine = np.sin(rz), np.cos(rz)
     square = 0.64 * cosine**2 + sine**2
     slope, bend = 0.8 / square, -0.8 * 2.0 * sine * cosine * 0.36 / square**2

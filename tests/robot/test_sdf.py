@@ -83,7 +83,7 @@ def test_a_link_of_two_parents_closes_a_loop(kind, tmp_path):
     )
     # along a motion the pin of the rod stays on that of the rocker: lengths of a four-bar, by hand
     x = np.linspace(0.0, 0.4, 9)[:, None]
-    lifted = rp.lift(robot, rp.PlatformMotion(np.arange(9.0), x, np.ones_like(x), np.zeros_like(x)))
+    lifted = rp.inverse_kinematics(robot, rp.PlatformMotion(np.arange(9.0), x, np.ones_like(x), np.zeros_like(x)))
     for q in lifted.q:
         rod, rocker = placed(robot, "rod", q), placed(robot, "rocker", q)
         elbow = 0.2 * np.array([np.cos(0.9 + q[0]), np.sin(0.9 + q[0])])
@@ -122,7 +122,7 @@ def test_a_link_without_a_parent_is_carried_the_other_way_round(tmp_path):
     motion = rp.PlatformMotion([0.0, 1.0], x, np.full_like(x, 0.7), np.full_like(x, -0.4))
     efforts = [rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau for robot in (one, other)]
     np.testing.assert_allclose(efforts[1], efforts[0], rtol=1e-10)
-    q = [rp.lift(robot, motion).q[0] for robot in (one, other)]
+    q = [rp.inverse_kinematics(robot, motion).q[0] for robot in (one, other)]
     np.testing.assert_allclose(placed(other, "rod", q[1]), placed(one, "rod", q[0]), atol=1e-9)
     # child's motion relative to its parent is positive about the axis, whichever of the two carries the other
     columns = [robot.model.joints[robot.model.getJointId("elbow")].idx_q for robot in (one, other)]
@@ -219,7 +219,7 @@ def test_universal_joints_in_tree_and_loop(tmp_path):
     robot = rp.load_robot(written(tmp_path, sdf(LINKS[0], crank, out, shaft_in, shaft_out, hooke)), actuated="in")
     assert robot.n == 1
     x = np.array([[0.0], [0.3], [0.8], [1.2]])
-    lifted = rp.lift(robot, rp.PlatformMotion(np.arange(4.0), x, np.ones_like(x), np.zeros_like(x)))
+    lifted = rp.inverse_kinematics(robot, rp.PlatformMotion(np.arange(4.0), x, np.ones_like(x), np.zeros_like(x)))
     column = robot.model.joints[robot.model.getJointId("exit")].idx_v
     # at zero the arm of the input is normal to the plane of both shafts
     ratio = np.cos(bend) / (1.0 - np.sin(bend) ** 2 * np.sin(x[:, 0]) ** 2)
@@ -274,7 +274,7 @@ def test_a_gearbox_couples_angles_from_its_reference_body(one, two, turned, tmp_
     model = robot.model
     spin = model.joints[model.getJointId("spin")]
     x = home_of(robot) + np.array([[0.0], [0.01]])
-    q = rp.lift(robot, rp.PlatformMotion([0.0, 1.0], x, 0 * x, 0 * x)).q
+    q = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0, 1.0], x, 0 * x, 0 * x)).q
     turns = [[np.arctan2(*(placed(robot, name, each)[[1, 0], 0])) for each in q] for name in ("base", "rotor", "crank")]
     base, first, second = np.diff(turns)[:, 0]
     first, second = (np.angle(np.exp(1j * (angle - base))) for angle in (first, second))

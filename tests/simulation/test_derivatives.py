@@ -96,7 +96,7 @@ def test_the_linearisation_is_finite_and_right_at_a_type_two_pose() -> None:
 
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "gough"])
 def test_inverse_dynamics_are_differentiated_along_the_closures(name: str) -> None:
-    # (f, F) of the batched inverse dynamics, whose accelerations come from the lift: another code
+    # (f, F) of the batched inverse dynamics, whose accelerations come from the inverse kinematics: another code
     robot = moving.massive(name)
     d, zero = robot.n + robot.k, np.zeros(robot.n + robot.k)
     state = moving.random_states(robot, 22, 1)[0]

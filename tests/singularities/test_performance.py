@@ -28,7 +28,11 @@ def poses() -> tuple[rp.Robot, Array, Array]:
     robot = zoo.robot_of("2rpr")
     x = np.array([[0.25, 0.4], [0.1, 0.3], [0.3, 0.35]])
     still = np.zeros(x.shape)
-    return robot, x, rp.lift(robot, rp.PlatformMotion([0.0, 1.0, 2.0], x, still, still, check_rates=False)).q
+    return (
+        robot,
+        x,
+        rp.inverse_kinematics(robot, rp.PlatformMotion([0.0, 1.0, 2.0], x, still, still, check_rates=False)).q,
+    )
 
 
 def test_condition_and_axes_of_two_legs_at_an_angle(poses: tuple[rp.Robot, Array, Array]) -> None:
@@ -81,7 +85,9 @@ def moved(robot: rp.Robot, q: Array, steps: Array) -> Array:
     """Return (N, nq) configurations of a robot at platform positions (N, n) beside that of q, by inverse kinematics."""
     x = rp.forward_kinematics(robot, q[robot.actuated_velocity], start=q).x[0] + steps
     still = np.zeros(x.shape)
-    return np.array(rp.lift(robot, rp.PlatformMotion(np.arange(len(x)), x, still, still, check_rates=False)).q)
+    return np.array(
+        rp.inverse_kinematics(robot, rp.PlatformMotion(np.arange(len(x)), x, still, still, check_rates=False)).q
+    )
 
 
 @pytest.mark.parametrize("springs", ["motors", "all"])

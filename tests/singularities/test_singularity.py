@@ -15,7 +15,7 @@ from redundancy_pin import load_robot
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.robot.urdf import declaration_path
@@ -150,7 +150,7 @@ def closes(robot, q: Array, coupler: float) -> bool:
 
 def test_margins_agree_with_the_lift_and_are_lower_bounds_of_distance(shipped) -> None:
     motion = zoo.smooth_motion(shipped, seed=3).at(np.linspace(0.0, 1.0, 30))
-    tree = lift(shipped, motion)
+    tree = inverse_kinematics(shipped, motion)
     classes = classify_motion(tree)
     assert (classes.kind == SingularityKind.REGULAR).all()
     np.testing.assert_allclose(
@@ -158,7 +158,7 @@ def test_margins_agree_with_the_lift_and_are_lower_bounds_of_distance(shipped) -
         spectrum_of(scaled(tree.W, row_scale(shipped), column_scale(shipped))).margin,
         rtol=1e-9,
     )
-    # the lift's bound is within a factor √p of the serial margin
+    # the inverse kinematics's bound is within a factor √p of the serial margin
     p = shipped.model.nv - shipped.k
     assert (tree.serial_margin_bound <= classes.serial_margin * (1 + 1e-9)).all()
     assert (tree.serial_margin_bound * np.sqrt(p) >= classes.serial_margin * (1 - 1e-9)).all()
@@ -177,7 +177,7 @@ def test_directions_are_unit_vectors_of_the_scaled_metric(shipped) -> None:
 def test_least_controlled_twist_moves_the_actuators_by_the_margin(shipped) -> None:
     """|D_a Wᵀ ẋ| of the least controlled unit twist is the margin: what makes it the least controlled."""
     motion = zoo.smooth_motion(shipped, seed=4).at(np.linspace(0.0, 1.0, 20))
-    tree = lift(shipped, motion)
+    tree = inverse_kinematics(shipped, motion)
     classes = classify_motion(tree)
     rates = np.einsum("nij,ni->nj", tree.W, classes.least_controlled) * column_scale(shipped)
     np.testing.assert_allclose(np.linalg.norm(rates, axis=1), classes.parallel_margin, rtol=1e-9)
@@ -186,7 +186,7 @@ def test_least_controlled_twist_moves_the_actuators_by_the_margin(shipped) -> No
 def test_unreachable_samples_are_marked() -> None:
     robot = zoo.robot_of("3rrr")
     x = np.array([[0.866, 0.5, 0.0], [5.0, 0.5, 0.0], [0.9, 0.5, 0.0]])
-    tree = lift(robot, PlatformMotion([0.0, 1.0, 2.0], x, 0 * x, 0 * x), mark_unreachable=True)
+    tree = inverse_kinematics(robot, PlatformMotion([0.0, 1.0, 2.0], x, 0 * x, 0 * x), mark_unreachable=True)
     classes = classify_motion(tree)
     assert classes.kind.tolist() == [SingularityKind.REGULAR, SingularityKind.UNREACHABLE, SingularityKind.REGULAR]
     assert np.isnan(classes.parallel_margin[1])

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from redundancy_pin import lift
+from redundancy_pin import inverse_kinematics
 from redundancy_pin.studies import future
 from redundancy_pin.studies.case import Plans
 from redundancy_pin.studies.cases import QUICK
@@ -28,7 +28,7 @@ def test_a_balanced_corner_keeps_its_momentum() -> None:
     assert record["base_force"] < 1e-3
     assert record["added"] == 9.0
     robot = case.load_robot()
-    tree = lift(robot, plan.motion).with_carriers(plan.carriers)
+    tree = inverse_kinematics(robot, plan.motion).with_carriers(plan.carriers)
     data = robot.model.createData()
     momenta = []
     for q, v in zip(tree.q, tree.v, strict=True):

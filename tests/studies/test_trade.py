@@ -47,10 +47,10 @@ def test_what_a_point_costs_beside() -> None:
     record = trade.trade_record(case, plan, "time", "effort", 1.0, "virtual-work")
     import pinocchio as pin
 
-    from redundancy_pin import lift
+    from redundancy_pin import inverse_kinematics
 
     robot = case.load_robot()
-    lifted = lift(robot, plan.motion)
+    lifted = inverse_kinematics(robot, plan.motion)
     q = np.array(lifted.q)
     q[:, robot.carrier_position] = plan.carriers.s
     data = robot.model.createData()

@@ -158,7 +158,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "!= +",
     ): "what need not be copied is copied",
     (
-        "kinematics/lift.py",
+        "kinematics/inverse_kinematics.py",
         "if (side[first] * mode < 0.0).any() and first > 0 and regular[first - 1 : first + 1].all():",
         "*",
     ): "sides and modes are signs",
@@ -198,7 +198,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "*",
     ): "what is wanted are signs",
     (
-        "kinematics/inverse_kinematics.py",
+        "kinematics/multistart.py",
         "away[:, turning] = (away[:, turning] + np.pi) % (2.0 * np.pi) - np.pi",
         "+",
     ): "a whole turn, which the remainder takes away",

@@ -56,7 +56,7 @@ def test_base_wrench_is_weight_less_rate_of_momentum(name):
     model, data = robot.model, robot.model.createData()
 
     def momentum(when):
-        tree = rp.lift(robot, swing(robot, when))
+        tree = rp.inverse_kinematics(robot, swing(robot, when))
         result = []
         for q, v in zip(tree.q, tree.v, strict=True):
             pin.forwardKinematics(model, data, q, v)
@@ -67,7 +67,7 @@ def test_base_wrench_is_weight_less_rate_of_momentum(name):
         return np.array(result)
 
     rate = (momentum(t - 2 * h) - 8 * momentum(t - h) + 8 * momentum(t + h) - momentum(t + 2 * h)) / (12 * h)
-    for i, q in enumerate(rp.lift(robot, swing(robot, t)).q):
+    for i, q in enumerate(rp.inverse_kinematics(robot, swing(robot, t)).q):
         pin.forwardKinematics(model, data, q)
         weight = np.zeros(6)
         for b in range(1, model.njoints):

@@ -148,12 +148,12 @@ def test_rows_that_open_are_noticed():
     bar = replace(bar, model=model, closures=(pinned,), all_closures=(replace(pinned, axes=("x", "y", "rz")),))
     t, home = np.linspace(0.0, 1.0, 11)[:, None], bar.q_reference[0]
     motion = rp.PlatformMotion(t[:, 0], home + t, np.ones_like(t), np.zeros_like(t))
-    assert rp.lift(bar, motion[:1]).reachable.all()
+    assert rp.inverse_kinematics(bar, motion[:1]).reachable.all()
     with pytest.raises(UnreachablePoseError, match=r"of sample 1 .*stay open by"):
-        rp.lift(bar, motion)
+        rp.inverse_kinematics(bar, motion)
     with pytest.raises(UnreachablePoseError, match="stay open by"):
-        rp.lift(bar, motion[-1:])
-    assert rp.lift(bar, motion, mark_unreachable=True).reachable.tolist() == [True] + 10 * [False]
+        rp.inverse_kinematics(bar, motion[-1:])
+    assert rp.inverse_kinematics(bar, motion, mark_unreachable=True).reachable.tolist() == [True] + 10 * [False]
     run = rp.simulate(bar, duration=0.5)
     assert run.status.value == "failed"
     assert "the closures leave a gap" in run.reason
@@ -227,7 +227,7 @@ def test_rows_of_rounded_numbers_are_not_asked_where_those_that_count_do():
     """Short cranks make margins small everywhere: no rank is lost there, and the rows that count hold to rounding."""
     robot = three_cranks(0.9, length=0.02, wrong=1e-11)
     t = np.linspace(0.0, 1.0, 50)[:, None]
-    tree = rp.lift(robot, rp.PlatformMotion(t[:, 0], 0.9 + 0.4 * t**2, 0.8 * t, np.full_like(t, 0.8)))
+    tree = rp.inverse_kinematics(robot, rp.PlatformMotion(t[:, 0], 0.9 + 0.4 * t**2, 0.8 * t, np.full_like(t, 0.8)))
     assert tree.serial_margin_bound.max() < 0.1  # less than what is ample in other machines
     rows = ClosedForward(robot)
     for q, v, a in zip(tree.q, tree.v, tree.a, strict=True):

@@ -475,7 +475,7 @@ def test_values_stand_by_joint_name_under_the_cursor_and_in_the_list(page: Any) 
     robot = zoo.robot_of("3rrr")
     motion = rp.trajectory.reference.corner().sample(times=[0.3, 0.9], two_sided=False)
     reduced = rp.RneaDynamics(robot).reduce(motion, rp.CarrierMotion.parked(2, 3))
-    tau, q = rp.distribute(reduced).tau, rp.lift(robot, motion).q
+    tau, q = rp.distribute(reduced).tau, rp.inverse_kinematics(robot, motion).q
     page.execute_script("for (const e of [byId('panel'), byId('bar')]) e.style.visibility = 'visible';")
     for i, t in enumerate((0.3, 0.9)):
         _seek(page, t)

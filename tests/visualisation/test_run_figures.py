@@ -91,7 +91,7 @@ def test_a_run_is_shown_as_it_was_simulated(runs: Runs) -> None:
     data = robot.model.createData()
     frame = len(scene.t) // 2
     pin.forwardKinematics(robot.model, data, np.array(run.q[int(np.abs(run.t - scene.t[frame]).argmin())]))
-    for j in range(1, robot.model.njoints):  # the carriers, which no lift moves, among them
+    for j in range(1, robot.model.njoints):  # the carriers, which no inverse kinematics moves, among them
         np.testing.assert_allclose(scene.placement[frame, j], data.oMi[j].homogeneous, atol=1e-15)
     assert {arrow.name for arrow in scene.arrows} == {*robot.actuated, *robot.carriers}
     with pytest.raises(InputError, match="simulation has its own motions"):

@@ -78,10 +78,10 @@ def test_the_drawn_path_is_thinned_but_not_where_its_colour_changes() -> None:
 
 
 def test_bodies_are_where_another_reader_of_the_urdf_puts_them(shipped: Robot) -> None:
-    """Joint values of a frame, read off the scene's own motion by lift, through yourdfpy's forward kinematics."""
+    """Joint values of a frame, by inverse_kinematics of the scene's motion, through yourdfpy's forward kinematics."""
     motion = default_motion(shipped)
     scene = rp.show(shipped, motion).scene
-    q = rp.lift(shipped, motion).q.copy()
+    q = rp.inverse_kinematics(shipped, motion).q.copy()
     q[:, shipped.carrier_position] = 0.0
     other = yourdfpy.URDF.load(io.BytesIO(shipped.urdf.encode()), load_meshes=False)
     frame = len(scene.t) // 3

@@ -84,7 +84,7 @@ def test_the_mass_is_drawn_at_its_centre_of_mass_in_every_frame() -> None:
     box = solid(scene, "carrier", "rotor")
     model, motion = robot().model, default_motion(robot())
     data = model.createData()
-    q = rp.lift(robot(), motion).q.copy()
+    q = rp.inverse_kinematics(robot(), motion).q.copy()
     q[:, robot().carrier_position] = s
     for frame in (0, len(scene.t) // 2, len(scene.t) - 1):
         sample = int(np.abs(motion.t - motion.t[0] - scene.t[frame]).argmin())

@@ -64,7 +64,7 @@ class Loops:
 
 
 class Lifted(NamedTuple):
-    """Motion of the tree; see ``kinematics.lift.TreeMotion``."""
+    """Motion of the tree; see ``kinematics.inverse_kinematics.JointTrajectory``."""
 
     motion: PlatformMotion
     q: Array
@@ -145,7 +145,7 @@ def _run(
     # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
     t, xd, xdd = (np.ascontiguousarray(part) for part in (motion.t, motion.xd, motion.xdd))
 
-    def lift(part: slice, q: Array) -> int:
+    def inverse_kinematics(part: slice, q: Array) -> int:
         rest = [array[part] for array in (t, x, xd, xdd)]
         outputs = [*(array[part] for array in arrays), status[part]]
         return kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], *outputs)
@@ -159,11 +159,11 @@ def _run(
                 break
             starts.append(q)
         if len(starts) == len(parts):
-            each(lambda pair: lift(*pair), list(zip(parts, starts, strict=True)))
+            each(lambda pair: inverse_kinematics(*pair), list(zip(parts, starts, strict=True)))
             if (status == CLOSED).all() and all(_joined(loops, arrays[0], x, part.start) for part in parts[1:]):
                 return samples
         status[:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
-    return first + lift(slice(first, samples), start)
+    return first + inverse_kinematics(slice(first, samples), start)
 
 
 def _joined(loops: Loops, q: Array, x: Array, k: int) -> bool:

@@ -27,7 +27,7 @@ class SymbolicRobot(Frozen):
     (m), carrier forces F (k), closure forces lam (r). p = nv − k = r + n. SI units and radians.
 
     Nothing looks after branches: ``mode`` and ``alignment`` tell a configuration of the robot's working mode from one
-    that is closed too. A guess near ``robot.q_reference``, or one that ``rp.lift`` found, stays where it began.
+    that is closed too. A guess near ``robot.q_reference``, or one of ``rp.inverse_kinematics``, stays where it began.
 
     Attributes:
         robot: the robot.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, each, fraction, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners import receding_horizon as planning
 from redundancy_pin.planners.reference import MotionReference, ReferencePoint
@@ -35,7 +35,7 @@ class OnlineReference(MotionReference):
         edges = own[np.append(np.diff(own) > 1e-6, True)]
         times = chebyshev_times(edges)
         platform, parked = source.sample_at(times), CarrierMotion.parked(len(times), robot.k)
-        tree = lift(robot, platform).with_carriers(parked)
+        tree = inverse_kinematics(robot, platform).with_carriers(parked)
 
         def polynomials(*parts: Array) -> PiecewisePolynomial:
             values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1)

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import angle_columns, distance
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion, require_sampled
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan
@@ -334,7 +334,7 @@ def path(
     else:
         followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
         require_sampled(followed)
-        tree = lift(robot, followed)
+        tree = inverse_kinematics(robot, followed)
         t, q, condition = followed.t, tree.q, classify_motion(tree).condition
     point, hinges = traced(robot, q), base_hinges(robot)
     mechanism = [np.stack(ends) for ends in links(robot, q[0])]

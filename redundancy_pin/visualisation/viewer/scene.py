@@ -16,7 +16,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, positive, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import joint_position
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.tree import TreeKinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
@@ -109,15 +109,17 @@ def configurations(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion
 
     Raises:
         InputError: samples that do not fit.
-        UnreachablePoseError, SingularPoseError, WorkingModeError: as ``lift``.
+        UnreachablePoseError, SingularPoseError, WorkingModeError: as ``inverse_kinematics``.
     """
     if len(carriers) != len(motion) or carriers.s.shape[1] != robot.k:
         raise InputError(
             f"The carrier motion has shape {carriers.s.shape}, expected ({len(motion)}, {robot.k}).",
             remedy="Sample it at the times of the platform motion.",
         )
-    q = lift(robot, motion).q.copy()
-    q[:, robot.carrier_position] = carriers.s  # the lift does not move them: no closure contains a carrier
+    q = inverse_kinematics(robot, motion).q.copy()
+    q[:, robot.carrier_position] = (
+        carriers.s
+    )  # the inverse kinematics does not move them: no closure contains a carrier
     return q
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 
 FOLLOWED = 1e-6
 """m and rad, as required."""
@@ -113,7 +113,11 @@ def test_gough_crosses_90_degrees_of_yaw_under_gravity():
     robot, _, plan = crossing(0.05)
     assert plan.status.value == "within_limits"
     np.testing.assert_allclose(plan.diagnostics["singular_instants"], [0.5], atol=1e-9)
-    tree, model, data = lift(robot, plan.motion).with_carriers(plan.carriers), robot.model, robot.model.createData()
+    tree, model, data = (
+        inverse_kinematics(robot, plan.motion).with_carriers(plan.carriers),
+        robot.model,
+        robot.model.createData(),
+    )
     ends = [
         tuple(model.getFrameId(name, pin.FrameType.BODY) for name in (c.frame_a, c.frame_b)) for c in robot.closures
     ]

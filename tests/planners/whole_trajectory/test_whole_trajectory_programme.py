@@ -281,7 +281,7 @@ def efforts_and_energy(n: Numbers, reduced, copies) -> None:
     names = [one for one in n.nlp.blocks if one.startswith("absolute")]
     robot = of.other.robot
     platform = of.source.sample_at(n.grid.t)
-    rates = rp.kinematics.lift.lift(robot, platform).v[:, robot.actuated_velocity]
+    rates = rp.kinematics.inverse_kinematics.inverse_kinematics(robot, platform).v[:, robot.actuated_velocity]
     powers = [
         [n.unit(v, "tau") * rates / u.power for v in points],
         [n.unit(v, "force") * n.unit(v, "sd") / u.power for v in points],
@@ -361,7 +361,9 @@ def test_objectives_are_said_by_their_formulas(name):
             wrench = felt(of, v, n)
             parts = integral(h, wrench[:, :3] ** 2), integral(h, wrench[:, 3:] ** 2)
             robot = of.other.robot
-            rates = rp.kinematics.lift.lift(robot, of.source.sample_at(n.grid.t)).v[:, robot.actuated_velocity]
+            rates = rp.kinematics.inverse_kinematics.inverse_kinematics(robot, of.source.sample_at(n.grid.t)).v[
+                :, robot.actuated_velocity
+            ]
             expected |= {
                 "peak": np.abs(n.unit(v, "tau")).max(),
                 "energy": integral(h, np.abs(n.unit(v, "tau") * rates))
@@ -444,7 +446,7 @@ def test_sizes_are_those_of_limits_or_of_the_parked_machine(limited):
     np.testing.assert_allclose(u.row, scaled * reduced.row_scale, rtol=1e-9)
     largest = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
     np.testing.assert_allclose(u.tau, scaled / np.median(largest), rtol=1e-9)
-    rates = rp.kinematics.lift.lift(robot, platform).v[:, robot.actuated_velocity]
+    rates = rp.kinematics.inverse_kinematics.inverse_kinematics(robot, platform).v[:, robot.actuated_velocity]
     np.testing.assert_allclose(problem.actuated_rate, rates, atol=1e-9 * np.abs(rates).max())
     np.testing.assert_allclose(u.power, u.tau * np.abs(rates).max(), rtol=1e-9)
     pushed = [

@@ -13,13 +13,13 @@ import redundancy_pin as rp
 from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import mode_indicator
-from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 
 SAME = 1e-9
 FOLDING = (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)
 
 
-def point(tree: TreeMotion, k: int = -1) -> Point:
+def point(tree: JointTrajectory, k: int = -1) -> Point:
     return Point(np.array(tree.motion.x[k]), np.array(tree.q[k]), np.array(tree.gamma[k]))
 
 
@@ -37,10 +37,12 @@ def test_a_motion_stays_in_the_mode_of_its_start(mode: tuple[int, ...], count: i
     home = zoo.home_of(zoo.robot_of("five_bar"))
     first, last = home + np.array([0.02, -0.03]), home + np.array([-0.05, 0.04])
     own = zoo.robot_of("five_bar", working_mode=mode)
-    expected = lift(own, straight(first, last)[:count])
-    start = point(lift(own, straight(home, first)), 0)
+    expected = inverse_kinematics(own, straight(first, last)[:count])
+    start = point(inverse_kinematics(own, straight(home, first)), 0)
     for declared in ((1, -1), (-1, 1)):
-        found = lift(zoo.robot_of("five_bar", working_mode=declared), straight(first, last)[:count], start=start)
+        found = inverse_kinematics(
+            zoo.robot_of("five_bar", working_mode=declared), straight(first, last)[:count], start=start
+        )
         assert (np.sign(mode_indicator(own, found.q)) == mode).all()
         for what in ("q", "v", "a", "gamma", "W"):
             np.testing.assert_allclose(getattr(found, what), getattr(expected, what), atol=SAME)
@@ -51,9 +53,9 @@ def test_a_first_sample_behind_a_rank_loss_is_on_the_branch_of_the_start(mark: b
     """Behind the flat pose the coupler is on its other side, which is another working mode."""
     robot = folding_four_bar(tmp_path, *FOLDING, modes=True)
     before, behind = np.array([np.pi - 0.3]), np.array([np.pi + 0.3])
-    whole = lift(robot, straight(before, behind + 0.3, 25))
+    whole = inverse_kinematics(robot, straight(before, behind + 0.3, 25))
     start = point(whole, 0)
-    found = lift(robot, straight(behind, behind + 0.3, 5), start=start, mark_unreachable=mark)
+    found = inverse_kinematics(robot, straight(behind, behind + 0.3, 5), start=start, mark_unreachable=mark)
     assert found.reachable.all()
     np.testing.assert_allclose(found.q[[0, -1]], whole.q[[16, 24]], atol=SAME)
     assert (mode_indicator(robot, found.q) * mode_indicator(robot, start.q[None]) < 0.0).all()
@@ -63,26 +65,28 @@ def test_a_start_at_the_rank_loss_itself_leads_on_in_the_declared_mode_or_the_ot
     """Flat, the coupler is on neither side: the branch is that of the tangent of the start."""
     robot = folding_four_bar(tmp_path, *FOLDING, modes=True)
     flat = np.array([np.pi])
-    start = point(lift(robot, straight(flat - 0.3, flat, 7)))
+    start = point(inverse_kinematics(robot, straight(flat - 0.3, flat, 7)))
     assert np.abs(mode_indicator(robot, start.q[None])).max() < 1e-9
-    back = lift(robot, straight(flat - 0.1, flat - 0.3, 5), start=start)
+    back = inverse_kinematics(robot, straight(flat - 0.1, flat - 0.3, 5), start=start)
     assert (mode_indicator(robot, back.q) > 0.0).all()
-    np.testing.assert_allclose(back.q[-1], lift(robot, straight(flat - 0.3, flat - 0.1, 5)).q[0], atol=SAME)
+    np.testing.assert_allclose(
+        back.q[-1], inverse_kinematics(robot, straight(flat - 0.3, flat - 0.1, 5)).q[0], atol=SAME
+    )
 
 
 def test_what_is_not_on_the_branch_of_the_start_is_refused() -> None:
     """Out of reach by a gap; or in reach, beyond a stretched leg: nothing is looked for elsewhere."""
     robot = rp.load_robot("five_bar", proximal_length=0.65, distal_length=0.45)
     home = zoo.home_of(robot)
-    start = point(lift(robot, straight(home, home + 0.01)), 0)
+    start = point(inverse_kinematics(robot, straight(home, home + 0.01)), 0)
     far = np.array([0.25, 1.4])
     with pytest.raises(UnreachablePoseError, match=r"The pose of sample 0 \(t = 0 s") as caught:
-        lift(robot, straight(far, far + 0.01), start=start)
+        inverse_kinematics(robot, straight(far, far + 0.01), start=start)
     # legs of 1.1 m at most, to a point as far from both hinges; each loop is open by its share, along an axis
     assert 0.05 < caught.value.details["gap"] < np.hypot(0.25, 1.4) - 1.0
     # the first leg is no shorter than 0.2 m, and the straight line leads past its hinge at 0.15 m
     beside, other = np.array([-0.15, 0.25]), np.array([-0.15, -0.25])
-    start = point(lift(robot, straight(home, beside)))
+    start = point(inverse_kinematics(robot, straight(home, beside)))
     with pytest.raises(WorkingModeError, match="cannot be reached continuously from the start") as refused:
-        lift(robot, straight(other, other - 0.01), start=start)
+        inverse_kinematics(robot, straight(other, other - 0.01), start=start)
     assert refused.value.details["sample"] == 0

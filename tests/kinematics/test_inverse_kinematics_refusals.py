@@ -11,10 +11,10 @@ import zoo
 from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics import lift as state
+from redundancy_pin.kinematics import inverse_kinematics as state
 from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import mode_indicator
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 
 REACH = np.sqrt(1.0 - 0.25**2)
@@ -43,7 +43,7 @@ def test_out_of_reach_in_the_middle_is_raised_with_sample_and_gap() -> None:
     motion, within = out_and_back()
     first = int(np.argmin(within))
     with pytest.raises(UnreachablePoseError, match=f"sample {first} ") as caught:
-        lift(zoo.robot_of("five_bar"), motion)
+        inverse_kinematics(zoo.robot_of("five_bar"), motion)
     assert caught.value.details["sample"] == first
     excess = motion.x[first, 1] - REACH
     # legs at 14.5° to the axis: the shortage along it, shared by the rows of closure and target
@@ -54,7 +54,7 @@ def test_out_of_reach_in_the_middle_is_raised_with_sample_and_gap() -> None:
 def test_out_of_reach_in_the_middle_is_marked_and_right_again_behind() -> None:
     robot = zoo.robot_of("five_bar")
     motion, within = out_and_back()
-    tree = lift(robot, motion, mark_unreachable=True)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     np.testing.assert_array_equal(tree.reachable, within)
     for array in (tree.q, tree.v, tree.a, tree.gamma, tree.W):
         flat = array.reshape(len(motion), -1)
@@ -74,7 +74,7 @@ def test_marked_motion_may_come_back_elsewhere(samples: int) -> None:
     x = np.array([0.25, 0.45]) + np.stack([0.45 * np.cos(angle), 0.75 * np.sin(angle)], axis=1)
     within = (np.linalg.norm(x, axis=1) < 1.0) & (np.linalg.norm(x - [0.5, 0.0], axis=1) < 1.0)
     assert samples / 12 < np.argmin(within) < np.flatnonzero(~within)[-1] < samples * 11 / 12
-    tree = lift(robot, along(x), mark_unreachable=True)
+    tree = inverse_kinematics(robot, along(x), mark_unreachable=True)
     np.testing.assert_array_equal(tree.reachable, within)
 
 
@@ -83,17 +83,17 @@ def test_a_marked_motion_may_start_out_of_reach() -> None:
     robot = zoo.robot_of("five_bar")
     motion = line([0.25, 2.0], [0.25, 0.5], 301)
     within = motion.x[:, 1] < REACH
-    tree = lift(robot, motion, mark_unreachable=True)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     np.testing.assert_array_equal(tree.reachable, within)
-    expected = lift(robot, motion[int(np.argmax(within)) :])
+    expected = inverse_kinematics(robot, motion[int(np.argmax(within)) :])
     np.testing.assert_allclose(tree.q[within], expected.q, atol=1e-7)
     with pytest.raises(UnreachablePoseError, match="sample 0"):
-        lift(robot, motion)
+        inverse_kinematics(robot, motion)
 
 
 @pytest.mark.long
 def test_a_motion_out_of_reach_throughout_is_marked_throughout() -> None:
-    tree = lift(zoo.robot_of("five_bar"), line([3.0, 3.0], [4.0, 3.0], 20), mark_unreachable=True)
+    tree = inverse_kinematics(zoo.robot_of("five_bar"), line([3.0, 3.0], [4.0, 3.0], 20), mark_unreachable=True)
     assert not tree.reachable.any()
     assert np.isnan(tree.q).all()
     # the nearest the end of a 1 m leg comes to the nearest of the poses, shared by four rows
@@ -108,7 +108,7 @@ def test_a_motion_out_of_reach_throughout_is_marked_throughout() -> None:
 @pytest.mark.parametrize("samples", [2, 50])
 def test_the_branch_is_kept_next_to_full_stretch(left: float, samples: int) -> None:
     robot = zoo.robot_of("five_bar")
-    tree = lift(robot, line([0.25, 0.76], [0.25, REACH - left], samples))
+    tree = inverse_kinematics(robot, line([0.25, 0.76], [0.25, REACH - left], samples))
     # the law of cosines at the elbow of two 0.5 m links: sin² of half the elbow angle is 1 − ρ²
     rho = np.hypot(0.25, tree.motion.x[:, 1])
     elbow = 2 * np.arcsin(np.sqrt(np.maximum(1 - rho**2, 0.0)))
@@ -122,9 +122,9 @@ def test_full_stretch_itself_is_a_type_i_singularity(samples: int) -> None:
     robot = zoo.robot_of("five_bar")
     motion = line([0.25, 0.76], [0.25, REACH], samples) if samples > 1 else along(np.array([[0.25, REACH]]))
     with pytest.raises(SingularPoseError, match="type I") as caught:
-        lift(robot, motion)
+        inverse_kinematics(robot, motion)
     assert caught.value.details["sample"] == samples - 1
-    tree = lift(robot, motion, mark_unreachable=True)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     assert not tree.reachable[-1]
     assert tree.reachable[:-1].all()
     assert np.isnan(tree.W[-1]).all()
@@ -134,9 +134,9 @@ def test_a_start_at_a_type_i_singularity_is_named_or_marked() -> None:
     robot = zoo.robot_of("2rpr")
     motion = line([0.0, 0.0], [0.1, 0.2], 20)
     with pytest.raises(SingularPoseError, match="sample 0") as caught:
-        lift(robot, motion)
+        inverse_kinematics(robot, motion)
     assert caught.value.details["sample"] == 0
-    tree = lift(robot, motion, mark_unreachable=True)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     np.testing.assert_array_equal(tree.reachable, np.arange(20) > 0)
 
 
@@ -144,7 +144,7 @@ def test_passing_close_by_a_base_hinge_turns_the_leg_around() -> None:
     robot = zoo.robot_of("2rpr")
     off = np.array([1e-4, 0.0])
     motion = along(np.linspace([0.1, 0.2], [-0.1, -0.2], 21) + off)
-    tree = lift(robot, motion)
+    tree = inverse_kinematics(robot, motion)
     slide, swivel = (robot.model.joints[robot.model.getJointId(f"{name}_1")].idx_q for name in ("slide", "swivel"))
     np.testing.assert_allclose(tree.q[:, slide], np.linalg.norm(motion.x, axis=1), atol=1e-10)
     turned = tree.q[-1, swivel] - tree.q[0, swivel]
@@ -159,7 +159,7 @@ def test_passing_close_by_a_base_hinge_turns_the_leg_around() -> None:
 def test_a_leg_through_its_base_hinge_leaves_the_mode_and_is_named() -> None:
     motion = line([0.1, 0.2], [-0.1, -0.2], 20)  # no sample at the hinge itself
     with pytest.raises(WorkingModeError, match=r"leg 1 \(slide_1\)") as caught:
-        lift(zoo.robot_of("2rpr"), motion)
+        inverse_kinematics(zoo.robot_of("2rpr"), motion)
     assert caught.value.details["leg"] == 1
     assert caught.value.details["sample"] == 10
     assert "working mode ++" in caught.value.message
@@ -171,7 +171,7 @@ def test_a_leg_through_its_base_hinge_is_marked_and_taken_up_in_the_mode(samples
     """Of 21 samples one is at the hinge, of 20 none: behind it the branch has d < 0, the mode has d > 0."""
     robot = zoo.robot_of("2rpr")
     motion = line([0.1, 0.2], [-0.1, -0.2], samples)
-    tree = lift(robot, motion, mark_unreachable=True)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     length = np.linalg.norm(motion.x, axis=1)
     away = length > 1e-9
     assert np.count_nonzero(tree.reachable != away) <= 1  # the change over itself may be marked too
@@ -183,11 +183,11 @@ def test_samples_before_the_first_one_found_are_followed_back(monkeypatch: pytes
     """Found at the far end only, the motion is followed back past the base hinge, around which the leg turns."""
     robot = zoo.robot_of("2rpr")
     motion = line([0.101, 0.2], [-0.099, -0.2], 21)
-    expected = lift(robot, motion)
+    expected = inverse_kinematics(robot, motion)
     monkeypatch.setattr(
         state, "first_on_branch", lambda *_: (20, Point(motion.x[20], expected.q[20], expected.gamma[20]))
     )
-    tree = lift(robot, motion, mark_unreachable=True)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     assert tree.reachable.all()
     np.testing.assert_allclose(tree.q, expected.q, atol=1e-9)
 
@@ -195,7 +195,7 @@ def test_samples_before_the_first_one_found_are_followed_back(monkeypatch: pytes
 def test_the_four_bars_crossed_mode_is_not_left_for_the_open_one() -> None:
     """Loaded crossed and turned once around: the Grashof four-bar stays crossed all the way."""
     robot = load_robot("four_bar", working_mode=(-1,))
-    tree = lift(robot, along(np.linspace(1.0, 1.0 + 2 * np.pi, 50)[:, None]))
+    tree = inverse_kinematics(robot, along(np.linspace(1.0, 1.0 + 2 * np.pi, 50)[:, None]))
     assert np.all(mode_indicator(robot, tree.q) < 0.0)
 
 
@@ -203,7 +203,7 @@ def test_a_crank_that_cannot_go_round_stops_where_the_coupler_stretches() -> Non
     """A four-bar that is no Grashof chain: the law of cosines gives the crank angle at which it ends."""
     robot = load_robot("four_bar", crank_length=0.3, coupler_length=0.2, rocker_length=0.25)
     with pytest.raises((UnreachablePoseError, WorkingModeError)) as caught:
-        lift(robot, along(np.linspace(1.0, np.pi, 40)[:, None]))
+        inverse_kinematics(robot, along(np.linspace(1.0, np.pi, 40)[:, None]))
     limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
     assert caught.value.details["sample"] == int(np.argmax(np.linspace(1.0, np.pi, 40) > limit))
 
@@ -218,8 +218,10 @@ def test_a_jump_to_another_branch_is_refused_or_marked(monkeypatch: pytest.Monke
     guesses = np.stack([np.array(shipped.q_reference), np.array(shipped.q_reference), other])
     monkeypatch.setattr(state, "guesses_along", lambda *_: (guesses, None))
     with pytest.raises(WorkingModeError, match="continuously from sample 1 to 2"):
-        lift(robot, motion)
-    np.testing.assert_array_equal(lift(robot, motion, mark_unreachable=True).reachable, [True, True, False])
+        inverse_kinematics(robot, motion)
+    np.testing.assert_array_equal(
+        inverse_kinematics(robot, motion, mark_unreachable=True).reachable, [True, True, False]
+    )
 
 
 @pytest.mark.long_for("five_bar")
@@ -229,11 +231,11 @@ def test_random_poses_are_closed_or_refused_never_wrong(name: str) -> None:
     robot: Robot = zoo.robot_of(name)
     rng = np.random.default_rng(7)
     x = zoo.home_of(robot) + rng.uniform(-0.8, 0.8, (25, robot.n)) * robot.characteristic_length
-    tree = lift(robot, along(x), mark_unreachable=True)
+    tree = inverse_kinematics(robot, along(x), mark_unreachable=True)
     good = tree.reachable
     assert good.sum() > 6
     assert np.all(tree.gap[good] < CLOSURE_TOLERANCE)
     assert np.all(mode_indicator(robot, tree.q[good]) * np.array(robot.working_mode) > 0.0)
     for k in np.flatnonzero(~good)[:1]:
         with pytest.raises((UnreachablePoseError, WorkingModeError, SingularPoseError)):
-            lift(robot, along(x[k : k + 1]))
+            inverse_kinematics(robot, along(x[k : k + 1]))
