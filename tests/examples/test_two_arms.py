@@ -26,7 +26,7 @@ except (PackageNotFoundError, ValueError):
 
 def test_each_arm_carries_its_share_and_the_bar_is_squeezed() -> None:
     robot = example.load()
-    motion = example.inverse_kinematics(robot, 5)
+    motion = example.lift(robot, 5)
     efforts, wrench = example.torques(robot, motion, SQUEEZE)
     assert (robot.n, robot.m) == (6, 12)
     assert efforts.solved.all()

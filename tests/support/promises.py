@@ -26,9 +26,6 @@ PAGE = ROOT / "docs" / "trust.md"
 KEY = "promise"
 """Of a report's ``user_properties``, which reach the process that prints from those that test."""
 
-LEAST = {"mutants": 0.95}
-"""Share of cases that keep a promise which need not be kept by all."""
-
 Keep = Callable[[str, str, Mapping[str, int], Mapping[str, int]], None]
 """From a promise as ``docs/trust.md`` names it, the kind of cases, counts of how they ended ("right", "refused",
 "wrong"), and of the classes of what was wrong."""
@@ -76,17 +73,6 @@ def summed(kept: Kept) -> dict[str, dict[str, Counter[str]]]:
     return dict(sorted(sums.items()))
 
 
-def too_many(counts: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
-    """Return a line for each promise of ``LEAST`` that fails too often; others fail their test the first time."""
-    shares = {promise: 1.0 - sums["counts"]["wrong"] / sums["counts"].total() for promise, sums in counts.items()}
-    least = {promise: LEAST.get(promise.partition(":")[0], 0.0) for promise in counts}
-    return [
-        f"too many failures: {promise}: {share:.1%} kept, less than {least[promise]:.0%}"
-        for promise, share in shares.items()
-        if share < least[promise]
-    ]
-
-
 @functools.cache
 def before() -> Kept:
     """Return what is noted down in the file: first asked for by the end of a run, or to go on with an earlier one."""
@@ -110,15 +96,12 @@ def lines(tried: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
     return rows
 
 
-def summarise(terminal: Any) -> bool:
-    """Print the table and the classes of failures of this run; true if few of all that are noted down failed."""
-    if not THIS_RUN:
-        return True
-    terminal.section("promises")
-    failures = too_many(summed({**before(), **THIS_RUN}))
-    for line in (*lines(summed(THIS_RUN)), *failures):
-        terminal.write_line(line)
-    return not failures
+def summarise(terminal: Any) -> None:
+    """Print the table and the classes of failures of this run; a promise that fails has failed its test."""
+    if THIS_RUN:
+        terminal.section("promises")
+        for line in lines(summed(THIS_RUN)):
+            terminal.write_line(line)
 
 
 def main() -> None:
