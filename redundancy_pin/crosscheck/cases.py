@@ -20,9 +20,8 @@ from redundancy_pin.errors import (
     WorkingModeError,
 )
 from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.chain import tracker
+from redundancy_pin.kinematics.branch import closed_around, follower
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.continuation import closed_around
 from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.loading import load_robot, load_with
@@ -223,17 +222,17 @@ def _elsewhere(robot: Robot, rng: np.random.Generator) -> Robot:
 
 def _why_not_followed(case: RandomCase) -> str:
     """Return why a motion cannot be followed from the reference by Newton's method alone; empty if it can."""
-    follower = tracker(case.robot)
-    here = follower.home
+    own = follower(case.robot)
+    here = own.home
     for pose in case.motion(np.linspace(0.0, case.t[-1], 200)).x:
-        reached = follower.towards(here, pose)
+        reached = own.advance(here, pose)
         if reached is None:
             closed = assemble(constraint_system(case.robot), here.q[None], pose[None])
             if not closed.closed[0]:
                 return "unreachable"
             # on its branch, which turns too fast for steps: as near a singularity
             return "near_type_i" if closed.in_mode[0] else "branch_lost"
-        here = reached.point
+        here = reached
     return ""
 
 

@@ -20,7 +20,6 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
-from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import difference, working_modes
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, joined, require_consistent, require_sampled
@@ -241,7 +240,7 @@ def _part(
         part, margin = motion[first:stop], margins[first:stop]
         if part.t[-1] > part.t[0] and _may_meet(robot, part, margin, _NEAR):
             try:
-                start = Point(part.x[0], tree.q[first], tree.gamma[first]) if tree.reachable[first] else None
+                start = tree.state(first) if tree.reachable[first] else None
                 crossings += find_crossings(robot, _unchecked(part), start=start)
             except RedundancyPinError as error:
                 # the samples can be followed, the motion between them cannot, or is too near a rank loss to search

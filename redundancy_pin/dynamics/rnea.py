@@ -32,9 +32,8 @@ from redundancy_pin.dynamics.base import (
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
-from redundancy_pin.kinematics.chain import tracker
+from redundancy_pin.kinematics.branch import ClosedState
 from redundancy_pin.kinematics.closure import ConstraintState, constraint_system, with_all_rows
-from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
@@ -65,7 +64,7 @@ class RneaSample(Frozen):
     W: Array
     f: Array
     carrier_force: Array
-    point: Point
+    point: ClosedState
     gap: float
     serial_margin_bound: float
 
@@ -130,43 +129,11 @@ class RneaDynamics(Dynamics):
                 f"start is a {type(start).__name__}, expected what an earlier sample of RneaDynamics returned.",
                 remedy="Pass that, or leave it out.",
             )
-        sample = self._direct_sample((x, xd, xdd, s, sd, sdd), start, t)
-        if sample is not None:
-            return sample
         motion, carriers = one_sample(robot, x, xd, xdd, s, sd, sdd, t=t)
         tree = inverse_kinematics(robot, motion, start=None if start is None else start.point)
         one = RneaAlongMotion(tree).reduce(carriers)
         margin = float(tree.serial_margin_bound[0])
-        point = Point(motion.x[0], tree.q[0], tree.gamma[0])
-        return RneaSample(one.W[0], one.f[0], one.carrier_force[0], point, float(tree.gap[0]), margin)
-
-    def _direct_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
-        """Return a sample that needs neither a second look at its kinematics nor a word about its input."""
-        robot, follower = self._robot, tracker(self._robot, many=True)
-        try:
-            x, xd, xdd, *carriers = (np.array(part, dtype=float) for part in given)
-        except (TypeError, ValueError):
-            return None
-        s, sd, sdd = (self._parked if part.shape == (0,) else part for part in carriers)
-        shapes = [part.shape for part in (xd, xdd, s, sd, sdd)]
-        if x.shape != follower.home.x.shape or shapes != [(robot.n,)] * 2 + [(robot.k,)] * 3:
-            return None
-        finite = bool(np.isfinite(np.concatenate((xd, xdd, s, sd, sdd))).all())
-        home = follower.home if start is None else start.point
-        reached = follower.towards(home, read_only(x)) if finite and home.x.shape == x.shape else None
-        if reached is None:
-            return None
-        v, a = follower.rates(reached, xd, xdd)
-        gamma, q = reached.point.gamma, reached.point.q.copy()
-        q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
-        effort = pin.rnea(robot.model, follower.chain.data, q, v, a)
-        loads = tree_loads(robot)
-        if loads is not None:
-            wrenches = wrench_values(robot.loads, np.array([t]), x[None], xd[None])
-            effort = effort + loads.efforts(TreeState(q[None], v[None], a[None], wrenches))[:, 0]
-        parts = gamma.take(robot.actuated_velocity, 0).T, gamma.T.dot(effort), effort.take(robot.carrier_velocity)
-        W, f, force = (read_only(part) for part in parts)
-        return RneaSample(W, f, force, reached.point, reached.gap, reached.margin)
+        return RneaSample(one.W[0], one.f[0], one.carrier_force[0], tree.state(0), float(tree.gap[0]), margin)
 
 
 class RneaAlongMotion(Frozen):

@@ -31,17 +31,17 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.kinematics.branch import ClosedState, known_state
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point
-from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, difference, joint_position
-from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, anchors_along, inverse_kinematics
+from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position
+from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.kinematics.multistart import wrapped
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range, random_spread, range_excess, range_slack
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.named import is_pose
-from redundancy_pin.robot.scales import coordinate_unit, turning_velocities, velocity_unit
+from redundancy_pin.robot.scales import turning_velocities, velocity_unit
 from redundancy_pin.status import SampleStatus, solved_status
 
 _AGREE = 1e-8
@@ -214,7 +214,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
     u0 = coordinates(driven, home.state)
     before = u0, np.zeros(u0.shape), np.zeros(u0.shape)  # the motors come from the start
     path = [np.concatenate([first, part[:, followed]]) for first, part in zip(before, (u, ud, udd), strict=True)]
-    first = Point(u0[0], q0, home.gamma[0])
+    first = known_state(driven, u0[0], q0, home.gamma[0])
     route = _without_whole_turns(driven, path[0])
     tree, branch = _lifted(driven, route, path, first)
     if not route.leads_back(branch):  # as behind a gear: few turns are followed as they are
@@ -321,17 +321,13 @@ def _whole(angles: Array) -> Array:
     return np.asarray(2.0 * np.pi * np.round(angles / (2.0 * np.pi)))
 
 
-def _lifted(driven: Robot, route: _Route, path: list[Array], first: Point) -> tuple[JointTrajectory, Array]:
+def _lifted(driven: Robot, route: _Route, path: list[Array], first: ClosedState) -> tuple[JointTrajectory, Array]:
     """Return the motion along a route, rates of the path at samples, and its (A, nq), NaN where the branch ends."""
     rate, second = np.zeros((2, *route.u.shape))
     rate[route.places], second[route.places] = path[1:]
     motion = PlatformMotion(np.arange(len(route.u)), route.u, rate, second, check_rates=False)
     tree = inverse_kinematics(driven, motion, mark_unreachable=True, start=first)
     good = np.logical_and.accumulate(tree.reachable)
-    steps = np.linalg.norm(difference(driven, route.u[1:], route.u[:-1]) / coordinate_unit(driven), axis=1)
-    if (steps > ANCHOR_SPACING).any():  # the branch may end between two samples
-        anchors = anchors_along(constraint_system(driven), route.u, first.q, first.gamma, False)
-        good &= np.arange(len(good)) < np.append(anchors.position[~anchors.valid], np.inf)[0]
     return tree, np.where(
         good[:, None], tree.q, np.nan
     )  # what inverse_kinematics takes up again behind a gap is on any branch

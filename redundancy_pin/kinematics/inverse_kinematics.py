@@ -3,43 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import NoReturn
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, read_only, runs
-from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError, millimetres
-from redundancy_pin.kinematics.assembly import (
-    Assembly,
-    assemble,
-    configuration_difference,
-    inverses,
-    project,
-    rates,
+from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
+from redundancy_pin.errors import (
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+    millimetres,
 )
-from redundancy_pin.kinematics.chain import tracker
-from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, left_open, with_all_rows
-from redundancy_pin.kinematics.continuation import (
-    NEAR_RANK_LOSS,
-    Anchors,
-    Point,
-    continuous,
-    crosses,
-    follow,
-    initial_guess,
-    loops,
-    near_rank_loss,
-    reacquire,
-    through_rank_loss,
-    usual_margin,
-)
-from redundancy_pin.kinematics.coordinates import difference, in_working_mode, mode_indicator, mode_name, working_modes
+from redundancy_pin.kinematics.assembly import assemble, project
+from redundancy_pin.kinematics.branch import ClosedState, Follower, Rates, follower, known_state
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.multistart import multistart
-from redundancy_pin.kinematics.selection import rows_at
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
@@ -48,31 +30,19 @@ from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velo
 from redundancy_pin.robot.whole_turns import follow_whole_turns
 
 _FAR_STARTS = 5
-"""Samples of a motion that no Newton from the reference closes anywhere at which multistart is tried before it is
-given up."""
-
-SAME_CONFIGURATION = 1e-6
-"""Closed configurations of one pose nearer than this (rad, characteristic lengths) are the same, computed twice."""
-
-_ALMOST_CLOSED = 1e-6
-"""Residual, in characteristic lengths, that Newton reaches at a rank loss too, where each step halves the error."""
-
-_POOR, _POOR_PART = 0.1, 0.3
-"""Margin below which rows that were left out may help those that count, as it is and as a part of the robot's usual
-one: at 1e-3 accelerations lose eight digits."""
-
-_HELPED = 3.0
-"""How many times larger the margin is with rows that help. Rows that were left out for rounding agree with those that
-count to some 1e-10 only, and those that count are what the motion is judged by."""
+"""Samples at which multistart is tried before a motion that Newton closes nowhere from the reference is given up."""
 
 _NO_SIDE = 1e-6
 """A mode indicator (sine, or characteristic lengths) this small at a pose where modes meet is zero."""
 
 _EVEN = 0.5
-"""Least part of its largest margin that a stretch keeps which is near a rank loss all along and goes through none."""
+"""Least ratio of neighbouring margins along a motion that stays near a rank loss and goes through none."""
 
 _ROUNDED_SHARE = 1e-16 / 1e-5
 """Rounding of a configuration, rad, over the share that it may take of Γ and of accelerations."""
+
+_SAMPLES_PER_REPORT = 500
+"""Samples between two calls of ``progress``."""
 
 _STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
@@ -95,7 +65,7 @@ class JointTrajectory(Frozen):
         reachable: (N,) false where no configuration was found in the working mode, and at a type I singularity; q, v,
             a, gamma and W are NaN there.
         serial_margin_bound: (N,) lower bound of the distance to a type I singularity, scaled; see
-            ``assembly.Projection``.
+            ``branch.ClosedState``.
     """
 
     robot: Robot
@@ -114,6 +84,10 @@ class JointTrajectory(Frozen):
         """(N,) whether some joint, passive ones too, is beyond its range; see ``robot.joint_ranges``."""
         return out_of_range(self.robot, self.q)
 
+    def state(self, k: int) -> ClosedState:
+        """Return sample k as a closed state: where other motions on the same branch may start from."""
+        return known_state(self.robot, self.motion.x[k], self.q[k], self.gamma[k])
+
     def with_carriers(self, carriers: CarrierMotion) -> JointTrajectory:
         """Return the motion with that of the carriers (N samples) in it."""
         q, v, a = np.array(self.q), np.array(self.v), np.array(self.a)
@@ -129,10 +103,10 @@ def inverse_kinematics(
     *,
     mark_unreachable: bool = False,
     progress: Callable[[int, int], None] | None = None,
-    start: Point | None = None,
+    start: ClosedState | None = None,
     positions_only: bool = False,
 ) -> JointTrajectory:
-    """Lift a platform motion to the tree.
+    """Return the motion of the tree along a platform motion.
 
     The first pose is found on the branch of the reference configuration (and in the robot's working mode); from there
     the branch is followed continuously.
@@ -157,199 +131,172 @@ def inverse_kinematics(
     """
     robot = as_robot(robot)
     require_matching(robot, motion)
-    system = constraint_system(robot)
-    if len(motion) == 1 and (tree := _lift_one(robot, motion, start)) is not None:
-        return tree
-    # the guesses lie on the branch, so that all samples can be solved at once: no sample waits for the one before
-    guesses, first = guesses_along(system, motion, mark_unreachable, start)
-    solved = _solve(system, motion, guesses, progress)
-    _solve_rank_losses(motion, solved, first if start is None else start, positions_only)
-    solved.gap[:] = np.maximum(solved.gap, left_open(robot, solved.q))  # NaN, where it was not closed, stays
-    if not mark_unreachable and not solved.regular.all():
-        _require_closed_and_regular(motion, solved, 0)
-    good = solved.regular & _require_modes(motion, solved, start, mark=mark_unreachable)
-    breaks = _branch_breaks(motion, solved, good)
-    if len(breaks) and not mark_unreachable:
-        k = int(breaks[0])
+    solution = _Solution(follower(robot), motion, positions_only, progress)
+    if mark_unreachable:
+        solution.solve_what_is_reachable(start)
+    else:
+        first = solution.first(0, start)
+        solution.follow(range(len(motion)), first)
+    return solution.trajectory()
+
+
+class _Solution:
+    """The samples of a motion in progress, NaN where there is no configuration."""
+
+    def __init__(
+        self,
+        follower: Follower,
+        motion: PlatformMotion,
+        positions_only: bool,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self._follower, self._motion, self._positions_only = follower, motion, positions_only
+        self._progress, self._done = progress, 0
+        self._near = 0.0  # the margin at which the samples came near a rank loss
+        robot, samples = follower.robot, len(motion)
+        self.q = np.full((samples, robot.model.nq), np.nan)
+        self.v, self.a = np.full((2, samples, robot.model.nv), np.nan)
+        self.gamma = np.full((samples, robot.model.nv, robot.n), np.nan)
+        self.residual, self.margin = np.full((2, samples), np.nan)
+
+    def first(self, sample: int, start: ClosedState | None) -> ClosedState:
+        """Return a state from which the branch leads to a sample: of the branch of the reference, or ``start``."""
+        x = self._motion.x[sample]
+        if start is None:
+            return point_on_branch(self._follower.system, x, sample)
+        if self._solved(start, sample) is not None:
+            return start
+        _raise_lost(self._follower, self._motion, sample, start, modes=False)
         raise WorkingModeError(
-            f"The motion cannot be followed continuously from sample {k - 1} to {k} (t = {motion.t[k - 1]:.6g} to "
-            f"{motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}): another branch of the kinematics is "
-            "nearer.",
-            remedy="Keep away from type I singularities, or sample the motion more finely.",
-            sample=k,
+            f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, cannot be reached continuously from the "
+            f"start at x = {np.round(start.x, 6).tolist()}: the straight line leaves the workspace or passes a type I "
+            "singularity.",
+            remedy="Start nearer to it, or leave the start out.",
+            sample=sample,
         )
-    good[breaks] = False  # closed, but on another branch than the sample before
-    q, gamma, v, a = solved.q, solved.gamma, solved.v, solved.a
-    W = np.ascontiguousarray(gamma[:, robot.actuated_velocity, :].transpose(0, 2, 1))
-    for array in (q, gamma, v, a, W):
-        array[~good] = np.nan
-    parts = (q, v, a, gamma, W, solved.gap, good, solved.margin)
-    return JointTrajectory(robot, motion, *(read_only(part) for part in parts))
 
+    def follow(self, order: Sequence[int], here: ClosedState) -> None:
+        """Solve samples one after the other from a state of the branch; raises where it ends."""
+        for k in order:
+            reached = self._solved(here, k)
+            if reached is None:
+                _raise_lost(self._follower, self._motion, k, here)
+                raise _lost_between(self._motion, max(k - 1, 0), k)
+            here = self._keep(k, reached)
 
-def _lift_one(robot: Robot, motion: PlatformMotion, start: Point | None) -> JointTrajectory | None:
-    """Lift a motion of one sample where the way to it is plainly regular, as it mostly is."""
-    follower = tracker(robot)
-    reached = follower.towards(start or follower.home, motion.x[0])
-    if reached is None or left_open(robot, reached.point.q[None])[0]:
+    def solve_what_is_reachable(self, start: ClosedState | None) -> None:
+        """Solve samples from the first reachable one on, then from there back; others stay NaN."""
+        found = self._first_reachable(start)
+        if found is None:
+            self._measure(range(len(self._motion)), np.array(self._follower.robot.q_reference))
+            return
+        first, state = found
+        self._follow_marked(range(first, len(self._motion)), state)
+        if first:
+            self._follow_marked(range(first - 1, -1, -1), state)
+
+    def _first_reachable(self, start: ClosedState | None) -> tuple[int, ClosedState] | None:
+        lost = UnreachablePoseError, SingularPoseError, WorkingModeError
+        with contextlib.suppress(*lost):
+            return 0, self.first(0, start)
+        follower, x = self._follower, self._motion.x
+        near = _reacquire(follower, x, np.array(follower.robot.q_reference))
+        if near is not None:
+            return near
+        for sample in np.linspace(0, len(x) - 1, _FAR_STARTS).round().astype(int)[1:]:
+            with contextlib.suppress(*lost):
+                return int(sample), point_on_branch(follower.system, x[sample], int(sample))
         return None
-    v, a = follower.rates(reached, motion.xd[0], motion.xdd[0])
-    q, gamma = reached.point.q, reached.point.gamma
-    W = np.ascontiguousarray(gamma[robot.actuated_velocity].T)
-    parts = q, v, a, gamma, W, reached.gap, True, reached.margin
-    return JointTrajectory(robot, motion, *(read_only(np.array([part])) for part in parts))
+
+    def _follow_marked(self, order: range, here: ClosedState) -> None:
+        k = 0
+        while k < len(order):
+            sample = order[k]
+            reached = self._solved(here, sample)
+            if reached is not None:
+                here = self._keep(sample, reached)
+                k += 1
+                continue
+            # the chains may close on another branch at once: the sample is marked all the same
+            near = _reacquire(self._follower, self._motion.x[order[k:]], here.q)
+            found = len(order) if near is None else k + near[0]
+            self._measure(order[k : max(found, k + 1)], here.q)
+            if near is None:
+                return
+            here, k = near[1], max(found, k + 1)
+
+    def _measure(self, samples: Sequence[int], q: Array) -> None:
+        """Note the closure residual that is left at samples without a state."""
+        if len(samples):
+            at = np.array(samples)
+            self.residual[at] = assemble(
+                self._follower.system, np.repeat(q[None], len(at), axis=0), self._motion.x[at]
+            ).gap
+
+    def _solved(self, here: ClosedState, k: int) -> Rates | None:
+        """Return a sample on the branch of a state; None where it is lost, or singular."""
+        follower, (x, xd, xdd) = (
+            self._follower,
+            (part[k] for part in (self._motion.x, self._motion.xd, self._motion.xdd)),
+        )
+        reached = follower.advance(here, x)
+        if reached is None:
+            return None
+        if reached.margin >= follower.near:
+            self._near = 0.0
+            return follower.rates(reached, xd, xdd)
+        if self._positions_only:
+            self._near = self._near or (here.margin if self._done else reached.margin)
+            if reached.margin > _EVEN * self._near > 0.0:
+                return follower.rates(reached, xd, xdd)
+        passed = follower.pass_through(here, x, xd, xdd)
+        if passed is not None or reached.interpolated:
+            return passed
+        rated = follower.rates(reached, xd, xdd)
+        return None if not self._positions_only and is_rounded(follower, rated) else rated
+
+    def _keep(self, k: int, solved: Rates) -> ClosedState:
+        state, self.v[k], self.a[k] = solved
+        self.q[k], self.gamma[k], self.residual[k], self.margin[k] = state.q, state.gamma, state.residual, state.margin
+        self._done += 1
+        if self._progress is not None and (self._done % _SAMPLES_PER_REPORT == 0 or self._done == len(self.q)):
+            self._progress(self._done, len(self.q))
+        return state
+
+    def trajectory(self) -> JointTrajectory:
+        """Return the samples."""
+        robot = self._follower.robot
+        good = np.isfinite(self.v).all(axis=1)
+        W = np.ascontiguousarray(self.gamma[:, robot.actuated_velocity, :].transpose(0, 2, 1))
+        margin = np.where(good, self.margin, 0.0)
+        parts = (self.q, self.v, self.a, self.gamma, W, self.residual, good, margin)
+        return JointTrajectory(robot, self._motion, *(read_only(part) for part in parts))
 
 
-@dataclass(eq=False)
-class _Lifted:
-    """Samples that Newton reached, in progress: those at a rank loss are replaced in place, and ``carried`` (N,)."""
+def is_rounded(follower: Follower, solved: Rates) -> bool:
+    """Return whether rounding of the configuration takes too much of Γ or of accelerations.
 
-    system: ConstraintSystem
-    q: Array
-    gamma: Array
-    v: Array
-    a: Array
-    gap: Array
-    margin: Array
-    carried: BoolArray
-
-    @property
-    def closed(self) -> BoolArray:
-        """(N,) whether the gap is below the closure tolerance."""
-        return self.gap < closure_tolerance(self.system.robot)
-
-    @property
-    def regular(self) -> BoolArray:
-        """(N,) closed, and either no type I singularity or one that the branch goes smoothly through."""
-        return self.closed & ((self.margin > 0.0) | self.carried)
-
-
-def _solve(
-    system: ConstraintSystem, motion: PlatformMotion, guess: Array, progress: Callable[[int, int], None] | None
-) -> _Lifted:
-    """Assemble all samples, in blocks: what a block takes besides its results is a dozen times as much."""
-    samples, (nv, n) = len(motion), (system.robot.model.nv, system.robot.n)
-    gamma, v, a = np.empty((samples, nv, n)), np.empty((samples, nv)), np.empty((samples, nv))
-    gap, margin = np.empty((2, samples))
-    for part in blocks(samples):
-        one = assemble(system, guess[part], motion.x[part], max_iterations=30)
-        guess[part], gamma[part], gap[part], margin[part] = one.q, one.gamma, one.gap, one.projection.margin
-        v[part], a[part] = rates(system, one.state, one.projection, motion.xd[part], motion.xdd[part])
-        if progress is not None:
-            progress(part.stop, samples)
-    return _Lifted(system, guess, gamma, v, a, gap, margin, np.zeros(samples, dtype=bool))
-
-
-def _solve_rank_losses(motion: PlatformMotion, solved: _Lifted, start: Point | None, positions_only: bool) -> None:
-    """Replace the samples at and beside a rank loss of the closures that the branch goes through.
-
-    ``start`` is a point of the branch at the first sample or before it.
-    """
-    system, carried = solved.system, solved.carried
-    almost = solved.gap < _ALMOST_CLOSED * system.robot.characteristic_length
-    near = almost & (solved.margin < NEAR_RANK_LOSS)
-    if near.any():
-        near &= solved.margin < near_rank_loss(system)
-    if system.robot.all_closures:
-        low = min(_POOR, _POOR_PART * usual_margin(system))
-        poor = np.flatnonzero(almost & (solved.margin < low))
-        near[_made_up_for(motion, solved, poor)] = False
-    parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap
-    unit = coordinate_unit(system.robot)
-    for first, stop in runs(near):
-        beside = solved.margin[max(first - 1, 0) : stop + 1]
-        if positions_only and solved.regular[first:stop].all() and beside.min() > _EVEN * beside.max():
-            continue
-        while first < stop:
-            away = np.linalg.norm(
-                difference(system.robot, motion.x[first:stop], motion.x[first : first + 1]) / unit, axis=1
-            )
-            last = first + int(np.argmax(np.append(away, np.inf) > NEAR_RANK_LOSS))
-            part = slice(first, last)
-            neighbours = [
-                k
-                for k in (first - 1, stop)
-                if 0 <= k < len(near) and (carried[k] or (solved.regular[k] and not near[k]))
-            ]
-            points = [_point(motion, solved, k) for k in neighbours]
-            if first == 0 and start is not None:
-                points.append(start)
-            for point in points:
-                result = through_rank_loss(system, point, motion.x[part], motion.xd[part], motion.xdd[part])
-                if result is not None:
-                    for array, new in zip(parts, result, strict=True):
-                        array[part] = new
-                    carried[part] = True
-                    break
-            first = last
-    if not positions_only:
-        left = np.flatnonzero(near & ~carried)
-        if len(left):
-            solved.margin[left[_blurred(solved, left)]] = 0.0
-
-
-def _made_up_for(motion: PlatformMotion, solved: _Lifted, samples: IntArray) -> IntArray:
-    """Solve samples with all closure rows, by least squares, and return those at which these keep a rank that is lost.
-
-    Which rows say all changes along the motion of over-constrained mechanisms: where those that count lose rank, the
-    ones that were left out say what they no longer do, and together they have one solution.
-    """
-    if not len(samples):
-        return samples
-    full = constraint_system(with_all_rows(solved.system.robot))
-    one = assemble(full, solved.q[samples], motion.x[samples], redundant=True)
-    projection = project(full, one.state)
-    good = one.closed & (projection.margin > np.maximum(near_rank_loss(full), _HELPED * solved.margin[samples]))
-    v, a = rates(full, one.state, projection, motion.xd[samples], motion.xdd[samples])
-    parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap, solved.margin
-    for array, new in zip(parts, (one.q, projection.gamma, v, a, one.gap, projection.margin), strict=True):
-        array[samples[good]] = new[good]
-    return samples[good]
-
-
-def _blurred(solved: _Lifted, samples: IntArray) -> BoolArray:
-    """Return, of some samples, where Newton's rounding takes too much of Γ or of accelerations.
-
-    It makes Γ wrong by 1e-16 / margin², and accelerations by the square of the rates times 1e-16 / margin³. Towards a
+    It makes Γ wrong by 1e-16 / margin², and accelerations by the square of the rates times 1e-16 / margin³. Near a
     stretched leg, or where the branch turns sharply, both are themselves that large; at a rank loss that the branch
-    goes through they are not. Each loop counts with its own margin and its own rates: one that stands beside its rank
+    goes through they are not. Each loop counts with its own margin and its own rates: one that stands near its rank
     loss loses no digits because another moves.
     """
-    system = solved.system
-    unit, scale, columns = coordinate_unit(system.robot), velocity_unit(system.robot), system.pose_columns
-    with np.errstate(invalid="ignore", over="ignore"):
-        K = system.relative(system.evaluate(solved.q[samples]).K)
-        gamma = np.abs(solved.gamma[samples] * (unit / scale[:, None])).max(axis=2, initial=0.0)[:, columns]
-        speed, a = (np.abs(rate[samples] / scale)[:, columns] for rate in (solved.v, solved.a))
-        most = np.maximum(a.max(axis=1), speed.max(axis=1) ** 2)
-        result = np.zeros(len(samples), dtype=bool)
-        for rows, own in loops(system):
-            inverse = inverses(K[:, rows[:, None], own])
-            size = np.sqrt(np.einsum("nij,nij->n", inverse, inverse))
-            margin = np.where(np.isfinite(size), 1.0 / size, 0.0)
-            result |= margin**2 * np.maximum(gamma[:, own].max(axis=1), 1.0) < _ROUNDED_SHARE
-            result |= margin**3 * most < _ROUNDED_SHARE * speed[:, own].max(axis=1) ** 2
-    return result
+    system, state = follower.system, solved.state
+    scale, columns = velocity_unit(system.robot), system.pose_columns
+    gamma = np.abs(state.gamma * (coordinate_unit(system.robot) / scale[:, None])).max(axis=1)[columns]
+    speed, a = np.abs(solved.v / scale)[columns], np.abs(solved.a / scale)[columns]
+    most = max(float(a.max()), float(speed.max()) ** 2)
+    for rows, own in state.blocks:
+        margin = 1.0 / float(np.linalg.norm(state.inverse[own[:, None], rows]))
+        if margin**2 * max(float(gamma[own].max()), 1.0) < _ROUNDED_SHARE:
+            return True
+        if margin**3 * most < _ROUNDED_SHARE * float(speed[own].max()) ** 2:
+            return True
+    return False
 
 
-def _point_from(system: ConstraintSystem, motion: PlatformMotion, start: Point) -> Point:
-    """Return the first sample on the branch of a point, and nowhere else."""
-    anchors = follow(system, np.stack([start.x, motion.x[0]]), start.q, start.gamma)
-    if anchors.valid[-1]:
-        return Point(motion.x[0], anchors.q[-1], anchors.gamma[-1])
-    last = assemble(system, anchors.q[-1:], motion.x[:1])
-    _require_closed_and_regular(motion[:1], last, 0)
-    raise WorkingModeError(
-        f"The pose of sample 0, x = {np.round(motion.x[0], 6).tolist()}, cannot be reached continuously from the "
-        f"start at x = {np.round(start.x, 6).tolist()}: the straight line leaves the workspace or passes a type I "
-        "singularity.",
-        remedy="Start nearer to it, or leave the start out.",
-        sample=0,
-    )
-
-
-def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Point:
-    """Return a pose in the robot's working mode, with its configuration.
+def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> ClosedState:
+    """Return a closed state at coordinates, in the robot's working mode.
 
     First the straight line from the reference configuration is followed; where that leaves the workspace, multistart
     takes the solution nearest to the reference in the right working mode.
@@ -360,25 +307,30 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
         sample: index to name in the error.
 
     Raises:
-        UnreachablePoseError: no start leads to a closed configuration; carries the smallest gap.
+        UnreachablePoseError: no start leads to a closed configuration; carries the smallest residual.
         SingularPoseError: the pose is a type I singularity.
         WorkingModeError: there are closed configurations, but none in the working mode.
     """
-    robot, home = system.robot, tracker(system.robot).home
-    reference, direct = home.q, tracker(robot).towards(home, x)
-    if direct is not None:
-        reached, valid = direct.point, True
-    else:
-        reached, valid = _straight(system, home, x)
+    robot, own = system.robot, follower(system.robot)
+    home = own.home
+    reached: ClosedState | None = None
+
+    def follow(q: Array, start: Array, target: Array) -> Array | None:
+        nonlocal reached
+        here = home if q is home.q else own.close(q, start)
+        reached = None if here is None else own.advance(here, target)
+        return None if reached is None else reached.q
+
+    if np.isfinite(home.gamma).all():
+        follow_whole_turns(robot, home.q, home.x, x, follow)
     # a configuration where working modes meet belongs to both
-    if valid and (
+    if reached is not None and (
         in_working_mode(robot, reached.q[None])[0] or (np.abs(mode_indicator(robot, reached.q[None])) < _NO_SIDE).any()
     ):
         return reached
-    q, gap, in_mode = multistart(system, reference, x)
-    closed, pose = gap < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
-    projection = project(system, system.evaluate(q[None]))
-    if closed and projection.margin[0] == 0.0:
+    q, residual, in_mode = multistart(system, home.q, x)
+    closed, pose = residual < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
+    if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
         raise SingularPoseError(
             f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
             remedy=_STAY_AWAY,
@@ -391,173 +343,93 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Poin
             remedy="Load the robot in that working_mode, or move the pose.",
             sample=sample,
         )
-    if not in_mode:
+    state = own.close(q, x) if in_mode else None
+    if state is None:
         raise UnreachablePoseError(
-            f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {gap:.3g} m."
-            f"{millimetres(gap, robot.characteristic_length)}",
+            f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {residual:.3g} m."
+            f"{millimetres(residual, robot.characteristic_length)}",
             remedy="Move the pose into the workspace, or load the robot in another working_mode.",
             sample=sample,
-            gap=gap,
+            gap=residual,
         )
-    return Point(x, q, projection.gamma[0])
+    return state
 
 
-def _straight(system: ConstraintSystem, home: Point, x: Array) -> tuple[Point, bool]:
-    """Return what the straight way from the reference leads to, and whether it leads to the coordinates."""
-    gamma = home.gamma
+def _reacquire(own: Follower, targets: Array, q: Array) -> tuple[int, ClosedState] | None:
+    """Return the first pose that closes in the working mode, from a configuration (nq,) and from the reference.
 
-    def follow(q: Array, start: Array, target: Array) -> Array | None:
-        nonlocal gamma
-        anchors = anchors_along(system, np.stack([start, target]), q, None, False)
-        gamma = anchors.gamma[-1]
-        return anchors.q[-1] if anchors.valid[-1] else None
-
-    q = follow_whole_turns(system.robot, home.q, home.x, x, follow)
-    return Point(x, home.q if q is None else q, gamma), q is not None
-
-
-def guesses_along(
-    system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None
-) -> tuple[Array, Point | None]:
-    """Return (N, nq) guesses along the branch, and the first sample's point where it is on it.
-
-    They go from the first sample solved on the branch onward, and from there back.
+    Where the chains close earlier, but in another mode, multistart looks for the mode at that pose. None when no pose
+    closes.
     """
-    solved = first_on_branch(system, motion, mark, start)
-    if solved is None:
-        return np.repeat(system.robot.q_reference[None], len(motion), axis=0), None
-    first, point = solved
-    _, q, slope, _ = point
-    onward = motion.x[first:]
-    anchors = anchors_along(system, onward, q, slope, mark)
-    if not mark and not anchors.valid.all():
-        _raise_branch_end(system, motion, anchors)
-    guess = initial_guess(system, onward, anchors)
-    if first == 0:
-        return guess, point
-    back = motion.x[first::-1]
-    before = initial_guess(system, back, anchors_along(system, back, q, slope, mark))
-    return np.concatenate([before[:0:-1], guess]), None
-
-
-def anchors_along(system: ConstraintSystem, x: Array, q: Array, slope: Array | None, mark: bool) -> Anchors:
-    """Return ``follow`` along a path, with other closure rows from where those that count lose rank and all keep it."""
-    anchors = follow(system, x, q, slope, resume=mark)
-    while system.robot.all_closures and not anchors.valid.all():
-        reached = int(np.argmin(anchors.valid)) - 1
-        if reached < 0:
-            return anchors
-        full, rest = constraint_system(with_all_rows(system.robot)), anchors.x[reached:]
-        ahead = assemble(full, anchors.q[reached : reached + 1], rest[1:2], redundant=True)
-        if not ahead.closed[0]:
-            return anchors
-        other = constraint_system(rows_at(system.robot, ahead.q[0]))
-        again = follow(other, rest, anchors.q[reached], anchors.gamma[reached], resume=mark, every_sample=True)
-        if not again.valid[1:2].all():
-            return anchors
-        places = np.interp(again.position, np.arange(len(rest)), anchors.position[reached:])
-        before = (part[:reached] for part in (anchors.position, anchors.x, anchors.q, anchors.gamma, anchors.valid))
-        behind = places, again.x, again.q, again.gamma, again.valid
-        anchors = Anchors(*(np.concatenate(pair) for pair in zip(before, behind, strict=True)))
-        system = other
-    return anchors
-
-
-def first_on_branch(
-    system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None
-) -> tuple[int, Point] | None:
-    """Return the first sample that is solved on the branch, and its solution."""
-    try:
-        return 0, point_on_branch(system, motion.x[0]) if start is None else _point_from(system, motion, start)
-    except (UnreachablePoseError, SingularPoseError, WorkingModeError):
-        if not mark:
-            raise
-    near = reacquire(system, motion.x, np.array(system.robot.q_reference))
-    if near is not None:
-        return near
-    for sample in np.linspace(0, len(motion) - 1, _FAR_STARTS).round().astype(int)[1:]:
-        with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
-            return int(sample), point_on_branch(system, motion.x[sample], int(sample))
+    system, robot = own.system, own.robot
+    start, count = 0, 32
+    while start < len(targets):
+        part = targets[start : start + count]
+        best: tuple[int, Array] | None = None
+        earliest = len(part)
+        for guess in (q, np.array(robot.q_reference)):
+            solution = assemble(system, np.repeat(guess[None], len(part), axis=0), part, shortest_step=2.0**-3)
+            if solution.regular.any():
+                earliest = min(earliest, int(np.argmax(solution.regular)))
+            k = int(np.argmax(solution.usable))
+            if solution.usable[k] and (best is None or k < best[0]):
+                best = k, solution.q[k]
+        if earliest < (best[0] if best else len(part)):
+            solved = multistart(system, q, part[earliest])
+            if solved.in_mode:
+                best = earliest, solved.q
+        state = None if best is None else own.close(best[1], part[best[0]])
+        if best is not None and state is not None and state.margin > 0.0:
+            return start + best[0], state
+        start, count = start + count, 2 * count
     return None
 
 
-def _branch_breaks(motion: PlatformMotion, solved: _Lifted, good: BoolArray) -> IntArray:
-    """Return the samples whose configuration does not continue the branch of the sample before, both being good."""
-    system, q, x = solved.system, solved.q, motion.x
-    steps = [(part.start, part.stop) for part in blocks(len(q) - 1)]
-    if len(q) < 2:
-        return np.zeros(0, dtype=np.intp)
-    same = [continuous(system, *(array[first : last + 1] for array in (q, solved.gamma, x))) for first, last in steps]
-    suspects = np.flatnonzero(good[1:] & good[:-1] & ~np.concatenate(same))
+def _raise_lost(own: Follower, motion: PlatformMotion, k: int, here: ClosedState, *, modes: bool = True) -> None:
+    """Raise what ended a branch before sample k, where the sample itself tells."""
+    robot, system, t, x = own.robot, own.system, float(motion.t[k]), motion.x[k]
+    solved = assemble(system, here.q[None], x[None])
+    place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
+    if not solved.closed[0]:
+        residual = float(solved.gap[0])
+        raise UnreachablePoseError(
+            f"The pose of {place} cannot be reached: the chains stay open by {residual:.3g} m."
+            f"{millimetres(residual, robot.characteristic_length)}",
+            remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
+            sample=k,
+            gap=residual,
+        )
+    closures = system.relative(solved.state.K)[0][: len(system.rows)]
+    lost = np.linalg.svd(closures, compute_uv=False)[-1] < own.near if len(closures) else False
+    if lost and solved.projection.margin[0] < own.near:
+        raise SingularPoseError(
+            f"At {place} the closures lose rank, and no branch leads smoothly through that pose: the joint velocities "
+            "are undetermined.",
+            remedy="Keep away from that pose, or change a length a little so that branches do not meet.",
+            sample=k,
+            time=t,
+            x=x.tolist(),
+        )
+    if not solved.regular[0]:
+        raise SingularPoseError(
+            f"Sample {k} (t = {t:.6g} s) is a type I singularity: the platform velocity does not determine the joint "
+            "velocities.",
+            remedy=_STAY_AWAY,
+            sample=k,
+        )
+    if modes and not solved.in_mode[0]:
+        raise _leaves_mode(motion, robot, k, solved.q[0])
 
-    def reached_again(k: int) -> bool:
-        again = follow(system, x[k : k + 2], q[k], solved.gamma[k])
-        apart = configuration_difference(system.robot.model, again.q[-1:], q[k + 1 : k + 2])
-        apart = np.abs(apart / velocity_unit(system.robot))
-        return bool(again.valid.all()) and float(apart.max()) <= SAME_CONFIGURATION
 
-    # a step between sparse samples may be long without being a break: go there again in small steps
-    return np.array([k + 1 for k in suspects.tolist() if not reached_again(k)], dtype=np.intp)
-
-
-def _raise_branch_end(system: ConstraintSystem, motion: PlatformMotion, anchors: Anchors) -> NoReturn:
-    """Raise what ended a branch whose anchors do not reach the end of the motion."""
-    lost = int(np.argmin(anchors.valid))
-    first = int(np.floor(anchors.position[max(lost - 1, 0)]))
-    last = int(np.ceil(anchors.position[lost]))
-    poses = motion.x[first : last + 1]
-    solved = assemble(system, np.repeat(anchors.q[lost][None], len(poses), axis=0), poses)
-    _require_closed_and_regular(motion, solved, first)
-    if not solved.in_mode.all():
-        raise _leaves_mode(motion, system.robot, first + int(np.argmin(solved.in_mode)), solved.q[~solved.in_mode][0])
-    raise WorkingModeError(
-        f"The motion cannot be followed continuously to sample {last} (t = {motion.t[last]:.6g} s, "
-        f"x = {np.round(motion.x[last], 6).tolist()}): the way there leaves the workspace, or passes a type I "
-        "singularity (a leg at full stretch, full fold or zero length) or a rank loss of the closures that no smooth "
-        "branch is known to lead across.",
+def _lost_between(motion: PlatformMotion, before: int, k: int) -> RedundancyPinError:
+    return WorkingModeError(
+        f"The motion cannot be followed continuously from sample {before} to {k} (t = {motion.t[before]:.6g} to "
+        f"{motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}): the way there leaves the workspace, or passes "
+        "a type I singularity (a leg at full stretch, full fold or zero length) or a rank loss of the closures that no "
+        "smooth branch is known to lead across.",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
-        sample=last,
+        sample=k,
     )
-
-
-def _require_modes(motion: PlatformMotion, solved: _Lifted, start: Point | None, *, mark: bool) -> BoolArray:
-    """Return (N,) which samples are in the working mode, or in the one that the branch has led to from it.
-
-    Raises:
-        WorkingModeError: one is not, and none is to be marked.
-    """
-    system, robot, regular, carried = solved.system, solved.system.robot, solved.regular, solved.carried
-    in_mode = np.ones(len(regular), dtype=bool)
-    if robot.working_modes is None:
-        return in_mode
-    indicator = mode_indicator(robot, solved.q)
-    side = np.where(carried[:, None] & (np.abs(indicator) < _NO_SIDE), 0.0, np.sign(indicator))
-    declared = mode = np.array(robot.working_mode, dtype=float)
-    if start is not None:
-        own = np.sign(mode_indicator(robot, start.q[None])[0])
-        mode = np.where(own == 0.0, declared, own)
-        if regular[0] and (side[0] * mode < 0.0).any() and crosses(system, start, _point(motion, solved, 0)):
-            mode = np.where(side[0] == 0.0, mode, side[0])
-    changes = np.flatnonzero((side[1:] != side[:-1]).any(axis=1) | (regular[1:] != regular[:-1])) + 1
-    for first, stop in pairwise([0, *changes.tolist(), len(side)]):
-        if first > 0 and not regular[first - 1]:
-            mode = declared  # behind a gap the motion is reacquired
-        if (side[first] * mode < 0.0).any() and first > 0 and regular[first - 1 : first + 1].all():
-            known = np.flatnonzero(~carried[:first])  # a carried sample says little of its side
-            points = [_point(motion, solved, k) for k in (*known[-1:], first)]
-            # a motion that starts at a rank loss starts between two modes
-            if len(points) == 1 or (regular[known[-1] : first].all() and crosses(system, *points)):
-                mode = np.where(side[first] == 0.0, mode, side[first])
-        in_mode[first:stop] = (side[first] * mode >= 0.0).all() & (carried[first] | (side[first] != 0.0).all())
-    wrong = regular & ~in_mode
-    if wrong.any() and not mark:
-        k = int(np.argmax(wrong))
-        raise _leaves_mode(motion, robot, k, solved.q[k])
-    return in_mode
-
-
-def _point(motion: PlatformMotion, solved: _Lifted, k: int) -> Point:
-    return Point(motion.x[k], solved.q[k], solved.gamma[k])
 
 
 def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> WorkingModeError:
@@ -570,40 +442,3 @@ def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> Work
         sample=k,
         leg=leg + 1,
     )
-
-
-def _require_closed_and_regular(motion: PlatformMotion, solved: Assembly | _Lifted, first: int) -> None:
-    """Check samples of a motion from number ``first`` on."""
-    closed, regular = solved.closed, solved.regular
-    if not closed.all():
-        i = int(np.argmin(closed))
-        k, gap = first + i, float(solved.gap[i])
-        raise UnreachablePoseError(
-            f"The pose of sample {k} (t = {motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}) cannot be "
-            f"reached: the chains stay open by {gap:.3g} m."
-            f"{millimetres(gap, solved.system.robot.characteristic_length)}",
-            remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
-            sample=k,
-            gap=gap,
-        )
-    if not regular.all():
-        i = int(np.argmin(regular))
-        k, system = first + i, solved.system
-        state, columns = system.evaluate(solved.q[i : i + 1]), system.pose_columns
-        closures = state.Jc[0][:, columns] * system.step_unit / system.closure_unit[:, None]
-        values = np.linalg.svd(closures, compute_uv=False)
-        if values[-1] < near_rank_loss(system):
-            raise SingularPoseError(
-                f"At sample {k} (t = {motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}) the closures lose "
-                "rank, and no branch leads smoothly through that pose: the joint velocities are undetermined.",
-                remedy="Keep away from that pose, or change a length a little so that branches do not meet.",
-                sample=k,
-                time=float(motion.t[k]),
-                x=motion.x[k].tolist(),
-            )
-        raise SingularPoseError(
-            f"Sample {k} (t = {motion.t[k]:.6g} s) is a type I singularity: the platform velocity does not determine "
-            "the joint velocities.",
-            remedy=_STAY_AWAY,
-            sample=k,
-        )

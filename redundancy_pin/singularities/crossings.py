@@ -15,10 +15,10 @@ import numpy as np
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, frozen
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError, millimetres
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState, continuous
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.continuation import Point, continuous
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows
-from redundancy_pin.kinematics.inverse_kinematics import SAME_CONFIGURATION, inverse_kinematics
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.named import require_matching
@@ -120,7 +120,7 @@ class FollowedPath:
 
 
 def follow_law(
-    system: ConstraintSystem, law: ContinuousMotion, spacing: float, start: Point | None = None
+    system: ConstraintSystem, law: ContinuousMotion, spacing: float, start: ClosedState | None = None
 ) -> FollowedPath:
     """Solve a path on the robot's branch at steps of at most ``spacing`` characteristic lengths.
 
@@ -332,7 +332,7 @@ def find_crossings(
     *,
     spacing: float = SPACING,
     tolerance: float = RANK_TOLERANCE,
-    start: Point | None = None,
+    start: ClosedState | None = None,
 ) -> tuple[Crossing, ...]:
     """Return every singularity along a motion, in order of time.
 

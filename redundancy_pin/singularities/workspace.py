@@ -10,8 +10,8 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.kinematics.branch import follows
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.continuation import follows
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.robot import Robot

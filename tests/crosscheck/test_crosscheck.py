@@ -25,9 +25,8 @@ from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.dynamics.tree_loads import TreeLoads
 from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
-from redundancy_pin.kinematics import continuation
+from redundancy_pin.kinematics.branch import NEAR_RANK_LOSS, Follower, closed_around, near_rank_loss
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, closed_around, near_rank_loss
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Closure, JointForces, Spring, Wrench
 from redundancy_pin.simulation.system import ConstraintDynamics
@@ -154,7 +153,7 @@ def test_small_margins_throughout_are_no_rank_loss():
 )
 def test_cassie_is_checked_in_bounded_time(monkeypatch, name):
     """Twenty draws at most, no rank loss crossed, and every check has states."""
-    monkeypatch.setattr(continuation, "through_rank_loss", lambda *_, **__: pytest.fail("a rank loss"))
+    monkeypatch.setattr(Follower, "pass_through", lambda *_, **__: pytest.fail("a rank loss"))
     report = crosscheck.run([str(CASSIE / f"{name}.sdf")], samples=2)
     assert report.passed
     assert {row.check for row in report.rows if not row.note} == {

@@ -6,8 +6,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
-
-from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.continuation import (
     ANCHOR_SPACING,
     Anchors,
@@ -18,6 +16,8 @@ from redundancy_pin.kinematics.continuation import (
     initial_guess,
     reacquire,
 )
+
+from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.coordinates import difference, in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import zoo
@@ -11,8 +9,6 @@ import zoo
 from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics import inverse_kinematics as state
-from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
@@ -179,17 +175,15 @@ def test_a_leg_through_its_base_hinge_is_marked_and_taken_up_in_the_mode(samples
     np.testing.assert_allclose(tree.q[tree.reachable, slide], length[tree.reachable], atol=1e-10)
 
 
-def test_samples_before_the_first_one_found_are_followed_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_before_the_first_one_found_are_followed_back() -> None:
     """Found at the far end only, the motion is followed back past the base hinge, around which the leg turns."""
     robot = zoo.robot_of("2rpr")
     motion = line([0.101, 0.2], [-0.099, -0.2], 21)
     expected = inverse_kinematics(robot, motion)
-    monkeypatch.setattr(
-        state, "first_on_branch", lambda *_: (20, Point(motion.x[20], expected.q[20], expected.gamma[20]))
-    )
-    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
-    assert tree.reachable.all()
-    np.testing.assert_allclose(tree.q, expected.q, atol=1e-9)
+    turned = line([-0.099, -0.2], [0.101, 0.2], 21)
+    back = inverse_kinematics(robot, turned, start=expected.state(20), mark_unreachable=True)
+    assert back.reachable.all()
+    np.testing.assert_allclose(back.q[::-1], expected.q, atol=1e-9)
 
 
 def test_the_four_bars_crossed_mode_is_not_left_for_the_open_one() -> None:
@@ -206,22 +200,6 @@ def test_a_crank_that_cannot_go_round_stops_where_the_coupler_stretches() -> Non
         inverse_kinematics(robot, along(np.linspace(1.0, np.pi, 40)[:, None]))
     limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
     assert caught.value.details["sample"] == int(np.argmax(np.linspace(1.0, np.pi, 40) > limit))
-
-
-def test_a_jump_to_another_branch_is_refused_or_marked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fault injected: the guess of one sample has the other elbow, on a robot that declares no modes to tell them."""
-    shipped = zoo.robot_of("five_bar")
-    robot = replace(shipped, working_modes=None, working_mode=())
-    flipped = zoo.robot_of("five_bar", working_mode=tuple(-sign for sign in shipped.working_mode))
-    other = np.array(flipped.q_reference)
-    motion = along(zoo.home_of(shipped) + np.array([[0.0, 0.0], [0.0, -0.01], [0.0, -0.02]]))
-    guesses = np.stack([np.array(shipped.q_reference), np.array(shipped.q_reference), other])
-    monkeypatch.setattr(state, "guesses_along", lambda *_: (guesses, None))
-    with pytest.raises(WorkingModeError, match="continuously from sample 1 to 2"):
-        inverse_kinematics(robot, motion)
-    np.testing.assert_array_equal(
-        inverse_kinematics(robot, motion, mark_unreachable=True).reachable, [True, True, False]
-    )
 
 
 @pytest.mark.long_for("five_bar")

@@ -11,7 +11,7 @@ from folding import folding_four_bar
 
 import redundancy_pin as rp
 from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.continuation import Point
+from redundancy_pin.kinematics.branch import ClosedState
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 
@@ -19,8 +19,8 @@ SAME = 1e-9
 FOLDING = (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)
 
 
-def point(tree: JointTrajectory, k: int = -1) -> Point:
-    return Point(np.array(tree.motion.x[k]), np.array(tree.q[k]), np.array(tree.gamma[k]))
+def point(tree: JointTrajectory, k: int = -1) -> ClosedState:
+    return tree.state(k)
 
 
 def straight(start: np.ndarray, end: np.ndarray, count: int = 7) -> rp.PlatformMotion:

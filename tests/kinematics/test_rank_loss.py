@@ -15,10 +15,9 @@ from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics import inverse_kinematics as lifting
 from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.branch import NEAR_RANK_LOSS, ClosedState, Follower, follower, near_rank_loss
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point, crosses, determinants, near_rank_loss
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
@@ -208,7 +207,7 @@ def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
     assert (mode_indicator(robot, tree.q) > 0.0).all()
 
 
-def flat_sides(robot: Robot, offset: float) -> list[list[Point]]:
+def flat_sides(robot: Robot, offset: float) -> list[list[ClosedState]]:
     """Return the points before and behind the flat pose with the coupler on either side: [before, behind][side]."""
     system, coupler = constraint_system(robot), joint(robot, "coupler")
     sides = []
@@ -221,7 +220,7 @@ def flat_sides(robot: Robot, offset: float) -> list[list[Point]]:
         assert up[chosen].tolist() == [True, False]
         wrapped = (solution.q + np.pi) % (2.0 * np.pi) - np.pi
         wrapped[:, joint(robot, "crank")] = crank
-        sides.append([Point(np.array([crank]), wrapped[k], solution.gamma[k]) for k in chosen])
+        sides.append([follower(robot).close(wrapped[k], np.array([crank])) for k in chosen])
     return sides
 
 
@@ -231,11 +230,11 @@ def test_only_a_smooth_branch_through_a_rank_loss_is_a_crossing(excess: float, t
     g, a, b, c = LINKAGES["folding"][0]
     robot = folding_four_bar(tmp_path, (g, a, b, c + excess), LINKAGES["folding"][1])
     before, behind = flat_sides(robot, 0.02)
-    system = constraint_system(robot)
+    own = follower(robot)
     for side in (0, 1):
-        assert crosses(system, before[side], behind[1 - side]) == (excess == 0.0)
-        assert not crosses(system, before[side], behind[side])
-        assert not crosses(system, before[side], before[side]._replace(x=before[side].x + 1e-3))
+        assert own.crosses(before[side], behind[1 - side]) == (excess == 0.0)
+        assert not own.crosses(before[side], behind[side])
+        assert not own.crosses(before[side], replace(before[side], x=before[side].x + 1e-3))
 
 
 @pytest.mark.parametrize("beside", [1e-1, 1e-2, 1e-3])
@@ -326,7 +325,7 @@ def test_a_loop_that_rests_at_or_beside_its_flat_pose_while_another_goes_through
 
 def test_rates_that_are_rounding_beside_a_rank_loss_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no line of nodes is good enough, Newton's method closes all the same; its accelerations are off by 1."""
-    monkeypatch.setattr(lifting, "through_rank_loss", lambda *_: None)
+    monkeypatch.setattr(Follower, "pass_through", lambda *_: None)
     robot, rate = row_of_four_bars(1), np.array([[-1.0], [-1.0]])
     motion = PlatformMotion(np.array([0.0, 1.0]), np.array([[1.0], [1e-5]]), rate, 0.0 * rate, check_rates=False)
     with pytest.raises(SingularPoseError, match=r"sample 1 \(t = 1 s, x = \[1e-05\]\) the closures lose rank"):
@@ -343,7 +342,7 @@ def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
 
     Of either 1e-5 is too much: at 3e-6 and at 2e-4, but for a factor of what the margin is per angle.
     """
-    monkeypatch.setattr(lifting, "through_rank_loss", lambda *_: None)
+    monkeypatch.setattr(Follower, "pass_through", lambda *_: None)
     robot = row_of_four_bars(1, crank=length, coupler=length)
     for beside, taken in ((0.01 * nearest, False), (0.1 * nearest, False), (nearest, True), (10.0 * nearest, True)):
         rates = np.full((2, 1), rate), np.full((2, 1), second)
@@ -356,13 +355,11 @@ def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
 
 
 def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:
-    system, rng = constraint_system(shipped), np.random.default_rng(4)
-    q = np.array(shipped.q_reference)[None] + rng.normal(0.0, 0.05, (5, shipped.model.nq))
-    K = system.evaluate(q).K
+    own = follower(shipped)
     sizes = {"2rpr": 2, "3rrr": 3, "five_bar": 2, "four_bar": 2, "gough": 6}
-    sign, log = determinants(system, K)
-    assert log.shape == (5, sizes[shipped.name])
-    np.testing.assert_allclose(log.sum(axis=1), np.linalg.slogdet(K)[1], atol=1e-9)
+    sign, log = own.home.determinants
+    assert log.shape == (sizes[shipped.name],)
+    assert log.sum() == pytest.approx(-np.linalg.slogdet(own.home.inverse)[1], abs=1e-9)
     assert (np.abs(sign) == 1.0).all()
 
 

@@ -12,12 +12,12 @@ import spatial_chains
 import zoo
 from flat_linkages import row_of_four_bars
 from folding import folding_four_bar
+from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point, follow
 
 import redundancy_pin as rp
 from redundancy_pin.kinematics.assembly import assemble, integrate, project
 from redundancy_pin.kinematics.chain import Tracked, Tracker, tracker
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Point, follow
 from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion

@@ -17,12 +17,12 @@ import pytest
 import spatial_chains
 import zoo
 from folding import folding_four_bar
+from redundancy_pin.kinematics.continuation import follow, initial_guess
 
 import redundancy_pin as rp
 from redundancy_pin.kinematics.chain import ClosedChain, tracker
 from redundancy_pin.kinematics.closing import brought_near, close
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.continuation import follow, initial_guess
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.robot import Robot

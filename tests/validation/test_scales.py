@@ -21,8 +21,8 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck.cases import RandomCase, random_case
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.kinematics.branch import follows
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.continuation import follows
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import JointForces, Spring, Wrench
