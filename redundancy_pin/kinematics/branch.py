@@ -270,7 +270,10 @@ class Follower:
         passed. What ended a branch is for ``inverse_kinematics`` to say.
         """
         start, whole = here.x, self.difference(x, here.x)
-        pieces = min(max(math.ceil(float(np.linalg.norm(whole / self._unit)) / LONGEST_STEP), 1), _MOST_STEPS)
+        length = float(np.linalg.norm(whole / self._unit)) / LONGEST_STEP
+        if not math.isfinite(length):
+            return None
+        pieces = min(max(math.ceil(length), 1), _MOST_STEPS)
         longest = size = 1.0 / pieces
         done, checked = 0.0, False
         while done < 1.0:

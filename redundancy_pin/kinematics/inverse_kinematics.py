@@ -19,7 +19,7 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.branch import ClosedState, Follower, Rates, follower, known_state
-from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -390,8 +390,8 @@ def _raise_lost(own: Follower, motion: PlatformMotion, k: int, here: ClosedState
     robot, system, t, x = own.robot, own.system, float(motion.t[k]), motion.x[k]
     solved = assemble(system, here.q[None], x[None])
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
-    if not solved.closed[0]:
-        residual = float(solved.gap[0])
+    residual = max(float(solved.gap[0]), float(left_open(robot, solved.q)[0]))
+    if not residual < closure_tolerance(robot):
         raise UnreachablePoseError(
             f"The pose of {place} cannot be reached: the chains stay open by {residual:.3g} m."
             f"{millimetres(residual, robot.characteristic_length)}",

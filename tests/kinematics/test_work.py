@@ -17,10 +17,9 @@ import pytest
 import spatial_chains
 import zoo
 from folding import folding_four_bar
-from redundancy_pin.kinematics.continuation import follow, initial_guess
 
 import redundancy_pin as rp
-from redundancy_pin.kinematics.chain import ClosedChain, tracker
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closing import brought_near, close
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -32,21 +31,21 @@ MORE = 1.05
 
 
 @pytest.fixture
-def counted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
-    """Run something, and return how often it evaluates closures, and how many configurations in all."""
+def counted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """Run something, and return at how many configurations it evaluates closures."""
 
-    def count(action: Callable[[], Any]) -> list[int]:
-        calls = [0, 0]
+    def count(action: Callable[[], Any]) -> int:
+        calls = 0
         evaluate, place = ConstraintSystem.evaluate, ClosedChain.place
 
         def evaluated(self: ConstraintSystem, q: np.ndarray, *rest: Any) -> Any:
-            calls[0] += 1
-            calls[1] += len(q)
+            nonlocal calls
+            calls += len(q)
             return evaluate(self, q, *rest)
 
         def placed(self: ClosedChain, q: np.ndarray) -> None:
-            calls[0] += 1
-            calls[1] += 1
+            nonlocal calls
+            calls += 1
             place(self, q)
 
         with monkeypatch.context() as patch:
@@ -58,74 +57,47 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
     return count
 
 
-def at_most(found: list[int], expected: tuple[int, int]) -> None:
-    assert found[0] <= MORE * expected[0]
-    assert found[1] <= MORE * expected[1]
-    assert found[1] >= 0.7 * expected[1], "less than was written down: write down what it takes now"
+def at_most(found: int, expected: int) -> None:
+    assert found <= MORE * expected
+    assert found >= 0.7 * expected, "less than was written down: write down what it takes now"
 
 
-DENSE = {"2rpr": (20, 4200), "3rrr": (29, 4310), "five_bar": (20, 4380), "four_bar": (22, 3565), "gough": (20, 3089)}
-SPARSE = {"2rpr": (15, 51), "3rrr": (22, 122), "five_bar": (15, 51), "four_bar": (15, 71), "gough": (15, 103)}
-GUESS = {"2rpr": 8.0e-5, "3rrr": 2.7e-4, "five_bar": 2.0e-4, "four_bar": 1.1e-4, "gough": 1.5e-5}
-"""rad or m."""
+DENSE = {"2rpr": 2018, "3rrr": 2409, "five_bar": 2020, "four_bar": 2020, "gough": 2022}
+SPARSE = {"2rpr": 45, "3rrr": 90, "five_bar": 45, "four_bar": 64, "gough": 88}
+"""Configurations at which closures are evaluated along 1,000 samples and along 7: two or three a step."""
 
 
 def even(count: int) -> np.ndarray:
     return np.linspace(0.0, 2.0, count)
 
 
-def test_dense_and_sparse_motions_take_few_newton_steps(shipped: Robot, counted: Callable[..., list[int]]) -> None:
+def test_dense_and_sparse_motions_take_few_newton_steps(shipped: Robot, counted: Callable[..., int]) -> None:
     motion = zoo.smooth_motion(shipped, 1)
     dense, sparse = (counted(lambda t=t: inverse_kinematics(shipped, motion.at(t))) for t in map(even, (1000, 7)))
     at_most(dense, DENSE[shipped.name])
     at_most(sparse, SPARSE[shipped.name])
 
 
-def test_guesses_between_anchors_are_near_enough_for_two_steps(shipped: Robot) -> None:
-    system, motion = zoo.system_of(shipped), zoo.smooth_motion(shipped, 1).at(even(500))
-    tree = inverse_kinematics(shipped, motion)
-    anchors = follow(system, np.asarray(motion.x), np.asarray(tree.q[0]))
-    assert np.abs(initial_guess(system, np.asarray(motion.x), anchors) - tree.q).max() < MORE * GUESS[shipped.name]
-
-
-def test_next_to_full_stretch_steps_get_shorter(counted: Callable[..., list[int]]) -> None:
+def test_next_to_full_stretch_steps_get_shorter(counted: Callable[..., int]) -> None:
     robot = zoo.robot_of("five_bar")
     y = np.linspace(0.76, np.sqrt(1.0 - 0.25**2) - 1e-6, 50)
     x = np.stack([np.full(50, 0.25), y], axis=1)
     motion = rp.PlatformMotion(np.arange(50.0), x, np.zeros((50, 2)), np.zeros((50, 2)), check_rates=False)
-    at_most(counted(lambda: inverse_kinematics(robot, motion)), (723, 1218))
+    at_most(counted(lambda: inverse_kinematics(robot, motion)), 1274)
 
 
-def test_a_rank_loss_is_crossed_on_a_line_of_nodes(counted: Callable[..., list[int]], tmp_path: Path) -> None:
+def test_a_rank_loss_is_crossed_on_a_line_of_nodes(counted: Callable[..., int], tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
     angle = np.pi + np.linspace(-1.0, 1.0, 11)[:, None] + 0.033
     motion = rp.PlatformMotion(np.arange(11.0), angle, np.ones((11, 1)), np.zeros((11, 1)), check_rates=False)
-    at_most(counted(lambda: inverse_kinematics(robot, motion)), (146, 614))
+    at_most(counted(lambda: inverse_kinematics(robot, motion)), 460)
 
 
-def test_searches_take_a_few_dozen_starts(counted: Callable[..., list[int]]) -> None:
+def test_searches_take_a_few_dozen_starts(counted: Callable[..., int]) -> None:
     robot = zoo.robot_of("3rrr", carriers=False)
     system = zoo.system_of(robot)
     far = zoo.home_of(robot) + np.array([0.1, 0.05, 0.2])
-    at_most(counted(lambda: multistart(system, -np.array(robot.q_reference), far)), (32, 300))
-
-
-@pytest.mark.parametrize("many", [False, True])
-def test_a_pose_from_the_one_before_takes_two_or_three_placements(
-    shipped: Robot, many: bool, counted: Callable[..., list[int]]
-) -> None:
-    follower = tracker(shipped, many=many)
-    x = zoo.smooth_motion(shipped, 2).at(np.linspace(0.0, 0.2, 20)).x
-    start = follower.towards(follower.home, x[0])
-    points = [start]
-
-    def run() -> None:
-        for pose in x[1:]:
-            points.append(follower.towards(points[-1].point, pose))
-
-    placements = {"four_bar": 38}.get(shipped.name, 57)
-    at_most(counted(run), (placements, placements))
-    assert None not in points
+    at_most(counted(lambda: multistart(system, -np.array(robot.q_reference), far)), 300)
 
 
 STEPS = {"universal": 73, "hinge": 63, "cylindrical": 45, "continuous": 31}

@@ -1,0 +1,189 @@
+"""Following a branch: each step ends where assembly closes, on the branch of the start, or is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import spatial_chains
+import zoo
+from flat_linkages import row_of_four_bars
+from folding import folding_four_bar
+
+import redundancy_pin as rp
+from redundancy_pin.kinematics.assembly import assemble, integrate, project
+from redundancy_pin.kinematics.branch import (
+    LONGEST_STEP,
+    ClosedState,
+    Follower,
+    closed_around,
+    continuous,
+    follower,
+    follows,
+)
+from redundancy_pin.kinematics.coordinates import moved
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import velocity_unit
+
+
+def test_a_pose_nearby_is_the_one_that_assembly_closes(shipped: Robot) -> None:
+    system, own = zoo.system_of(shipped), follower(shipped)
+    increment = np.random.default_rng(5).uniform(-0.02, 0.02, shipped.n) * shipped.characteristic_length
+    x = moved(shipped, own.home.x[None], increment[None])
+    reached = own.advance(own.home, x[0])
+    assert reached is not None
+    guess = integrate(shipped.model, own.home.q[None], (own.home.gamma @ increment)[None])
+    expected = assemble(system, guess, x)
+    np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(reached.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
+    assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
+
+
+@pytest.mark.parametrize("name", ["hinge", "cylindrical", "universal"])
+def test_axes_that_coincide_are_followed_and_not_turned_over(name: str) -> None:
+    """Along a turn by hundredths: each pose is the one that assembly closes."""
+    robot = spatial_chains.chain_of(name)
+    system, own = zoo.system_of(robot), follower(robot)
+    here = own.home
+    for _ in range(3):
+        x = here.x + 0.02
+        reached = own.advance(here, x)
+        assert reached is not None
+        expected = assemble(system, integrate(robot.model, here.q[None], (here.gamma @ (x - here.x))[None]), x[None])
+        np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
+        here = reached
+
+
+@pytest.mark.parametrize("independent", [{"joints": ["a", "b"]}, {"platform": "tip", "axes": ["x", "y"]}])
+def test_a_chain_without_closures_is_followed(independent: dict[str, Any]) -> None:
+    """Two links in a plane, whose tip is where trigonometry puts it."""
+    model, joint, apart = pin.Model(), 0, pin.SE3.Identity()
+    for name in ("a", "b"):
+        joint = model.addJoint(joint, pin.JointModelRZ(), apart, name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        apart = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addBodyFrame("tip", joint, pin.SE3(np.eye(3), np.array([0.8, 0.0, 0.0])), 0)
+    reference = {"guess": {"a": 0.3, "b": 0.5}, **({} if "joints" in independent else {"platform": [1.5, 0.9]})}
+    robot = Robot.from_model(model, actuated=["a", "b"], independent=independent, reference=reference)
+    own = follower(robot)
+    x = own.home.x + np.array([0.02, -0.01])
+    reached = own.advance(own.home, x)
+    assert reached is not None
+    a, b = reached.q
+    tip = [np.cos(a) + 0.8 * np.cos(a + b), np.sin(a) + 0.8 * np.sin(a + b)]
+    np.testing.assert_allclose([a, b] if "joints" in independent else tip, x, atol=1e-12)
+
+
+def test_a_state_that_the_branch_contradicts_is_refused() -> None:
+    own = follower(zoo.robot_of("3rrr"))
+    x = own.home.x + np.array([0.01, 0.0, 0.0])
+    assert own.step(own.home, x) is not None
+    assert own.step(replace(own.home, gamma=3.0 * own.home.gamma), x) is None
+    assert own.advance(own.home, own.home.x + 100.0) is None
+    assert own.advance(own.home, x * np.nan) is None
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-6, -1e-6])
+def test_no_plain_step_leads_to_a_rank_loss(beside: float, tmp_path: Path) -> None:
+    """Newton's rounding shows in the rates there; ``pass_through`` has the state and its rates."""
+    robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
+    own = follower(robot)
+    before = own.advance(own.home, np.array([np.pi - 0.05]))
+    assert before is not None
+    plain = own.step(before, np.array([np.pi + beside]))
+    assert plain is None or plain.margin < own.near
+    passed = own.pass_through(before, np.array([np.pi + beside]), np.ones(1), np.zeros(1))
+    assert passed is not None
+    assert passed.state.interpolated
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**5])
+def test_the_way_to_a_pose_takes_steps_of_a_fraction_of_the_machine(
+    size: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("base_distance", "proximal_length", "distal_length", "tail_length")
+    plain = zoo.robot_of("five_bar").parameters
+    robot = rp.load_robot("five_bar", carriers=True, **{name: size * float(plain[name]) for name in names})
+    own, targets, step = follower(robot), [], Follower.step
+
+    def counted(self: Follower, here: ClosedState, x: np.ndarray) -> ClosedState | None:
+        targets.append(np.array(x))
+        return step(self, here, x)
+
+    monkeypatch.setattr(Follower, "step", counted)
+    spacing = LONGEST_STEP * robot.characteristic_length
+    home, along = own.home.x, np.array([0.6, -0.8])
+    for way, steps in ((0.0, 1), (0.5, 1), (0.99, 1), (1.01, 2), (1.99, 2), (2.5, 3)):
+        targets.clear()
+        assert own.advance(own.home, home + way * spacing * along) is not None
+        expected = home + np.linspace(0.0, way, steps + 1)[1:, None] * spacing * along
+        np.testing.assert_allclose(targets, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("length", [1.0, 2.0**5])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_step_across_a_rank_loss_stays_on_the_smooth_branch(length: float, side: float) -> None:
+    """A parallelogram through its flat pose: coupler and crank go on turning against each other, in any unit."""
+    robot = row_of_four_bars(1, crank=length, coupler=length)
+    own = follower(robot)
+    turn = np.array([1.0 if name.startswith("crank") else -1.0 for name in list(robot.model.names)[1:]])
+    before = own.close(side * 0.03 * turn, np.array([side * 0.03]))
+    assert before is not None
+    assert before.margin == pytest.approx(0.03, rel=1.0)
+    for goal in (-0.03, -0.01, 0.01, 0.0):
+        reached = own.advance(before, np.array([side * goal]))
+        assert reached is not None
+        np.testing.assert_allclose(reached.q, side * goal * turn, atol=1e-9)
+        np.testing.assert_allclose(reached.gamma[:, 0], turn, atol=1e-7)
+
+
+def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None:
+    """Those along the branch by 0.4 rad or characteristic lengths of the joint that moves farthest, before closing."""
+    reference, q = np.array(shipped.q_reference), closed_around(zoo.system_of(shipped)).q
+    unit = velocity_unit(shipped)
+    far = np.array([np.abs(pin.difference(shipped.model, reference, one) / unit).max() for one in q])
+    assert far[0] < 1e-9
+    along = far[1 + len(far) // 2 :]
+    assert 0.3 < along.min() <= along.max() < 0.5
+
+
+def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
+    """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
+    system = zoo.system_of(zoo.robot_of("five_bar"))
+    nv = system.robot.model.nv
+    gamma0, gamma1 = np.full((4, nv, 1), 1.0), np.full((4, nv, 1), 3.0)
+    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(nv)
+    assert follows(system, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
+
+
+def test_a_jump_to_the_other_elbow_is_not_continuous() -> None:
+    robot = zoo.robot_of("five_bar")
+    system = zoo.system_of(robot)
+    x = np.linspace(zoo.home_of(robot), zoo.home_of(robot) - [0.0, 0.01], 3)
+    q = assemble(system, np.repeat(robot.q_reference[None], 3, axis=0), x).q
+    other = zoo.robot_of("five_bar", working_mode=(-1, -1))
+    q[2] = assemble(system, other.q_reference[None], x[2:]).q[0]
+    gamma = project(system, system.evaluate(q)).gamma
+    np.testing.assert_array_equal(continuous(system, q, gamma, x), [True, False])
+
+
+def test_standing_still_is_continuous(shipped: Robot) -> None:
+    system = zoo.system_of(shipped)
+    q = np.repeat(shipped.q_reference[None], 3, axis=0)
+    x = np.repeat(zoo.home_of(shipped)[None], 3, axis=0)
+    assert continuous(system, q, project(system, system.evaluate(q)).gamma, x).all()
+
+
+def test_behind_a_gap_the_motion_is_reacquired_in_the_mode() -> None:
+    robot = zoo.robot_of("five_bar")
+    heights = np.linspace(1.5, 0.5, 101)
+    x = np.stack([np.full(len(heights), 0.25), heights], axis=1)
+    still = np.zeros_like(x)
+    motion = rp.PlatformMotion(np.arange(101.0), x, still, still, check_rates=False)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
+    np.testing.assert_array_equal(tree.reachable, heights < np.sqrt(1 - 0.25**2))
