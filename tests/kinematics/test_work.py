@@ -62,7 +62,7 @@ def at_most(found: int, expected: int) -> None:
     assert found >= 0.7 * expected, "less than was written down: write down what it takes now"
 
 
-DENSE = {"2rpr": 2018, "3rrr": 2409, "five_bar": 2020, "four_bar": 2020, "gough": 2022}
+DENSE = {"2rpr": 2123, "3rrr": 2510, "five_bar": 2131, "four_bar": 2100, "gough": 2140}
 SPARSE = {"2rpr": 45, "3rrr": 90, "five_bar": 45, "four_bar": 64, "gough": 88}
 """Configurations at which closures are evaluated along 1,000 samples and along 7: two or three a step."""
 
