@@ -21,8 +21,8 @@ from redundancy_pin.crosscheck import checks as physics
 from redundancy_pin.crosscheck.cases import REASONS, Masses, RandomCase, Wave, random_case
 from redundancy_pin.crosscheck.checks import CheckRow, CrossCheckReport, Deviation, checked_row, merged, relative
 from redundancy_pin.crosscheck.closed_forward import ClosedForward, confined_to_planes
-from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics import rnea as rnea_module
+from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, RneaDynamics
 from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
 from redundancy_pin.kinematics import continuation
