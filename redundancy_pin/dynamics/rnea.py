@@ -32,7 +32,7 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.chain import ClosedChain, tracker
 from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -123,12 +123,41 @@ class RneaDynamics(Dynamics):
                 f"start is a {type(start).__name__}, expected what an earlier sample of RneaDynamics returned.",
                 remedy="Pass that, or leave it out.",
             )
-        motion, carriers = one_sample(self._robot, x, xd, xdd, s, sd, sdd, t=t)
-        tree = inverse_kinematics(self._robot, motion, start=None if start is None else start.point)
-        along = RneaAlongMotion(tree)
-        f, force = along.forces(carriers)
+        robot, given = self._robot, (x, xd, xdd, s, sd, sdd)
+        sample = self._regular_sample(given, start, t)
+        if sample is not None:
+            return sample
+        motion, carriers = one_sample(robot, *given, t=t)
+        tree = inverse_kinematics(robot, motion, start=None if start is None else start.point)
+        f, force = RneaAlongMotion(tree).forces(carriers)
         point = Point(motion.x[0], tree.q[0], tree.gamma[0])
         return RneaSample(tree.W[0], f[0], force[0], point, float(tree.gap[0]), float(tree.serial_margin_bound[0]))
+
+    def _regular_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
+        """Return a sample whose branch is plainly regular and whose input is valid; None for all others."""
+        robot, follower = self._robot, tracker(self._robot, many=True)
+        try:
+            x, xd, xdd, *carriers = (np.array(part, dtype=float) for part in given)
+        except (TypeError, ValueError):
+            return None
+        s, sd, sdd = (np.zeros(robot.k) if part.shape == (0,) else part for part in carriers)
+        home = follower.home if start is None else start.point
+        shapes = [part.shape for part in (x, xd, xdd, s, sd, sdd)]
+        if shapes != [home.x.shape, *[(robot.n,)] * 2, *[(robot.k,)] * 3]:
+            return None
+        if not np.isfinite(np.concatenate((x.ravel(), xd, xdd, s, sd, sdd))).all():
+            return None
+        reached = follower.towards(home, read_only(x))
+        if reached is None:
+            return None
+        v, a = follower.rates(reached, xd, xdd)
+        gamma, q = reached.point.gamma, reached.point.q.copy()
+        q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
+        wrenches = [value[0] for value in wrench_values(robot.loads, np.array([t]), x[None], xd[None])]
+        effort = tree_effort(robot, follower.chain.data, TreeState(q, v, a, wrenches))
+        parts = gamma[robot.actuated_velocity].T, gamma.T @ effort, effort[robot.carrier_velocity]
+        W, f, force = (read_only(part) for part in parts)
+        return RneaSample(W, f, force, reached.point, reached.gap, reached.margin)
 
 
 class RneaAlongMotion(Frozen):
