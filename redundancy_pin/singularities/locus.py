@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only, require_type
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.assembly import configuration_difference, integrate
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, configuration_difference, integrate
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator
 from redundancy_pin.robot import Robot, RobotLike, as_robot
@@ -60,9 +60,6 @@ _ROUNDING = 1e-12
 _ITERATIONS = 20
 _LONGEST_STEP = 0.3
 """Longest Newton step, rad or characteristic lengths: the linear model of a turning joint holds to about 20°."""
-
-_SETTLED = 1e-13
-"""Newton step, rad or characteristic lengths, below which only rounding is left."""
 
 _JUMP = 1.0
 """Change of a joint between neighbouring points, rad or characteristic lengths, that separates two curves. On one curve
@@ -331,7 +328,7 @@ class _SingularPoints:
             full = np.zeros((1, self.robot.model.nv))
             full[0, self.columns] = step * self.step_unit * min(1.0, _LONGEST_STEP / max(size, _LONGEST_STEP))
             q = integrate(self.robot.model, q[None], full)[0]
-            if size < _SETTLED:
+            if size < SETTLED_STEP:
                 break
         residual = self._equations(q, (SingularityKind.TYPE_I, SingularityKind.TYPE_II), target, fixed)[0]
         serial, locked = residual[-2:].tolist()
