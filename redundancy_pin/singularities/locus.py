@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 from contourpy import contour_generator
-from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only, require_type
 from redundancy_pin.errors import InputError, UnsupportedRobotError
@@ -137,17 +136,6 @@ class SingularLocus(Frozen):
         """(P, n) all points of all curves, base frame, m and rad."""
         empty = np.zeros((0, self.robot.n))
         return read_only(np.concatenate([empty, *(curve.points for curve in self.curves)]))
-
-    @property
-    def kind(self) -> NDArray[np.int8]:
-        """(P,) ``SingularityKind`` of each point."""
-        each = [np.full(len(curve.points), curve.kind, dtype=np.int8) for curve in self.curves]
-        return read_only(np.concatenate([np.zeros(0, dtype=np.int8), *each]))
-
-    @property
-    def residual(self) -> Array:
-        """(P,) scaled smallest singular value left at each point."""
-        return read_only(np.concatenate([np.zeros(0), *(curve.residual for curve in self.curves)]))
 
     def of_kind(self, kind: SingularityKind) -> tuple[LocusCurve, ...]:
         """Return the curves of one kind; InputError for anything but a ``SingularityKind``."""
