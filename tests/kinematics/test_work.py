@@ -63,7 +63,7 @@ def at_most(found: int, expected: int) -> None:
 
 
 DENSE = {"2rpr": 2123, "3rrr": 2510, "five_bar": 2131, "four_bar": 2100, "gough": 2140}
-SPARSE = {"2rpr": 45, "3rrr": 90, "five_bar": 45, "four_bar": 64, "gough": 88}
+SPARSE = {"2rpr": 32, "3rrr": 80, "five_bar": 32, "four_bar": 64, "gough": 88}
 """Configurations at which closures are evaluated along 1,000 samples and along 7: two or three a step."""
 
 
