@@ -8,6 +8,7 @@ time (``carrier_terms.py``).
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
 import warnings
@@ -20,18 +21,22 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, read_only
 from redundancy_pin.dynamics.base import (
+    AccelerationSample,
     CarrierDerivatives,
     CarrierTerms,
     Dynamics,
+    JointStateSample,
     OnUnreachable,
     ReducedDynamics,
     Sample,
+    TorqueSample,
     require_choice,
     require_matching_carriers,
 )
 from redundancy_pin.dynamics.compiled.build import Library, build_library, define, key
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
 from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
+from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, TorqueCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
@@ -153,6 +158,74 @@ class CompiledDynamics(Dynamics):
         if one is None:
             one = self._local.one = _OneSample(self)
         return one((x, xd, xdd, s, sd, sdd), t)
+
+    def torque(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+        *,
+        t: float = 0.0,
+        start: ArrayLike | None = None,
+    ) -> TorqueSample:
+        """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
+        try:
+            call: TorqueCall = self._local.torque
+        except AttributeError:
+            call = self._local.torque = TorqueCall(self._robot, self._code, self._find)
+        return call(x, xd, xdd, s, sd, sdd, t, start)
+
+    def acceleration(
+        self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, carrier_force: ArrayLike = (), *, t: float = 0.0
+    ) -> AccelerationSample:
+        """Return the accelerations of the tree at a closed state with a status; see ``Dynamics.acceleration``."""
+        try:
+            call: AccelerationCall = self._local.acceleration
+        except AttributeError:
+            call = self._local.acceleration = AccelerationCall(self._require_forward())
+        return call(q, v, tau, carrier_force, t)
+
+    def joint_state(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike = (),
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        *,
+        start: ArrayLike | None = None,
+    ) -> JointStateSample:
+        """Return all joints and the platform from the main actuators with a status; see ``Dynamics.joint_state``."""
+        try:
+            call: JointStateCall = self._local.joint_state
+        except AttributeError:
+            call = self._local.joint_state = JointStateCall(self._robot, self._code)
+        return call(position, velocity, s, sd, start)
+
+    @property
+    def _code(self) -> ctypes.CDLL:
+        """The compiled library."""
+        if not isinstance(self.kernel, Library):
+            raise self._is_not_compiled()
+        return self.kernel.library
+
+    def _require_forward(self) -> CompiledForward:
+        forward = self.forward()
+        if forward is None:
+            raise self._is_not_compiled()
+        return forward
+
+    def _is_not_compiled(self) -> UnsupportedRobotError:
+        return UnsupportedRobotError(
+            f"The dynamics of {self._robot.name} are not compiled.", remedy="Install a C compiler; $CC names another."
+        )
+
+    def _find(self, motion: PlatformMotion) -> Array:
+        """Return a configuration (nq,) that is closed at a motion of one sample; raises as ``along``."""
+        found: Array = lifted(self._loops, motion, mark=False).q[0]
+        return found
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants; see ``Dynamics.carrier_terms``.

@@ -20,14 +20,17 @@ from typing import Any, TypeVar
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.load_symbols import shape_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
 from redundancy_pin.machine_code import FLAGS, built, digest, loaded
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import position_unit
+from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.scales import force_terms, position_unit, velocity_unit
 from redundancy_pin.robot.whole_turns import counted_turns
+from redundancy_pin.status import SampleStatus
 
 LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
@@ -73,6 +76,7 @@ def _defined(robot: Robot) -> Definition:
     for whole, part, at in zip((q, v, a), carriers, (robot.carrier_position.tolist(), columns, columns), strict=True):
         if at:
             whole[at] = part
+    positions = ca.SX.sym("positions", robot.m)
     gamma = ca.SX.sym("gamma", robot.n, chain.model.nv)  # row by row in memory it is (nv, n)
     efforts, base = chain.efforts
     pose, tree = [chain.q, chain.trig], [chain.q, chain.trig, chain.v, chain.a]
@@ -96,6 +100,7 @@ def _defined(robot: Robot) -> Definition:
         "moved": ([chain.q, chain.step], [chain.moved]),
         "modes": (pose, [chain.mode_indicators]),
         "coordinates": (pose, [chain.coordinates]),
+        "drives": ([chain.q, positions], [_missed(chain, positions)]),
         "project": (projected, reduced),
         "derivatives": (projected, derivatives),
         "efforts": (motion, [everything]),
@@ -109,6 +114,20 @@ def _defined(robot: Robot) -> Definition:
     return Definition(chain, functions)
 
 
+def _missed(chain: SymbolicChain, positions: Any) -> Any:
+    """Return (m,) how far the main actuators are from their positions, m and rad."""
+    ca, missed = casadi(), []
+    for i, name in enumerate(chain.robot.actuated):
+        joint = find_joint(chain.robot.model, name)
+        q = chain.q[joint.idx_q : joint.idx_q + joint.nq]
+        if joint.nq == 1:
+            missed.append(positions[i] - q)
+        else:  # cosine and sine: the angle of the turn from one to the other
+            c, s = ca.cos(positions[i]), ca.sin(positions[i])
+            missed.append(ca.atan2(s * q[0] - c * q[1], c * q[0] + s * q[1]))
+    return ca.vertcat(ca.SX(0, 1), *missed)
+
+
 def source(definition: Definition) -> str:
     """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
     chain = definition.chain
@@ -117,6 +136,10 @@ def source(definition: Definition) -> str:
         [
             driver_source(definition, definition.functions.values()),
             f"const int rp_turning[] = {{{turning}}};",
+            sample_source(definition),
+            _table("static const int CARRIERS", chain.robot.carrier_velocity),
+            _table("static const int CARRIED", chain.robot.carrier_position),
+            text_of("calls.c"),
             text_of("batch.c"),
         ]
     )
@@ -137,6 +160,37 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
         angles = ", ".join(map(str, (turns.angles.astype(int) + turns.kept).tolist()))
         counted.append(f"static const int ANGLE[] = {{{angles}}};")
     return "\n".join([*tables(definition.chain, functions, storage), *counted, text_of("driver.c")])
+
+
+def sample_source(definition: Definition) -> str:
+    """Return the C of one sample, ``sample.c``, with its tables; it follows ``driver_source``."""
+    chain = definition.chain
+    robot, terms = chain.robot, force_terms(chain.robot)
+    constants = {
+        "RANK_TOLERANCE": RANK_TOLERANCE,
+        "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
+        "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
+        "FORCE_TOLERANCE": FORCE_TOLERANCE,
+        "MASS": terms.mass,
+        "GRAVITY": terms.gravity,
+        "VISCOUS": terms.viscous,
+        "STATIC": terms.static,
+    }
+    tables = {
+        "ROW_SCALE": chain.row_scale,
+        "COLUMN_SCALE": chain.column_scale,
+        "CARRIER_UNIT": velocity_unit(robot)[robot.carrier_velocity],
+    }
+    statuses = ", ".join(f"STATUS_{status.name} = {int(status)}" for status in SampleStatus)
+    text = [f"enum {{ {statuses} }};"]
+    text += [f"#define {name} {value!r}" for name, value in constants.items()]
+    text += [_table(f"static const double {name}", values) for name, values in tables.items()]
+    return "\n".join([*text, text_of("sample.c")])
+
+
+def _table(declared: str, values: Any) -> str:
+    listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
+    return f"{declared}[] = {{{listed or '0'}}};"
 
 
 def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list[str]:
@@ -167,10 +221,7 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
     }
     text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
     text += [f"#define {name} {value!r}" for name, value in sizes.items()]
-    for name, values in tables.items():
-        listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
-        text.append(f"{name}[] = {{{listed or '0'}}};")
-    return text
+    return [*text, *(_table(name, values) for name, values in tables.items())]
 
 
 def text_of(name: str) -> str:
@@ -178,7 +229,7 @@ def text_of(name: str) -> str:
     return importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "driver.c", "batch.c")
+_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "driver.c", "sample.c", "calls.c", "batch.c")
 """Files that decide what is compiled: who changes one gets a new library."""
 
 

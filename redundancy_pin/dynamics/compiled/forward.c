@@ -1,5 +1,6 @@
 /* Forward dynamics of one robot and its integration in time. The functions rp_equations, rp_closures, rp_rates, rp_moved,
-   rp_turns and rp_modes, and the sizes and tables in capitals, are generated in front of this text, see forward.py.
+   rp_turns and rp_modes, the sizes and tables in capitals, and the structures Run and Progress are generated in front of this
+   text, see forward.py.
 
    Accelerations follow from the equations of motion in independent velocities,
 
@@ -20,41 +21,6 @@
 
 enum { FINE = 0, RANK_LOST = 1, ILL_POSED = 2, NOT_FINITE = 3 };
 enum { ARRIVED = 0, LOOK = 1, PAUSED = 2 };
-
-/* Generalised forces (NV) at a state, then s, s', s'' (NK each) where the carriers' motion is given; returns 0 if there are
-   none. */
-typedef int (*Loads)(double t, const double *q, const double *v, double *out);
-
-typedef struct {
-  /* an explicit Runge-Kutta method, by the tables of scipy; `extended` stages with those of its interpolant */
-  int stages, extended, eighth, powers;
-  const double *A, *B, *C, *E, *E3, *P;
-  double order, rtol, atol, max_step;
-  /* what acts: polynomials of time on pieces, or a function */
-  int prescribed, pieces, terms, saturates;
-  const double *edges, *coefficients, *limits;
-  /* less K (x, s, x', s' less a course on the same pieces), within limits of its own; with scales, K gives accelerations,
-     and efforts are allotted */
-  int course_terms, gain_pieces, gain_terms;
-  const double *course, *gain_at, *gains, *feedback_limits, *scale;
-  Loads loads;
-  /* when efforts jump or kink, the last one being the end; when to record */
-  int breaks, samples;
-  const double *break_at, *sample_at;
-  double *recorded, same;
-  /* events: index in q and in v, side and bound of each stop; signs of the legs' modes */
-  int stops;
-  const double *stop, *mode;
-  double brief, between, near_rank;
-  /* limits of an ordinary step */
-  double shortest, tolerance, largest_residual, jump, stir, rank_tolerance, least_inertia;
-} Run;
-
-typedef struct {
-  double t, next_step, near, largest_correction;
-  long steps, evaluations, restarts;
-  int sample, piece, gain_piece, next_break;
-} Progress;
 
 static void copy(double *to, const double *from, int size) {
   for (int i = 0; i < size; ++i) to[i] = from[i];
@@ -145,24 +111,33 @@ static void solve(const double *A, int size, double *b) {
   }
 }
 
-/* Rows of closures and platform (NP x NP, column by column), their bias, mass matrix and efforts at rest of the tree. */
-void rp_dynamics(const double *q, const double *v, double *K, double *bias, double *mass, double *effort) {
+/* Rows of closures and platform (NP x NP, column by column), their bias, mass matrix and efforts at rest of the tree,
+   under wrenches (NWRENCH). */
+static void equations(const double *q, const double *v, const double *wrenches, double *K, double *bias, double *mass,
+                      double *effort) {
   double trig[2 * NT + 1];
   turns_of(q, trig);
-  const double *const arg[] = {q, trig, v};
+  const double *const arg[] = {q, trig, v, wrenches};
   double *const res[] = {K, bias, mass, effort};
   rp_equations(arg, res);
 }
 
-/* Accelerations of the tree under generalised forces; `given` are those of carriers driven by motion, or nothing.
-   *inertia: smallest pivot of the mass matrix over the largest. Closure forces (R) and what the forces miss (NV) are for
-   those who ask. */
-int rp_accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
-                     double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
+/* The same without wrenches, whose forces a simulation adds itself. */
+void rp_dynamics(const double *q, const double *v, double *K, double *bias, double *mass, double *effort) {
+  static const double none[NWRENCH + 1] = {0.0};
+  equations(q, v, none, K, bias, mass, effort);
+}
+
+/* Accelerations of the tree under generalised forces (NV) and wrenches (NWRENCH); `given` are those of carriers driven by
+   motion, or null. *inertia: smallest pivot of the mass matrix over the largest. Closure forces (R) and the unbalanced
+   generalised forces `missing` (NV) are computed unless null. */
+static int accelerations(const double *q, const double *v, const double *force, const double *wrenches,
+                         const double *given, double rank_tolerance, double least_inertia, double *a, double *inertia,
+                         double *closure_force, double *missing) {
   double K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV], rest[NV];
   double A[(R + 1) * (NP + 1 + R)], N[NV][FREE + 1] = {{0.0}}, product[NV][FREE + 1], reduced[FREE * FREE + 1], z[FREE + 1];
   int order[R + 1], dependent[NP + 1] = {0}, width = NP + 1 + (closure_force ? R : 0), d = 0;
-  rp_dynamics(q, v, K, bias, mass, effort);
+  equations(q, v, wrenches, K, bias, mass, effort);
   for (int i = 0; i < R; ++i) {
     for (int j = 0; j < NP; ++j) A[i * width + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
     A[i * width + NP] = bias[i];
@@ -236,6 +211,30 @@ int rp_accelerations(const double *q, const double *v, const double *force, cons
     }
   }
   return FINE;
+}
+
+/* The same without wrenches. */
+int rp_accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
+                     double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
+  static const double none[NWRENCH + 1] = {0.0};
+  return accelerations(q, v, force, none, given, rank_tolerance, least_inertia, a, inertia, closure_force, missing);
+}
+
+/* One state from Python: in = q, v, main efforts, carrier forces, wrenches, side by side; out = accelerations (NV), NaN where
+   the answer is not FINE. */
+int rp_acceleration(const double *in, double rank_tolerance, double least_inertia, double *out) {
+  const double *v = in + NQ, *tau = v + NV, *carrier = tau + M, *wrenches = carrier + NK;
+  double force[NV] = {0.0}, inertia;
+  if (!isfinite(largest(in, NQ + NV + M + NK + NWRENCH))) {
+    for (int i = 0; i < NV; ++i) out[i] = NAN;
+    return NOT_FINITE;
+  }
+  for (int i = 0; i < M; ++i) force[ACTUATED[i]] = tau[i];
+  for (int i = 0; i < NK; ++i) force[CARRIERS[i]] = carrier[i];
+  int status = accelerations(in, v, force, wrenches, 0, rank_tolerance, least_inertia, out, &inertia, 0, 0);
+  if (status == FINE && !isfinite(largest(out, NV))) status = NOT_FINITE;
+  for (int i = 0; status != FINE && i < NV; ++i) out[i] = NAN;
+  return status;
 }
 
 /* What controllers read off a state, one after the other: coordinates of the platform and their rates; M and h of
@@ -337,124 +336,12 @@ static void orthogonalise(double *S, int rows, int columns, int width) {
   }
 }
 
-/* Efforts that bring up accelerations (D), by M, h and W as rp_reading has them, in place of the planned u: the least scaled
-   change (dynamics.allocation). Returns 0 where rows are all but dependent, or a limit is passed. */
-static int allot(const Run *run, const double *mass, const double *wanted, double *u) {
-  enum { D = N_FREEDOMS + NK, P = M + NK, WIDTH = P + 1 };
-  const double *bias = mass + D * D, *W = bias + D;
-  double A[(N_FREEDOMS + 1) * WIDTH], needed[D + 1], change[P + 1] = {0.0}, least = INFINITY, most = 0.0;
-  for (int i = 0; i < D; ++i) {
-    needed[i] = bias[i];
-    for (int j = 0; j < D; ++j) needed[i] += mass[i * D + j] * wanted[j];
-  }
-  for (int i = 0; i < N_FREEDOMS; ++i) {
-    double *row = A + i * WIDTH;
-    row[P] = needed[i];
-    for (int j = 0; j < M; ++j) {
-      row[j] = W[i * M + j] * run->scale[j];
-      row[P] -= W[i * M + j] * u[j];
-    }
-    for (int j = 0; j < NK; ++j) row[M + j] = -mass[i * D + N_FREEDOMS + j] * run->scale[M + j];
-  }
-  orthogonalise(A, N_FREEDOMS, P, WIDTH);
-  for (int i = 0; i < N_FREEDOMS; ++i) {
-    double square = 0.0;
-    for (int j = 0; j < P; ++j) square += A[i * WIDTH + j] * A[i * WIDTH + j];
-    least = fmin(least, square);
-    most = fmax(most, square);
-    for (int j = 0; j < P; ++j) change[j] += A[i * WIDTH + j] * (A[i * WIDTH + P] / square);
-  }
-  if (!(least > run->rank_tolerance * most)) return 0; /* squares: far from where rank is in doubt */
-  for (int j = 0; j < P; ++j) change[j] *= run->scale[j];
-  for (int j = 0; j < P; ++j) {
-    u[j] = j < M ? u[j] + change[j] : needed[N_FREEDOMS + j - M];
-    for (int k = 0; j >= M && k < NK; ++k) u[j] += mass[(N_FREEDOMS + j - M) * D + N_FREEDOMS + k] * change[M + k];
-    if (!(fabs(u[j]) <= run->feedback_limits[j])) return 0;
-  }
-  return 1;
-}
-
-/* How far platform coordinates are from others: angles the short way, of poses translation and rotation vector. */
-void rp_difference(const double *here, const double *there, double *out) {
-  const double pi = 3.14159265358979323846;
-  double turn[3][3], quaternion[4], six[6], trace = 0.0;
-  if (!IS_POSE) {
-    for (int i = 0; i < N_FREEDOMS; ++i) {
-      out[i] = here[i] - there[i];
-      if (KINDS[i]) out[i] -= 2.0 * pi * floor((out[i] + pi) / (2.0 * pi));
-    }
-    return;
-  }
-  for (int i = 0; i < 3; ++i) {
-    six[i] = here[4 * i + 3] - there[4 * i + 3];
-    for (int j = 0; j < 3; ++j) {
-      turn[i][j] = 0.0;
-      for (int k = 0; k < 3; ++k) turn[i][j] += here[4 * i + k] * there[4 * j + k];
-    }
-    trace += turn[i][i];
-  }
-  int i = 3; /* the largest part of the quaternion is the one to divide by */
-  double most = trace;
-  for (int j = 0; j < 3; ++j)
-    if (turn[j][j] > most) most = turn[j][j], i = j;
-  int a = (i + 1) % 3, b = (i + 2) % 3;
-  if (i < 3) {
-    quaternion[i] = 1.0 - trace + 2.0 * turn[i][i];
-    quaternion[a] = turn[a][i] + turn[i][a];
-    quaternion[b] = turn[b][i] + turn[i][b];
-    quaternion[3] = turn[b][a] - turn[a][b];
-  } else {
-    for (int j = 0; j < 3; ++j) quaternion[j] = turn[(j + 2) % 3][(j + 1) % 3] - turn[(j + 1) % 3][(j + 2) % 3];
-    quaternion[3] = 1.0 + trace;
-  }
-  double sine = sqrt(quaternion[0] * quaternion[0] + quaternion[1] * quaternion[1] + quaternion[2] * quaternion[2]);
-  double sign = quaternion[3] < 0.0 ? -1.0 : 1.0, size = sine > 0.0 ? 2.0 * atan2(sine, sign * quaternion[3]) / sine : 0.0;
-  for (int j = 0; j < 3; ++j) six[3 + j] = sign * size * quaternion[j];
-  for (int j = 0; j < N_FREEDOMS; ++j) out[j] = six[KINDS[j]];
-}
-
-/* A feedback on the state, on top of the planned efforts u (M + NK); returns 0 where Python is to be asked. */
-static int feed_back(const Run *run, Progress *at, double t, const double *q, const double *v, double *u) {
-  enum { D = N_FREEDOMS + NK, STATE = N_COORDINATES + N_FREEDOMS, MOST = M + NK + N_FREEDOMS };
-  double read[STATE + D * D + D + N_FREEDOMS * M], z[2 * D], K[MOST * 2 * D], less[MOST];
-  double course[N_COORDINATES + NK + 2 * D], *s = course + N_COORDINATES, *rates = s + NK, *wanted = rates + D;
-  int rows = run->scale ? D : M + NK;
-  if (run->scale) {
-    if (!rp_reading(q, v, run->rank_tolerance, read)) return 0;
-  } else {
-    double trig[2 * NT + 1];
-    turns_of(q, trig);
-    const double *const arg[] = {q, trig, v};
-    double *const res[] = {read, read + N_COORDINATES};
-    rp_platform(arg, res);
-  }
-  polynomials(run->edges, run->pieces, run->course, run->course_terms, N_COORDINATES + NK + 2 * D, t, &at->piece, course);
-  rp_difference(read, course, z);
-  for (int i = 0; i < N_FREEDOMS; ++i) z[D + i] = read[N_COORDINATES + i] - rates[i];
-  for (int i = 0; i < NK; ++i) {
-    z[N_FREEDOMS + i] = q[CARRIED[i]] - s[i];
-    z[D + N_FREEDOMS + i] = v[CARRIERS[i]] - rates[N_FREEDOMS + i];
-  }
-  polynomials(run->gain_at, run->gain_pieces, run->gains, run->gain_terms, rows * 2 * D, t, &at->gain_piece, K);
-  for (int i = 0; i < rows; ++i) {
-    less[i] = 0.0;
-    for (int j = 0; j < 2 * D; ++j) less[i] += K[i * 2 * D + j] * z[j];
-  }
-  if (run->scale) {
-    for (int i = 0; i < D; ++i) wanted[i] -= less[i];
-    return allot(run, read + STATE, wanted, u);
-  }
-  for (int i = 0; i < rows; ++i) u[i] = fmin(fmax(u[i] - less[i], -run->feedback_limits[i]), run->feedback_limits[i]);
-  return 1;
-}
-
 /* What acts at an instant: the piece of the polynomials is that of a time before the end of the stretch. */
 static int loads_at(const Run *run, Progress *at, double t, double end, const double *q, const double *v, double *out) {
   double before = t < end ? t : nextafter(end, -INFINITY);
-  if (run->loads && !run->gains) return run->loads(before, q, v, out);
+  if (run->loads) return run->loads(before, q, v, out);
   double u[M + NK + 1];
   polynomials(run->edges, run->pieces, run->coefficients, run->terms, M + NK, before, &at->piece, u);
-  if (run->gains && !feed_back(run, at, before, q, v, u)) return run->loads(before, q, v, out);
   for (int i = 0; i < NV; ++i) out[i] = 0.0;
   for (int i = 0; i < M + NK; ++i) {
     if (run->saturates) u[i] = fmin(fmax(u[i], -run->limits[i]), run->limits[i]);
@@ -733,7 +620,7 @@ static int may_touch_zero(const double *ratios, int count, double near) {
    away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end. */
 static int ordinary(const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
                     double *K, double *values, double *F, int *dense) {
-  int fine = h > run->brief || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
+  int fine = h > run->short_step || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
   double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0, near = at->near;
   const double *f0 = K, *f1 = K + run->stages * NY;
   int watched = WATCHED(run);
@@ -759,8 +646,8 @@ static int ordinary(const Run *run, Progress *at, double t, double h, double end
     ratios[k] = seen[k][watched - 1];
   }
   travel *= h / LENGTH;
-  if (!(travel / run->between < MOST_LOOKS - 1)) return 0;
-  int count = (int)(travel / run->between);
+  if (!(travel / run->check_travel < MOST_LOOKS - 1)) return 0;
+  int count = (int)(travel / run->check_travel);
   if (count > looks) {
     double state[NY], all[MOST_WATCHED];
     interpolant(run, at, t, h, end, y, y1, K, F);
@@ -841,11 +728,11 @@ int rp_advance(const Run *run, Progress *at, double *y, double *values, long mos
     double moved = 0.0, fastest = fmax(largest(y + NQ, NV), largest(y1 + NQ, NV));
     int good = placed(run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->largest_residual;
     for (int i = NQ; good && i < NY; ++i) moved = fmax(moved, fabs(next[i] - y1[i]));
-    if (!good || !(moved <= run->jump * fastest + run->stir)) {
+    if (!good || !(moved <= run->velocity_change * fastest + run->velocity_floor)) {
       at->near = was_near;
       return LOOK;
     }
-    while (at->sample < run->samples && run->sample_at[at->sample] < t1 - run->same) {
+    while (at->sample < run->samples && run->sample_at[at->sample] < t1 - run->time_tolerance) {
       double t = run->sample_at[at->sample], before, after;
       copy(sample, y, NY);
       if (t > at->t) {

@@ -18,13 +18,13 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.compiled.build import built_for, tables, text_of
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
+from redundancy_pin.dynamics.compiled.layout import Member, Struct
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.forward import (
     LEAST_INERTIA,
     Accelerations,
     Advance,
     Equations,
-    Feedback,
     LinearParts,
     Loads,
     Reading,
@@ -33,66 +33,101 @@ from redundancy_pin.dynamics.forward import (
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.machine_code import FLAGS, loaded
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.robot import AXES, Robot, Wrench
+from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.named import is_pose
 
-_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "forward.py", "forward.c")
+_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "layout.py", "forward.py", "forward.c")
 
 _LOOK = 1
 """Status of ``rp_advance``: the next step is for its caller."""
 
-_DOUBLES, _LONGS, _INTS = ctypes.c_void_p, ctypes.c_long, ctypes.c_int
-_Loads = ctypes.CFUNCTYPE(_INTS, ctypes.c_double, _DOUBLES, _DOUBLES, _DOUBLES)
+_LOADS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
+_RUN = Struct(
+    "Run",
+    (
+        Member("stages", "int", "of an explicit Runge-Kutta method, by the tables of scipy"),
+        Member("extended", "int", "stages with those of its interpolant"),
+        Member("eighth", "int", "whether it is DOP853"),
+        Member("powers", "int", "of time in its interpolant"),
+        Member("A", "const double *", "(extended, extended)"),
+        Member("B", "const double *", "(stages)"),
+        Member("C", "const double *", "(extended)"),
+        Member("E", "const double *", "(stages + 1)"),
+        Member("E3", "const double *", "(stages + 1), of DOP853"),
+        Member("P", "const double *", "interpolant, (stages + 1, powers), or (powers - 3, extended) of DOP853"),
+        Member("order", "double", "of its error estimate"),
+        Member("rtol", "double", "relative tolerance of a step"),
+        Member("atol", "double", "absolute tolerance of a step"),
+        Member("max_step", "double", "s"),
+        Member("prescribed", "int", "whether the carriers' motion is given, by loads"),
+        Member("pieces", "int", "of the polynomials of efforts"),
+        Member("terms", "int", "of each of them"),
+        Member("saturates", "int", "whether any limit is finite"),
+        Member("edges", "const double *", "(pieces + 1) their ends, s"),
+        Member("coefficients", "const double *", "(pieces, terms, M + NK), N and N m"),
+        Member("limits", "const double *", "(M + NK) largest main efforts and carrier forces, N and N m"),
+        Member("loads", "Loads", "what acts in place of the polynomials, or null"),
+        Member("breaks", "int", "times at which efforts jump or kink, the last one being the end"),
+        Member("samples", "int", "times to record"),
+        Member("break_at", "const double *", "(breaks) s"),
+        Member("sample_at", "const double *", "(samples) s"),
+        Member("recorded", "double *", "(samples, NQ + NV) states"),
+        Member("time_tolerance", "double", "s; times closer than this are one"),
+        Member("stops", "int", "of joints at their limits"),
+        Member("stop", "const double *", "(stops, 4) index in q and in v, side, bound"),
+        Member("mode", "const double *", "(LEGS) signs of the working mode"),
+        Member("short_step", "double", "s; shorter steps are checked at their end only"),
+        Member("check_travel", "double", "rad; largest travel of joints between two checks of the closures' rank"),
+        Member("near_rank", "double", "ratio of singular values of the closures below which a rank loss may be near"),
+        Member("shortest", "double", "s; the shortest ordinary step"),
+        Member("tolerance", "double", "m; closure residual that a projection must reach"),
+        Member("largest_residual", "double", "m; closure residual that it must not leave"),
+        Member("velocity_change", "double", "by a projection, at most this share of the largest velocity"),
+        Member("velocity_floor", "double", "and this amount, m/s or rad/s"),
+        Member("rank_tolerance", "double", "ratio of pivots below which the closures have lost rank"),
+        Member("least_inertia", "double", "ratio of pivots below which a free motion has no inertia"),
+    ),
+    {"Loads": _LOADS},
+)
 
-def _members(kind: Any, names: str) -> list[tuple[str, Any]]:
-    return [(name, kind) for name in names.split()]
+_PROGRESS = Struct(
+    "Progress",
+    (
+        Member("t", "double", "s"),
+        Member("next_step", "double", "s; negative where unknown"),
+        Member("near", "double", "ratio of singular values of the closures below which a rank loss is looked for"),
+        Member("largest_correction", "double", "m; largest closure residual before a projection"),
+        Member("steps", "long", "so far"),
+        Member("evaluations", "long", "so far"),
+        Member("restarts", "long", "so far"),
+        Member("sample", "int", "the next one to record"),
+        Member("piece", "int", "of the polynomials, at the last evaluation"),
+        Member("next_break", "int", "the next one"),
+    ),
+)
 
-
-class _Run(ctypes.Structure):
-    """``Run`` of ``forward.c``."""
-
-    _fields_ = [
-        *_members(_INTS, "stages extended eighth powers"),
-        *_members(_DOUBLES, "A B C E E3 P"),
-        *_members(ctypes.c_double, "order rtol atol max_step"),
-        *_members(_INTS, "prescribed pieces terms saturates"),
-        *_members(_DOUBLES, "edges coefficients limits"),
-        *_members(_INTS, "course_terms gain_pieces gain_terms"),
-        *_members(_DOUBLES, "course gain_at gains feedback_limits scale"),
-        ("loads", _Loads),
-        *_members(_INTS, "breaks samples"),
-        *_members(_DOUBLES, "break_at sample_at recorded"),
-        ("same", ctypes.c_double),
-        ("stops", _INTS),
-        *_members(_DOUBLES, "stop mode"),
-        *_members(ctypes.c_double, "brief between near_rank"),
-        *_members(ctypes.c_double, "shortest tolerance largest_residual jump stir rank_tolerance least_inertia"),
+_DECLARATIONS = "\n".join(
+    [
+        "/* Generalised forces (NV) at a state, then s, s', s'' (NK each) where the carriers' motion is given;",
+        "   returns 0 where there are none. */",
+        "typedef int (*Loads)(double t, const double *q, const double *v, double *out);",
+        _RUN.declaration,
+        _PROGRESS.declaration,
     ]
-
-
-class _Progress(ctypes.Structure):
-    """``Progress`` of ``forward.c``."""
-
-    _fields_ = [
-        *_members(ctypes.c_double, "t next_step near largest_correction"),
-        *_members(_LONGS, "steps evaluations restarts"),
-        *_members(_INTS, "sample piece gain_piece next_break"),
-    ]
+)
 
 
 def source(robot: Robot) -> str:
     """Return the C of a robot's forward dynamics."""
     ca, chain = casadi(), SymbolicChain(robot)
     pose, motion = [chain.q, chain.trig], [chain.q, chain.trig, chain.v]
-    # wrenches are forces that the simulation hands over; all other loads are part of the equations
-    nothing = ca.SX.zeros(chain.external.numel())
-    efforts = ca.substitute(chain.efforts[0], chain.external, nothing)
+    efforts = chain.efforts[0]
     at_rest = ca.substitute(efforts, chain.a, ca.SX.zeros(chain.model.nv))
     mass = ca.jacobian(efforts, chain.a)
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
-        "equations": (motion, [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
+        "equations": ([*motion, chain.external], [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
         "closures": (pose, [chain.closure_rows, ca.vec(chain.K)]),
         "rates": ([chain.q, chain.v], [chain.configuration_rate]),
         "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
@@ -106,19 +141,16 @@ def source(robot: Robot) -> str:
     ]
     text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
     text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
-    text.append(f"#define IS_POSE {int(chain.is_pose)}")
+    text.append(f"#define NWRENCH {chain.external.numel()}")
     text.append(f"#define N_FREEDOMS {robot.n}\n#define LENGTH {float(robot.characteristic_length)!r}")
     for name, values in {
-        "int KINDS": [AXES.index(axis) for axis in robot.platform.axes]
-        if chain.is_pose and robot.platform
-        else [int(i in chain.angles) for i in range(robot.n)],
         "int CARRIERS": robot.carrier_velocity,
         "int CARRIED": robot.carrier_position,
         "double SCALE": chain.velocity_scale,
     }.items():
         listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
         text.append(f"static const {name}[] = {{{listed or '0'}}};")
-    return "\n".join([*text, text_of("forward.c")])
+    return "\n".join([*text, _DECLARATIONS, text_of("forward.c")])
 
 
 class CompiledForward:
@@ -138,7 +170,7 @@ class CompiledForward:
         self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
         self._rows = self._p - robot.n
         self._nothing = ctypes.c_void_p(None)
-        self._tolerances = ctypes.c_double(RANK_TOLERANCE), ctypes.c_double(LEAST_INERTIA)
+        self.tolerances = ctypes.c_double(RANK_TOLERANCE), ctypes.c_double(LEAST_INERTIA)
 
     def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
         """Return the tree acceleration (nv,); see ``ForwardKernel.acceleration``."""
@@ -161,7 +193,7 @@ class CompiledForward:
         status = self._accelerations(
             *(_address(part) for part in inputs),
             self._nothing if carriers is None else _address(carriers),
-            *self._tolerances,
+            *self.tolerances,
             _address(a),
             ctypes.byref(inertia),
             self._nothing if closure_force is None else _address(closure_force),
@@ -276,7 +308,7 @@ class CompiledIntegration:
         robot = forward.robot
         self._width, self._loads = forward._nq + forward._nv, robot.m + robot.k
         self.recorded = np.full((len(rules.grid), self._width), np.nan)
-        self._run, self._at = _Run(), _Progress()
+        self._run, self._at = _RUN.type(), _PROGRESS.type()
         self._kept: dict[str, Any] = {}
         self._views: dict[int, Array] = {}
         self._set_method(rules.method)
@@ -294,11 +326,9 @@ class CompiledIntegration:
         self._run.saturates = int(np.isfinite(rules.limits).any())
         if rules.efforts is not None:
             self._act(rules.efforts.edges, np.swapaxes(rules.efforts.coefficients, 0, 1))
-            if rules.feedback is not None:
-                self._feed_back(rules.feedback)
         if rules.loads is not None:
             self._load_function: Loads = rules.loads
-            self._kept["loads"] = _Loads(self._called)
+            self._kept["loads"] = _LOADS(self._called)
             self._run.loads = self._kept["loads"]
         self._error: BaseException | None = None
 
@@ -336,16 +366,6 @@ class CompiledIntegration:
         self._point("coefficients", coefficients)
         self._run.pieces, self._run.terms = coefficients.shape[:2]
         self._at.piece = 0
-
-    def _feed_back(self, law: Feedback) -> None:
-        course, gains = (np.swapaxes(of.coefficients, 0, 1) for of in (law.course, law.gain))
-        self._point("course", course)
-        self._point("gain_at", law.gain.edges)
-        self._point("gains", gains)
-        self._point("feedback_limits", law.limits)
-        if law.scale is not None:
-            self._point("scale", law.scale)
-        self._run.course_terms, (self._run.gain_pieces, self._run.gain_terms) = course.shape[1], gains.shape[:2]
 
     def _called(self, t: float, q: int, v: int, out: int) -> int:
         """Write the forces that act at q, v (addresses) where C wants them; return whether there are any."""
