@@ -325,6 +325,9 @@ typedef struct {
 static int platform_of(Pose *pose, const double *position, const double *velocity, Platform *out) {
   Spectrum s;
   double none[N], off[M], rate[M], v[NV], a[NV], W[N * M];
+  clear(out->x, NX);
+  clear(out->xd, N);
+  out->mismatch = out->gap = out->margin = out->type_I_margin = 0.0;
   int status = forward(pose, position, off);
   if (status) return status;
   coordinates_of(pose->q, pose->trig, out->x);
