@@ -11,8 +11,9 @@ generalised forces L of ``tree_loads`` to those of rnea.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,10 +26,12 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    TorqueSample,
     one_sample,
     require_choice,
     require_matching_carriers,
 )
+from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, solve_sample, status_of, without_answer
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
@@ -41,6 +44,7 @@ from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.lookup import find_link, joint_names
 from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale
+from redundancy_pin.status import SampleStatus
 
 SAMPLES_PER_BLOCK = 20_000
 """Samples beyond these go through RNEA in blocks, so that the memory they take does not grow."""
@@ -87,6 +91,8 @@ class RneaDynamics(Dynamics):
         self._robot, self._progress = as_robot(robot), progress
         self.threads = threads or os.cpu_count() or 1
         self._parked = frozen(np.zeros(self._robot.k))
+        self._last: dict[int, RneaSample] = {}
+        """By thread the sample from which ``torque`` goes on."""
 
     @property
     def robot(self) -> Robot:
@@ -139,6 +145,36 @@ class RneaDynamics(Dynamics):
         margin = float(tree.serial_margin_bound[0])
         point = Point(motion.x[0], tree.q[0], tree.gamma[0])
         return RneaSample(one.W[0], one.f[0], one.carrier_force[0], point, float(tree.gap[0]), margin)
+
+    def torque(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+        *,
+        t: float = 0.0,
+        start: ArrayLike | None = None,
+    ) -> TorqueSample:
+        """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
+        given = x, xd, xdd, s, sd, sdd
+        if start is not None:
+            there = replace(self._robot, q_reference=checked(start, "start", self._robot.q_reference.shape))
+            return self.for_robot(there).torque(*given, t=t)
+        thread = threading.get_ident()
+        try:
+            sample = self.sample(*given, start=self._last.get(thread), t=t)
+        except (InputError, *REFUSALS):
+            if not is_finite(given):
+                return without_answer(self._robot, SampleStatus.NOT_FINITE)
+            try:
+                sample = self.sample(*given, t=t)  # from the reference
+            except REFUSALS as error:
+                return without_answer(self._robot, status_of(error))
+        self._last[thread] = sample
+        return solve_sample(self._robot, sample, sample.point.q, given, t)
 
     def _direct_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
         """Return a sample that needs neither a second look at its kinematics nor a word about its input."""
