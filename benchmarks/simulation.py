@@ -103,8 +103,8 @@ def compiled(title, robot, drive=None, law=None, repeats=REPEATS, **options):
         "difference": float(np.abs(run.q - was.q).max()),
     }
     print(
-        f"{row['what']}: {row['with']:.1f}, without {row['without']:.2f}: {row['ratio']:.1f} times (target {target:g}), "
-        f"the integration alone {row['integration']:.0f}; they differ by {row['difference']:.0e}",
+        f"{row['what']}: {row['with']:.1f}, without {row['without']:.2f}: {row['ratio']:.1f} times "
+        f"(target {target:g}), the integration alone {row['integration']:.0f}; they differ by {row['difference']:.0e}",
         flush=True,
     )
     return row
