@@ -353,6 +353,8 @@ def test_motors_without_a_pose_have_a_status() -> None:
     assert np.isnan(np.concatenate([apart.q, apart.v, apart.x, apart.xd, [apart.margin]])).all()
     flat = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 0.0]], still, still)).q[0]
     assert dynamics.joint_state(flat[at], start=flat).status is SampleStatus.TYPE_II
+    near = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 1e-4]], still, still)).q[0]
+    assert dynamics.joint_state(near[at], start=near).status is SampleStatus.NEAR_SINGULAR
     assert dynamics.joint_state(np.array([np.nan, 0.3])).status is SampleStatus.NOT_FINITE
     with pytest.raises(UnsupportedRobotError, match="1 actuated"):
         dynamics_of("fewer actuators").joint_state([0.0])
