@@ -345,6 +345,22 @@ def test_motors_far_away_are_followed_on_the_branch() -> None:
     np.testing.assert_allclose(got.q[at], position, rtol=0.0, atol=1e-12)
 
 
+def test_from_far_away_it_is_that_branch_or_none() -> None:
+    """The end-effector of the 2-RPR stays above its base, whatever legs are asked for at once."""
+    robot, dynamics, rng = robot_of("2rpr"), dynamics_of("2rpr"), np.random.default_rng(0)
+    at, answers = actuated_positions(robot), 0
+    x = np.stack([rng.uniform(-0.2, 0.7, 120), rng.uniform(0.02, 0.5, 120)], axis=1)
+    q = [rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], one[None], *np.zeros((2, 1, 2)))).q[0] for one in x]
+    for start, end, target in zip(q[::2], q[1::2], x[1::2], strict=True):
+        got = dynamics.joint_state(end[at], start=start)
+        if got.status.solved:
+            answers += 1
+            np.testing.assert_allclose(got.x, target, rtol=0.0, atol=1e-9)
+        else:
+            assert got.status in (SampleStatus.BRANCH_LOST, SampleStatus.TYPE_II)
+    assert 30 < answers <= 60
+
+
 def test_motors_without_a_pose_have_a_status() -> None:
     robot, dynamics, still = robot_of("2rpr"), dynamics_of("2rpr"), np.zeros((1, 2))
     at = actuated_positions(robot)
