@@ -117,8 +117,8 @@ class CompiledDynamics(Dynamics):
     def for_robot(self, robot: Robot) -> CompiledDynamics:
         """Return this backend, with its settings, for another robot.
 
-        What is compiled once serves all robots that differ in numbers: lengths, masses, loads, working modes. A robot of
-        another topology is compiled.
+        A library serves all robots that differ in numbers: lengths, masses, loads, working modes. A robot of another
+        topology is compiled.
         """
         other = object.__new__(CompiledDynamics)
         other.threads, other._interpret, other._kernels = self.threads, self._interpret, self._kernels

@@ -1,7 +1,7 @@
 """From a robot to machine code: C by casadi and the driver beside it, compiled and kept by ``machine_code``.
 
-A library's name is a hash of all that goes into it: the topology of the robot, the versions of casadi and Pinocchio, the
-texts of this package, the compiler and its flags. Numbers of the robot are no part of it: they are arguments
+A library's name is a hash of all that goes into it: the topology of the robot, the versions of casadi and Pinocchio,
+the texts of this package, the compiler and its flags. Numbers of the robot are no part of it: they are arguments
 (``parameters``), and robots that differ in them share a library.
 
 Where there is no C compiler, or it fails, casadi interprets the same functions (``interpreted``).
@@ -234,7 +234,17 @@ def text_of(name: str) -> str:
     return importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-_WRITTEN = ("symbols.py", "load_symbols.py", "parameters.py", "build.py", "emit.py", "driver.c", "sample.c", "calls.c", "batch.c")
+_WRITTEN = (
+    "symbols.py",
+    "load_symbols.py",
+    "parameters.py",
+    "build.py",
+    "emit.py",
+    "driver.c",
+    "sample.c",
+    "calls.c",
+    "batch.c",
+)
 """Files that decide what is compiled: who changes one gets a new library."""
 
 
@@ -243,7 +253,7 @@ def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Seq
     return digest([topology_of(robot).text, *_sources(tuple(files)), compiler, *flags])
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _sources(files: tuple[str, ...]) -> tuple[str, ...]:
     """Return what of the program goes into a library: versions, tolerances, and the texts of files of this package."""
     try:

@@ -18,7 +18,6 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, read_only
@@ -160,7 +159,7 @@ class _Functions:
 
 def _functions(robot: Robot, design: Design) -> tuple[_Functions, tuple[Array, Array]]:
     """Return the derivatives of a robot's topology, and their last two arguments for the robot and design."""
-    touched = design.columns.any(axis=1)
+    touched: BoolArray = np.asarray(design.columns.any(axis=1))
     topology = topology_of(robot).varying(touched)
     rows, columns = np.nonzero(design.columns.T)  # column by column, as casadi lays matrices out
     pattern = tuple(zip(columns.tolist(), rows.tolist(), strict=True))
@@ -170,7 +169,7 @@ def _functions(robot: Robot, design: Design) -> tuple[_Functions, tuple[Array, A
 
 @lru_cache(maxsize=16)
 def _written(topology: Topology, count: int, pattern: tuple[tuple[int, int], ...]) -> _Functions:
-    """Write the derivatives of a topology by so many parameters, which change these numbers; under a second for a 3-RRR.
+    """Write the derivatives of a topology by parameters that change some numbers; under a second for a 3-RRR.
 
     Args:
         topology: the topology.
@@ -279,7 +278,9 @@ def motion_partials(
     q[:, robot.carrier_position] = carriers.s
     v[:, robot.carrier_velocity] = carriers.sd
     a[:, robot.carrier_velocity] = carriers.sdd
-    wholes = {name: np.full((samples, *shape), np.nan) for name, shape in _shapes(functions.chain, len(design.names)).items()}
+    wholes = {
+        name: np.full((samples, *shape), np.nan) for name, shape in _shapes(functions.chain, len(design.names)).items()
+    }
     for part in blocks(len(known), _SAMPLES_PER_BLOCK):
         at = known[part]
         motion = tree.x[at], q[at], v[at], a[at], tree.external[at]
@@ -329,7 +330,9 @@ def _block(
         for first, last in ((0, n), (n, 2 * n), (2 * n, 3 * n), (3 * n, 3 * n + 3 * k), (width - d, width))
     )
     trig = chain.trig_at(q)
-    K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(functions.motion, constants, q, trig, x, v, a, external)
+    K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(
+        functions.motion, constants, q, trig, x, v, a, external
+    )
     inverse: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
     # (q, v, a): the platform's rows are prescribed, the closures stay shut
     right = np.zeros((3, samples, p, width))

@@ -98,15 +98,15 @@ def by_model(robot: Robot, name: str) -> Array:
     if what == "origin" and axis in _OF_FRAMES and (*frame, "origin") in numbers.places:
         along = np.eye(3)[_OF_FRAMES.index(axis) % 3]
         if axis in "xyz":
-            column[numbers.places[*frame, "origin"]] = along
+            column[numbers.places[(*frame, "origin")]] = along
         else:
-            at = numbers.places[*frame, "rotation"]
+            at = numbers.places[(*frame, "rotation")]
             column[at] = (numbers.values[at].reshape(3, 3) @ pin.skew(along)).ravel()
         return column
     slope = _inertial_slope(model.inertias[joint], what, axis) if joint else None
     if slope is not None:
         for part, values in zip(("mass", "moment", "inertia"), slope, strict=True):
-            column[numbers.places["joint", joint, part]] = np.ravel(values)
+            column[numbers.places["joint", joint, part]] = np.asarray(values).ravel()
         return column
     arguments = [key for key, value in robot.parameters.items() if not isinstance(value, (bool, str))]
     raise InputError(
@@ -177,15 +177,16 @@ def by_xacro(robot: Robot, name: str, trust: bool) -> Array:
     weights = _difference_weights(offsets) / step
     used = [(float(weight), float(value + i * step)) for i, weight in zip(offsets, weights, strict=True) if weight]
     others = [_reloaded(robot, name, at, trust) for _, at in used]
-    if len({repr(other.loads) for other in others}) > 1:
+    if len({repr(other.loads) for other in others}) == 1:
+        others = [dataclasses.replace(other, loads=robot.loads) for other in others]
+    elif repr(_reloaded(robot, name, value, trust).loads) != repr(robot.loads):
         raise UnsupportedRobotError(
-            f"The parameter {name!r} changes friction, rotors or springs of {robot.name}, by which nothing is known.",
-            remedy="Differentiate by parameters that move joints and change masses and lengths.",
+            f"The parameter {name!r} changes loads of the file of {robot.name}, which was given other loads.",
+            remedy="Differentiate the robot as it was loaded, or by parameters that change no loads.",
             parameter=name,
         )
-    alike = [dataclasses.replace(other, loads=robot.loads) for other in others]
     column = sum(
-        (weight * numbers_of(other).values for (weight, _), other in zip(used, alike, strict=True)),
+        (weight * numbers_of(other).values for (weight, _), other in zip(used, others, strict=True)),
         np.zeros(len(numbers_of(robot).values)),
     )
     column[np.abs(column) < 1e-14 / step] = 0.0  # rounding: what is left of it would cost as much as a derivative
@@ -223,5 +224,5 @@ def _alike(robot: Robot, changed: Robot) -> bool:
     if list(one.names) != list(other.names) or one.nq != other.nq:
         return False
     tolerance = math.sqrt(np.finfo(float).eps) * _STEP
-    axes = (np.concatenate(motion_subspaces(each), axis=1) for each in (robot, changed))
-    return bool(np.allclose(*axes, rtol=0.0, atol=tolerance)) and bool(np.allclose(one.armature, other.armature))
+    ours, theirs = (np.concatenate(motion_subspaces(each), axis=1) for each in (robot, changed))
+    return bool(np.allclose(ours, theirs, rtol=0.0, atol=tolerance)) and bool(np.allclose(one.armature, other.armature))

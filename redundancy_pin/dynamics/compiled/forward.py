@@ -145,9 +145,7 @@ def source(robot: Robot) -> str:
         "modes": (pose, [chain.mode_indicators]),
         "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
     }
-    functions = [
-        function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()
-    ]
+    functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
     text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
     text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
     text.append(f"#define NWRENCH {chain.external.numel()}")

@@ -80,16 +80,16 @@ def numbers_of(robot: Robot) -> Numbers:
     values: list[Array] = []
     kinds: list[IntArray] = []
     end = 0
-    for key, part, kind, size in _listed(robot):
+    for key, part, what, size in _listed(robot):
         flat = np.array(part, dtype=np.float64).ravel()
         flat[np.abs(flat) <= _ROUNDING * size] = 0.0
-        if kind == _ENTRY:
+        if what == _ENTRY:
             whole = np.round(flat)
             flat = np.where(np.abs(flat - whole) <= _ROUNDING, whole, flat)
         places[key] = slice(end, end + len(flat))
         end += len(flat)
         values.append(flat)
-        kinds.append(np.full(len(flat), kind))
+        kinds.append(np.full(len(flat), what))
     whole, kind = np.concatenate(values), np.concatenate(kinds)
     structural = (kind != _SIGN) & ((whole == 0.0) | ((kind == _ENTRY) & (np.abs(whole) == 1.0)))
     return Numbers(MappingProxyType(places), read_only(whole), read_only(structural))
@@ -186,7 +186,15 @@ def topology_of(robot: Robot) -> Topology:
     """Return the topology of a robot."""
     model, numbers, turns = robot.model, numbers_of(robot), counted_turns(robot)
     joints = [
-        (str(model.names[i]), str(joint.shortname()), int(model.parents[i]), joint.idx_q, joint.nq, joint.idx_v, joint.nv)
+        (
+            str(model.names[i]),
+            str(joint.shortname()),
+            int(model.parents[i]),
+            joint.idx_q,
+            joint.nq,
+            joint.idx_v,
+            joint.nv,
+        )
         for i, joint in itertools.islice(enumerate(model.joints), 1, None)
     ]
     parts = [
