@@ -270,26 +270,27 @@ def _require_rates(name: str, time: Array, motion: tuple[Array, Array, Array]) -
     for part in blocks(len(time), _PART):
         inside = slice(max(part.start - 1, 0), part.stop)  # no step is left out
         t, values, rates, seconds = (each[inside] for each in (time, *motion))
-        size = np.abs(values).max(axis=0) if values.ndim == 2 else [*np.abs(values[:, :3, 3]).max(axis=0), *np.ones(3)]
         tilt = np.zeros((rates.shape[1], max(len(t) - 1, 0)))
         if values.ndim == 3:  # the rotation vector of a step differs from the mean of h ω by h³ ω̇ × ω/12
             omega, alpha = (np.linalg.norm(array[:, 3:], axis=1) for array in (rates, seconds))
             turn = np.diff(t) * np.maximum(omega[1:], omega[:-1])
             tilt[3:] = np.where(turn < _TURN, turn * np.diff(t) * np.maximum(alpha[1:], alpha[:-1]) / 6.0, np.inf)
         with numbered_from(inside.start):
-            _require_rate(name, t, _steps(values), np.asarray(size), rates, seconds, tilt)
-            _require_rate(
-                f"{name}d", t, np.diff(rates.T), np.abs(rates).max(axis=0), seconds, None, np.zeros_like(tilt)
-            )
+            _require_rate(name, t, values, rates, seconds, tilt)
+            _require_rate(f"{name}d", t, rates, seconds, None, np.zeros_like(tilt))
 
 
-def _require_rate(
-    name: str, t: Array, steps: Array, size: Array, rates: Array, seconds: Array | None, tilt: Array
-) -> None:
-    """Compare (n, N−1) steps of values of a size (n,) with their rates (N, n), whose own rates are (N, n) or None.
+def _require_rate(name: str, t: Array, values: Array, rates: Array, seconds: Array | None, tilt: Array) -> None:
+    """Compare steps of values (N, n), or of poses, with their rates (N, n), whose own rates are (N, n) or None.
 
     ``tilt`` (n, N−1) is by how much mean rates differ from those of the steps because the axis of a rotation tilts.
     """
+    steps = _steps(values)
+    if _agree_closely(t, steps, rates):
+        return
+    size = (
+        np.abs(values).max(axis=0) if values.ndim == 2 else np.append(np.abs(values[:, :3, 3]).max(axis=0), np.ones(3))
+    )
     later = np.diff(t) > 0.0
     h, steps, tilt = np.diff(t)[later], steps[:, later], tilt[:, later]
     ends = [
@@ -323,6 +324,21 @@ def _require_rate(
         given=given,
         allowed=allowed,
     )
+
+
+def _agree_closely(t: Array, steps: Array, rates: Array) -> bool:
+    """Return whether all steps (n, N−1) agree with rates (N, n) without the further allowances of ``_compare``.
+
+    Most motions do, and this takes a tenth of the time.
+    """
+    rows = np.ascontiguousarray(rates.T)  # reductions along long rows take a tenth of the time
+    h = np.diff(t)
+    apart = rows[:, 1:] + rows[:, :-1]
+    apart *= 0.5 * h
+    apart -= steps
+    np.abs(apart, out=apart)
+    largest_rate = np.maximum(rows.max(axis=1, initial=0.0), -rows.min(axis=1, initial=0.0))
+    return bool((apart <= (RATE_TOLERANCE * largest_rate)[:, None] * h).all())
 
 
 SIX_DIGITS = 5e-6

@@ -11,18 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import redundancy_pin
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN
 from redundancy_pin.codegen.names import add_prefix
 from redundancy_pin.codegen.recorded import Recorded
-from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source
-from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
-from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
+from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source, sample_source
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, mode_name
 from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
-from redundancy_pin.robot.scales import closure_tolerance, force_terms, is_revolute, row_scale, velocity_unit
+from redundancy_pin.robot.scales import closure_tolerance, is_revolute, row_scale
 from redundancy_pin.status import SampleStatus
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
@@ -45,21 +44,6 @@ def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
 def source(robot: Robot, prefix: str) -> str:
     """Return the C source: expressions, driver and what a controller calls."""
     definition, functions = _written(robot)
-    chain = definition.chain
-    forces = force_terms(robot)
-    constants = {
-        "RANK_TOLERANCE": RANK_TOLERANCE,
-        "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
-        "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
-        "FORCE_TOLERANCE": FORCE_TOLERANCE,
-        "MASS": forces.mass,
-        "GRAVITY": forces.gravity,
-        "VISCOUS": forces.viscous,
-        "STATIC": forces.static,
-    }
-    tables = {"ROW_SCALE": chain.row_scale, "COLUMN_SCALE": chain.column_scale, "REFERENCE": robot.q_reference}
-    if robot.k:
-        tables["CARRIER_UNIT"] = velocity_unit(robot)[robot.carrier_velocity]
     text = importlib.resources.files(__package__).joinpath("controller.c").read_text(encoding="utf-8")
     named = re.sub(r"\brobot_(?=[a-z])", f"{prefix}_", re.sub(r"\bROBOT_(?=[A-Z])", f"{prefix.upper()}_", text))
     return "\n".join(
@@ -68,8 +52,9 @@ def source(robot: Robot, prefix: str) -> str:
             NEEDS_INFINITY,
             f'#include "{prefix}.h"',
             driver_source(definition, functions, "static"),
-            *(f"#define {name} {value!r}" for name, value in constants.items()),
-            *(f"static const double {name}[] = {_listed(values)};" for name, values in tables.items()),
+            f"static const double REFERENCE[] = {_listed(robot.q_reference)};",
+            sample_source(),
+            f"static const double NUMBERS[] = {_listed(parameter_vector(robot))};",
             named,
         ]
     )
@@ -77,8 +62,8 @@ def source(robot: Robot, prefix: str) -> str:
 
 def _written(robot: Robot) -> tuple[Definition, list[Any]]:
     definition = define(robot)
-    functions = [definition.functions[f"rp_{name}"] for name in _FUNCTIONS]
-    return definition, [*functions, _drives(definition.chain)] if robot.m >= robot.n else functions
+    names = [*_FUNCTIONS, "drives"] if robot.m >= robot.n else _FUNCTIONS
+    return definition, [definition.functions[f"rp_{name}"] for name in names]
 
 
 _FRAMES = 2048
@@ -102,21 +87,6 @@ def stack_bytes(robot: Robot) -> int:
     arguments = 3 * int(chain.x.numel() + n * m + 2 * n + 2 * m + 3 * robot.k + chain.alignment.numel())
     values = max(int(function.n_instructions()) for function in functions)
     return int(8 * (matrices + tree + spectra + arguments + values)) + _FRAMES
-
-
-def _drives(chain: SymbolicChain) -> Any:
-    """Return the function of what actuated positions miss: (q, positions) to (m)."""
-    ca, robot = casadi(), chain.robot
-    position, off = ca.SX.sym("position", robot.m), []
-    for i, name in enumerate(robot.actuated):
-        joint = find_joint(robot.model, name)
-        q = chain.q[joint.idx_q : joint.idx_q + joint.nq]
-        if joint.nq == 1:
-            off.append(position[i] - q)
-        else:  # cosine and sine: the angle of the turn from one to the other
-            c, s = ca.cos(position[i]), ca.sin(position[i])
-            off.append(ca.atan2(s * q[0] - c * q[1], c * q[0] + s * q[1]))
-    return ca.Function("rp_drives", [chain.q, position], [ca.densify(ca.vertcat(*off))])
 
 
 def _rendered(template: str, facts: dict[str, Any]) -> str:

@@ -21,6 +21,7 @@ from redundancy_pin.motion import (
 )
 from redundancy_pin.robot import Load, Robot
 from redundancy_pin.robot.joint_ranges import track_slack
+from redundancy_pin.status import SampleStatus
 
 OnUnreachable = Literal["raise", "mark"]
 """What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its gap."""
@@ -99,6 +100,55 @@ class Sample(NamedTuple):
     W: Array
     f: Array
     carrier_force: Array
+
+
+class TorqueSample(NamedTuple):
+    """Efforts of one sample, with a status; what ``Dynamics.torque`` returns.
+
+    Attributes:
+        tau: (m,) efforts of the main actuators, N or N·m; NaN where there are none.
+        status: as ``distribute`` gives it.
+        margin: singularity margin, the smallest singular value of the scaled W, no unit; NaN where there is no W.
+        carrier_force: (k,) force of each carrier's own actuator, N or N·m; NaN where there is no W.
+    """
+
+    tau: Array
+    status: SampleStatus
+    margin: float
+    carrier_force: Array
+
+
+class AccelerationSample(NamedTuple):
+    """Accelerations of the tree at one state, with a status; what ``Dynamics.acceleration`` returns.
+
+    Attributes:
+        a: (nv,) acceleration of the tree, m/s² and rad/s²; NaN unless the status is ok.
+        status: ok; singular_inconsistent where the closures have lost rank, or a free motion has no inertia;
+            not_finite.
+    """
+
+    a: Array
+    status: SampleStatus
+
+
+class JointStateSample(NamedTuple):
+    """All joints and the platform at one instant; what ``Dynamics.joint_state`` returns.
+
+    Attributes:
+        q: (nq,) configuration of the tree, m and rad, as Pinocchio has it: carriers included.
+        v: (nv,) its velocity, m/s and rad/s.
+        x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
+        xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
+        status: ok, near_singular (type II), out_of_range; otherwise all numbers are NaN.
+        margin: singularity margin, the smallest singular value of the scaled W, no unit.
+    """
+
+    q: Array
+    v: Array
+    x: Array
+    xd: Array
+    status: SampleStatus
+    margin: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,6 +345,93 @@ class Dynamics(Protocol):
         one = self.along(motion).reduce(carriers)
         return Sample(one.W[0], one.f[0], one.carrier_force[0])
 
+    def torque(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+        *,
+        t: float = 0.0,
+        start: ArrayLike | None = None,
+    ) -> TorqueSample:
+        """Return the efforts of one sample with a status: ``reduce`` and ``distribute``, for a control loop.
+
+        A pose that cannot be closed, or not on the branch, is a status and no exception. A carrier beyond its track is
+        out_of_range like any other joint.
+
+        Args:
+            x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
+            xd: (n,) their rates, m/s and rad/s; the twist of a pose, in world axes at the platform's origin.
+            xdd: (n,) their second rates.
+            s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
+            sd: scalar or (k,) their rates, m/s; 0 when left out.
+            sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
+            t: time, s, for wrenches that depend on it.
+            start: (nq,) a closed configuration nearby, whose branch is followed; when left out, that of the sample that
+                this thread asked for before, at first the reference.
+
+        Raises:
+            InputError: wrong shapes, or a pose that is none.
+            UnsupportedRobotError: the backend has no such call.
+
+        Example:
+            >>> import redundancy_pin as rp
+            >>> dynamics = rp.CompiledDynamics("five_bar")
+            >>> tau, status, margin, _ = dynamics.torque([0.1, 0.4], [0.5, 0.0], [0.0, 1.0])
+            >>> status.label
+            'ok'
+        """
+        raise _has_no(self, "torque", "reduce and distribute")
+
+    def acceleration(
+        self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, carrier_force: ArrayLike = (), *, t: float = 0.0
+    ) -> AccelerationSample:
+        """Return the accelerations of the tree at a closed state under efforts, with a status.
+
+        Forward dynamics with the loops closed: M a + h = Sᵀ τ + J_cᵀ λ, J_c a = −J̇_c v. Loads of the robot act too.
+
+        Args:
+            q: (nq,) configuration, closed; whether it is, is not checked.
+            v: (nv,) velocity, closed.
+            tau: (m,) efforts of the main actuators, N or N·m.
+            carrier_force: scalar or (k,) efforts of the carriers' own actuators, N or N·m; 0 when left out.
+            t: time, s, for wrenches that depend on it.
+
+        Raises:
+            InputError: wrong shapes.
+            UnsupportedRobotError: the backend has no such call.
+        """
+        raise _has_no(self, "acceleration", "simulate")
+
+    def joint_state(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike = (),
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        *,
+        start: ArrayLike | None = None,
+    ) -> JointStateSample:
+        """Return all joints and the platform from the main actuators, on the branch, with a status.
+
+        Args:
+            position: (m,) positions of the main actuators, m and rad.
+            velocity: scalar or (m,) their velocities; 0 when left out.
+            s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
+            sd: scalar or (k,) their rates, m/s; 0 when left out.
+            start: (nq,) a closed configuration nearby, whose branch is followed; when left out, that of the sample that
+                this thread asked for before, at first the reference. From there the actuators move straight, in as
+                many steps as it takes.
+
+        Raises:
+            InputError: wrong shapes.
+            UnsupportedRobotError: fewer main actuators than degrees of freedom; the backend has no such call.
+        """
+        raise _has_no(self, "joint_state", "forward_kinematics")
+
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants: those of a motion call by call.
 
@@ -316,6 +453,12 @@ class Dynamics(Protocol):
     def forward(self) -> ForwardKernel | None:
         """Return forward dynamics as machine code, where the backend has them; None where it does not."""
         return None
+
+
+def _has_no(dynamics: Dynamics, call: str, instead: str) -> UnsupportedRobotError:
+    return UnsupportedRobotError(
+        f"{type(dynamics).__name__} has no {call}.", remedy=f"Use CompiledDynamics, or {instead}."
+    )
 
 
 def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:

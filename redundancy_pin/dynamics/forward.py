@@ -97,50 +97,26 @@ class Accelerations(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Feedback:
-    """Efforts less K(t) δz, where δz is (x, s, ẋ, ṡ) less a course, as ``simulation.derivatives.state_error`` has it.
-
-    With ``scale`` K gives accelerations, planned ones less K δz are wanted, and efforts bring them up like those of
-    ``dynamics.allocation.allocate``. Where these pass the limits, or do not exist, ``Rules.loads`` is called.
-
-    Attributes:
-        efforts: polynomials of main efforts and carrier forces.
-        course: of the planned (x, s, ẋ, ṡ, ẍ, s̈), on the same pieces; x may be a pose, row by row.
-        gain: ((m + k) 2d) of K, row by row; (d 2d) with ``scale``.
-        limits: (m + k,) of what it commands, infinite for none.
-        scale: (m + k,) τ̂ and â of the allocation.
-        robot: whose equations the allocation takes; for any other machine it runs in Python.
-    """
-
-    efforts: Polynomials
-    course: Polynomials
-    gain: Polynomials
-    limits: Array
-    scale: Array | None = None
-    robot: Robot | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class Rules:
     """What an integration must keep to, and what makes a step one that its caller wants to see.
 
     Attributes:
         method: "DOP853" or "RK45", explicit Runge-Kutta methods of scipy.
         rtol, atol, max_step: of the steps.
-        grid: (G,) times to record, s; ``same`` apart they are one.
+        grid: (G,) times to record, s; those closer than ``time_tolerance`` are one.
         breaks: (B,) times, s, at which the integration starts anew; the last one is the end.
         efforts: polynomials of main efforts and carrier forces; or None.
-        feedback: whose ``efforts`` these are, if they heed the state.
         loads: the function of the state that says what acts where those do not.
         prescribed: whether the carriers' motion is given (by ``loads``).
         limits: (m + k,) where main efforts and carrier forces saturate.
         stops: (4, l) index in q, index in v, side and bound of each stop.
-        brief: s; in shorter steps only the end is looked at.
-        between: rad; joints move no farther between two looks at the rank of the closures.
+        short_step: s; shorter steps are checked at their end only.
+        check_travel: rad; largest travel of joints between two checks of the closures' rank.
         near_rank: ratio of singular values below which a rank loss may be near.
         shortest: s; the shortest ordinary step.
-        tolerance, largest_residual: m; what a projection is to reach, and what it must not leave.
-        jump, stir: share of the largest velocity, and amount, that a projection may change a velocity by.
+        tolerance, largest_residual: m; closure residual that a projection must reach, and must not leave.
+        velocity_change, velocity_floor: a projection may change a velocity by this share of the largest one, plus this
+            amount, m/s or rad/s.
         rank_tolerance, least_inertia: below which closures count as lost, and a motion as massless.
     """
 
@@ -149,22 +125,21 @@ class Rules:
     atol: float
     max_step: float
     grid: Array
-    same: float
+    time_tolerance: float
     breaks: Array
     efforts: Polynomials | None
     loads: Loads | None
-    feedback: Feedback | None
     prescribed: bool
     limits: Array
     stops: Array
-    brief: float
-    between: float
+    short_step: float
+    check_travel: float
     near_rank: float
     shortest: float
     tolerance: float
     largest_residual: float
-    jump: float
-    stir: float
+    velocity_change: float
+    velocity_floor: float
     rank_tolerance: float
     least_inertia: float
 

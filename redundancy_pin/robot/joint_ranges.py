@@ -79,6 +79,11 @@ class JointRange(NamedTuple):
     upper: float
     slack: float
 
+    @property
+    def repeats(self) -> bool:
+        """Whether positions a whole turn apart count as one: those of a joint that turns within a range of a turn."""
+        return self.turns and self.upper - self.lower <= _A_TURN
+
     def is_left(self, value: Array, motion: bool) -> BoolArray:
         """Return (N,) whether positions are beyond an end by more than the slack."""
         return np.asarray(self.excess(value, motion) > self.slack)
@@ -88,13 +93,20 @@ class JointRange(NamedTuple):
         counted = value - (self.turn(value, motion) if turn is None else turn)
         return np.maximum(self.lower - counted, counted - self.upper)
 
+    def holds(self, value: Array, turn: float | None = None) -> bool:
+        """Return whether all positions (N,) of a motion are known and within the ends, by their extremes alone."""
+        if not len(value):
+            return True
+        ends = np.array([value.min(), value.max()])
+        return bool((self.excess(ends, True, turn) <= self.slack).all())
+
     def counted(self, value: Array, motion: bool) -> Array:
         """Return (N,) positions, whole turns taken off where that brings them into a range within a turn."""
         return np.asarray(value - self.turn(value, motion))
 
     def turn(self, value: Array, motion: bool) -> Array:
         """Return () or (N,) whole turns, rad, to be taken off where that brings positions into a range of a turn."""
-        if not self.turns or self.upper - self.lower > _A_TURN or not len(value):
+        if not self.repeats or not len(value):
             return np.zeros(())
         middle = 0.5 * ((value.max() + value.min() if motion else 2.0 * value) - self.lower - self.upper)
         return np.asarray(2.0 * np.pi * np.round(middle / (2.0 * np.pi)))
@@ -138,6 +150,25 @@ def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
 
 
 @lru_cache(maxsize=64)
+def range_table(robot: Robot) -> Array:
+    """Return (r, 5) of each range and track: index in q, whether turns count as none (0 or 1), ends and slack."""
+    rows = [
+        (one.at, one.repeats and one.name not in robot.carriers, one.lower, one.upper, one.slack)
+        for one in all_ranges(robot)
+    ]
+    return read_only(np.array(rows, dtype=np.float64).reshape(-1, 5))
+
+
+def is_in_range(robot: Robot, q: Array) -> bool:
+    """Return whether all joints of one configuration (nq,) are in their ranges, carriers on their tracks."""
+    at, repeats, lower, upper, slack = range_table(robot).T
+    middle, turn = 0.5 * (lower + upper), 2.0 * np.pi
+    away = q[at.astype(np.intp)] - middle
+    away -= turn * repeats * np.round(away / turn)
+    return bool((np.abs(away) <= upper - middle + slack).all())
+
+
+@lru_cache(maxsize=64)
 def track_slack(robot: Robot) -> Array:
     """Return (k,) the slack of each carrier's track, m or rad."""
     slack = {joint.name: joint.slack for joint in all_ranges(robot)}
@@ -170,6 +201,8 @@ def range_excess(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = 
 
 def out_of_range(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = MappingProxyType({})) -> BoolArray:
     """Return (N,) whether some joint is beyond its range by more than its slack, as ``range_excess`` counts."""
+    if motion and all(joint.holds(q[:, joint.at], turns.get(joint.name)) for joint in joint_ranges(robot)):
+        return read_only(np.zeros(len(q), dtype=bool))
     excess = range_excess(robot, q, motion=motion, turns=turns)
     return read_only(np.asarray((excess > range_slack(robot)).any(axis=1)))
 

@@ -30,7 +30,7 @@ from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinE
 from redundancy_pin.kinematics.closure import made_up
 from redundancy_pin.kinematics.selection import rows_at
 from redundancy_pin.robot.scales import velocity_scale
-from redundancy_pin.simulation.controllers.base import Command, Sampling, is_same
+from redundancy_pin.simulation.controllers.base import Command, Sampling
 from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.state import PROJECTION_TOLERANCE
@@ -299,31 +299,27 @@ class OrdinarySteps:
         self._problem, self._sampled = problem, sampling is not None
         amplifiers = machine.amplifiers
         self._by_time = machine.heeds_time_only and (self._sampled or amplifiers.open_loop is not None)
-        law = amplifiers.feedback if machine.heeds_time_only and not self._sampled else None
-        if law is not None and law.robot is not None and not is_same(law.robot, machine.robot):
-            law = None  # the kernel has the equations of the machine, not those that the controller knows
         nothing = PiecewisePolynomial.constant(np.zeros(len(amplifiers.limits)), grid[0], grid[-1])
         self._hold: Command | None = None
         rules = Rules(
             method=problem.method,
             **problem.settings,
             grid=grid,
-            same=SAME * float(grid[1] - grid[0]),
+            time_tolerance=SAME * float(grid[1] - grid[0]),
             breaks=np.array([part.end for part in parts]),
-            efforts=(amplifiers.open_loop or nothing) if self._by_time else law.efforts if law else None,
-            feedback=law,
+            efforts=(amplifiers.open_loop or nothing) if self._by_time else None,
             loads=None if self._by_time else self._loads,
             prescribed=machine.prescribed,
             limits=amplifiers.limits,
             stops=problem.functions.stops,
-            brief=BRIEF,
-            between=BETWEEN,
+            short_step=BRIEF,
+            check_travel=BETWEEN,
             near_rank=NEAR,
             shortest=SHORTEST,
             tolerance=PROJECTION_TOLERANCE,
             largest_residual=LARGEST_RESIDUAL,
-            jump=_JUMP,
-            stir=_STIR,
+            velocity_change=_JUMP,
+            velocity_floor=_STIR,
             rank_tolerance=RANK_TOLERANCE,
             least_inertia=LEAST_INERTIA,
         )

@@ -252,7 +252,13 @@ def test_through_type_two() -> None:
 PROBE = """
 #include "unit.c"
 int probe(const double *W, const double *f, unit_efforts *out);
-int probe(const double *W, const double *f, unit_efforts *out) { return unit_own_distribute(W, f, 1.0, out); }
+int probe(const double *W, const double *f, unit_efforts *out) {
+  unit_own_Efforts found = {{0.0}, 0.0, 0.0, 0.0, 0};
+  int status = unit_own_distribute(W, f, 1.0, &found);
+  for (int j = 0; j < UNIT_M; ++j) out->tau[j] = found.tau[j];
+  out->residual = found.residual, out->margin = found.margin, out->condition = found.condition, out->rank = found.rank;
+  return status;
+}
 """
 
 

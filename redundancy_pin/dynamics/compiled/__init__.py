@@ -20,22 +20,28 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, read_only
 from redundancy_pin.dynamics.base import (
+    AccelerationSample,
     CarrierDerivatives,
     CarrierTerms,
     Dynamics,
+    JointStateSample,
     OnUnreachable,
     ReducedDynamics,
     Sample,
+    TorqueSample,
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.compiled.build import Library, build_library, define, key
+from redundancy_pin.dynamics.compiled.build import Definition, Library, bind, build_library, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
 from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
+from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, TorqueCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
+from redundancy_pin.dynamics.compiled.parameters import topology_of
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.errors import InputError, SingularPoseError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
@@ -71,7 +77,7 @@ class CompiledDynamics(Dynamics):
         self.threads = threads or os.cpu_count() or 1
         self._interpret = interpret
         self._local = threading.local()
-        self._kernels: dict[str, Library | Interpreter] = {}
+        self._kernels: dict[str, Library] = {}
         self.kernel = self._kernel_of(self._robot)
 
     @property
@@ -111,7 +117,8 @@ class CompiledDynamics(Dynamics):
     def for_robot(self, robot: Robot) -> CompiledDynamics:
         """Return this backend, with its settings, for another robot.
 
-        What is compiled once serves all values of wrenches and all reference configurations in a working mode.
+        A library serves all robots that differ in numbers: lengths, masses, loads, working modes. A robot of another
+        topology is compiled.
         """
         other = object.__new__(CompiledDynamics)
         other.threads, other._interpret, other._kernels = self.threads, self._interpret, self._kernels
@@ -120,7 +127,7 @@ class CompiledDynamics(Dynamics):
 
     def _kernel_of(self, robot: Robot) -> Library | Interpreter:
         """Return what evaluates a robot, new where none has been made for one alike."""
-        alike = key(robot, "")
+        alike = topology_of(robot).text
         if alike not in self._kernels:
             library, reason = (None, "") if self._interpret else build_library(robot)
             if reason:
@@ -129,8 +136,10 @@ class CompiledDynamics(Dynamics):
                     RuntimeWarning,
                     stacklevel=3,
                 )
-            self._kernels[alike] = Interpreter(define(robot)) if library is None else library
-        return self._kernels[alike]
+            if library is None:
+                return Interpreter(Definition(SymbolicChain(robot), _bound(robot)))
+            self._kernels[alike] = library
+        return self._kernels[alike].for_robot(robot)
 
     def sample(
         self,
@@ -153,6 +162,74 @@ class CompiledDynamics(Dynamics):
         if one is None:
             one = self._local.one = _OneSample(self)
         return one((x, xd, xdd, s, sd, sdd), t)
+
+    def torque(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+        *,
+        t: float = 0.0,
+        start: ArrayLike | None = None,
+    ) -> TorqueSample:
+        """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
+        try:
+            call: TorqueCall = self._local.torque
+        except AttributeError:
+            call = self._local.torque = TorqueCall(self._robot, self._code, self._find)
+        return call(x, xd, xdd, s, sd, sdd, t, start)
+
+    def acceleration(
+        self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, carrier_force: ArrayLike = (), *, t: float = 0.0
+    ) -> AccelerationSample:
+        """Return the accelerations of the tree at a closed state with a status; see ``Dynamics.acceleration``."""
+        try:
+            call: AccelerationCall = self._local.acceleration
+        except AttributeError:
+            call = self._local.acceleration = AccelerationCall(self._require_forward())
+        return call(q, v, tau, carrier_force, t)
+
+    def joint_state(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike = (),
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        *,
+        start: ArrayLike | None = None,
+    ) -> JointStateSample:
+        """Return all joints and the platform from the main actuators with a status; see ``Dynamics.joint_state``."""
+        try:
+            call: JointStateCall = self._local.joint_state
+        except AttributeError:
+            call = self._local.joint_state = JointStateCall(self._robot, self._code)
+        return call(position, velocity, s, sd, start)
+
+    @property
+    def _code(self) -> Library:
+        """The compiled library and the robot's numbers."""
+        if not isinstance(self.kernel, Library):
+            raise self._is_not_compiled()
+        return self.kernel
+
+    def _require_forward(self) -> CompiledForward:
+        forward = self.forward()
+        if forward is None:
+            raise self._is_not_compiled()
+        return forward
+
+    def _is_not_compiled(self) -> UnsupportedRobotError:
+        return UnsupportedRobotError(
+            f"The dynamics of {self._robot.name} are not compiled.", remedy="Install a C compiler; $CC names another."
+        )
+
+    def _find(self, motion: PlatformMotion) -> Array:
+        """Return a configuration (nq,) that is closed at a motion of one sample; raises as ``along``."""
+        found: Array = lifted(self._loops, motion, mark=False).q[0]
+        return found
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants; see ``Dynamics.carrier_terms``.
@@ -180,7 +257,7 @@ class CompiledDynamics(Dynamics):
     @cached_property
     def projection(self) -> Any:
         """One sample as a function of casadi: from q, trig, v, a, Γ and the carriers' motion to f and their forces."""
-        return define(self._robot).functions["rp_project"]
+        return bind(define(self._robot).functions["rp_project"], self._robot)
 
     @cached_property
     def reference(self) -> tuple[Array, Array]:
@@ -203,6 +280,10 @@ class CompiledDynamics(Dynamics):
         columns = [turning[find_joint_index(robot.model, name)] for name in robot.actuated]
         by_row, by_column = (frozen(np.where(np.array(which, dtype=bool), length, 1.0)) for which in (rows, columns))
         return by_row, by_column
+
+
+def _bound(robot: Robot) -> dict[str, Any]:
+    return {name: bind(function, robot) for name, function in define(robot).functions.items()}
 
 
 def _again(robot: Robot, threads: int, interpret: bool) -> CompiledDynamics:

@@ -45,6 +45,7 @@ class Continued:
         self._near = np.full((NEIGHBOURS, self._nq + self._places), np.nan)
         kernel = dynamics.kernel
         self._function = kernel.library.rp_terms if isinstance(kernel, Library) else None
+        self._numbers = kernel.numbers if isinstance(kernel, Library) else None
         self._make_room(8)
 
     def _make_room(self, samples: int) -> None:
@@ -70,7 +71,7 @@ class Continued:
         a = samples * n * m
         b = a + samples * (n + k)
         given, near, result, sizes = self._addresses
-        if self._function(samples, given, self._width, near, result, sizes) != CLOSED:
+        if self._function(self._numbers, samples, given, self._width, near, result, sizes) != CLOSED:
             return self._followed(t, x, xd, xdd)
         out = self._out[: b + samples * k * TERMS * (n + k)].copy()
         return CarrierTerms(

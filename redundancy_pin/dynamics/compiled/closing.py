@@ -83,8 +83,9 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool) -> Lifted:
     robot, samples = loops.robot, len(motion)
     x = np.ascontiguousarray(motion.x.reshape(samples, -1))
     nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
-    shapes = ((nq,), (loops.kernel.trigs,), (nv,), (nv,), (nv, n), (n, m), (), ())
-    arrays = [np.full((samples, *shape), np.nan) for shape in shapes]
+    shapes = ((nq,), (loops.kernel.trigs,), (nv,), (nv,), (nv, n), (n, m))
+    arrays = [np.empty((samples, *shape)) for shape in shapes]  # samples that are not closed become NaN below
+    arrays += [np.full(samples, np.nan) for _ in ("gap", "margin")]
     status = np.full(samples, _LOST, dtype=np.intc)
     first, failed = 0, 0
     start = _start(loops, motion, 0, mark)
@@ -98,32 +99,33 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool) -> Lifted:
             break
         away = first - failed
         start = _start(loops, motion, first, mark, thorough=away & (away - 1) == 0)
-    unit = velocity_unit(robot)
-    status[(status == CLOSED) & _blurred(arrays[2] / unit, arrays[3] / unit, arrays[7])] = _SINGULAR
+    status[(status == CLOSED) & _blurred(arrays[2], arrays[3], velocity_unit(robot), arrays[7])] = _SINGULAR
     good: BoolArray = status == CLOSED
     if not good.all():
         if not mark:
             _refuse(loops, motion, x, arrays, status, int(np.argmin(good)))
+        for array in arrays[:6]:
+            array[~good] = np.nan
         missing = np.flatnonzero(~good)
         for k in missing[np.isnan(arrays[6][missing])]:
             arrays[6][k] = _nearest(loops, x[k], arrays[0], int(k))[1]
-        for array in arrays[:6]:
-            array[~good] = np.nan
     q, trig, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
     return Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(good))
 
 
-def _blurred(v: Array, a: Array, margin: Array) -> BoolArray:
-    """Return (N,) where v and a (N, nv), over their units, show a rank loss that the motion steps across.
+def _blurred(v: Array, a: Array, unit: Array, margin: Array) -> BoolArray:
+    """Return (N,) where v and a (N, nv), over their units (nv,), show a rank loss that the motion steps across.
 
     A configuration that is good to 1e-16 gives accelerations to the square of the rates times 1e-16 / margin³. A share
     of 1e-5 and more of them is too much; towards a stretched leg they are themselves as large as rates squared over the
     margin squared, and stay good. Small margins all along, as of short levers, are none.
     """
     usual = margin[np.isfinite(margin)].max(initial=0.0)
+    if not (margin < 0.1 * usual).any():
+        return np.zeros(len(margin), dtype=bool)
     with np.errstate(invalid="ignore", over="ignore"):
-        squared = np.abs(v).max(axis=1) ** 2
-        size = np.maximum(np.abs(a).max(axis=1), squared)
+        squared = np.abs(v / unit).max(axis=1) ** 2
+        size = np.maximum(np.abs(a / unit).max(axis=1), squared)
         result: BoolArray = (margin < 0.1 * usual) & (margin**3 * size < 1e-16 / 1e-5 * squared)
     return result
 

@@ -15,16 +15,17 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.dynamics.compiled.build import built_for, tables, text_of
+from redundancy_pin.dynamics.compiled.build import built_for, function_of, tables, text_of
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
+from redundancy_pin.dynamics.compiled.layout import Member, Struct
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector, pose_columns
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.forward import (
     LEAST_INERTIA,
     Accelerations,
     Advance,
     Equations,
-    Feedback,
     LinearParts,
     Loads,
     Reading,
@@ -33,66 +34,110 @@ from redundancy_pin.dynamics.forward import (
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.machine_code import FLAGS, loaded
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.robot import AXES, Robot, Wrench
+from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.named import is_pose
 
-_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "forward.py", "forward.c")
+_WRITTEN = (
+    "symbols.py",
+    "load_symbols.py",
+    "parameters.py",
+    "build.py",
+    "emit.py",
+    "layout.py",
+    "forward.py",
+    "forward.c",
+)
 
 _LOOK = 1
 """Status of ``rp_advance``: the next step is for its caller."""
 
-_DOUBLES, _LONGS, _INTS = ctypes.c_void_p, ctypes.c_long, ctypes.c_int
-_Loads = ctypes.CFUNCTYPE(_INTS, ctypes.c_double, _DOUBLES, _DOUBLES, _DOUBLES)
+_LOADS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
+_RUN = Struct(
+    "Run",
+    (
+        Member("stages", "int", "of an explicit Runge-Kutta method, by the tables of scipy"),
+        Member("extended", "int", "stages with those of its interpolant"),
+        Member("eighth", "int", "whether it is DOP853"),
+        Member("powers", "int", "of time in its interpolant"),
+        Member("A", "const double *", "(extended, extended)"),
+        Member("B", "const double *", "(stages)"),
+        Member("C", "const double *", "(extended)"),
+        Member("E", "const double *", "(stages + 1)"),
+        Member("E3", "const double *", "(stages + 1), of DOP853"),
+        Member("P", "const double *", "interpolant, (stages + 1, powers), or (powers - 3, extended) of DOP853"),
+        Member("order", "double", "of its error estimate"),
+        Member("rtol", "double", "relative tolerance of a step"),
+        Member("atol", "double", "absolute tolerance of a step"),
+        Member("max_step", "double", "s"),
+        Member("prescribed", "int", "whether the carriers' motion is given, by loads"),
+        Member("pieces", "int", "of the polynomials of efforts"),
+        Member("terms", "int", "of each of them"),
+        Member("saturates", "int", "whether any limit is finite"),
+        Member("edges", "const double *", "(pieces + 1) their ends, s"),
+        Member("coefficients", "const double *", "(pieces, terms, M + NK), N and N m"),
+        Member("limits", "const double *", "(M + NK) largest main efforts and carrier forces, N and N m"),
+        Member("loads", "Loads", "what acts in place of the polynomials, or null"),
+        Member("breaks", "int", "times at which efforts jump or kink, the last one being the end"),
+        Member("samples", "int", "times to record"),
+        Member("break_at", "const double *", "(breaks) s"),
+        Member("sample_at", "const double *", "(samples) s"),
+        Member("recorded", "double *", "(samples, NQ + NV) states"),
+        Member("time_tolerance", "double", "s; times closer than this are one"),
+        Member("stops", "int", "of joints at their limits"),
+        Member("stop", "const double *", "(stops, 4) index in q and in v, side, bound"),
+        Member("mode", "const double *", "(LEGS) signs of the working mode"),
+        Member("short_step", "double", "s; shorter steps are checked at their end only"),
+        Member("check_travel", "double", "rad; largest travel of joints between two checks of the closures' rank"),
+        Member("near_rank", "double", "ratio of singular values of the closures below which a rank loss may be near"),
+        Member("shortest", "double", "s; the shortest ordinary step"),
+        Member("tolerance", "double", "m; closure residual that a projection must reach"),
+        Member("largest_residual", "double", "m; closure residual that it must not leave"),
+        Member("velocity_change", "double", "by a projection, at most this share of the largest velocity"),
+        Member("velocity_floor", "double", "and this amount, m/s or rad/s"),
+        Member("rank_tolerance", "double", "ratio of pivots below which the closures have lost rank"),
+        Member("least_inertia", "double", "ratio of pivots below which a free motion has no inertia"),
+    ),
+    {"Loads": _LOADS},
+)
 
-def _members(kind: Any, names: str) -> list[tuple[str, Any]]:
-    return [(name, kind) for name in names.split()]
+_PROGRESS = Struct(
+    "Progress",
+    (
+        Member("t", "double", "s"),
+        Member("next_step", "double", "s; negative where unknown"),
+        Member("near", "double", "ratio of singular values of the closures below which a rank loss is looked for"),
+        Member("largest_correction", "double", "m; largest closure residual before a projection"),
+        Member("steps", "long", "so far"),
+        Member("evaluations", "long", "so far"),
+        Member("restarts", "long", "so far"),
+        Member("sample", "int", "the next one to record"),
+        Member("piece", "int", "of the polynomials, at the last evaluation"),
+        Member("next_break", "int", "the next one"),
+    ),
+)
 
-
-class _Run(ctypes.Structure):
-    """``Run`` of ``forward.c``."""
-
-    _fields_ = [
-        *_members(_INTS, "stages extended eighth powers"),
-        *_members(_DOUBLES, "A B C E E3 P"),
-        *_members(ctypes.c_double, "order rtol atol max_step"),
-        *_members(_INTS, "prescribed pieces terms saturates"),
-        *_members(_DOUBLES, "edges coefficients limits"),
-        *_members(_INTS, "course_terms gain_pieces gain_terms"),
-        *_members(_DOUBLES, "course gain_at gains feedback_limits scale"),
-        ("loads", _Loads),
-        *_members(_INTS, "breaks samples"),
-        *_members(_DOUBLES, "break_at sample_at recorded"),
-        ("same", ctypes.c_double),
-        ("stops", _INTS),
-        *_members(_DOUBLES, "stop mode"),
-        *_members(ctypes.c_double, "brief between near_rank"),
-        *_members(ctypes.c_double, "shortest tolerance largest_residual jump stir rank_tolerance least_inertia"),
+_DECLARATIONS = "\n".join(
+    [
+        "/* Generalised forces (NV) at a state, then s, s', s'' (NK each) where the carriers' motion is given;",
+        "   returns 0 where there are none. */",
+        "typedef int (*Loads)(double t, const double *q, const double *v, double *out);",
+        _RUN.declaration,
+        _PROGRESS.declaration,
     ]
-
-
-class _Progress(ctypes.Structure):
-    """``Progress`` of ``forward.c``."""
-
-    _fields_ = [
-        *_members(ctypes.c_double, "t next_step near largest_correction"),
-        *_members(_LONGS, "steps evaluations restarts"),
-        *_members(_INTS, "sample piece gain_piece next_break"),
-    ]
+)
 
 
 def source(robot: Robot) -> str:
     """Return the C of a robot's forward dynamics."""
     ca, chain = casadi(), SymbolicChain(robot)
     pose, motion = [chain.q, chain.trig], [chain.q, chain.trig, chain.v]
-    # wrenches are forces that the simulation hands over; all other loads are part of the equations
-    nothing = ca.SX.zeros(chain.external.numel())
-    efforts = ca.substitute(chain.efforts[0], chain.external, nothing)
+    efforts = chain.efforts[0]
     at_rest = ca.substitute(efforts, chain.a, ca.SX.zeros(chain.model.nv))
     mass = ca.jacobian(efforts, chain.a)
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
-        "equations": (motion, [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
+        "equations": ([*motion, chain.external], [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
         "closures": (pose, [chain.closure_rows, ca.vec(chain.K)]),
         "rates": ([chain.q, chain.v], [chain.configuration_rate]),
         "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
@@ -100,45 +145,40 @@ def source(robot: Robot) -> str:
         "modes": (pose, [chain.mode_indicators]),
         "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
     }
-    functions = [
-        ca.Function(f"rp_{name}", inputs, [ca.densify(part) for part in ca.cse(outputs)])
-        for name, (inputs, outputs) in definitions.items()
-    ]
+    functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
     text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
     text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
-    text.append(f"#define IS_POSE {int(chain.is_pose)}")
-    text.append(f"#define N_FREEDOMS {robot.n}\n#define LENGTH {float(robot.characteristic_length)!r}")
+    text.append(f"#define NWRENCH {chain.external.numel()}")
+    text.append(f"#define N_FREEDOMS {robot.n}")
     for name, values in {
-        "int KINDS": [AXES.index(axis) for axis in robot.platform.axes]
-        if chain.is_pose and robot.platform
-        else [int(i in chain.angles) for i in range(robot.n)],
         "int CARRIERS": robot.carrier_velocity,
         "int CARRIED": robot.carrier_position,
-        "double SCALE": chain.velocity_scale,
     }.items():
         listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
         text.append(f"static const {name}[] = {{{listed or '0'}}};")
-    return "\n".join([*text, text_of("forward.c")])
+    return "\n".join([*text, _DECLARATIONS, text_of("forward.c")])
 
 
 class CompiledForward:
     """Forward dynamics of one robot; ``dynamics.forward.ForwardKernel``.
 
     Args:
-        path: the library.
+        path: the library, which serves all robots of the topology.
         robot: the robot.
     """
 
     def __init__(self, path: Path, robot: Robot) -> None:
         self.robot = robot
         self.library = loaded(path)
+        self._numbers = parameter_vector(robot)
+        self.numbers = _address(self._numbers)
         self._accelerations, self._projected = self.library.rp_accelerations, self.library.rp_projected
         self._dynamics, self._advance = self.library.rp_dynamics, self.library.rp_advance
         model = robot.model
         self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
         self._rows = self._p - robot.n
         self._nothing = ctypes.c_void_p(None)
-        self._tolerances = ctypes.c_double(RANK_TOLERANCE), ctypes.c_double(LEAST_INERTIA)
+        self.tolerances = ctypes.c_double(RANK_TOLERANCE), ctypes.c_double(LEAST_INERTIA)
 
     def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
         """Return the tree acceleration (nv,); see ``ForwardKernel.acceleration``."""
@@ -159,9 +199,10 @@ class CompiledForward:
         inputs = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v, force)]
         carriers = None if given is None else np.ascontiguousarray(given, dtype=np.float64)
         status = self._accelerations(
+            self.numbers,
             *(_address(part) for part in inputs),
             self._nothing if carriers is None else _address(carriers),
-            *self._tolerances,
+            *self.tolerances,
             _address(a),
             ctypes.byref(inertia),
             self._nothing if closure_force is None else _address(closure_force),
@@ -174,7 +215,7 @@ class CompiledForward:
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
         """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
         state, gaps = np.array(y, dtype=np.float64), np.zeros(2)
-        if not self._projected(_address(state), ctypes.c_double(tolerance), _address(gaps)):
+        if not self._projected(self.numbers, _address(state), ctypes.c_double(tolerance), _address(gaps)):
             return None
         return state, float(gaps[0]), float(gaps[1])
 
@@ -183,7 +224,7 @@ class CompiledForward:
         K, bias = np.empty((self._p, self._p), order="F"), np.empty(self._p)
         mass, effort = np.empty((self._nv, self._nv), order="F"), np.empty(self._nv)
         state = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v)]
-        self._dynamics(*(_address(part) for part in (*state, K, bias, mass, effort)))
+        self._dynamics(self.numbers, *(_address(part) for part in (*state, K, bias, mass, effort)))
         return Equations(K, bias, mass, effort)
 
     def reader(self) -> CompiledReader:
@@ -224,8 +265,7 @@ class CompiledForward:
         """Return W (n, m): the actuators' rows of the inverse of K, transposed."""
         robot = self.robot
         inverse: Array = np.asarray(np.linalg.inv(self.equations(q, v).K), dtype=np.float64)[:, self._rows :]
-        pose = np.setdiff1d(np.arange(self._nv), robot.carrier_velocity)
-        driven: Array = inverse[np.searchsorted(pose, robot.actuated_velocity)].T
+        driven: Array = inverse[np.searchsorted(pose_columns(robot), robot.actuated_velocity)].T
         return driven
 
     def integration(self, rules: Rules) -> CompiledIntegration:
@@ -245,7 +285,8 @@ class CompiledReader:
         self._ends = np.cumsum(sizes).tolist()
         self._state, self._out = np.zeros(forward._nq + forward._nv), np.full(self._ends[-1], np.nan)
         v = ctypes.c_void_p(self._state.ctypes.data + 8 * self._nq)
-        self._given = _address(self._state), v, ctypes.c_double(RANK_TOLERANCE), _address(self._out)
+        self._forward = forward  # whose numbers the code reads
+        self._given = forward.numbers, _address(self._state), v, ctypes.c_double(RANK_TOLERANCE), _address(self._out)
         self._read = forward.library.rp_reading
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -276,7 +317,7 @@ class CompiledIntegration:
         robot = forward.robot
         self._width, self._loads = forward._nq + forward._nv, robot.m + robot.k
         self.recorded = np.full((len(rules.grid), self._width), np.nan)
-        self._run, self._at = _Run(), _Progress()
+        self._run, self._at = _RUN.type(), _PROGRESS.type()
         self._kept: dict[str, Any] = {}
         self._views: dict[int, Array] = {}
         self._set_method(rules.method)
@@ -294,11 +335,9 @@ class CompiledIntegration:
         self._run.saturates = int(np.isfinite(rules.limits).any())
         if rules.efforts is not None:
             self._act(rules.efforts.edges, np.swapaxes(rules.efforts.coefficients, 0, 1))
-            if rules.feedback is not None:
-                self._feed_back(rules.feedback)
         if rules.loads is not None:
             self._load_function: Loads = rules.loads
-            self._kept["loads"] = _Loads(self._called)
+            self._kept["loads"] = _LOADS(self._called)
             self._run.loads = self._kept["loads"]
         self._error: BaseException | None = None
 
@@ -316,7 +355,12 @@ class CompiledIntegration:
         self._run.breaks = int(np.searchsorted(rules.breaks, end, side="right"))
         y, values = np.array(at.y, dtype=np.float64), np.array(at.values, dtype=np.float64)
         status = self._forward._advance(
-            ctypes.byref(self._run), ctypes.byref(progress), _address(y), _address(values), ctypes.c_long(most)
+            self._forward.numbers,
+            ctypes.byref(self._run),
+            ctypes.byref(progress),
+            _address(y),
+            _address(values),
+            ctypes.c_long(most),
         )
         if self._error is not None:
             error, self._error = self._error, None
@@ -336,16 +380,6 @@ class CompiledIntegration:
         self._point("coefficients", coefficients)
         self._run.pieces, self._run.terms = coefficients.shape[:2]
         self._at.piece = 0
-
-    def _feed_back(self, law: Feedback) -> None:
-        course, gains = (np.swapaxes(of.coefficients, 0, 1) for of in (law.course, law.gain))
-        self._point("course", course)
-        self._point("gain_at", law.gain.edges)
-        self._point("gains", gains)
-        self._point("feedback_limits", law.limits)
-        if law.scale is not None:
-            self._point("scale", law.scale)
-        self._run.course_terms, (self._run.gain_pieces, self._run.gain_terms) = course.shape[1], gains.shape[:2]
 
     def _called(self, t: float, q: int, v: int, out: int) -> int:
         """Write the forces that act at q, v (addresses) where C wants them; return whether there are any."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray
 from redundancy_pin.dynamics.compiled.build import LEAST_MARGIN, Definition
+from redundancy_pin.dynamics.compiled.parameters import turning_equations, turning_steps
 from redundancy_pin.robot.scales import position_unit
 from redundancy_pin.robot.whole_turns import follow_whole_turns
 
@@ -43,8 +44,10 @@ class Interpreter:
         self.alignments, self.trigs = chain.alignment.numel(), 2 * len(chain.turning)
         self.trig_at = chain.trig_at
         self._external = chain.external.numel()
-        self._n, self._r, self._columns = chain.robot.n, len(chain.closure_scale), chain.pose_columns
-        self._step_unit, self._equation_unit = chain.step_unit, chain.equation_unit
+        self._n, self._r, self._columns = chain.robot.n, chain.rows, chain.pose_columns
+        length = definition.chain.robot.characteristic_length
+        self._step_unit = np.where(turning_steps(chain.robot), 1.0, length)
+        self._equation_unit = np.where(turning_equations(chain.robot), 1.0, length)
         self._length, self._position_unit = float(chain.robot.characteristic_length), position_unit(chain.robot)
 
     def call(self, name: str, *arguments: Any) -> int:

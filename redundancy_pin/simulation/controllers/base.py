@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, each, frozen
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.forward import Feedback, ForwardKernel
+from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
@@ -75,7 +75,6 @@ class Controller(ABC):
         carrier_drive: the ``CarrierDrive`` it was made for, the same.
         open_loop: main efforts and carrier forces (m + k) as polynomials of time, where they heed nothing else:
             machine code then asks for no ``effort``.
-        feedback: the same where they are linear in the state.
     """
 
     breaks: ArrayLike = frozen(())
@@ -84,7 +83,6 @@ class Controller(ABC):
     sampling: Sampling | None = None
     carrier_drive: CarrierDrive | None = None
     open_loop: PiecewisePolynomial | None = None
-    feedback: Feedback | None = None
 
     def class_name(self) -> str:
         """Return what errors and results call it."""
@@ -256,8 +254,6 @@ class Amplifiers:
         """(m + k,) of main efforts and carrier forces."""
         adapted = isinstance(controller, Adapted)
         polynomials = controller.open_loop if adapted else _declared(controller, "open_loop")
-        self.feedback: Feedback | None = None if adapted else _declared(controller, "feedback")
-        """How it heeds the state, where that is linear."""
         fits = polynomials is not None and polynomials.coefficients.shape[2] == len(self.limits)
         self.open_loop = polynomials if polynomials is not None and fits else None
         """What the controller commands as polynomials of time, before it saturates; None where it heeds the state."""

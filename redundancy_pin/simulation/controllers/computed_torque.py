@@ -13,7 +13,7 @@ from scipy.linalg import lapack
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, positive, read_only
 from redundancy_pin.dynamics.allocation import Allocation, CarrierForces, allocate
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.forward import Equations, Feedback, ForwardKernel
+from redundancy_pin.dynamics.forward import Equations, ForwardKernel
 from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -36,7 +36,6 @@ from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, State
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,13 +168,13 @@ class ComputedTorque(Tracking):
         effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
         carrier_force_limit: scalar or (k,) largest |F|, N; what it cuts off is left to the main actuators.
         dynamics: a backend of the plan's robot with forward dynamics in machine code (``CompiledDynamics``), which then
-            forms the equations. ``simulate`` with ``dynamics`` takes the whole law of one without ``sampling`` there.
+            forms the equations.
         sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
             answer will act.
 
     Attributes:
         history: the latest ``HISTORY`` commands, a ``TorqueCommand`` for every call of ``effort``, trial steps
-            of an integrator included but for those of machine code; older ones are dropped. No answer depends on it.
+            of an integrator included; older ones are dropped. No answer depends on it.
 
     Raises:
         InputError: a gain, scale or limit out of its domain.
@@ -220,22 +219,6 @@ class ComputedTorque(Tracking):
         if effort_scale is None:
             largest_tau = np.maximum(largest_tau, correcting_efforts(self.reference, bandwidth**2 * POSITION))
         self.effort_scale = positive_each(effort_scale, largest_tau, LEAST_SHARE, "effort_scale")
-
-    @property
-    def feedback(self) -> Feedback | None:  # type: ignore[override]
-        """The law for machine code; None of a digital one, and where ``command`` is replaced."""
-        own = type(self).command is not ComputedTorque.command or "command" in vars(self)
-        if own or self.lead:
-            return None
-        gain = np.concatenate([np.diag(self._stiffness), np.diag(self._damping)], axis=1).ravel()
-        return Feedback(
-            self.reference.efforts,
-            self.reference.states,
-            PiecewisePolynomial.constant(gain, self.reference.start, self.reference.end),
-            np.concatenate([self.effort_limit, self.carrier_force_limit]),
-            np.concatenate([self.effort_scale, self.carrier_scale]),
-            self.robot,
-        )
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t; ``history`` keeps how they came about."""

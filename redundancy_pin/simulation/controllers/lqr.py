@@ -16,7 +16,6 @@ from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, s
 
 from redundancy_pin.arrays import Array, Frozen, frozen, positive, read_only
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.forward import Feedback
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.planners.plan import Plan
@@ -328,14 +327,6 @@ class TimeVaryingLqr(Tracking):
             gain: Array = K[min(max(i, 0), len(K) - 1)]
             return gain
         return self._gain.at(t).reshape(K.shape[1:])
-
-    @property
-    def feedback(self) -> Feedback | None:  # type: ignore[override]
-        """The law for machine code; None of a digital one, and where gains are replaced."""
-        own = type(self).gain is not TimeVaryingLqr.gain or "gain" in vars(self)
-        if own or self.sampling is not None:
-            return None
-        return Feedback(self.reference.efforts, self.reference.states, self._gain, self._limit)
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
