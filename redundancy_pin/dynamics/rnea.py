@@ -169,7 +169,7 @@ class RneaDynamics(Dynamics):
             except REFUSALS as error:
                 return without_answer(self._robot, status_of(error))
         self._last[thread] = sample
-        return solve_sample(self._robot, sample, sample.point.q, given, t)
+        return solve_sample(self._robot, sample, sample.state.q, given, t)
 
     def _regular_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
         """Return a sample whose branch is plainly regular and whose input is valid; None for all others."""

@@ -81,7 +81,7 @@ def test_samples_go_through_a_rank_loss_of_the_closures(offsets: np.ndarray, mod
         (1.0, -1.0),
         key=lambda one: abs(np.sin((rocker_angle(FOLDING, one)(home[:1])[0] - home[joint(robot, "rocker")]) / 2)),
     )
-    reached = np.array([sample.point.q[joint(robot, "rocker")] for sample in samples])
+    reached = np.array([sample.state.q[joint(robot, "rocker")] for sample in samples])
     off = np.sin((reached - rocker_angle(FOLDING, sign)(motion.x[:, 0])) / 2.0)
     assert np.abs(off).max() < 1e-12
 
@@ -91,7 +91,7 @@ def test_samples_do_not_jump_to_a_branch_that_all_but_touches(excess: float, tmp
     robot = folding_four_bar(tmp_path, (*FOLDING[:3], FOLDING[3] + excess), GUESS)
     coupler = joint(robot, "coupler")
     samples = asked_one_by_one(RneaDynamics(robot), crank_motion(np.linspace(np.pi - 0.5, np.pi + 0.5, 101)))
-    assert len({float(np.sign(np.sin(sample.point.q[coupler]))) for sample in samples}) == 1
+    assert len({float(np.sign(np.sin(sample.state.q[coupler]))) for sample in samples}) == 1
 
 
 def test_a_start_decides_the_branch(tmp_path: Path) -> None:
@@ -101,12 +101,12 @@ def test_a_start_decides_the_branch(tmp_path: Path) -> None:
     motion = crank_motion(np.linspace(np.pi - 0.5, np.pi + 0.5, 51))
     through = asked_one_by_one(dynamics, motion)[-1]
     again = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=through)
-    np.testing.assert_allclose(again.point.q, through.point.q, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(again.state.q, through.state.q, rtol=0.0, atol=1e-12)
     other = folding_four_bar(tmp_path, FOLDING, (GUESS[0] + 4.0, GUESS[1] + 3.0, GUESS[2]))
     elsewhere = RneaDynamics(other).sample(motion.x[-1], motion.xd[-1], motion.xdd[-1])
-    assert np.abs(np.sin((elsewhere.point.q - through.point.q) / 2.0)).max() > 1e-3
+    assert np.abs(np.sin((elsewhere.state.q - through.state.q) / 2.0)).max() > 1e-3
     kept = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=elsewhere)
-    np.testing.assert_allclose(kept.point.q, elsewhere.point.q, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(kept.state.q, elsewhere.state.q, rtol=0.0, atol=1e-12)
 
 
 def test_what_is_out_of_reach_singular_or_behind_the_border_is_refused_by_name() -> None:
@@ -123,7 +123,7 @@ def test_what_is_out_of_reach_singular_or_behind_the_border_is_refused_by_name()
     flipped = zoo.robot_of("five_bar", working_mode=tuple(-sign for sign in robot.working_mode))
     other = RneaDynamics(flipped).sample(home, still, still)
     same = dynamics.sample(home, still, still, start=other)  # a start has its own mode
-    np.testing.assert_allclose(same.point.q, other.point.q, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(same.state.q, other.state.q, rtol=0.0, atol=1e-12)
 
 
 def test_a_line_that_leaves_the_workspace_is_no_way(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_samples_can_be_copied_and_sent_and_are_read_only() -> None:
     for again in (copy.copy(one), copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
         nearby = dynamics.sample(x + 1e-3, np.ones(3), np.ones(3), start=again)
         np.testing.assert_array_equal(nearby.f, dynamics.sample(x + 1e-3, np.ones(3), np.ones(3), start=one).f)
-        for array in (again.W, again.f, again.carrier_force, again.point.x, again.point.q, again.point.gamma):
+        for array in (again.W, again.f, again.carrier_force, again.state.x, again.state.q, again.state.gamma):
             assert not array.flags.writeable
 
 
