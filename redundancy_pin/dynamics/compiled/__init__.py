@@ -130,6 +130,8 @@ class CompiledDynamics(Dynamics):
         alike = topology_of(robot).text
         if alike not in self._kernels:
             library, reason = (None, "") if self._interpret else build_library(robot)
+            if library is None:
+                interpreter = Interpreter(Definition(SymbolicChain(robot), _bound(robot)))
             if reason:
                 warnings.warn(
                     f"The dynamics of {robot.name} are interpreted, not compiled: {reason}.",
@@ -137,7 +139,7 @@ class CompiledDynamics(Dynamics):
                     stacklevel=3,
                 )
             if library is None:
-                return Interpreter(Definition(SymbolicChain(robot), _bound(robot)))
+                return interpreter
             self._kernels[alike] = library
         return self._kernels[alike].for_robot(robot)
 

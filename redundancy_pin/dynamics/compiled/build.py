@@ -250,18 +250,13 @@ _WRITTEN = (
 
 def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Sequence[str] = FLAGS) -> str:
     """Return what tells one library from another: a hash of all that goes into it. Numbers of the robot do not."""
-    return digest([topology_of(robot).text, *_sources(tuple(files)), compiler, *flags])
-
-
-@functools.cache
-def _sources(files: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what of the program goes into a library: versions, tolerances, and the texts of files of this package."""
     try:
         version = importlib.metadata.version("casadi")  # without the time that an import takes
     except importlib.metadata.PackageNotFoundError:
         version = str(casadi().__version__)  # installed by other means than pip, or not at all
     constants = repr((CLOSURE_TOLERANCE, RANK_TOLERANCE, NEAR_SINGULAR_MARGIN, CONSISTENCY_TOLERANCE, FORCE_TOLERANCE))
-    return version, str(pin.__version__), constants, *files, *(text_of(name) for name in files)
+    texts = (text_of(name) for name in files)
+    return digest([topology_of(robot).text, version, str(pin.__version__), constants, *files, *texts, compiler, *flags])
 
 
 class Library:
