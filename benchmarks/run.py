@@ -14,6 +14,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 import compiled
+import control_rate
 import engine_table
 import planners_future
 import planners_stepwise
@@ -162,6 +163,7 @@ def main():
         print(f"{row['what']}: {peaks[0]:.0f} bytes a sample at {SAMPLES}, {peaks[1]:.0f} at {4 * SAMPLES}")
         rows.append(row)
     rows += compiled.rows()
+    rows += control_rate.rows()
     rows += planners_stepwise.rows()
     rows += planners_switch_off.rows()
     rows += planners_whole.rows()

@@ -12,24 +12,27 @@ has it; loads of the robot enter as its external forces and as terms of the join
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, checked, frozen, read_only
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    TorqueSample,
     one_sample,
     require_choice,
     require_matching_carriers,
 )
+from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, solve_sample, status_of, without_answer
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain, tracker
@@ -39,6 +42,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale
+from redundancy_pin.status import SampleStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +85,8 @@ class RneaDynamics(Dynamics):
 
     def __init__(self, robot: RobotLike, *, progress: Callable[[int, int], None] | None = None) -> None:
         self._robot, self._progress = as_robot(robot), progress
+        self._last: dict[int, RneaSample] = {}
+        """By thread the sample from which ``torque`` goes on."""
 
     @property
     def robot(self) -> Robot:
@@ -132,6 +138,38 @@ class RneaDynamics(Dynamics):
         f, force = RneaAlongMotion(tree).forces(carriers)
         point = Point(motion.x[0], tree.q[0], tree.gamma[0])
         return RneaSample(tree.W[0], f[0], force[0], point, float(tree.gap[0]), float(tree.serial_margin_bound[0]))
+
+    def torque(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+        *,
+        t: float = 0.0,
+        start: ArrayLike | None = None,
+    ) -> TorqueSample:
+        """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
+        given, thread = (x, xd, xdd, s, sd, sdd), threading.get_ident()
+        if start is not None:
+            there = replace(self._robot, q_reference=checked(start, "start", self._robot.q_reference.shape))
+            elsewhere = self.for_robot(there)
+            torque = elsewhere.torque(*given, t=t)
+            self._last |= elsewhere._last
+            return torque
+        try:
+            sample = self.sample(*given, start=self._last.get(thread), t=t)
+        except (InputError, *REFUSALS):
+            if not is_finite(given):
+                return without_answer(self._robot, SampleStatus.NOT_FINITE)
+            try:
+                sample = self.sample(*given, t=t)  # from the reference
+            except REFUSALS as error:
+                return without_answer(self._robot, status_of(error))
+        self._last[thread] = sample
+        return solve_sample(self._robot, sample, sample.point.q, given, t)
 
     def _regular_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
         """Return a sample whose branch is plainly regular and whose input is valid; None for all others."""

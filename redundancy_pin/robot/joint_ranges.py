@@ -150,6 +150,25 @@ def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
 
 
 @lru_cache(maxsize=64)
+def range_table(robot: Robot) -> Array:
+    """Return (r, 5) of each range and track: index in q, whether turns count as none (0 or 1), ends and slack."""
+    rows = [
+        (one.at, one.repeats and one.name not in robot.carriers, one.lower, one.upper, one.slack)
+        for one in all_ranges(robot)
+    ]
+    return read_only(np.array(rows, dtype=np.float64).reshape(-1, 5))
+
+
+def is_in_range(robot: Robot, q: Array) -> bool:
+    """Return whether all joints of one configuration (nq,) are in their ranges, carriers on their tracks."""
+    at, repeats, lower, upper, slack = range_table(robot).T
+    middle, turn = 0.5 * (lower + upper), 2.0 * np.pi
+    away = q[at.astype(np.intp)] - middle
+    away -= turn * repeats * np.round(away / turn)
+    return bool((np.abs(away) <= upper - middle + slack).all())
+
+
+@lru_cache(maxsize=64)
 def track_slack(robot: Robot) -> Array:
     """Return (k,) the slack of each carrier's track, m or rad."""
     slack = {joint.name: joint.slack for joint in all_ranges(robot)}

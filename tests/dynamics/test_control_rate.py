@@ -18,7 +18,7 @@ from spatial_chains import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import TorqueSample
+from redundancy_pin.dynamics.base import Dynamics, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.machine_code import find_compiler
 from redundancy_pin.robot import JointForces, Payload, Robot, Wrench
@@ -46,15 +46,15 @@ def dynamics_of(name: str) -> rp.CompiledDynamics:
     return rp.CompiledDynamics(robot_of(name))
 
 
-LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("gough", "3rps", "two_arms")]
+Backend = type[rp.CompiledDynamics] | type[rp.RneaDynamics] | type[rp.VirtualWork]
+
+LARGE = [pytest.param(name, marks=pytest.mark.long) for name in ("gough", "3rps", "two_arms")]
 
 
 # --- torques ---------------------------------------------------------------------------------------------------------
 
 
-def batch(
-    dynamics: rp.CompiledDynamics, x: Array, xd: Array, xdd: Array, *tracks: Array
-) -> tuple[rp.Distribution, Array]:
+def batch(dynamics: Dynamics, x: Array, xd: Array, xdd: Array, *tracks: Array) -> tuple[rp.Distribution, Array]:
     """Return efforts and carrier forces of one sample, closed from the reference."""
     motion = rp.PlatformMotion(np.arange(1.0), x[None], xd[None], xdd[None], check_rates=False)
     carriers = rp.CarrierMotion(*(part[None] for part in tracks), check_rates=False)
@@ -73,10 +73,21 @@ def assert_same(got: TorqueSample, want: rp.Distribution, force: Array) -> None:
     np.testing.assert_allclose(got.carrier_force, force, rtol=0.0, atol=EQUAL * size)
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "delta", *ACTUATED, *LONG])
-def test_torques_of_random_samples_are_those_of_reduce_and_distribute(name: str) -> None:
+BACKENDS = [
+    *((rp.CompiledDynamics, name) for name in ("2rpr", "3rrr", "five_bar", "delta", *ACTUATED)),
+    *((rp.RneaDynamics, name) for name in ("2rpr", "3rrr", "delta", *ACTUATED)),
+    *((rp.VirtualWork, name) for name in ("2rpr", "3rrr")),
+]
+LONG = ("gough", "3rps", "two_arms")
+
+
+@pytest.mark.parametrize(
+    ("backend", "name"),
+    [*BACKENDS, *(pytest.param(rp.CompiledDynamics, name, marks=pytest.mark.long) for name in LONG)],
+)
+def test_torques_of_random_samples_are_those_of_reduce_and_distribute(backend: Backend, name: str) -> None:
     """Poses about the reference and far out of reach, in random motion; carriers on their tracks."""
-    robot, dynamics, rng = robot_of(name), dynamics_of(name), np.random.default_rng(5)
+    robot, dynamics, rng = robot_of(name), backend(robot_of(name)), np.random.default_rng(5)
     seen = set()
     for trial in range(60):
         step = rng.uniform(-1.0, 1.0, robot.n) * zoo.reach_of(robot) * (1.0 if trial % 3 else 6.0)
@@ -95,9 +106,10 @@ def test_torques_of_random_samples_are_those_of_reduce_and_distribute(name: str)
         assert SampleStatus.OK in seen
 
 
-def test_torques_at_a_type_two_pose_exist_or_not() -> None:
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
+def test_torques_at_a_type_two_pose_exist_or_not(backend: Backend) -> None:
     """The legs of the 2-RPR in one line: at rest nothing is asked; in motion nothing finite answers."""
-    dynamics, zero = dynamics_of("2rpr"), np.zeros(2)
+    dynamics, zero = backend(robot_of("2rpr")), np.zeros(2)
     at, moving_on = np.array([0.2, 0.0]), np.array([0.3, -0.7])
     expected = {SampleStatus.SINGULAR_CONSISTENT: (zero, zero), SampleStatus.SINGULAR_INCONSISTENT: (zero, moving_on)}
     dynamics.torque([0.2, 0.05], zero, zero)
@@ -112,10 +124,10 @@ def test_torques_at_a_type_two_pose_exist_or_not() -> None:
     assert np.abs(near.tau).max() > 1e3
 
 
-def test_failures_are_statuses_and_the_next_sample_is_as_before() -> None:
-    dynamics, zero = dynamics_of("3rrr"), np.zeros(3)
-    robot = robot_of("3rrr")
-    home = zoo.home_of(robot)
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
+def test_failures_are_statuses_and_the_next_sample_is_as_before(backend: Backend) -> None:
+    dynamics, zero = backend(robot_of("3rrr")), np.zeros(3)
+    home = zoo.home_of(robot_of("3rrr"))
     before = dynamics.torque(home, zero, zero + 1.0)
     for x, status in (
         (home + np.array([9.0, 0.0, 0.0]), SampleStatus.UNREACHABLE),
@@ -214,7 +226,7 @@ def constrained(robot: Robot, q: Array, v: Array, force: Array) -> Array:
     return np.array(pin.constraintDynamics(model, data, q, v, force, models, datas, settings))
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "four_bar", "delta", *LONG[:2]])
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "four_bar", "delta", *LARGE[:2]])
 def test_accelerations_are_pinocchio_s(name: str) -> None:
     robot, dynamics = robot_of(name), dynamics_of(name)
     for i, state in enumerate(moving.random_states(robot, 3, 8)):
@@ -281,7 +293,7 @@ def actuated_positions(robot: Robot) -> list[int]:
     return [find_joint(robot.model, name).idx_q for name in robot.actuated]
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "delta", "more actuators", "continuous", *LONG])
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "delta", "more actuators", "continuous", *LARGE])
 def test_all_joints_follow_from_the_motors(name: str) -> None:
     robot, dynamics = robot_of(name), dynamics_of(name)
     t = np.linspace(0.0, 2.0, 150)
@@ -333,6 +345,22 @@ def test_motors_far_away_are_followed_on_the_branch() -> None:
     np.testing.assert_allclose(got.q[at], position, rtol=0.0, atol=1e-12)
 
 
+def test_from_far_away_it_is_that_branch_or_none() -> None:
+    """The end-effector of the 2-RPR stays above its base, whatever legs are asked for at once."""
+    robot, dynamics, rng = robot_of("2rpr"), dynamics_of("2rpr"), np.random.default_rng(0)
+    at, answers = actuated_positions(robot), 0
+    x = np.stack([rng.uniform(-0.2, 0.7, 120), rng.uniform(0.02, 0.5, 120)], axis=1)
+    q = [rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], one[None], *np.zeros((2, 1, 2)))).q[0] for one in x]
+    for start, end, target in zip(q[::2], q[1::2], x[1::2], strict=True):
+        got = dynamics.joint_state(end[at], start=start)
+        if got.status.solved:
+            answers += 1
+            np.testing.assert_allclose(got.x, target, rtol=0.0, atol=1e-9)
+        else:
+            assert got.status in (SampleStatus.BRANCH_LOST, SampleStatus.TYPE_II)
+    assert 30 < answers <= 60
+
+
 def test_motors_without_a_pose_have_a_status() -> None:
     robot, dynamics, still = robot_of("2rpr"), dynamics_of("2rpr"), np.zeros((1, 2))
     at = actuated_positions(robot)
@@ -341,6 +369,8 @@ def test_motors_without_a_pose_have_a_status() -> None:
     assert np.isnan(np.concatenate([apart.q, apart.v, apart.x, apart.xd, [apart.margin]])).all()
     flat = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 0.0]], still, still)).q[0]
     assert dynamics.joint_state(flat[at], start=flat).status is SampleStatus.TYPE_II
+    near = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 1e-4]], still, still)).q[0]
+    assert dynamics.joint_state(near[at], start=near).status is SampleStatus.NEAR_SINGULAR
     assert dynamics.joint_state(np.array([np.nan, 0.3])).status is SampleStatus.NOT_FINITE
     with pytest.raises(UnsupportedRobotError, match="1 actuated"):
         dynamics_of("fewer actuators").joint_state([0.0])

@@ -29,7 +29,7 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, Wrench
-from redundancy_pin.robot.joint_ranges import all_ranges
+from redundancy_pin.robot.joint_ranges import range_table
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import is_pose, too_few_motors
 from redundancy_pin.status import SampleStatus
@@ -107,15 +107,6 @@ def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
     return partial(function, code.numbers, *given)
 
 
-def _ranges(robot: Robot) -> Array:
-    """Return (r, 5) index in q, whether whole turns count as none, ends and slack of each range and track."""
-    rows = [
-        (one.at, one.repeats and one.name not in robot.carriers, one.lower, one.upper, one.slack)
-        for one in all_ranges(robot)
-    ]
-    return np.array(rows, dtype=np.float64).reshape(-1, 5)
-
-
 class TorqueCall:
     """Torques of one sample; see ``Dynamics.torque``.
 
@@ -141,7 +132,7 @@ class TorqueCall:
         self._results = np.zeros(tau + m + 3)
         self._force, self._tau = self._results[force : force + k], self._results[tau : tau + m]
         self._margin = partial(self._results.item, tau + m + 1)
-        self._state, self._ranges = np.append(robot.q_reference, 0.0), _ranges(robot)
+        self._state, self._ranges = np.append(robot.q_reference, 0.0), range_table(robot)
         given = self._state, self._arguments.memory, self._ranges, len(self._ranges), self._results
         self._call = _caller(code, "rp_torque", *given)
 
@@ -221,7 +212,7 @@ class JointStateCall:
         self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
         self._results = np.zeros(self._ends[-1] + 3)
-        self._state, self._ranges = np.append(robot.q_reference, 0.0), _ranges(robot)
+        self._state, self._ranges = np.append(robot.q_reference, 0.0), range_table(robot)
         given = self._state, self._arguments.memory, self._ranges, len(self._ranges), self._results
         self._call = _caller(code, "rp_joint_state", *given)
         self._code = code  # which keeps its numbers

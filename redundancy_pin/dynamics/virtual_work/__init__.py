@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
 from redundancy_pin.dynamics.base import (
@@ -13,9 +14,11 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    TorqueSample,
     require_choice,
     require_matching_carriers,
 )
+from redundancy_pin.dynamics.one_sample import solve_batch_of_one
 from redundancy_pin.dynamics.virtual_work.loads import LoadEfforts, load_derivatives, load_efforts, require_known
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
@@ -86,6 +89,24 @@ class VirtualWork(Dynamics):
             # NaN in, NaN out: the samples to blank take part in the arithmetic, and in no warning.
             legs = self._mechanism.legs(np.where(reachable[:, None], motion.x, np.nan))
         return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, gap, reachable)
+
+    def torque(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+        *,
+        t: float = 0.0,
+        start: ArrayLike | None = None,
+    ) -> TorqueSample:
+        """Return the efforts of one sample with a status; see ``Dynamics.torque``.
+
+        The closed form has one branch, that of the working mode, and needs no ``start``.
+        """
+        return solve_batch_of_one(self, (x, xd, xdd, s, sd, sdd), t)
 
 
 class VirtualWorkAlongMotion(Frozen):

@@ -1,0 +1,144 @@
+"""Efforts of one sample with a status, for control loops: ``distribute`` without the cost of a batch of one.
+
+Whoever solves many samples takes ``distribute``; the decisions and their tolerances are the same here.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import lapack
+
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
+from redundancy_pin.dynamics.base import Dynamics, ReducedSample, TorqueSample, one_sample
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE, distribute
+from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.joint_ranges import is_in_range
+from redundancy_pin.robot.loads import wrench_values
+from redundancy_pin.robot.scales import (
+    column_scale,
+    coordinate_unit,
+    force_terms,
+    row_scale,
+    velocity_unit,
+    wrench_size,
+)
+from redundancy_pin.spectrum import UNIT
+from redundancy_pin.status import SampleStatus
+
+SampleArguments: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
+"""x, xd, xdd, s, sd, sdd of ``Dynamics.torque``."""
+
+REFUSALS = (UnreachablePoseError, SingularPoseError, WorkingModeError)
+"""What kinematics raises for a sample that it cannot close; ``status_of`` gives their statuses."""
+
+
+def status_of(error: Exception) -> SampleStatus:
+    """Return the status of a sample that kinematics refuses with one of ``REFUSALS``."""
+    if isinstance(error, UnreachablePoseError):
+        return SampleStatus.UNREACHABLE
+    return SampleStatus.TYPE_I if isinstance(error, SingularPoseError) else SampleStatus.BRANCH_LOST
+
+
+def without_answer(robot: Robot, status: SampleStatus) -> TorqueSample:
+    """Return a sample without W: NaN and a status."""
+    return TorqueSample(np.full(robot.m, np.nan), status, math.nan, np.full(robot.k, np.nan))
+
+
+def is_finite(given: SampleArguments) -> bool:
+    """Return whether all numbers of a sample are finite; what is no number is left to later checks."""
+    try:
+        return all(np.isfinite(np.asarray(part, dtype=np.float64)).all() for part in given)
+    except (TypeError, ValueError):
+        return True
+
+
+def solve_sample(robot: Robot, sample: ReducedSample, q: Array, given: SampleArguments, t: float) -> TorqueSample:
+    """Return the efforts of least norm with W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ), or a status.
+
+    Args:
+        robot: the robot.
+        sample: W (n, m), f (n,) and carrier forces (k,).
+        q: (nq,) configuration, m and rad; ranges are checked with the carriers at s.
+        given: what the sample is made of.
+        t: time, s, for wrenches that depend on it.
+
+    Example:
+        >>> import redundancy_pin as rp
+        >>> robot = rp.load_robot("five_bar")
+        >>> given = [0.1, 0.4], [0.5, 0.0], [0.0, 1.0], (), (), ()
+        >>> sample = rp.RneaDynamics(robot).sample(*given)
+        >>> solve_sample(robot, sample, robot.q_reference, given, 0.0).status.label
+        'ok'
+    """
+    rows, columns = row_scale(robot), column_scale(robot)
+    A, g = sample.W * (columns / rows[:, None]), sample.f / rows
+    size = math.sqrt(float(g @ g))
+    if not (math.isfinite(size) and math.isfinite(float(np.abs(A).sum()))):
+        return without_answer(robot, SampleStatus.NOT_FINITE)
+    u, values, vt, failed = lapack.dgesdd(A)
+    if failed:
+        return without_answer(robot, SampleStatus.NOT_FINITE)
+    rank = int((values > RANK_TOLERANCE * max(float(values[0]), UNIT)).sum())
+    components = g @ u
+    outside = math.sqrt(float(components[rank:] @ components[rank:]))
+    full, margin = rank == len(values), float(values[-1])
+    s, force = given[3], _force_size(robot, given, t)
+    if outside > CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * force:
+        status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
+        return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force)
+    tau = columns * ((components[:rank] / values[:rank]) @ vt[:rank])
+    if not full:
+        status = SampleStatus.SINGULAR_CONSISTENT
+    else:
+        status = SampleStatus.NEAR_SINGULAR if margin < NEAR_SINGULAR_MARGIN else SampleStatus.OK
+    whole = q.copy()
+    whole[robot.carrier_position] = s if np.size(s) else 0.0
+    if not is_in_range(robot, whole):
+        status = SampleStatus.OUT_OF_RANGE
+    return TorqueSample(tau, status, margin, sample.carrier_force)
+
+
+def _force_size(robot: Robot, given: SampleArguments, t: float) -> float:
+    """Return the size of the forces of one sample before they cancel, N: ``Scales.force``."""
+    x, xd, xdd, _, sd, sdd = (np.asarray(part, dtype=np.float64) for part in given)
+    unit, terms = coordinate_unit(robot), force_terms(robot)
+    rate, acceleration = float(np.abs(xd / unit).max()), float(np.abs(xdd / unit).max())
+    if robot.k and sd.size:
+        carrier_unit = velocity_unit(robot)[robot.carrier_velocity]
+        rate = max(rate, float(np.abs(sd / carrier_unit).max()))
+        acceleration = max(acceleration, float(np.abs(sdd / carrier_unit).max(initial=0.0)))
+    force = terms.mass * (terms.gravity + terms.length * (rate**2 + acceleration)) + terms.viscous * rate + terms.static
+    wrenches = wrench_values(robot.loads, np.array([t]), x[None], xd[None])
+    return force + float(np.max(wrench_size(robot, wrenches))) if wrenches else force
+
+
+def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> TorqueSample:
+    """Return the efforts of one sample with a status through ``reduce`` and ``distribute``, of any backend.
+
+    Args:
+        dynamics: the backend.
+        given: what the sample is made of.
+        t: time, s, for wrenches that depend on it.
+
+    Raises:
+        InputError: wrong shapes, or a pose that is none.
+    """
+    robot = dynamics.robot
+    if not is_finite(given):
+        return without_answer(robot, SampleStatus.NOT_FINITE)
+    motion, carriers = one_sample(robot, *given, t=t)
+    try:
+        reduced = dynamics.along(motion).reduce(carriers)
+    except REFUSALS as error:
+        return without_answer(robot, status_of(error))
+    efforts = distribute(reduced)
+    status = SampleStatus(int(efforts.status[0]))
+    tracks = zip(robot.carrier_limits, carriers.s[0], strict=True)
+    if status.solved and not all(limits.lower <= s <= limits.upper for limits, s in tracks):
+        status = SampleStatus.OUT_OF_RANGE
+    return TorqueSample(efforts.tau[0], status, float(efforts.margin[0]), reduced.carrier_force[0])
