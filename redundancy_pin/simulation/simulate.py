@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
@@ -74,7 +74,7 @@ def simulate(
     restart_at: Literal["breaks", "jumps"] = "breaks",
     method: Method = "projected",
     way: Method | None = None,
-    dynamics: Dynamics | None = None,
+    dynamics: DynamicsLike | None = None,
 ) -> Simulation:
     """Simulate a closed-chain robot under given efforts.
 
@@ -199,7 +199,7 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
     return controller
 
 
-def _kernel(robot: Robot, dynamics: Dynamics | None, method: str) -> ForwardKernel | None:
+def _kernel(robot: Robot, dynamics: DynamicsLike | None, method: str) -> ForwardKernel | None:
     kernel = kernel_of(robot, dynamics)
     if kernel is not None and method != "projected":
         raise InputError(

@@ -2,8 +2,6 @@
 
 A library's name is a hash of all that goes into it: the tree, closures and roles of the robot, the versions of casadi,
 Pinocchio and this package, the compiler and its flags.
-
-Where there is no C compiler, or it fails, casadi interprets the same functions (``interpreted``).
 """
 
 from __future__ import annotations
@@ -220,8 +218,6 @@ class Library:
     Args:
         path: the shared library.
     """
-
-    compiled = True
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, require_dynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.base_wrench import BASE, base_wrench, load_at_rest
@@ -69,7 +70,7 @@ class SampledOnDemand(Protocol):
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_stepwise(
-    dynamics: Dynamics,
+    dynamics: DynamicsLike,
     motion: PlatformMotion | SampledOnDemand,
     *,
     dt: float = 5e-3,
@@ -121,7 +122,7 @@ def plan_stepwise(
     default: it changes nothing before that point, and the box is then never empty.
 
     Args:
-        dynamics: either backend.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: N samples of the platform motion, whose steps need not be equal; or a trajectory, which is sampled.
         dt: the time step of a trajectory, s. Jumps of its acceleration are sampled from both sides.
         objective: what to minimise, or weights of several: "effort", "base_force", "base_moment", "base_wrench".
@@ -156,7 +157,7 @@ def plan_stepwise(
             comes too close to a type II singularity. Carries constraint, carrier, time and amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     require_motion(motion, "sample")
     robot = dynamics.robot
     require_carriers(robot)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics, has_expressions, require_dynamics
+from redundancy_pin.dynamics.base import Dynamics, has_expressions
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
@@ -56,7 +57,7 @@ PHASES = ("optimised",)
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_whole_trajectory(
-    dynamics: Dynamics,
+    dynamics: DynamicsLike,
     motion: PlatformMotion | TimedTrajectory,
     *,
     objective: str | Mapping[str, float] | Objective = "effort",
@@ -104,7 +105,7 @@ def plan_whole_trajectory(
     them.
 
     Args:
-        dynamics: either backend.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
         objective: what to minimise, or weights of several, each in its own unit (``OBJECTIVES``; or
             ``Objective``, with ``lam`` and ``baseline``): "effort" ∫ Σ τ² dt, "peak" max |τ|,
@@ -153,7 +154,7 @@ def plan_whole_trajectory(
         RedundancyPinError: casadi is not installed.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     if isinstance(objective, Objective):
         goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point)
     else:

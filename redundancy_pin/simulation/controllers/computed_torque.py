@@ -12,7 +12,7 @@ from scipy.linalg import lapack
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, positive, read_only
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus, CarrierForces, allocate
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.dynamics.forward import Equations, Feedback, ForwardKernel
 from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import SingularPoseError
@@ -196,7 +196,7 @@ class ComputedTorque(Tracking):
         effort_limit: ArrayLike | None = None,
         carrier_force_limit: ArrayLike | None = None,
         sampling: Sampling | None = None,
-        dynamics: Dynamics | None = None,
+        dynamics: DynamicsLike | None = None,
     ) -> None:
         super().__init__(plan, motion, sampling)
         for name, value in (("bandwidth", bandwidth), ("carrier_bandwidth", carrier_bandwidth), ("damping", damping)):
