@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 from engines import (
-    RunStatus,
     Task,
     deviation,
     open_loop_growth,
@@ -31,6 +30,7 @@ from engines.cases import CASES, CORNER, prepare
 from engines.own import TaskEfforts
 
 import redundancy_pin as rp
+from redundancy_pin.status import ResultStatus
 
 TOLERANCE = 1e-5
 """m and rad, over the whole motion."""
@@ -80,7 +80,7 @@ def measured(case, drive, run):
         "carriers": float(off.carriers.max(initial=0.0)),
         "gap": float(off.gap.max()),
         "seconds": run.seconds,
-        "met": run.status == RunStatus.COMPLETED and off.largest < TOLERANCE,
+        "met": run.status == ResultStatus.OK and off.largest < TOLERANCE,
     }
 
 
@@ -152,7 +152,7 @@ def growth(run, step=1e-3):
 
 
 def within(drive, run, tolerance):
-    return run.status == RunStatus.COMPLETED and deviation(drive, run).largest < tolerance
+    return run.status == ResultStatus.OK and deviation(drive, run).largest < tolerance
 
 
 def tasks(drive):

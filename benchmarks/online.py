@@ -138,7 +138,7 @@ def judged(name, dynamics, number, trajectory, least):
     except InfeasiblePlanError as error:
         return {**record, "status": "refused", "reason": str(error)}
     plan = run.plan
-    failed = plan.status.value != "within_limits" or run.counts["planned"] < len(run.commands)
+    failed = plan.status.value != "ok" or run.counts["ok"] < len(run.commands)
     best = off_line(dynamics, trajectory) if least or failed else None
     return {
         **record,
@@ -198,7 +198,7 @@ def switched_off(dynamics, trajectory):
             error = this
     if not plans:
         raise error
-    return min(plans, key=lambda plan: (plan.status.value != "within_limits", plan.peak_effort.max()))
+    return min(plans, key=lambda plan: (plan.status.value != "ok", plan.peak_effort.max()))
 
 
 METHODS = {
@@ -264,8 +264,8 @@ def preview(count=8):
                     run = run_online(RecedingHorizon(dynamics, horizon=horizon, acceleration=most), path)
                 except InfeasiblePlanError:
                     continue
-                planned, ticks = planned + run.counts["planned"], ticks + len(run.commands)
-                whole += run.counts["planned"] == len(run.commands)
+                planned, ticks = planned + run.counts["ok"], ticks + len(run.commands)
+                whole += run.counts["ok"] == len(run.commands)
                 if least:
                     over.append(run.plan.peak_effort.max() / least)
             cells.append(f"{whole}, {100 * planned / ticks:.1f} %, {np.median(over) if over else np.nan:.2f}")
@@ -284,7 +284,7 @@ def milliseconds(dynamics, paths, period, **settings):
             before = time.thread_time()
             command = planner.update(t, path)
             spent.append(1e3 * (time.thread_time() - before))
-            unplanned += command.status.value != "planned"
+            unplanned += command.status.value != "ok"
     return np.array(spent), unplanned
 
 
@@ -359,7 +359,7 @@ def imperfect(number, times, **settings):
         **limits,
     )
     planned = np.array([control.reference.platform(float(t))[0] for t in run.t])
-    return np.linalg.norm(run.x - planned, axis=1).max() if run.status.value == "completed" else np.inf, control.counts
+    return np.linalg.norm(run.x - planned, axis=1).max() if run.status.value == "ok" else np.inf, control.counts
 
 
 def loop(count=10, times=1.0):
@@ -387,8 +387,8 @@ def main(name="2rpr", count=10, least=10, file="build/online.jsonl"):
         shown = {key: value for key, value in records[-1].items() if key != "milliseconds"}
         print(shown, flush=True)
     planned = [record for record in records if "ticks" in record]
-    whole = sum(record["ticks"]["planned"] == sum(record["ticks"].values()) for record in planned)
-    kept = sum(record["status"] == "within_limits" for record in planned)
+    whole = sum(record["ticks"]["ok"] == sum(record["ticks"].values()) for record in planned)
+    kept = sum(record["status"] == "ok" for record in planned)
     hopeless = sum(record["off_line"] is False for record in planned)
     ratios = [record["ratio"] for record in planned[: int(least)] if record["ratio"]]
     times = np.percentile(np.concatenate([record["milliseconds"] for record in planned]), [50, 99])

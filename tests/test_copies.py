@@ -24,12 +24,13 @@ from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
 from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.receding_horizon import Command, PlanningStatus
+from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.planners.switch_off.crossing import LostDirection
 from redundancy_pin.robot.scales import sample_scales
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.studies.cases import SINGULAR
 from redundancy_pin.studies.co_design import CoDesign, DesignTask
 from redundancy_pin.studies.trade import TradeOff
@@ -84,7 +85,7 @@ def objects() -> dict[str, Any]:
         "slower motion": ScaledMotion(continuous_motion(motion), slower),
         "on-line run": OnLineRun(
             (stepwise := rp.plan_stepwise(dynamics, trajectory, lam=0.0)),
-            (Command(0.0, PlanningStatus.PLANNED, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0, 0.0),),
+            (Command(0.0, UpdateStatus.OK, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0, 0.0),),
         ),
         "trade-off": TradeOff(SINGULAR[0], "effort", "energy", ()),
         "symbolic": rp.symbolic(small),

@@ -147,8 +147,8 @@ def in_html(one: Named, folder: Path, harmless: Named) -> None:
     page, usual = Tags(page_of(one)), Tags(page_of(harmless))
     assert page.tags == usual.tags
     assert page.scripts[0] == usual.scripts[0]  # the viewer
-    title = f"{one.name}: parked, within limits"
-    assert page.texts.count(title) == usual.texts.count(f"{HARMLESS}: parked, within limits") == 2
+    title = f"{one.name}: parked, ok"
+    assert page.texts.count(title) == usual.texts.count(f"{HARMLESS}: parked, ok") == 2
     (line,) = [line for line in page.scripts[1].splitlines() if line.startswith("const readings = ")]
     readings = json.loads(line.removeprefix("const readings = ").removesuffix(";"))
     assert {joint["name"] for joint in readings["joints"]} == {*one.joints, joints_of(one.name)["swivel_1"], "swivel_2"}

@@ -298,7 +298,7 @@ def test_a_plain_urdf_has_no_arguments(tmp_path: Path) -> None:
 
 
 def test_too_few_motors_are_counted_and_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """It was `underactuated_inconsistent`, `unbounded_effort` and NaN, and nowhere how many motors there are."""
+    """It was `underactuated`, `unbounded` and NaN, and nowhere how many motors there are."""
     robot = variant(tmp_path / "robot", "five_bar", ("actuated: [base_1, base_2]", "actuated: [base_1]"),
                     ("gravity: [0, 0, 0]", "gravity: [0, -9.81, 0]"))  # fmt: skip
     says = "five_bar has 2 degrees of freedom and 1 actuated joint (base_1): efforts cannot balance a general motion."

@@ -9,7 +9,7 @@ from engines.drive import Drive, commanded, drive_of_motion, drive_of_plan
 from engines.exudyn import run_exudyn
 from engines.mujoco import run_mujoco
 from engines.own import run_own
-from engines.run import Deviation, EngineRun, RunStatus, deviation
+from engines.run import Deviation, EngineRun, deviation
 from engines.sensitivity import open_loop_growth
 from engines.task import Efforts, Task
 
@@ -18,7 +18,6 @@ __all__ = [
     "Drive",
     "Efforts",
     "EngineRun",
-    "RunStatus",
     "Task",
     "commanded",
     "deviation",

@@ -7,15 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from engines.run import EngineRun, RunStatus
+from engines.run import EngineRun
 from engines.task import Task
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.simulate import ATOL, RTOL, simulate
 from redundancy_pin.simulation.state import State, tree_state
 from redundancy_pin.simulation.system import Method
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 RESOLVED = 1e-12
@@ -102,7 +102,7 @@ def run_own(
         gap=run.gap,
         steps=run.statistics.steps,
         seconds=run.statistics.seconds,
-        status=RunStatus.COMPLETED if run.status is SimulationStatus.COMPLETED else RunStatus.STOPPED,
+        status=ResultStatus.OK if run.status is ResultStatus.OK else ResultStatus.NOT_CONVERGED,
         message=run.reason,
     )
 

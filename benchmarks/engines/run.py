@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
@@ -16,15 +15,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem, independent_velo
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import turning_velocities
-
-
-class RunStatus(Enum):
-    """How an engine's run ended."""
-
-    COMPLETED = "completed"
-    """The engine reached the end of the interval."""
-    STOPPED = "stopped"
-    """The engine gave up, or its state was no longer finite: see ``message`` and the last time."""
+from redundancy_pin.status import ResultStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +48,7 @@ class EngineRun:
     gap: Array
     steps: int
     seconds: float
-    status: RunStatus
+    status: ResultStatus
     message: str
 
     @property
@@ -100,7 +91,7 @@ def finished(
         gap=read_only(np.abs(state.phi).max(axis=1, initial=0.0)),
         steps=count - 1,
         seconds=raw.seconds,
-        status=RunStatus.COMPLETED if done else RunStatus.STOPPED,
+        status=ResultStatus.OK if done else ResultStatus.NOT_CONVERGED,
         message=message,
     )
 
@@ -165,7 +156,7 @@ def deviation(drive: Drive, run: EngineRun) -> Deviation:
         turn=read_only(np.linalg.norm(off[:, turns], axis=1)),
         carriers=read_only(np.abs(run.s - drive.carriers(run.t).s)),
         gap=run.gap,
-        completed=run.status == RunStatus.COMPLETED,
+        completed=run.status == ResultStatus.OK,
     )
 
 

@@ -121,7 +121,7 @@ def table(records):
     lines = ["| problem | time | digits | error | steps | s | compiled, s |", "|---|---|---|---|---|---|---|"]
     for row in records:
         compiled = f"{row['compiled_seconds']:.2g}" if "compiled_seconds" in row else "–"
-        digits = f"{-np.log10(row['error']):.1f}" if row["status"] == "completed" else row["status"]
+        digits = f"{-np.log10(row['error']):.1f}" if row["status"] == "ok" else row["status"]
         lines.append(
             f"| {row['what']} | {row['duration']:g} s | {digits} | {row['error']:.0e} | {row['steps']} "
             f"| {row['seconds']:.2g} | {compiled} |"

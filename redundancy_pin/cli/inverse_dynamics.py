@@ -16,12 +16,7 @@ from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.dynamics.base import OnUnreachable, require_matching_carriers
-from redundancy_pin.dynamics.inverse_dynamics import (
-    EffortStatus,
-    InverseDynamics,
-    SingularInstant,
-    inverse_dynamics_in_blocks,
-)
+from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics, SingularInstant, inverse_dynamics_in_blocks
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
@@ -29,13 +24,14 @@ from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess
 from redundancy_pin.robot.loads import Load
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import backend_of
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 STEP = 1e-3  # between samples of a trajectory, s
 BLOCK = 20_000  # samples that are worked on at a time
-EXIT_CODES = {EffortStatus.FINITE_EFFORT: 0, EffortStatus.UNBOUNDED_EFFORT: 3, EffortStatus.UNRESOLVED: 4}
-_WORST_FIRST = (EffortStatus.UNBOUNDED_EFFORT, EffortStatus.UNRESOLVED, EffortStatus.FINITE_EFFORT)
+EXIT_CODES = {ResultStatus.OK: 0, ResultStatus.UNBOUNDED: 3, ResultStatus.UNRESOLVED: 4}
+_WORST_FIRST = (ResultStatus.UNBOUNDED, ResultStatus.UNRESOLVED, ResultStatus.OK)
 _LISTED = 10  # instants that a warning names
 _FLAGS = {"unreachable": "--unreachable", "dt": "--dt", "lower": "--min-effort", "upper": "--max-effort",
           "preferred": "--preferred"}  # fmt: skip
@@ -205,12 +201,12 @@ class _Whole:
         self.statuses: Counter[str] = Counter()
         self.instants: list[SingularInstant] = []
         self._limits: dict[tuple[str, float], JointExcess] = {}
-        self._statuses: set[EffortStatus] = set()
+        self._statuses: set[ResultStatus] = set()
         self.tau = self.force = np.zeros(0)
         self.margin = self.gap = np.nan
 
     @property
-    def status(self) -> EffortStatus:
+    def status(self) -> ResultStatus:
         """As ``InverseDynamics.status``."""
         return next(one for one in _WORST_FIRST if one in self._statuses)
 

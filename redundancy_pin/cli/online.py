@@ -14,6 +14,7 @@ from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES, NOT_OPTIMAL, summ
 from redundancy_pin.cli.plan_problem import flags_of, number, numbers, parameters_of, planner_options, read_parameters
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer.page import require_html, require_meshcat
 
@@ -84,7 +85,8 @@ def online(
     facts |= {"motion": motion.described, "ends": getattr(followed, "ends", None), "out": out, "html": html}
     output.report(as_json, facts, _table(facts, plan.robot.effort_units[0]))
     warn(plan)
-    left = sum(count for status, count in run.counts.items() if status not in ("planned", "slowed"))
+    planned = (UpdateStatus.OK.value, UpdateStatus.TIME_SCALED.value)
+    left = sum(count for status, count in run.counts.items() if status not in planned)
     if left:
         output.warning(f"{left} of {len(run.commands)} ticks had no plan within every limit.")
     if failed:

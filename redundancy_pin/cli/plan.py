@@ -15,8 +15,9 @@ from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.planners.limits import LimitEvent
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot.joint_ranges import beyond_limits
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import COMPILED, RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.measures import SWING, reversals, reversals_beside_singularities
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
@@ -33,7 +34,7 @@ _CALMING = 0.01  # weight of "effort_rate" that takes the 2-RPR's circle from 35
 BREAKS_LIMITS = 3  # exit code of a plan that breaks limits or needs unbounded efforts
 NOT_OPTIMAL = 4  # exit code of a plan that keeps all limits, but is no optimum or whose samples do not show it
 # others: BREAKS_LIMITS
-EXIT_CODES = {PlanStatus.WITHIN_LIMITS: 0, PlanStatus.STOPPED_EARLY: NOT_OPTIMAL, PlanStatus.UNRESOLVED: NOT_OPTIMAL}
+EXIT_CODES = {ResultStatus.OK: 0, ResultStatus.NOT_CONVERGED: NOT_OPTIMAL, ResultStatus.UNRESOLVED: NOT_OPTIMAL}
 
 
 _FINER = {
@@ -50,9 +51,9 @@ def warn(plan: Plan, *, ranges: bool = True) -> None:
     """Print in one line on stderr what is wrong with a plan, or all but ``ranges`` of joints; nothing if nothing is."""
     check = plan.between
     broken = tuple(event for event in plan.limits.violated if ranges or event.quantity != "range")
-    if broken and plan.status is PlanStatus.VIOLATES_LIMITS:
+    if broken and plan.status is ResultStatus.LIMIT_VIOLATED:
         output.warning(f"limits broken: {_events(plan, broken, '; ', broken=True)}.")
-    if plan.status is PlanStatus.UNBOUNDED_EFFORT:
+    if plan.status is ResultStatus.UNBOUNDED:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
         if len(bad) or check is None:
             first = f" first at t = {plan.t[bad[0]]:.6g} s," if len(bad) else ""
@@ -61,7 +62,7 @@ def warn(plan: Plan, *, ranges: bool = True) -> None:
             where = f" between the samples, at t = {check.time[int(check.peak.argmax())]:.6g} s"
         output.warning(f"no finite main efforts:{where}, where W is singular.")
     if plan.diagnostics.get("optimal") is False:
-        kept = plan.status in (PlanStatus.STOPPED_EARLY, PlanStatus.UNRESOLVED)
+        kept = plan.status in (ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED)
         there = "The plan keeps every limit, but there" if kept else "There"
         output.warning(
             f"this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). "

@@ -25,7 +25,6 @@ from redundancy_pin.simulation import (
     MotionReference,
     Sampling,
     Simulation,
-    SimulationStatus,
     closed_state,
     motion_reference,
     plan_reference,
@@ -33,6 +32,7 @@ from redundancy_pin.simulation import (
 from redundancy_pin.simulation import simulate as run_simulation
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.trajectory import Ends
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.curves import run_title
@@ -41,9 +41,9 @@ from redundancy_pin.visualisation.figures.plots import simulation as plot_simula
 from redundancy_pin.visualisation.figures.video import require_video, save_video
 
 EXIT_CODES = {
-    SimulationStatus.COMPLETED: 0,
-    SimulationStatus.STOPPED_BY_EVENT: BREAKS_LIMITS,
-    SimulationStatus.FAILED: NOT_OPTIMAL,
+    ResultStatus.OK: 0,
+    ResultStatus.STOPPED: BREAKS_LIMITS,
+    ResultStatus.NOT_CONVERGED: NOT_OPTIMAL,
 }
 """By how a simulation ended."""
 
@@ -243,10 +243,10 @@ def require_not_negative(flag: str, value: object) -> None:
 
 def warn(run: Simulation) -> None:
     """Print in one line on stderr why a simulation did not reach its end; nothing if it did."""
-    if run.status is SimulationStatus.STOPPED_BY_EVENT:
+    if run.status is ResultStatus.STOPPED:
         last = run.events[-1]
         text = f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})"
-    elif run.status is SimulationStatus.FAILED:
+    elif run.status is ResultStatus.NOT_CONVERGED:
         text = f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}"
     else:
         return

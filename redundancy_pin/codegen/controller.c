@@ -176,14 +176,14 @@ static int distribute(const double *W, const double *f, double force_size, robot
   out->condition = s.condition;
   out->rank = s.rank;
   if (consistent && !full) return ROBOT_SINGULAR_CONSISTENT;
-  if (consistent) return s.margin < NEAR_SINGULAR ? ROBOT_NEAR_SINGULAR : ROBOT_REGULAR;
-  return full ? ROBOT_UNDERACTUATED_INCONSISTENT : ROBOT_SINGULAR_INCONSISTENT;
+  if (consistent) return s.margin < NEAR_SINGULAR ? ROBOT_NEAR_SINGULAR : ROBOT_OK;
+  return full ? ROBOT_UNDERACTUATED : ROBOT_SINGULAR_INCONSISTENT;
 }
 
 /* --- states -------------------------------------------------------------------------------------------------------- */
 
 static int status_of(int closed) {
-  static const int STATUS[] = {ROBOT_REGULAR, ROBOT_UNREACHABLE, ROBOT_TYPE_I, ROBOT_OTHER_MODE, ROBOT_NOT_FINITE};
+  static const int STATUS[] = {ROBOT_OK, ROBOT_UNREACHABLE, ROBOT_TYPE_I, ROBOT_BRANCH_LOST, ROBOT_NOT_FINITE};
   return STATUS[closed];
 }
 
@@ -200,7 +200,7 @@ static int pose_of(const robot_state *state, Pose *pose, double *x) {
   turns_of(state->q, trig);
   coordinates_of(state->q, trig, x);
   if (!start_at(pose, state->q, x) || pose->sign * state->sign < 0.0) return ROBOT_UNREACHABLE;
-  return ROBOT_REGULAR;
+  return ROBOT_OK;
 }
 
 int robot_reset(robot_state *state) {
@@ -213,7 +213,7 @@ int robot_reset(robot_state *state) {
   if (status) return status;
   copy(state->q, pose.q, NQ);
   state->sign = pose.sign;
-  return ROBOT_REGULAR;
+  return ROBOT_OK;
 }
 
 int robot_go_to(robot_state *state, const double x[ROBOT_NX]) {
@@ -223,10 +223,10 @@ int robot_go_to(robot_state *state, const double x[ROBOT_NX]) {
   int status = pose_of(state, &pose, here);
   if (status) return status;
   if (!go_far(&pose, here, x)) return ROBOT_UNREACHABLE;
-  if (!in_mode(&pose)) return ROBOT_OTHER_MODE;
+  if (!in_mode(&pose)) return ROBOT_BRANCH_LOST;
   copy(state->q, pose.q, NQ);
   state->sign = pose.sign;
-  return ROBOT_REGULAR;
+  return ROBOT_OK;
 }
 
 /* --- inverse dynamics ---------------------------------------------------------------------------------------------- */
@@ -312,7 +312,7 @@ static int forward(Pose *pose, const double *position, double *off) {
     for (int c = 0; c < N; ++c) dx[c] /= EQUATION_UNIT[R + c];
     for (int i = 0; i < NP; ++i) step[i] = closing[COLUMNS[i]] / STEP_UNIT[i] + dot(X[i] + R, dx, N);
     double size = largest(step, NP);
-    if (size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && pose->gap < TOLERANCE)) return ROBOT_REGULAR;
+    if (size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && pose->gap < TOLERANCE)) return ROBOT_OK;
     if (!(size <= CONTRACTION * last)) return ROBOT_UNREACHABLE;
     for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(pose->q, step);
@@ -339,7 +339,7 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
   clear(none, N);
   double margin = rates(&pose, none, none, v, a, gamma, W);
   if (!(margin >= LEAST_MARGIN)) return ROBOT_TYPE_I;
-  if (!in_mode(&pose)) return ROBOT_OTHER_MODE;
+  if (!in_mode(&pose)) return ROBOT_BRANCH_LOST;
   spectrum_of(W, &s);
   if (s.rank < N) return ROBOT_TYPE_II;
   copy(rate, given->velocity, M);
@@ -356,7 +356,7 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
   platform->gap = pose.gap * LENGTH;
   platform->margin = s.margin;
   platform->type_I_margin = margin;
-  return s.margin < NEAR_SINGULAR ? ROBOT_NEAR_SINGULAR : ROBOT_REGULAR;
+  return s.margin < NEAR_SINGULAR ? ROBOT_NEAR_SINGULAR : ROBOT_OK;
 }
 #endif
 
@@ -378,7 +378,7 @@ int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
 #endif
   for (int i = 0; i < NV; ++i) copy(out->gamma[i], gamma + i * N, N);
   for (int i = 0; i < N; ++i) copy(out->W[i], W + i * M, M);
-  return ROBOT_REGULAR;
+  return ROBOT_OK;
 }
 
 int robot_margins_at(const robot_state *state, robot_margins *out) {
@@ -395,5 +395,5 @@ int robot_margins_at(const robot_state *state, robot_margins *out) {
   out->type_II = s.margin;
   out->condition = s.condition;
   out->rank = s.rank;
-  return ROBOT_REGULAR;
+  return ROBOT_OK;
 }

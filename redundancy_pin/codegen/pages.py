@@ -23,6 +23,7 @@ from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.scales import closure_tolerance, force_terms, is_revolute, row_scale, velocity_unit
+from redundancy_pin.status import SampleStatus
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
 """Generated functions that ``driver.c`` and ``controller.c`` call; a static one without a caller is a warning."""
@@ -149,6 +150,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "title": _as_comment(robot.name),
         "prefix": prefix,
         "PREFIX": prefix.upper(),
+        "status": {status.name: int(status) for status in SampleStatus},
         "home": _listed(coordinates(robot, ConstraintSystem(robot).evaluate(robot.q_reference[None])).reshape(-1)),
         "n": robot.n,
         "m": robot.m,

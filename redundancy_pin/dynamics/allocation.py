@@ -30,11 +30,11 @@ forces F = F_0 + M_ss δ, F_0 that of δ = 0. What one kind of actuator cannot g
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, IntArray
+from redundancy_pin.status import SampleStatus
 
 
 def minimum_norm(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> tuple[Array, Array]:
@@ -253,20 +253,6 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, r
     return np.array(residuals)
 
 
-class AllocationStatus(Enum):
-    """What became of the wanted acceleration."""
-
-    EXACT = "exact"
-    """Efforts and carriers bring it up."""
-    SATURATED = "saturated"
-    """Main efforts or carrier forces at their limits, the others bring up the rest exactly."""
-    BEYOND_LIMITS = "beyond_limits"
-    """Main efforts and carrier forces within their limits fall short together: ``residual`` is missing."""
-    UNBALANCED = "unbalanced"
-    """Main actuators and carriers have no effect in some direction (or there is no model: a type I pose); the residual
-    is what would be missing there."""
-
-
 RESIDUAL_TOLERANCE = 1e-9
 """Share of the wanted force that may be missing by rounding."""
 
@@ -305,14 +291,24 @@ class Allocation(Frozen):
         residual: scaled norm of f − (W τ − M_xs δ), N.
         margin: smallest singular value of [W τ̂, −M_xs â], row-scaled, N: what can be brought up in the worst direction
             by deviations of the size of the scales.
-        status: what became of it.
+        status: ``OK``; ``BOUND_INFEASIBLE`` where efforts and carrier forces within their limits fall short together,
+            by ``residual``; ``SINGULAR_INCONSISTENT`` or ``UNDERACTUATED`` where they have no effect in some direction;
+            ``TYPE_I`` where there is no W.
+        saturated: whether a main effort or a carrier force is at its limit; with status ``OK`` the others make up for
+            it exactly.
     """
 
     tau: Array
     deviation: Array
     residual: float
     margin: float
-    status: AllocationStatus
+    status: SampleStatus
+    saturated: bool = False
+
+    @property
+    def balanced(self) -> bool:
+        """Whether main actuators and carriers act in every direction of the wanted force, limits aside."""
+        return self.status in (SampleStatus.OK, SampleStatus.BOUND_INFEASIBLE)
 
 
 def allocate(
@@ -354,11 +350,12 @@ def allocate(
     answer = start + scale * (vt[rank].T @ ((u[:, rank].T @ rest) / values[rank]))
     residual = float(np.linalg.norm(wanted - full @ answer))
     if residual > size:
-        return Allocation(answer[:m], answer[m:], residual, margin, AllocationStatus.UNBALANCED)
+        short = SampleStatus.UNDERACTUATED if rank.sum() == min(full.shape) else SampleStatus.SINGULAR_INCONSISTENT
+        return Allocation(answer[:m], answer[m:], residual, margin, short)
     most = np.full(m, np.inf) if effort_limit is None else effort_limit
     forces = CarrierForces(np.zeros(k), np.eye(k), np.full(k, np.inf)) if carriers is None else carriers
     if (np.abs(answer[:m]) <= most).all() and forces.allow(answer[m:]):
-        return Allocation(answer[:m], answer[m:], residual, margin, AllocationStatus.EXACT)
+        return Allocation(answer[:m], answer[m:], residual, margin, SampleStatus.OK)
     # the carriers' forces are bounded unknowns like the main efforts: C maps scaled deviations to both
     bounded = np.zeros((m + k, m + k))
     bounded[:m, :m], bounded[m:, m:] = np.diag(effort_scale), forces.mass * carrier_scale
@@ -367,5 +364,5 @@ def allocate(
     answer = start + scale * deviation
     answer[:m] = np.clip(answer[:m], -most, most)
     residual = float(np.linalg.norm(wanted - full @ answer))
-    status = AllocationStatus.SATURATED if within and residual <= size else AllocationStatus.BEYOND_LIMITS
-    return Allocation(answer[:m], answer[m:], residual, margin, status)
+    status = SampleStatus.OK if within and residual <= size else SampleStatus.BOUND_INFEASIBLE
+    return Allocation(answer[:m], answer[m:], residual, margin, status, saturated=True)

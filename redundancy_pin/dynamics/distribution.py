@@ -17,7 +17,6 @@ from redundancy_pin.arrays import (
     BoolArray,
     Frozen,
     IntArray,
-    Labelled,
     checked,
     frozen,
     peak,
@@ -28,41 +27,7 @@ from redundancy_pin.dynamics.allocation import fit_into_bounds, least_residual, 
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.spectrum import null_directions, scaled, spectrum_of
-
-
-class SampleStatus(Labelled):
-    """Whether and how W τ = f has a solution at one sample: see ``solved``."""
-
-    REGULAR = 0
-    """W has full rank and a margin; the efforts balance f."""
-    NEAR_SINGULAR = 1
-    """As regular, but the margin is below the threshold: expect large efforts."""
-    SINGULAR_CONSISTENT = 2
-    """W lacks rank, but f lies in its range: finite efforts exist, and those of least norm are returned."""
-    SINGULAR_INCONSISTENT = 3
-    """W lacks rank and f has a part outside its range: no finite efforts."""
-    UNDERACTUATED_INCONSISTENT = 4
-    """W has all the rank its columns allow, but there are fewer actuators than freedoms and f has a part that none of
-    them can balance: the motion is impossible, though the pose is not singular."""
-    BOUND_INFEASIBLE = 5
-    """Efforts exist, but none within the bounds."""
-    UNREACHABLE = 6
-    """No configuration closes the chains, so there is no W and no f."""
-    OUT_OF_RANGE = 7
-    """W τ = f has the solution that is returned, but a joint is beyond its range: the pose cannot be reached. It
-    stands in for the three statuses with a solution, whose margin and rank are still given; those without one come
-    first."""
-
-    @property
-    def solved(self) -> bool:
-        """Whether W τ = f has a solution, which is returned."""
-        return bool(solved_status(np.array(self)))
-
-
-def solved_status(status: IntArray) -> BoolArray:
-    """Return of statuses, any shape, whether W τ = f has a solution."""
-    result: BoolArray = (status <= SampleStatus.SINGULAR_CONSISTENT) | (status == SampleStatus.OUT_OF_RANGE)
-    return result
+from redundancy_pin.status import SampleStatus, solved_status
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +86,7 @@ class Distribution(Frozen):
 
     @property
     def status_labels(self) -> NDArray[np.str_]:
-        """(N,) the statuses as text, such as ``"regular"``."""
+        """(N,) the statuses as text, such as ``"ok"``."""
         return read_only(np.array([status.label for status in SampleStatus])[self.status])
 
     @property
@@ -260,8 +225,8 @@ def distribute(
             SampleStatus.BOUND_INFEASIBLE,
             SampleStatus.SINGULAR_CONSISTENT,
             SampleStatus.NEAR_SINGULAR,
-            SampleStatus.REGULAR,
-            SampleStatus.UNDERACTUATED_INCONSISTENT,
+            SampleStatus.OK,
+            SampleStatus.UNDERACTUATED,
         ],
         SampleStatus.SINGULAR_INCONSISTENT,
     ).astype(np.intp)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from enum import Enum
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -19,7 +18,7 @@ from redundancy_pin.dynamics.base import (
     require_on_track,
 )
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
+from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
 from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import difference, working_modes
@@ -32,6 +31,7 @@ from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
 from redundancy_pin.spectrum import scaled
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 _CONSISTENT = 1e-3
@@ -46,18 +46,6 @@ touches."""
 _NEAR, _FAR = 2.0 * SPACING, 10.0 * SPACING
 """Steps of samples, in characteristic lengths, between which the margin is not searched where it stays away from zero;
 the second where the search fails."""
-
-
-class EffortStatus(Enum):
-    """What may be said of the efforts along a motion as a whole; values as of ``PlanStatus``."""
-
-    FINITE_EFFORT = "finite_effort"
-    """Every reachable sample has finite efforts, and so has every instant between the samples."""
-    UNBOUNDED_EFFORT = "unbounded_effort"
-    """No finite efforts, or none within bounds that were given, exist at a sample, or no finite ones at a singularity
-    between two: see ``efforts.status``, ``instants``."""
-    UNRESOLVED = "unresolved"
-    """Not known, since the motion cannot be followed between its samples: see ``unresolved``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +93,12 @@ class InverseDynamics(Frozen):
     unresolved: str
 
     @property
-    def status(self) -> EffortStatus:
+    def status(self) -> ResultStatus:
         """What may be said of the whole motion."""
         without = self.reduced.reachable & ~np.isfinite(self.efforts.tau).all(axis=1)
         if without.any() or any(instant.unbounded for instant in self.instants):
-            return EffortStatus.UNBOUNDED_EFFORT
-        return EffortStatus.UNRESOLVED if self.unresolved else EffortStatus.FINITE_EFFORT
+            return ResultStatus.UNBOUNDED
+        return ResultStatus.UNRESOLVED if self.unresolved else ResultStatus.OK
 
     def __repr__(self) -> str:
         """Return what is to be known of the whole motion, not the arrays."""

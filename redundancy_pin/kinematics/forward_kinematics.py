@@ -23,7 +23,6 @@ from redundancy_pin.arrays import (
     BoolArray,
     Frozen,
     IntArray,
-    Labelled,
     blocks,
     checked,
     positive,
@@ -43,6 +42,7 @@ from redundancy_pin.robot.joint_ranges import out_of_range, random_spread, range
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, turning_velocities, velocity_unit
+from redundancy_pin.status import SampleStatus, solved_status
 
 _AGREE = 1e-8
 """Largest contradiction between positions of redundant motors, in characteristic lengths or rad: rounding."""
@@ -68,22 +68,6 @@ _SAME_TURN = 1e-6
 """rad; configurations this near, turns apart, are one."""
 
 
-class ForwardStatus(Labelled):
-    """What the positions of the motors say of the platform."""
-
-    CONVERGED = 0
-    """The chains are closed on the branch of the start."""
-    OUT_OF_RANGE = 1
-    """As converged, but a joint, maybe a passive one, is beyond its limits: see ``excess``."""
-    SINGULAR = 2
-    """Type II: the motors do not determine the motion of the platform. The pose is known, rates are NaN."""
-    OUT_OF_REACH = 3
-    """The chains cannot be closed, or redundant motors contradict each other; see ``gap``."""
-    BRANCH_LOST = 4
-    """The chains can be closed, but the way there passes samples that are singular or out of reach: on which side of
-    the singularity the machine would come back, kinematics cannot say."""
-
-
 @dataclass(frozen=True, eq=False)
 class ForwardKinematics(Frozen):
     """Where the platform is; made by ``forward_kinematics``. NaN where the status says that nothing is known.
@@ -97,7 +81,7 @@ class ForwardKinematics(Frozen):
         q: (N, nq) configurations, carriers at zero; pass one as ``start`` to go on from there.
         jacobian: (N, n, m) ẋ per rate of each main actuator; of redundant ones those that were followed have columns,
             the others zeros.
-        status: (N,) a ``ForwardStatus`` each.
+        status: (N,) a ``SampleStatus`` each.
         gap: (N,) closure residual, m (angles times the characteristic length); of redundant motors also what they
             contradict each other by.
         margin: (N,) lower bound of the scaled distance to type II, as ``JointTrajectory.serial_margin_bound``; of
@@ -123,12 +107,12 @@ class ForwardKinematics(Frozen):
     @property
     def known(self) -> BoolArray:
         """(N,) whether pose and rates are known, in range or not."""
-        return read_only(self.status <= ForwardStatus.OUT_OF_RANGE)
+        return read_only(solved_status(self.status))
 
     @property
     def status_labels(self) -> NDArray[np.str_]:
-        """(N,) the statuses as text, such as ``"converged"``."""
-        return read_only(np.array([status.label for status in ForwardStatus])[self.status])
+        """(N,) the statuses as text, such as ``"ok"``."""
+        return read_only(np.array([status.label for status in SampleStatus])[self.status])
 
 
 def forward_kinematics(
@@ -200,7 +184,7 @@ def _handed_over(system: ConstraintSystem, stretch: _Stretch, followed: IntArray
     take over on the way there, or where the last sample is that they lead to.
     """
     count, reference = len(stretch.status), stretch.margin[:1]
-    good = int(np.argmin(np.append(stretch.status <= ForwardStatus.OUT_OF_RANGE, False)))
+    good = int(np.argmin(np.append(solved_status(stretch.status), False)))
     for i in range(min(good, count - 1)) if system.robot.m > system.robot.n else ():
         if stretch.margin[i] < _WEAKER * reference[0] or i == good - 1:
             others = _followed(system, stretch.q[i])
@@ -241,7 +225,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
         part[places] for part in (tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
     )
     end = int(np.isfinite(branch[places]).all(axis=1).sum())
-    status: IntArray = np.full(len(u), int(ForwardStatus.CONVERGED))
+    status: IntArray = np.full(len(u), int(SampleStatus.OK))
     q = branch[places]
     if end < len(u):
         v[end:], a[end:], gamma[end:] = np.nan, np.nan, np.nan
@@ -255,12 +239,12 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
     q, x = route.turned(branch, q), x[places] if is_pose(robot) else route.turned(x, x[places])
     gap = np.fmax(gap, _contradiction(system, followed, u, q))
-    contradicted = (status == ForwardStatus.CONVERGED) & (gap > _AGREE * robot.characteristic_length)
-    status[contradicted] = ForwardStatus.OUT_OF_REACH
+    contradicted = (status == SampleStatus.OK) & (gap > _AGREE * robot.characteristic_length)
+    status[contradicted] = SampleStatus.UNREACHABLE
     for part in (x, xd, xdd, q, J):
         part[contradicted] = np.nan
     excess = range_excess(robot, q)
-    status[(status == ForwardStatus.CONVERGED) & (excess > range_slack(robot)).any(axis=1)] = ForwardStatus.OUT_OF_RANGE
+    status[(status == SampleStatus.OK) & (excess > range_slack(robot)).any(axis=1)] = SampleStatus.OUT_OF_RANGE
     return _Stretch(x, xd, xdd, q, J, status, gap, margin, excess)
 
 
@@ -304,8 +288,8 @@ def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Arr
     singular = solved.closed & (solved.projection.margin == 0.0)
     passed = int(np.argmin(np.append(singular, False)))  # only until another sample is met the branch is known
     q, status, gap, margin = rest
-    status[:] = np.where(solved.closed, ForwardStatus.BRANCH_LOST, ForwardStatus.OUT_OF_REACH)
-    status[:passed] = ForwardStatus.SINGULAR
+    status[:] = np.where(solved.closed, SampleStatus.BRANCH_LOST, SampleStatus.UNREACHABLE)
+    status[:passed] = SampleStatus.TYPE_II
     q[:passed], gap[:], margin[:] = solved.q[:passed], solved.gap, np.where(singular, 0.0, np.nan)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics, terms_along
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute
+from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
@@ -30,6 +30,7 @@ from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
 from redundancy_pin.spectrum import scaled, spectrum_of
+from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -462,7 +463,7 @@ def target_effort(
         if lam > 0.0:
             raise InputError(
                 f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
-                remedy='Pass baseline=VirtualWork(load_robot("3rrr", carriers=False)) or an array (N, m).',
+                remedy='Pass baseline=load_robot("3rrr", carriers=False) or an array (N, m).',
             )
         return np.zeros(shape), None
     if is_dynamics(baseline):

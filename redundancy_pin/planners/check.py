@@ -14,7 +14,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only, require_type
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute, solved_status
+from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -36,12 +36,13 @@ from redundancy_pin.planners.limits import (
     motion_broken,
     ranges_left,
 )
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.planners.samples_only import reconstruction_error
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.singularities.roots import zeros
+from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -100,10 +101,10 @@ def finish_plan(
         left, size = imbalance(reduced, tau)
         residual[given] = left[given]
         balanced = left[given] <= BALANCE_TOLERANCE * size
-        fine = np.where(status[given] == SampleStatus.OUT_OF_RANGE, SampleStatus.OUT_OF_RANGE, SampleStatus.REGULAR)
+        fine = np.where(status[given] == SampleStatus.OUT_OF_RANGE, SampleStatus.OUT_OF_RANGE, SampleStatus.OK)
         status[given] = np.where(balanced, fine, SampleStatus.SINGULAR_INCONSISTENT)
     if singular is not None:  # however well W τ = f looks at one instant
-        regular = singular[status[singular] == SampleStatus.REGULAR]
+        regular = singular[status[singular] == SampleStatus.OK]
         status[regular] = SampleStatus.SINGULAR_CONSISTENT
     effort, rate = (
         np.array(parameters.get(name, np.full(robot.m, np.inf)), dtype=float) for name in ("effort", "actuator_speed")
@@ -125,16 +126,16 @@ def finish_plan(
     platform = None if functions is None else functions.platform
     at_samples = (*limits.violated, *at_samples, *jerks[0], *_ranges_left(robot, along.motion, platform))
     violated = merged_events(at_samples, exceeded)
-    overall = PlanStatus.WITHIN_LIMITS if diagnostics.get("optimal", True) else PlanStatus.STOPPED_EARLY
+    overall = ResultStatus.OK if diagnostics.get("optimal", True) else ResultStatus.NOT_CONVERGED
     check = None if between is None else between.check
     if check is not None:
         findings["dense_check"] = _summary(check, tau)
-        overall = overall if check.passed else PlanStatus.UNRESOLVED
+        overall = overall if check.passed else ResultStatus.UNRESOLVED
     if violated:
-        overall = PlanStatus.VIOLATES_LIMITS
+        overall = ResultStatus.LIMIT_VIOLATED
     lost = not np.isfinite(tau).all() or not solved_status(status).all()
     if lost or (check is not None and not np.isfinite(check.peak).all()):
-        overall = PlanStatus.UNBOUNDED_EFFORT
+        overall = ResultStatus.UNBOUNDED
     return Plan(
         motion=along.motion,
         carriers=carriers,
@@ -319,7 +320,7 @@ class PlanCheck:
             machine may take another one than the plan.
     """
 
-    status: PlanStatus
+    status: ResultStatus
     violated: tuple[LimitEvent, ...]
     peak_effort: Array
     imbalance: float
@@ -484,7 +485,7 @@ def _verdict_deviations(plan: Plan, again: Plan) -> list[Deviation]:
         if (carrier, quantity) not in reported:
             message = f"The {quantity} of {carrier} exceeds its limit by {event.amount:.4g} at t = {event.worst:.6g} s."
             deviations.append(Deviation("limits", event.worst, event.amount, message))
-    unseen = plan.between is None and again.status is PlanStatus.UNRESOLVED  # version 0.1.0 did not look there
+    unseen = plan.between is None and again.status is ResultStatus.UNRESOLVED  # version 0.1.0 did not look there
     if plan.status is not again.status and not unseen:
         message = f"The status is {again.status.value}, not {plan.status.value}."
         deviations.append(Deviation("status", float("nan"), float("nan"), message))

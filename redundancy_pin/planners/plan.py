@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from enum import Enum
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -14,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, require_type
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.io.schema import record_of
@@ -24,6 +22,7 @@ from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
 from redundancy_pin.planners.samples_only import functions_of_samples
 from redundancy_pin.robot import CarrierLimits, Robot, RobotLike
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -40,23 +39,6 @@ SAME_TIME = 1e-9
 """How far, relative to the duration, plan and trajectory may differ in their times."""
 
 
-class PlanStatus(Enum):
-    """What may be said of a plan as a whole."""
-
-    WITHIN_LIMITS = "within_limits"
-    """Efforts are finite, and every limit holds on the continuous motion, to 0.1 % (``LIMIT_TOLERANCE``)."""
-    VIOLATES_LIMITS = "violates_limits"
-    """Efforts are finite, but a limit of a carrier or an actuator is exceeded somewhere on the continuous motion, or
-    the range of a joint left: see ``limits.violated``."""
-    UNBOUNDED_EFFORT = "unbounded_effort"
-    """Some sample has no finite main effort: see ``sample_status``."""
-    STOPPED_EARLY = "stopped_early"
-    """Every limit holds, but the optimiser stopped before it had an optimum: there may be a better plan."""
-    UNRESOLVED = "unresolved"
-    """Every limit holds, but between the samples the efforts exceed those at the samples by more than 5 %: the samples
-    do not show the plan; ``peak_effort`` does. See ``between``."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Frozen):
     """What a planner returns; the arrays are read-only. N samples, n coordinates, m main actuators, k carriers.
@@ -67,7 +49,7 @@ class Plan(Frozen):
         tau: (N, m) main efforts, N or N·m.
         carrier_force: (N, k) forces of the carriers' actuators, N.
         actuated_rate: (N, m) rates of the main actuators, m/s or rad/s.
-        sample_status: (N,) a ``dynamics.distribution.SampleStatus`` each.
+        sample_status: (N,) a ``SampleStatus`` each.
         residual: (N,) scaled norm of W τ − f, N.
         margin: (N,) smallest singular value of the scaled W.
         condition: (N,) condition number of the scaled W.
@@ -98,7 +80,7 @@ class Plan(Frozen):
     phase: IntArray
     phases: tuple[str, ...]
     limits: LimitReport
-    status: PlanStatus
+    status: ResultStatus
     planner: str
     backend: str
     robot: RobotRecord
@@ -376,7 +358,7 @@ def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
         "limits": LimitReport(
             **{key: tuple(record_of(kind, one) for one in limits[key]) for key, kind in kinds.items()}
         ),
-        "status": PlanStatus(values["status"]),
+        "status": ResultStatus(values["status"]),
         "robot": read_robot(values["robot"], path),
         "functions": None if values["functions"] is None else _functions(values["functions"]),
         "between": None if values["between"] is None else DenseCheck(**values["between"]),
@@ -443,7 +425,7 @@ def _check(plan: Plan) -> None:
         if len(entries) != carriers:
             raise InputError(f"it has limits of {len(entries)} carriers, but {carriers} carriers")
     unbounded = ~np.isfinite(plan.tau).all(axis=1)
-    if unbounded.any() and plan.status is not PlanStatus.UNBOUNDED_EFFORT:
+    if unbounded.any() and plan.status is not ResultStatus.UNBOUNDED:
         t = float(plan.t[unbounded][0])
         raise InputError(f"its status is {plan.status.value}, but it has no finite efforts at t = {t:.6g} s")
     _require_codes("phase", plan.phase, range(len(plan.phases)))

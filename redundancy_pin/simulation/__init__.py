@@ -11,7 +11,7 @@ from redundancy_pin.simulation.derivatives import (
 )
 from redundancy_pin.simulation.events import KINDS, Event
 from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.result import Simulation, SimulationStatus, Statistics, load_simulation
+from redundancy_pin.simulation.result import Simulation, Statistics, load_simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
@@ -29,7 +29,6 @@ __all__ = [
     "ReferencePoint",
     "Sampling",
     "Simulation",
-    "SimulationStatus",
     "State",
     "Statistics",
     "closed_state",

@@ -33,9 +33,9 @@ from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.controllers.base import Command, Sampling, is_same
 from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
-from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.state import PROJECTION_TOLERANCE
 from redundancy_pin.simulation.system import Machine
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45, "Radau": Radau}
@@ -171,12 +171,12 @@ class Progress:
     restarts: int = 0
     largest_correction: float = 0.0
     seconds: float = 0.0
-    status: SimulationStatus | None = None
+    status: ResultStatus | None = None
     reason: str = ""
 
     def failed(self, why: str) -> Progress:
         """Return that it ends here."""
-        return replace(self, status=SimulationStatus.FAILED, reason=f"At t = {self.t:.9g} s {why.rstrip('.')}.")
+        return replace(self, status=ResultStatus.NOT_CONVERGED, reason=f"At t = {self.t:.9g} s {why.rstrip('.')}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ def integrate(
             if progress.status is not None:
                 break
     record.samples.append(_sample(problem.machine, progress.t, progress.y, hold, progress.sheet))
-    status = progress.status or SimulationStatus.COMPLETED
+    status = progress.status or ResultStatus.OK
     return record, replace(progress, status=status, seconds=time.perf_counter() - began)
 
 
@@ -242,7 +242,7 @@ def _with_other_rows(
     ``changed``: when that was done last, s; it is not done twice at one place.
     """
     robot = problem.machine.robot
-    if progress.status is not SimulationStatus.FAILED or progress.t <= changed:
+    if progress.status is not ResultStatus.NOT_CONVERGED or progress.t <= changed:
         return None
     q = progress.y[: robot.model.nq]
     if not made_up(robot, q):
@@ -448,7 +448,7 @@ def _step(
     _record(problem, step, solver.t if stop is None else stop, hold, record, rate.sheet)
     if stop is not None:
         y, _, _ = machine.project(stop, step(stop), rate.sheet)
-        progress = replace(progress, t=stop, y=y, status=SimulationStatus.STOPPED_BY_EVENT)
+        progress = replace(progress, t=stop, y=y, status=ResultStatus.STOPPED)
         if stop != rest:
             return progress
         why = "it rests where its closures lose rank, and its motion is undetermined"

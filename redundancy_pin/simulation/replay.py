@@ -22,6 +22,7 @@ from redundancy_pin.simulation.controllers.by_name import controller_by_name
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -60,9 +61,9 @@ class Replay:
     Attributes:
         plan: name of the plan.
         drive: what drove the machine.
-        status: that of the simulation; "ill_posed" where forces do not determine the motion at the start (or the linear
-            model has none), "no_efforts" where the plan has no finite efforts somewhere.
-        reason: why it is not "completed"; may be empty.
+        status: value of the simulation's ``ResultStatus``; "not_converged" also where forces do not determine the
+            motion at the start (or there is no linear model), "unbounded" where the plan has no finite efforts.
+        reason: why it is not "ok"; may be empty.
         t: (N,) times, s; empty where nothing was simulated.
         error: (N,) distance of the platform from the planned motion, m.
         largest, rms, last: of ``error``; NaN where nothing was simulated.
@@ -132,7 +133,7 @@ def replay(
         name: of the plan, for the result.
         motion: the trajectory that was planned for.
         sampling: of the controllers.
-        backend: makes the ``dynamics`` of ``simulate`` and of controllers for the plan's robot, ``CompiledDynamics`` to
+        backend: makes the ``dynamics`` of ``simulate`` and of controllers for the plan's robot, ``default_dynamics`` to
             be fast.
 
     Raises:
@@ -161,9 +162,9 @@ def replay(
             dynamics=dynamics,
         )
     except (IllPosedModelError, SingularPoseError) as reason:
-        return Replay(name, drive, "ill_posed", str(reason))
+        return Replay(name, drive, ResultStatus.NOT_CONVERGED.value, str(reason))
     except InfeasiblePlanError as reason:
-        return Replay(name, drive, "no_efforts", str(reason))
+        return Replay(name, drive, ResultStatus.UNBOUNDED.value, str(reason))
     error = away_from(reference, run)
     return Replay(
         plan=name,

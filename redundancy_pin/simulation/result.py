@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,7 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.robot_record import RobotRecord, read_robot, robot_of_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.events import Event
+from redundancy_pin.status import ResultStatus
 
 if TYPE_CHECKING:
     from redundancy_pin.planners.export import PlanTable
@@ -30,17 +30,6 @@ FORMAT = "redundancy_pin simulation"
 
 VERSION = 2
 """Version of the file format."""
-
-
-class SimulationStatus(Enum):
-    """How a simulation ended."""
-
-    COMPLETED = "completed"
-    """It reached its end."""
-    STOPPED_BY_EVENT = "stopped_by_event"
-    """An event it was told to stop at came first: the last of ``events``."""
-    FAILED = "failed"
-    """The integration could not go on; ``reason`` says why, and the samples end there."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +98,7 @@ class Simulation(Frozen):
     gap: Array
     energy: Array
     events: tuple[Event, ...]
-    status: SimulationStatus
+    status: ResultStatus
     reason: str
     statistics: Statistics
     robot: RobotRecord
@@ -209,7 +198,7 @@ def _simulation(record: Mapping[str, Any], path: str | Path) -> Simulation:
     values = {field.name: record[field.name] for field in fields(Simulation)}
     values["robot"] = read_robot(values["robot"], path)
     values["events"] = tuple(Event(**entry) for entry in values["events"])
-    values["status"] = SimulationStatus(values["status"])
+    values["status"] = ResultStatus(values["status"])
     values["statistics"] = Statistics(**values["statistics"])
     simulation = Simulation(**values)
     _check(simulation)

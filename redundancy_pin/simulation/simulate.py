@@ -36,9 +36,10 @@ from redundancy_pin.simulation.controllers.base import (
 from redundancy_pin.simulation.events import EventFunctions
 from redundancy_pin.simulation.integrator import INTEGRATORS, InitialValueProblem, Progress, SimulationRecord, integrate
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
-from redundancy_pin.simulation.result import Simulation, SimulationStatus, Statistics
+from redundancy_pin.simulation.result import Simulation, Statistics
 from redundancy_pin.simulation.state import State
 from redundancy_pin.simulation.system import External, Machine, Method
+from redundancy_pin.status import ResultStatus
 
 RTOL = 1e-11
 """Default relative tolerance of a step. Energy then drifts by some 1e-10 of itself in ten seconds."""
@@ -108,9 +109,9 @@ def simulate(
             which pays where tolerances are loose. At tight ones the step control grinds at the kinks.
         method: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
         way: the name of ``method`` in version 0.1.0; deprecated.
-        dynamics: a backend of this robot whose forward dynamics are machine code (``CompiledDynamics``), which then
-            takes the ordinary steps of explicit integrators: many times as fast, the same to the tolerances. Others
-            make no difference.
+        dynamics: this robot again, or its name or path, for generated code (``as_dynamics``); or a backend of it.
+            Generated code then takes the ordinary steps of explicit integrators: many times as fast, the same to the
+            tolerances. Backends without forward dynamics make no difference.
 
     Returns:
         A ``Simulation``. Its status tells what went wrong on the way: an event at which it stopped, or a failure
@@ -285,7 +286,7 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float) -> Sheet | Non
 def _simulation(machine: Machine, record: SimulationRecord, end: Progress, parameters: dict[str, object]) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
     robot, model, samples = machine.robot, machine.robot.model, record.samples
-    status = end.status or SimulationStatus.COMPLETED
+    status = end.status or ResultStatus.OK
     count, t = len(samples), frozen([sample.t for sample in samples])
     q, v = np.split(np.array([sample.y for sample in samples]), [model.nq], axis=1)
     a, energy = np.full((count, model.nv), np.nan), np.empty(count)
@@ -301,7 +302,7 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
         except (IllPosedModelError, SingularPoseError):
             continue  # a failed simulation ends there: the efforts have no accelerations
         except InputError:
-            if status is not SimulationStatus.FAILED:
+            if status is not ResultStatus.NOT_CONVERGED:
                 raise
             continue  # what blows up may leave a controller without an answer
         tau[i], carrier_force[i] = command[0], loads.carrier_force

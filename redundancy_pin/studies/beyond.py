@@ -9,7 +9,8 @@ from itertools import pairwise
 from typing import Any
 
 from redundancy_pin.errors import InfeasiblePlanError, InputError
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies import cases, measures
 from redundancy_pin.studies.case import Case, Mode, Plans
 from redundancy_pin.studies.cases import EFFORT, NONE, OBJECTIVES, PEAK, STEPWISE, SWITCH_OFF, TASKS, Extent, by_method
@@ -141,7 +142,7 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
                 "solver": "", "why": outcome.message, "missing": measures.missing_force(outcome)}  # fmt: skip
     between, shown = measures.dense_peak(case, outcome), measures.numbers(outcome)
     return {**record, **shown, "dense_peak": between, "worst": max(shown["peak"], between), "exists": True,
-            "sound": outcome.status is PlanStatus.WITHIN_LIMITS, "why": "", "missing": math.nan}  # fmt: skip
+            "sound": outcome.status is ResultStatus.OK, "why": "", "missing": math.nan}  # fmt: skip
 
 
 def by_task(records: Sequence[Record]) -> dict[str, dict[str, Record]]:
@@ -195,8 +196,8 @@ def headline_cell(record: Record | None) -> str | None:
         return NO_PLAN
     worst = record["worst"]
     largest = f"{f'{worst:#.3g}'.rstrip('.')} {record['unit']}" if math.isfinite(worst) else "unbounded"
-    wrong = BREAKS if record["status"] == PlanStatus.VIOLATES_LIMITS.value else record["status"].replace("_", " ")
-    return largest if record["sound"] else f"{largest}, {wrong}"
+    wrong = BREAKS if record["status"] == ResultStatus.LIMIT_VIOLATED.value else record["status"].replace("_", " ")
+    return largest if record["sound"] or wrong == largest else f"{largest}, {wrong}"
 
 
 # --- how fast: bisection on speed with the verdict of the planner --------------------------------------------------
@@ -279,7 +280,7 @@ def attempt(plans: Plans, case: Case) -> Record:
         if isinstance(outcome, InfeasiblePlanError):
             details = {key: outcome.details[key] for key in reasons if outcome.details.get(key) is not None}
             failed = {**record, **details, "said": outcome.message}
-        elif outcome.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.STOPPED_EARLY, PlanStatus.UNRESOLVED):
+        elif outcome.status in (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED):
             binding = sorted({f"{event.quantity} of {event.carrier}" for event in outcome.limits.binding})
             peak = float(outcome.peak_effort.max())
             return {**record, "feasible": True, "status": outcome.status.value, "peak": peak, "binding": binding}
@@ -486,7 +487,7 @@ def _whole(whole: Sequence[Record], groups: Mapping[str, Mapping[str, Record]]) 
     calm = sum(not count > CALM for count in turns.values())
     wildest = max(turns, key=lambda name: float(turns[name]))
     smooth = [record for record in planned.values() if record["way"] == cases.SMOOTH]
-    early = PlanStatus.STOPPED_EARLY.value
+    early = ResultStatus.NOT_CONVERGED.value
     return [
         counted("cost", better, len(compared), better=better, factors=ratios(compared, "energy"),
                 carrier_force=max(record["carrier_force"] for record, _ in compared), least=ratios(least, "energy"),

@@ -22,11 +22,12 @@ from redundancy_pin.io.files import write_text
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.named import require_matching
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import STEPWISE, SWITCH_OFF, WHOLE
 from redundancy_pin.studies.map_problem import LIMITS, OTHER, PRESETS, Axis, MapProblem, Preset, parse_axis, spaced
 from redundancy_pin.studies.store import Progress, Store, make_folder
 from redundancy_pin.studies.table import csv_text
-from redundancy_pin.studies.verdicts import Cell, Key, Verdict, compute
+from redundancy_pin.studies.verdicts import VERDICTS, Cell, Key, compute
 from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility
 from redundancy_pin.visualisation.figures.style import save
 from redundancy_pin.workers import require_jobs
@@ -47,7 +48,6 @@ __all__ = [
     "FeasibilityMap",
     "MapProblem",
     "Preset",
-    "Verdict",
     "VerdictChange",
     "compute",
     "feasibility_map",
@@ -131,11 +131,11 @@ class FeasibilityMap:
     def counts(self, planner: str) -> dict[str, int]:
         """Return how many cells have each verdict."""
         counted = Counter(cell.verdict for cell in self.of(planner))
-        return {verdict.value: counted[verdict] for verdict in Verdict}
+        return {verdict.value: counted[verdict] for verdict in VERDICTS}
 
     def in_the_way(self, planner: str) -> dict[str, int]:
         """Return for how many infeasible cells each limit is the first in the way."""
-        first = Counter(cell.limits[0] for cell in self.of(planner) if cell.verdict is Verdict.INFEASIBLE)
+        first = Counter(cell.limits[0] for cell in self.of(planner) if cell.verdict is ResultStatus.LIMIT_VIOLATED)
         return dict(first.most_common())
 
     def csv(self) -> str:
@@ -336,8 +336,8 @@ def tiles(result: FeasibilityMap, planner: str) -> tuple[Tile, ...]:
     for cells, sides in zip(lines.values(), pairwise(across.edges(list(lines))), strict=True):
         for cell, ends in zip(cells, pairwise(along.edges([result.place(cell)[0] for cell in cells])), strict=True):
             x, y = (ends, sides) if result.along == "x" else (sides, ends)
-            letter = LETTERS.get(cell.limits[0], _OTHER)[0] if cell.verdict is Verdict.INFEASIBLE else ""
-            made.append(Tile(*x, *y, cell.verdict.value, cell.peak_effort, letter))
+            letter = LETTERS.get(cell.limits[0], _OTHER)[0] if cell.verdict is ResultStatus.LIMIT_VIOLATED else ""
+            made.append(Tile(*x, *y, cell.verdict, cell.peak_effort, letter))
     return tuple(made)
 
 

@@ -11,12 +11,13 @@ import numpy as np
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, runs
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
+from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
+from redundancy_pin.status import SampleStatus
 from redundancy_pin.studies.case import BACKENDS, RNEA, VIRTUAL_WORK, Case
 from redundancy_pin.studies.table import Record
 from redundancy_pin.trajectory import Trajectory
@@ -101,14 +102,14 @@ class MotionRun:
         Towards a singularity at which efforts are unbounded this is a value at the edge of the near-singular window and
         tells nothing about the machine; ``statement`` says so.
         """
-        regular = self.distribution.status == SampleStatus.REGULAR
+        regular = self.distribution.status == SampleStatus.OK
         largest: Array = np.abs(self.distribution.tau[regular]).max(axis=0, initial=0.0)
         return largest
 
     @property
     def near_singular_windows(self) -> tuple[tuple[float, float], ...]:
         """Time intervals, s, in which samples are near-singular or singular."""
-        return windows(self.t, self.distribution.status != SampleStatus.REGULAR)
+        return windows(self.t, self.distribution.status != SampleStatus.OK)
 
     @property
     def bounded(self) -> bool:
@@ -213,7 +214,7 @@ def relative_difference(a: Array, b: Array) -> float:
 
 def _parity(reduced: Sequence[ReducedDynamics], solved: Sequence[Distribution]) -> dict[str, float]:
     first, second = reduced
-    regular = solved[0].status == SampleStatus.REGULAR
+    regular = solved[0].status == SampleStatus.OK
     pairs = {name: (getattr(first, name), getattr(second, name)) for name in ("f", "W", "carrier_force")}
     pairs["tau"] = (solved[0].tau[regular], solved[1].tau[regular])
     return {name: relative_difference(*pair) for name, pair in pairs.items()}

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import between_samples
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.studies import cases, measures
 from redundancy_pin.studies.case import Case, Mode, Plans
 from redundancy_pin.studies.cases import CORNERS, CROSSINGS, MODE_CASES, NONE, PARKED, Extent
@@ -171,12 +171,12 @@ def machine_records(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
 
 def _machine(motion: str, mode: Mode, how: str, case: Case, plans: Plans) -> Record:
     plan = plans.plan(case)
-    bounded = plan.status is not PlanStatus.UNBOUNDED_EFFORT
+    bounded = plan.status is not ResultStatus.UNBOUNDED
     # along a singular motion efforts without a plan grow without bound between samples, even if no sample is singular
-    bounded &= not (how == PARKED and (plan.sample_status != SampleStatus.REGULAR).any())
+    bounded &= not (how == PARKED and (plan.sample_status != SampleStatus.OK).any())
     shown = numbers(plan)
     if not bounded:
-        shown |= dict.fromkeys(("peak", "rms", "main_energy", "energy"), math.inf) | {"status": "unbounded_effort"}
+        shown |= dict.fromkeys(("peak", "rms", "main_energy", "energy"), math.inf) | {"status": "unbounded"}
     kept = ("peak", "rms", "carrier_force", "main_energy", "carrier_energy", "energy", "status")
     return {"motion": motion, "mode": mode, "what": how, "unit": case.unit, "bounded": bool(bounded),
             **{name: shown[name] for name in kept}}  # fmt: skip
@@ -420,8 +420,8 @@ def conclusions(chapter: Mapping[str, Any]) -> list[Record]:
 
 
 def _crossings(crossings: Sequence[Record], heavy: Record | None) -> list[Record]:
-    inside = [record["case"] for record in crossings if record["status"] == "within_limits"]
-    broken = [record for record in crossings if record["status"] == "violates_limits"]
+    inside = [record["case"] for record in crossings if record["status"] == "ok"]
+    broken = [record for record in crossings if record["status"] == "limit_violated"]
     exact, stepped = (max(max(record[key]) for record in crossings) for key in ("jump", "jump_of_differences"))
     artefact, out = exact < 1e-3 * stepped, "beyond_track_at_exit"
     circles = [max(record["jump_of_differences"]) for record in crossings if record["case"].startswith("circle-0.5-")]
@@ -464,7 +464,7 @@ def _square(machines: Sequence[Record]) -> Record:
     groups = _by_mode(machines, "square")
     pairs = [(group[what], group[NONE]) for group in groups for what in group if what.startswith(MOVING)]
     better = sum(moving["peak"] < none["peak"] for moving, none in pairs)
-    broken = sum(moving["status"] != "within_limits" for moving, _ in pairs)
+    broken = sum(moving["status"] != "ok" for moving, _ in pairs)
     peaks, rms = ratios(pairs, "peak"), ratios(pairs, "rms")
     return counted("square", better, len(pairs), better=better, broken=broken, peaks=peaks, rms=rms)
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.allocation import AllocationStatus
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.loading import load_robot
 from redundancy_pin.planners.reference import MotionReference, plan_reference
@@ -22,6 +21,7 @@ from redundancy_pin.simulation.controllers.encoders import Encoders, JointFricti
 from redundancy_pin.simulation.replay import away_from, rms_over_time
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import closed_state
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import RNEA, Case, Planner, load, options
 
 MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
@@ -191,7 +191,7 @@ class Trial:
     @property
     def success(self) -> bool:
         """Whether the machine crossed."""
-        return self.status == "completed" and self.largest <= SUCCESS
+        return self.status == ResultStatus.OK.value and self.largest <= SUCCESS
 
     @property
     def key(self) -> Key:
@@ -263,5 +263,5 @@ def _friction(drawn: Draw, imperfections: Imperfections) -> JointFriction:
 def _given_up(control: Controller) -> float:
     if not isinstance(control, ComputedTorque) or not control.history:
         return 0.0
-    lost = sum(one.allocation.status is AllocationStatus.UNBALANCED for one in control.history)
+    lost = sum(not one.allocation.balanced for one in control.history)
     return lost / len(control.history)

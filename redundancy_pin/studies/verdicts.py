@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.planners.limits import LIMIT_TOLERANCE
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.map_problem import MapProblem
 from redundancy_pin.studies.table import json_data
 
@@ -23,21 +23,9 @@ Key = tuple[str, float, float]
 """Planner, value on the x axis, value on the y axis."""
 
 
-class Verdict(Enum):
-    """What is known of a cell. Infeasible and failed are never the same thing."""
-
-    FEASIBLE = "feasible"
-    """There is a plan that keeps every limit, between its samples too, and the planner finished."""
-    STOPPED_EARLY = "stopped_early"
-    """There is a plan that keeps every limit, but the optimiser stopped before it had an optimum."""
-    INFEASIBLE = "infeasible"
-    """The planner says that no plan keeps every limit, or its plan breaks one."""
-    FAILED = "failed"
-    """Nothing is known: the time ran out, the solver gave up, or something went wrong."""
-
-
-_RANK = (Verdict.FEASIBLE, Verdict.STOPPED_EARLY, Verdict.FAILED, Verdict.INFEASIBLE)
-"""Which of several answers stands: a plan before none; while one of them failed, it is not shown that there is none."""
+VERDICTS = (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED, ResultStatus.LIMIT_VIOLATED)
+"""The statuses of a cell, in the order of precedence among several attempts: a plan comes first; after a failed attempt
+it is not shown that there is no plan."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +54,7 @@ class Cell:
     planner: str
     x: float
     y: float
-    verdict: Verdict
+    verdict: ResultStatus
     limits: tuple[str, ...] = ()
     carrier: str | None = None
     time: float | None = None
@@ -86,9 +74,9 @@ class Cell:
     @property
     def possible(self) -> bool | None:
         """Whether the machine can do it; None where nothing is known."""
-        if self.verdict is Verdict.FAILED:
+        if self.verdict is ResultStatus.UNRESOLVED:
             return None
-        return self.verdict is not Verdict.INFEASIBLE
+        return self.verdict is not ResultStatus.LIMIT_VIOLATED
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON; None for NaN and infinity."""
@@ -97,7 +85,7 @@ class Cell:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Cell:
         """Return a cell from its plain data; KeyError, TypeError or ValueError where it is none."""
-        return cls(**{**data, "verdict": Verdict(data["verdict"]), "limits": tuple(data["limits"])})
+        return cls(**{**data, "verdict": ResultStatus(data["verdict"]), "limits": tuple(data["limits"])})
 
 
 def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
@@ -108,15 +96,15 @@ def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
     began = time.perf_counter()
     answers: list[Cell] = []
     for settings in problem.attempts(planner):
-        cell = Cell(planner, x, y, Verdict.FEASIBLE, settings=settings)
+        cell = Cell(planner, x, y, ResultStatus.OK, settings=settings)
         try:
             plan = problem.case(planner, x, y, settings).plan(problem.backend)
             answers.append(judge(cell, plan, problem.at(x, y)[2]))
         except Exception as error:
             answers.append(judge_error(cell, error))
-        if answers[-1].verdict is Verdict.FEASIBLE:
+        if answers[-1].verdict is ResultStatus.OK:
             break
-    best = min(answers, key=lambda answer: _RANK.index(answer.verdict))
+    best = min(answers, key=lambda answer: VERDICTS.index(answer.verdict))
     return replace(best, seconds=round(time.perf_counter() - began, 4))
 
 
@@ -129,8 +117,10 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
     effort, peak = limits.get("max_effort"), float(plan.peak_effort_at_samples.max(initial=0.0))
     ratio = None if plan.between is None else plan.between.ratio
     cell = replace(cell, dense_ratio=ratio, status=plan.status.value)
-    if plan.status is PlanStatus.UNBOUNDED_EFFORT:
-        return replace(cell, verdict=Verdict.INFEASIBLE, limits=("effort",), message="No finite main efforts exist.")
+    if plan.status is ResultStatus.UNBOUNDED:
+        return replace(
+            cell, verdict=ResultStatus.LIMIT_VIOLATED, limits=("effort",), message="No finite main efforts exist."
+        )
     between = float(plan.peak_effort.max(initial=0.0))
     cell = replace(cell, peak_effort=between)
     broken = _broken(plan, peak, effort)
@@ -138,20 +128,21 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
         _, _, carrier, worst, amount = broken[0]
         names = tuple(dict.fromkeys(name for _, name, *_ in broken))
         shown = "; ".join(f"{name} of {whose} by {by:.4g} at {t:.4g} s" for _, name, whose, t, by in broken[:4])
-        return replace(cell, verdict=Verdict.INFEASIBLE, limits=names, carrier=carrier, time=worst, amount=amount,
-                       message=f"The plan breaks limits: {shown}.")  # fmt: skip
+        message = f"The plan violates limits: {shown}."
+        verdict = ResultStatus.LIMIT_VIOLATED
+        return replace(cell, verdict=verdict, limits=names, carrier=carrier, time=worst, amount=amount, message=message)
     if effort is not None and between > effort * (1.0 + LIMIT_TOLERANCE):
         message = f"Between the nodes the efforts reach {between:.4g}: not resolved."
-        return replace(cell, verdict=Verdict.FAILED, message=message)
+        return replace(cell, verdict=ResultStatus.UNRESOLVED, message=message)
     cell = replace(cell, limits=_binding(plan, between, effort, limits.get("max_jerk")))
-    if plan.status is PlanStatus.UNRESOLVED:
+    if plan.status is ResultStatus.UNRESOLVED:
         # the peak of the continuous motion is known, and is what the limit is compared with
         limit = "no limit of the efforts is given" if effort is None else f"the limit is {effort:.4g}"
         message = f"Between the samples the efforts reach {between:.4g}, at the samples {peak:.4g}: {limit}."
         return replace(cell, message=message)
-    if plan.status is PlanStatus.STOPPED_EARLY:
+    if plan.status is ResultStatus.NOT_CONVERGED:
         message = f"The solver says {plan.diagnostics.get('solver')}."
-        return replace(cell, verdict=Verdict.STOPPED_EARLY, message=message)
+        return replace(cell, verdict=ResultStatus.NOT_CONVERGED, message=message)
     return cell
 
 
@@ -163,16 +154,18 @@ def judge_error(cell: Cell, error: Exception) -> Cell:
     """
     cell = replace(cell, message=f"{type(error).__name__}: {' '.join(str(error).split())}")
     if isinstance(error, (UnreachablePoseError, SingularPoseError, WorkingModeError)):
-        return replace(cell, verdict=Verdict.INFEASIBLE, limits=("workspace",))
+        return replace(cell, verdict=ResultStatus.LIMIT_VIOLATED, limits=("workspace",))
     details: Mapping[str, Any] = error.details if isinstance(error, InfeasiblePlanError) else {}
     constraint = str(details.get("constraint", ""))
     if constraint in UNDECIDED:
-        return replace(cell, verdict=Verdict.FAILED)
+        return replace(cell, verdict=ResultStatus.UNRESOLVED)
     relaxed = [str(entry["constraint"]) for entry in details["relaxations"]] if details.get("together") else ()
     when = {"time": details.get("time", details.get("t")), "amount": details.get("amount")}
     known: dict[str, Any] = {name: float(value) for name, value in when.items() if value is not None}
     known |= {"carrier": str(details["carrier"])} if details.get("carrier") is not None else {}
-    return replace(cell, verdict=Verdict.INFEASIBLE, limits=tuple(dict.fromkeys(relaxed or (constraint,))), **known)
+    return replace(
+        cell, verdict=ResultStatus.LIMIT_VIOLATED, limits=tuple(dict.fromkeys(relaxed or (constraint,))), **known
+    )
 
 
 def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, str, str, float, float]]:

@@ -11,7 +11,8 @@ import pytest
 from command_line import call
 
 import redundancy_pin as rp
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
 
@@ -43,7 +44,7 @@ def test_a_plan_that_is_what_it_says_has_the_code_it_was_planned_with(code: int,
 
 
 def test_a_plan_that_never_looked_between_its_samples_has_the_code_of_what_is_seen_there(plans, tmp_path: Path) -> None:
-    old = replace(plans[4], status=PlanStatus.WITHIN_LIMITS, functions=None, between=None)
+    old = replace(plans[4], status=ResultStatus.OK, functions=None, between=None)
     old.save(tmp_path / "plan.npz")
     result = call("check", str(tmp_path / "plan.npz"))
     assert "unresolved" in result.stdout

@@ -12,8 +12,9 @@ from command_line import call, refused
 
 from redundancy_pin.cli.map import problem_of
 from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies import feasibility
-from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Cell, MapProblem, Verdict, feasibility_map
+from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Cell, MapProblem, feasibility_map
 
 pytest.importorskip("matplotlib")
 
@@ -36,7 +37,7 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float]]:
     def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
         keys.append((planner, x, y))
         possible = planner == WHOLE or x < 0.25
-        verdict, limits = (Verdict.FEASIBLE, ("track",)) if possible else (Verdict.INFEASIBLE, ("effort",))
+        verdict, limits = (ResultStatus.OK, ("track",)) if possible else (ResultStatus.LIMIT_VIOLATED, ("effort",))
         return Cell(planner, x, y, verdict, limits, peak_effort=x if possible else None)
 
     monkeypatch.setattr(feasibility, "compute", compute)
@@ -132,7 +133,9 @@ def test_another_map_in_the_same_folder_is_refused(computed: list[Any]) -> None:
 def test_failed_cells_are_told_and_nothing_but_them_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
         failed = planner == STEPWISE and x > 0.25
-        return Cell(planner, x, y, Verdict.FAILED if failed else Verdict.FEASIBLE, message="Burst." if failed else "")
+        return Cell(
+            planner, x, y, ResultStatus.UNRESOLVED if failed else ResultStatus.OK, message="Burst." if failed else ""
+        )
 
     monkeypatch.setattr(feasibility, "compute", compute)
     result = call(*CORNER)
@@ -140,7 +143,9 @@ def test_failed_cells_are_told_and_nothing_but_them_is_an_error(monkeypatch: pyt
     assert result.stderr.splitlines() == [
         "warning: stepwise failed in 2 cell(s), in the first (speed 0.3, stroke 0.5) with: Burst."
     ]
-    monkeypatch.setattr(feasibility, "compute", lambda problem, *key: Cell(*key, Verdict.FAILED, message="Burst."))
+    monkeypatch.setattr(
+        feasibility, "compute", lambda problem, *key: Cell(*key, ResultStatus.UNRESOLVED, message="Burst.")
+    )
     assert call(*CORNER, "--out", "other").exit_code == 1
 
 

@@ -15,8 +15,9 @@ from command_line import call, refused
 import redundancy_pin as rp
 from redundancy_pin.cli.plan_problem import weights
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory import solver as whole_trajectory_solver
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
 pytest.importorskip("casadi")
@@ -90,8 +91,8 @@ def test_a_plan_through_a_singularity_is_saved_and_told(tmp_path: Path) -> None:
     result = call(*CIRCLE, "--objective", "effort", "--json", "--out", out)
     assert (result.exit_code, result.stderr) == (0, "")
     told, plan = json.loads(result.stdout), rp.load_plan(out)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
-    assert told["status"] == "within_limits"
+    assert plan.status is ResultStatus.OK
+    assert told["status"] == "ok"
     assert told["optimal"] is True
     assert told["smallest_margin"] == 0.0
     assert told["peak_effort"] == plan.peak_effort.tolist()
@@ -136,16 +137,16 @@ def test_a_plan_that_stopped_early_is_never_an_optimum(tmp_path: Path) -> None:
     assert result.exit_code == 4
     (line,) = result.stderr.splitlines()
     assert line.startswith("warning: this is no optimum")
-    assert "stopped early" in result.stdout
+    assert "not converged" in result.stdout
     assert "NOT an optimum" in result.stdout
     assert "local optimum" not in result.stdout
     plan = rp.load_plan(out)
-    assert plan.status is PlanStatus.STOPPED_EARLY
+    assert plan.status is ResultStatus.NOT_CONVERGED
     assert plan.diagnostics["optimal"] is False
     # every limit holds all the same: that is what separates exit code 4 from 3
     assert not plan.limits.violated
     told = json.loads(call(*coarse, "--json").stdout)
-    assert (told["status"], told["optimal"]) == ("stopped_early", False)
+    assert (told["status"], told["optimal"]) == ("not_converged", False)
 
 
 @pytest.mark.long
@@ -156,7 +157,7 @@ def test_the_picture_of_a_plan_that_stopped_early_says_so() -> None:
 
     dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
     plan = rp.plan_whole_trajectory(dynamics, reference.circle(ramp_length=0.05), dt=0.05)
-    assert plan_title(plan) == "2rpr: whole trajectory, stopped early, NOT an optimum"
+    assert plan_title(plan) == "2rpr: whole trajectory, not converged, NOT an optimum"
 
 
 @pytest.mark.long

@@ -40,7 +40,7 @@ def test_a_plan_on_another_machine_is_the_simulation_of_the_python_api(plan_file
     same(load_simulation(out), expected)
     assert plot.read_bytes().startswith(b"\x89PNG")
     facts = json.loads(result.stdout)
-    assert facts["status"] == "completed"
+    assert facts["status"] == "ok"
     assert facts["controller"] == "open-loop"
     apart = expected.x - reference.corner(radius=0.025).evaluate(expected.t).x
     away = np.linalg.norm(apart * [1.0, 1.0, machine.characteristic_length], axis=1)
@@ -131,7 +131,7 @@ def test_what_cannot_go_on_ends_with_code_4_and_is_kept(tmp_path: Path) -> None:
     result = call("simulate", "--plan", tmp_path / "plan.npz", "--carriers", "motion", "--stop-at", "never", "--out",
                   tmp_path / "run.npz")  # fmt: skip
     run = load_simulation(tmp_path / "run.npz")
-    assert (result.exit_code, run.status.value) == (4, "failed")
+    assert (result.exit_code, run.status.value) == (4, "not_converged")
     assert result.stderr.startswith(f"warning: could not go on at t = {run.t[-1]:.6g} s: ")
     assert len(result.stderr.splitlines()) == 1
 
@@ -143,7 +143,7 @@ def test_a_motion_from_a_file_and_a_trajectory(tmp_path: Path) -> None:
     moving = json.loads(call("simulate", *given, "--motion", file).stdout)
     parked = json.loads(call("simulate", *given, "--trajectory", "corner", "--radius", "0.05", "--park", "0.1").stdout)
     for facts in (moving, parked):
-        assert facts["status"] == "completed"
+        assert facts["status"] == "ok"
         assert facts["largest_distance"] < 1e-9
     wave = 2.0 * np.arange(0.0, 0.2, 0.005)[:, None] + np.arange(3)
     dynamics, t = rp.RneaDynamics(rp.load_robot("3rrr")), np.arange(0.0, 0.2, 0.005)

@@ -36,7 +36,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     def quick(scenario, drive, bounds, seed, number):
         done.append((drive, number))
         largest = 1e-3 * (1.0 + number) if drive == "computed torque" else 0.05 + 1e-3 * number + 1e-4 * seed
-        return Trial(scenario.name, drive, number, "completed", "", largest, 0.5 * largest, 1.0, 2.0, 0.0)
+        return Trial(scenario.name, drive, number, "ok", "", largest, 0.5 * largest, 1.0, 2.0, 0.0)
 
     monkeypatch.setattr(study, "run_trial", quick)
     return done
@@ -67,7 +67,7 @@ def test_a_tiny_study_is_simulated_and_written(tmp_path: Path) -> None:
     assert max(away) < 2e-3
     cells = json.loads((folder / "summary.json").read_text())["cells"]
     assert [cell["worst"] for cell in cells] == pytest.approx([max(away[:2]), max(away[2:])], rel=1e-9)
-    assert [cell["statuses"] for cell in cells] == [{"completed": 2}] * 2
+    assert [cell["statuses"] for cell in cells] == [{"ok": 2}] * 2
 
 
 def test_json_is_the_summary(tmp_path: Path, run: list[tuple[str, int]]) -> None:
@@ -198,7 +198,7 @@ def quick(scenario, drive, bounds, seed, number):
     if number == 1:
         print("two are finished", flush=True)
         time.sleep(120.0)
-    return Trial(scenario.name, drive, number, "completed", "", 1e-3, 5e-4, 1.0, 2.0, 0.0)
+    return Trial(scenario.name, drive, number, "ok", "", 1e-3, 5e-4, 1.0, 2.0, 0.0)
 
 study.run_trial = quick
 robustness_study.__kwdefaults__["scenarios"] = (Scenario(SCENARIOS[0].case, 2.48, 2.53),)

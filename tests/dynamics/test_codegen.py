@@ -24,11 +24,11 @@ from prescribed import factors, times
 import redundancy_pin as rp
 from redundancy_pin import codegen
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.types import WorkingModes
+from redundancy_pin.status import SampleStatus
 
 pytestmark = pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not installed")
 
@@ -242,7 +242,7 @@ def test_through_type_two() -> None:
     robot = robot_of("2rpr")
     motion = rp.trajectory.reference.circle().sample(dt=0.004)  # crosses the line of the base twice
     statuses = assert_same("2rpr", motion, zoo.carriers_at(robot, motion.t))
-    assert {SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR} <= set(statuses)
+    assert {SampleStatus.OK, SampleStatus.NEAR_SINGULAR} <= set(statuses)
     still, moving = np.zeros(2), np.array([0.3, -0.7])
     for rate, acceleration in ((still, still), (moving, np.array([1.0, 2.0]))):  # on the line itself
         at = rp.PlatformMotion([0.0], [[0.2, 0.0]], rate[None], acceleration[None])
@@ -299,9 +299,9 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
                 allowed = 1e-14 / least * np.linalg.norm(g[k])
                 left, wanted = np.ldexp([out.residual, want.residual[k]], -power[k])
                 np.testing.assert_allclose(left, wanted, rtol=0.0, atol=allowed)
-    expected = {SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR, SampleStatus.SINGULAR_CONSISTENT}
+    expected = {SampleStatus.OK, SampleStatus.NEAR_SINGULAR, SampleStatus.SINGULAR_CONSISTENT}
     if n > m:
-        expected |= {SampleStatus.UNDERACTUATED_INCONSISTENT}
+        expected |= {SampleStatus.UNDERACTUATED}
     assert expected | {SampleStatus.SINGULAR_INCONSISTENT} <= seen
 
 
@@ -334,7 +334,7 @@ def test_the_platform_follows_from_its_actuators(name: str) -> None:
     assert code.go_to(state, motion.x[0]) == 0
     for k in range(len(t)):
         got = code.platform(state, positions[k], velocities[k])
-        assert got.status in (SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR)
+        assert got.status in (SampleStatus.OK, SampleStatus.NEAR_SINGULAR)
         assert_near(got.x, motion.x[k].ravel(), "x", factor=condition[k], scale=np.abs(motion.x).max())
         assert_near(got.xd, motion.xd[k], "xd", factor=condition[k], scale=np.abs(motion.xd).max())
         assert got.mismatch < 1e-11
@@ -380,7 +380,7 @@ def test_at_type_two_actuators_do_not_determine_the_platform() -> None:
     assert code.go_to(state, at.x[0]) == 0
     kept, untouched = bytes(state), bytes(filled_with(code.platform_type, 7.0))
     got = code.platform(state, drives_along(robot_of("2rpr"), at)[0][0], np.zeros(2))
-    assert (got.status, got.raw, bytes(state)) == (10, untouched, kept)
+    assert (got.status, got.raw, bytes(state)) == (SampleStatus.TYPE_II, untouched, kept)
     assert code.at("margins", state).rank == 1
 
 
@@ -445,9 +445,9 @@ def test_bad_input_gets_a_status_and_nothing_is_written(name: str) -> None:
             assert got.status >= NOTHING_WRITTEN, (i, bad)
             assert (got.raw, bytes(state)) == (untouched, kept)
     state.q[0] = np.nan
-    assert code.efforts(state, *good).status == 9
-    assert code.at("margins", state).status == 9
-    assert code.go_to(state, good[0]) == 9
+    assert code.efforts(state, *good).status == SampleStatus.NOT_FINITE
+    assert code.at("margins", state).status == SampleStatus.NOT_FINITE
+    assert code.go_to(state, good[0]) == SampleStatus.NOT_FINITE
 
 
 def test_out_of_reach_and_type_one() -> None:
@@ -455,13 +455,14 @@ def test_out_of_reach_and_type_one() -> None:
     still = [np.zeros(3)] * 5
     state = code.start()
     kept = bytes(state)
-    assert code.efforts(state, np.array([9.0, 0.5, 0.0]), *still).status == 6
-    assert code.go_to(state, np.array([2.9, 0.5, 0.0])) == 6
+    assert code.efforts(state, np.array([9.0, 0.5, 0.0]), *still).status == SampleStatus.UNREACHABLE
+    assert code.go_to(state, np.array([2.9, 0.5, 0.0])) == SampleStatus.UNREACHABLE
     assert bytes(state) == kept
     two = code_of("2rpr")
     state = two.start()
     assert two.go_to(state, np.array([1e-3, 0.0])) == 0
-    assert two.efforts(state, np.array([1e-8, 0.0]), *[np.zeros(2)] * 5).status in (6, 7)  # a leg of no length
+    no_leg = two.efforts(state, np.array([1e-8, 0.0]), *[np.zeros(2)] * 5)
+    assert no_leg.status in (SampleStatus.UNREACHABLE, SampleStatus.TYPE_I)
 
 
 def test_a_state_knows_its_side_of_type_one() -> None:
@@ -473,10 +474,19 @@ def test_a_state_knows_its_side_of_type_one() -> None:
     assert state.sign == side
     state.sign = -side
     kept = bytes(state)
-    assert code.efforts(state, home, *[np.zeros(3)] * 5).status == 6
-    assert code.go_to(state, home) == 6
-    assert code.at("margins", state).status == code.at("jacobians", state).status == 6
+    assert code.efforts(state, home, *[np.zeros(3)] * 5).status == SampleStatus.UNREACHABLE
+    assert code.go_to(state, home) == SampleStatus.UNREACHABLE
+    assert code.at("margins", state).status == code.at("jacobians", state).status == SampleStatus.UNREACHABLE
     assert bytes(state) == kept
+
+
+def test_statuses_of_the_header_are_those_of_the_package(tmp_path: Path) -> None:
+    """By name and number: a controller's log reads as a plan does."""
+    rp.write_c(zoo.robot_of("2rpr"), tmp_path / "code", prefix="leg")
+    header = (tmp_path / "code" / "leg.h").read_text(encoding="utf-8")
+    listed = {name: int(number) for name, number in re.findall(r"^  LEG_([A-Z_]+) = (\d+),?", header, re.MULTILINE)}
+    assert len(listed) == 10
+    assert listed.items() <= {status.name: int(status) for status in SampleStatus}.items()
 
 
 def test_another_working_mode_has_a_status_of_its_own() -> None:
@@ -489,9 +499,9 @@ def test_another_working_mode_has_a_status_of_its_own() -> None:
     assert code.go_to(state, np.array([0.01])) == 0
     kept = bytes(state)
     beyond = rp.PlatformMotion([0.0], [[-0.01]], still, still)
-    assert code.efforts(state, beyond.x[0], still[0], still[0]).status == 8
-    assert code.go_to(state, beyond.x[0]) == 8
-    assert code.platform(state, drives_along(robot, beyond)[0][0], still[0]).status == 8
+    assert code.efforts(state, beyond.x[0], still[0], still[0]).status == SampleStatus.BRANCH_LOST
+    assert code.go_to(state, beyond.x[0]) == SampleStatus.BRANCH_LOST
+    assert code.platform(state, drives_along(robot, beyond)[0][0], still[0]).status == SampleStatus.BRANCH_LOST
     assert bytes(state) == kept
 
 

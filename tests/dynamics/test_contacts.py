@@ -10,8 +10,9 @@ from scipy.optimize import nnls
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.contacts import ClosureForces, closure_forces
-from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus
+from redundancy_pin.dynamics.distribution import EffortRows
 from redundancy_pin.errors import InputError
+from redundancy_pin.status import SampleStatus
 
 EXACT = 1e-12
 OPTIMUM = 1e-5  # relative; DAQP keeps conditions to 1e-6

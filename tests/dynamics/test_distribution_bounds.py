@@ -12,7 +12,7 @@ from scipy.optimize import LinearConstraint, minimize
 
 from redundancy_pin.arrays import RANK_TOLERANCE
 from redundancy_pin.dynamics.allocation import fit_into_bounds, least_miss, least_residual, within_bounds
-from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus, distribute, torque_speed_bounds
+from redundancy_pin.dynamics.distribution import EffortRows, distribute, torque_speed_bounds
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import constraint_system
@@ -20,6 +20,7 @@ from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.status import SampleStatus
 
 OPTIMUM = 1e-8
 """Relative: bounds count as met within 1e-9 of the largest effort, and the optimum moves by about as much."""
@@ -48,7 +49,7 @@ def test_two_actuators_against_each_other():
         lower=[-np.inf, -np.inf],
         upper=[[np.inf, np.inf], [5.0, 5.0], [3.0, np.inf], [3.0, 6.0]],
     )
-    assert d.status_labels.tolist() == ["regular", "regular", "regular", "bound_infeasible"]
+    assert d.status_labels.tolist() == ["ok", "ok", "ok", "bound_infeasible"]
     assert d.tau[:3] == pytest.approx(np.array([[5.0, 5.0], [5.0, 5.0], [3.0, 7.0]]), abs=10.0 * OPTIMUM)
     assert np.isnan(d.tau[3]).all()
     assert d.residual == pytest.approx([0.0, 0.0, 0.0, 1.0], abs=10.0 * OPTIMUM)
@@ -84,7 +85,7 @@ def test_unique_efforts_outside_their_bounds_are_infeasible(n, m):
     inside = ((tau >= lower) & (tau <= upper)).all(axis=1)
     assert inside.any()
     assert not inside.all()
-    assert (d.status == np.where(inside, SampleStatus.REGULAR, SampleStatus.BOUND_INFEASIBLE)).all()
+    assert (d.status == np.where(inside, SampleStatus.OK, SampleStatus.BOUND_INFEASIBLE)).all()
     assert d.tau[inside] == pytest.approx(tau[inside], abs=1e-13)
     assert np.isnan(d.tau[~inside]).all()
 
@@ -273,7 +274,7 @@ def test_bounds_that_leave_a_single_point_are_met():
     _, W, _ = factors(rng, 100, 2, 4, [2.0, 1.0])
     tau = rng.uniform(-1.0, 1.0, size=(100, 4))
     d = distribute(reduced(W, times(W, tau)), lower=tau, upper=tau)
-    assert (d.status == SampleStatus.REGULAR).all()
+    assert (d.status == SampleStatus.OK).all()
     assert np.array_equal(d.tau, tau)
 
 
@@ -299,7 +300,7 @@ def test_efforts_on_their_bound_but_for_rounding_are_feasible():
     # τ = 1/3 is not a floating-point number, and W τ = f returns it with an error of a rounding
     W = np.array([np.diag([3.0, 7.0])])
     d = distribute(reduced(W, [[1.0, 1.0]]), upper=[np.nextafter(1.0 / 3.0, 0.0), 1.0])
-    assert d.status[0] == SampleStatus.REGULAR
+    assert d.status[0] == SampleStatus.OK
     assert d.tau[0, 0] <= np.nextafter(1.0 / 3.0, 0.0)
 
 
@@ -332,7 +333,7 @@ def test_an_actuator_with_a_tiny_lever_that_has_to_help_is_found_exactly():
     # τ1 ε + τ2 + τ3 = 10, −τ1 ε + τ2 = 0 with τ3 ≤ 4: the cheap ones are at their bounds, so τ1 ε = τ2 = 3
     lever = 1e-7
     d = distribute(reduced([[[lever, 1.0, 1.0], [-lever, 1.0, 0.0]]], [[10.0, 0.0]]), upper=[np.inf, np.inf, 4.0])
-    assert d.status_labels.tolist() == ["regular"]
+    assert d.status_labels.tolist() == ["ok"]
     assert d.residual[0] < 1e-6
     assert d.tau[0] * [lever, 1.0, 1.0] == pytest.approx([3.0, 3.0, 4.0], rel=1e-6)
 

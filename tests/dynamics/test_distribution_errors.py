@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from prescribed import reduced
 
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute
+from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InputError
+from redundancy_pin.status import SampleStatus
 
 GOOD = reduced(np.ones((4, 2, 3)), np.ones((4, 2)))
 
@@ -86,14 +87,18 @@ def test_arguments_are_not_changed():
 
 def test_labels_are_the_names_in_lower_case():
     assert [status.label for status in SampleStatus] == [
-        "regular",
+        "ok",
         "near_singular",
         "singular_consistent",
         "singular_inconsistent",
-        "underactuated_inconsistent",
+        "underactuated",
         "bound_infeasible",
         "unreachable",
+        "branch_lost",
         "out_of_range",
+        "type_i",
+        "type_ii",
+        "not_finite",
     ]
 
 
@@ -106,6 +111,6 @@ def test_results_print_what_tells_them_apart():
     given = reduced([[[1.0]], [[1e-37]], [[1.0]]], [[2.0], [1.0], [-3.0]], reachable=[True, True, False])
     assert repr(given) == "ReducedDynamics(N=3, n=1, m=1, k=0, 1 unreachable; peak |f| 3 N or N·m)"
     assert repr(distribute(given)) == (
-        "Distribution(N=3, m=1: 1 regular, 1 singular_inconsistent, 1 unreachable; peak |tau| 2 N or N·m, "
+        "Distribution(N=3, m=1: 1 ok, 1 singular_inconsistent, 1 unreachable; peak |tau| 2 N or N·m, "
         "least margin 1e-37)"
     )

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
-from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, SampleStatus, distribute
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
+from redundancy_pin.status import SampleStatus
 
 N = 30
 ROUNDING = 1e-13

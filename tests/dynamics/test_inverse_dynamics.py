@@ -18,10 +18,9 @@ from scipy.optimize import brentq
 
 import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion
-from redundancy_pin.dynamics.distribution import SampleStatus
-from redundancy_pin.dynamics.inverse_dynamics import EffortStatus
 from redundancy_pin.errors import InputError
 from redundancy_pin.singularities.crossings import SPACING
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
 CIRCLE = reference.circle(speed=0.5)
@@ -53,12 +52,12 @@ def test_crossings_between_samples_are_named_by_their_instants(name: str, dt: fl
     assert len(expected) == 2
     # between samples the motion is a quintic, off by the sixth power of the step
     np.testing.assert_allclose([one.t for one in result.instants], expected, atol=max(20.0 * dt**6, 1e-12))
-    assert result.status is EffortStatus.UNBOUNDED_EFFORT
+    assert result.status is ResultStatus.UNBOUNDED
     for one in result.instants:
         assert one.crosses
         assert one.unbounded
         assert one.status is SampleStatus.SINGULAR_INCONSISTENT
-    assert repr(result).startswith("InverseDynamics(unbounded_effort; singular at t = 0.51941")
+    assert repr(result).startswith("InverseDynamics(unbounded; singular at t = 0.51941")
 
 
 def test_what_is_left_at_a_crossing_is_what_efforts_beside_it_grow_with() -> None:
@@ -77,10 +76,10 @@ def test_carriers_that_carry_the_force_leave_the_efforts_finite() -> None:
     result = rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, plan.carriers)
     np.testing.assert_allclose([one.t for one in result.instants], base_line_instants(), atol=1e-9)
     assert [one.status for one in result.instants] == [SampleStatus.SINGULAR_CONSISTENT] * 2
-    assert result.status is EffortStatus.FINITE_EFFORT
+    assert result.status is ResultStatus.OK
     # half of their motion does not carry it
     half = CarrierMotion(*(0.5 * part for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd)))
-    assert rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, half).status is EffortStatus.UNBOUNDED_EFFORT
+    assert rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, half).status is ResultStatus.UNBOUNDED
 
 
 def test_two_samples_on_either_side_are_enough() -> None:
@@ -95,7 +94,7 @@ def test_a_motion_that_stays_away_is_said_to() -> None:
     robot = zoo.robot_of("3rrr")
     for dt in (0.05, 2e-3):
         result = rp.inverse_dynamics(rp.RneaDynamics(robot), reference.corner().sample(dt))
-        assert (result.status, result.instants, result.joint_limits) == (EffortStatus.FINITE_EFFORT, (), ())
+        assert (result.status, result.instants, result.joint_limits) == (ResultStatus.OK, (), ())
 
 
 def test_states_and_single_instants_have_nothing_in_between() -> None:
@@ -116,7 +115,7 @@ def test_reachable_stretches_are_looked_at_one_by_one() -> None:
     assert (result.efforts.status == SampleStatus.UNREACHABLE).any()
     expected = brentq(lambda t: line.sample_at([t]).x[0, 1] - 0.25 * np.sqrt(3.0), 0.1, 1.9, xtol=1e-14)
     assert [one.t for one in result.instants] == pytest.approx([expected], abs=1e-8)
-    assert result.status is EffortStatus.UNBOUNDED_EFFORT
+    assert result.status is ResultStatus.UNBOUNDED
 
 
 def test_backends_without_a_tree_mark_what_is_out_of_reach_too() -> None:
@@ -142,13 +141,13 @@ def test_the_command_says_the_instants_and_has_an_exit_code(tmp_path: Path) -> N
     command = ("inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", out)
     result = call(*command)
     assert result.exit_code == 3
-    assert "unbounded_effort" in result.stdout
+    assert "unbounded" in result.stdout
     [line] = result.stderr.splitlines()
     assert line.startswith("warning: no finite main efforts at t = 0.519414238, 0.831222824 s: det W changes sign")
     machine = call(*command, "--json")
     assert machine.exit_code == 3
     facts = json.loads(machine.stdout)
-    assert facts["status"] == "unbounded_effort"
+    assert facts["status"] == "unbounded"
     np.testing.assert_allclose([one["t"] for one in facts["singular_instants"]], base_line_instants(), atol=1e-9)
     assert {one["kind"] for one in facts["singular_instants"]} == {"type_ii"}
     assert all(one["unbounded"] and one["crosses"] for one in facts["singular_instants"])
@@ -263,14 +262,14 @@ def test_samples_without_efforts_are_a_motion_without(name: str) -> None:
     instant = CIRCLE.sample_at([base_line_instants()[0]])
     result = rp.inverse_dynamics(dynamics, instant)
     assert result.efforts.status_labels == ("singular_inconsistent",) or np.isnan(result.efforts.tau).all()
-    assert result.status is EffortStatus.UNBOUNDED_EFFORT
+    assert result.status is ResultStatus.UNBOUNDED
 
     line = Line((0.15, 0.0), (0.25, 0.0))
     along = Trajectory(line, RestToRest(line.length, 1.0)).sample(0.05)
     push = rp.Wrench("end_effector", lambda t, x, xd: np.outer(5.0 * t, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
     stays = rp.inverse_dynamics(dynamics, along, external=[push])
     assert [(one.t, one.until) for one in stays.instants] == [(along.t[0], along.t[-1])]
-    assert stays.status is EffortStatus.UNBOUNDED_EFFORT
+    assert stays.status is ResultStatus.UNBOUNDED
 
 
 @pytest.mark.long_for("virtual work", "rnea")
@@ -346,10 +345,10 @@ def test_what_cannot_be_searched_counts_where_samples_are_far_apart(monkeypatch:
         raise InputError("It cannot be followed.", remedy="None.")
 
     monkeypatch.setattr(importlib.import_module("redundancy_pin.dynamics.inverse_dynamics"), "find_crossings", failing)
-    dynamics, status = rp.RneaDynamics(zoo.robot_of("2rpr")), EffortStatus
+    dynamics, status = rp.RneaDynamics(zoo.robot_of("2rpr")), ResultStatus
     # samples that are near and stay away from the line need no search; farther ones are searched, and trusted where
     # that fails; where they are farther still nothing is known, nor where the margin comes down to the line
-    cases = [(1.0, -60.0, 0, status.FINITE_EFFORT), (5.0, -60.0, 1, status.FINITE_EFFORT)]
+    cases = [(1.0, -60.0, 0, status.OK), (5.0, -60.0, 1, status.OK)]
     cases += [(20.0, -60.0, 1, status.UNRESOLVED), (1.0, 0.9, 1, status.UNRESOLVED), (5.0, 0.9, 1, status.UNRESOLVED)]
     for steps, depth, searched, expected in cases:
         calls.clear()

@@ -20,10 +20,10 @@ from folding import folding_four_bar, rocker_motion
 
 import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion
-from redundancy_pin.dynamics import compiled
-from redundancy_pin.dynamics.distribution import SampleStatus
+from redundancy_pin.dynamics.compiled import build as compiled
 from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics, edge_of
 from redundancy_pin.motion import require_consistent
+from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
 CIRCLE = reference.circle(speed=0.5)

@@ -402,7 +402,7 @@ def test_planned_efforts_in_open_loop_close_with_everything_on(name: str) -> Non
     reference = rp.simulation.motion_reference(loaded, motion)
     simulated = {"duration": 0.05, "rtol": 1e-11, "atol": 1e-12, "dt": 0.02}
     run = rp.simulate(loaded, rp.simulation.FeedForward(reference), **simulated)
-    assert run.status.value == "completed"
+    assert run.status.value == "ok"
     expected = np.array([reference.platform(t)[0] for t in run.t])
     assert np.abs(run.x - expected).max() < REPLAY
     if name == "2rpr":  # machine code, which has rows, masses and loads of its own

@@ -10,10 +10,9 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import reference
 
 LINE = reference.line().sample(0.05)
@@ -87,7 +86,7 @@ def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp
     both = zoo.robot_of("2rpr"), robot
     plans = [rp.plan_switch_off(rp.VirtualWork(one), reference.line(), threshold=4.0, dt=0.05) for one in both]
     unlimited, marked = plans
-    assert (unlimited.status, marked.status) == (PlanStatus.WITHIN_LIMITS, PlanStatus.VIOLATES_LIMITS)
+    assert (unlimited.status, marked.status) == (ResultStatus.OK, ResultStatus.LIMIT_VIOLATED)
     left = [event for event in marked.limits.violated if event.quantity == "range"]
     assert {event.limit for event in left} == set(RANGE.values())
     assert {event.carrier for event in left} == {"swivel_1"}

@@ -4,10 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
-from engines import RunStatus, deviation, run_exudyn, run_mujoco
+from engines import deviation, run_exudyn, run_mujoco
 from engines.cases import CASES, prepare
 
 import redundancy_pin as rp
+from redundancy_pin.status import ResultStatus
 
 pytestmark = pytest.mark.engines
 
@@ -29,7 +30,7 @@ def test_the_planned_efforts_make_the_planned_motion(engine, case):
     assert len(met) == case.crossings
     assert all(crossing.crosses for crossing in met)
     run = engine(drive.task, step=STEP)
-    assert run.status == RunStatus.COMPLETED
+    assert run.status == ResultStatus.OK
     assert deviation(drive, run).largest < MOTION_TOLERANCE
 
 
@@ -38,5 +39,5 @@ def test_the_example_of_the_page_runs_as_written(capsys):
     example = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)[0]
     exec(compile(example, page.name, "exec"), {})
     status, *errors = capsys.readouterr().out.split()
-    assert status == "RunStatus.COMPLETED"
+    assert status == "ResultStatus.OK"
     assert all(float(error) < MOTION_TOLERANCE for error in errors)

@@ -9,7 +9,6 @@ import pytest
 import zoo
 from engine_oracles import Timed, integrated, random_state, random_tree
 from engines import (
-    RunStatus,
     Task,
     commanded,
     deviation,
@@ -27,6 +26,7 @@ from spatial_chains import CHAINS, chain_of
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError
 from redundancy_pin.planners.receding_horizon import run_online
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.writers import constraint_of, mjcf
 
 MOTION_TOLERANCE = 1e-5
@@ -73,7 +73,7 @@ def smooth():
 
 def test_a_plan_through_a_type_ii_pose_makes_the_planned_motion(engine, short):
     run = engine(short.task, step=1e-3)
-    assert run.status == RunStatus.COMPLETED
+    assert run.status == ResultStatus.OK
     assert run.t[-1] == short.task.end
     off = deviation(short, run)
     assert off.largest < MOTION_TOLERANCE
@@ -88,7 +88,7 @@ def on_line(request):
     case = request.param
     robot, motion = rp.load_robot(case.robot, **case.arguments), case.trajectory(None)
     run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot)), motion)
-    assert run.counts["planned"] == len(run.commands)
+    assert run.counts["ok"] == len(run.commands)
     assert len(run.plan.diagnostics["singular_instants"]) == case.crossings
     return run, robot, motion, drive_of_plan(rp.RneaDynamics(robot), run.plan, motion)
 
@@ -106,14 +106,14 @@ def test_efforts_planned_on_line_balance_by_either_of_the_other_backends(backend
 def test_a_plan_made_on_line_makes_the_planned_motion_through_a_type_ii_pose(engine, on_line):
     *_, drive = on_line
     replayed = engine(drive.task, step=2e-3)
-    assert replayed.status == RunStatus.COMPLETED
+    assert replayed.status == ResultStatus.OK
     assert deviation(drive, replayed).largest < MOTION_TOLERANCE
 
 
 def test_so_do_its_commands_with_efforts_that_are_linear_over_milliseconds(engine, on_line):
     run, *_, drive = on_line
     replayed = engine(commanded(drive.task, run.commands), step=2e-3)
-    assert replayed.status == RunStatus.COMPLETED
+    assert replayed.status == ResultStatus.OK
     assert deviation(drive, replayed).largest < COMMANDS_TOLERANCE
 
 
@@ -181,7 +181,7 @@ def test_other_robots_follow_too(engine, name):
     carriers = (lambda t: zoo.carriers_at(robot, t)) if robot.k else None
     drive = drive_of_motion(rp.RneaDynamics(robot), Timed(robot, 0.1), carriers)
     run = engine(drive.task, step=1e-3)
-    assert run.status == RunStatus.COMPLETED
+    assert run.status == ResultStatus.OK
     assert deviation(drive, run).largest < MOTION_TOLERANCE
     assert np.abs(run.x[-1] - run.x[0]).max() > 100 * MOTION_TOLERANCE
 
@@ -199,7 +199,7 @@ def test_a_deviation_sees_platform_turn_and_carriers(exudyn, smooth):
     assert off.carriers[7, 2] == pytest.approx(2.0, abs=1e-2)
     assert off.largest == pytest.approx(2.0, abs=1e-2)
     assert base.largest < 1e-2
-    stopped = deviation(smooth, dataclasses.replace(run, status=RunStatus.STOPPED))
+    stopped = deviation(smooth, dataclasses.replace(run, status=ResultStatus.NOT_CONVERGED))
     assert stopped.largest == np.inf
 
 
@@ -219,7 +219,7 @@ def test_exudyn_says_where_it_gave_up(exudyn, smooth, capfd):
 
     given = smooth.task
     run = run_exudyn(Task(given.robot, given.start, given.end, given.q, given.v, huge), step=1e-2)
-    assert run.status == RunStatus.STOPPED
+    assert run.status == ResultStatus.NOT_CONVERGED
     assert run.message.startswith(f"Exudyn stopped at {run.t[-1]:.6g} s: ")
     assert 0.1 <= run.t[-1] < 0.3
     assert len(run.t) == len(run.x) == run.steps + 1
@@ -233,7 +233,7 @@ def test_mujoco_says_where_it_started_over(mujoco, smooth, tmp_path, monkeypatch
         given.robot, given.start, given.end, given.q, given.v, lambda t, side="right": np.full((len(t), 6), 1e12)
     )
     run = run_mujoco(task, step=1e-2)
-    assert run.status == RunStatus.STOPPED
+    assert run.status == ResultStatus.NOT_CONVERGED
     assert "started over" in run.message
     assert run.t[-1] < given.end
     assert not list(tmp_path.iterdir())
@@ -357,7 +357,7 @@ def test_universal_hinge_and_cylindrical_closures_and_continuous_joints(engine, 
             engine(task, step=1e-3)
         return
     run = engine(task, step=1e-3)
-    assert run.status == RunStatus.COMPLETED
+    assert run.status == ResultStatus.OK
     assert deviation(drive, run).largest < MOTION_TOLERANCE
     assert np.abs(run.x - run.x[0]).max() > 0.3
 

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 import zoo
-from engines import RunStatus, Task, deviation, drive_of_plan, run_exudyn, run_mujoco, run_own
+from engines import Task, deviation, drive_of_plan, run_exudyn, run_mujoco, run_own
 from engines.cases import CASES, SHORT, prepare
 from engines.own import TaskEfforts
 from scipy.interpolate import CubicHermiteSpline
@@ -13,6 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.simulation import closed_state
+from redundancy_pin.status import ResultStatus
 
 TOLERANCE = 1e-5
 """m and rad, every joint of the tree."""
@@ -66,7 +67,7 @@ def thrown(name):
 
 def difference(other, run):
     """Distances (N, nq) of all joints at the instants of ``found``, the engine's steps joined by cubics."""
-    assert run.status is RunStatus.COMPLETED
+    assert run.status is ResultStatus.OK
     return CubicHermiteSpline(run.t, run.q, run.v)(other.t) - other.q
 
 
@@ -114,7 +115,7 @@ def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample
 def test_a_plan_is_followed_by_the_efforts_that_engines_get(planned, name, method):
     drive = planned(name)
     run = run_own(drive.task, method=method)
-    assert run.status is RunStatus.COMPLETED
+    assert run.status is ResultStatus.OK
     assert run.engine == "redundancy_pin"
     assert run.t[-1] == drive.task.end
     assert deviation(drive, run).largest < OWN_TOLERANCE
@@ -158,7 +159,7 @@ def test_a_task_that_cannot_go_on_is_a_result():
     robot = zoo.robot_of("2rpr", **SHORT.arguments)
     q, v = np.array(robot.q_reference), np.zeros(robot.model.nv)
     run = run_own(Task(robot, 0.0, 1.0, q, v, lambda t, side="right": np.full((len(t), 4), 1e16)))
-    assert run.status is RunStatus.STOPPED
+    assert run.status is ResultStatus.NOT_CONVERGED
     assert run.t[-1] < 1.0
     assert run.message
 

@@ -165,5 +165,5 @@ def test_a_search_between_samples_takes_no_longer_than_the_samples(tmp_path: Pat
     rp.RneaDynamics(robot).reduce(motion)
     alone = len(calls)
     result = rp.inverse_dynamics(rp.RneaDynamics(robot), motion)
-    assert (result.status.value, result.instants) == ("finite_effort", ())
+    assert (result.status.value, result.instants) == ("ok", ())
     assert alone < len(calls) - alone < 1.1 * alone

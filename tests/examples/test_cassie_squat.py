@@ -51,7 +51,7 @@ def test_edges_of_the_feet_carry_the_machine_within_their_cones(robot: Robot) ->
     pairs = [((model.getFrameId(each.frame_a), model.getFrameId(each.frame_b)), each.axes) for each in rods]
     for friction, bites in ((0.6, False), (0.02, True)):
         efforts, feet = example.efforts(robot, motion, friction)
-        assert set(efforts.status_labels.tolist()) == {"regular"}
+        assert set(efforts.status_labels.tolist()) == {"ok"}
         assert (np.linalg.norm(efforts.tau) > (1.0 + 1e-6) * np.linalg.norm(free.tau)) == bites
         closure_force = feet.at(efforts.tau)
         for k in range(len(motion)):

@@ -111,7 +111,7 @@ def reader() -> Reader:
 def _torques(robot: Robot, t: float) -> np.ndarray:
     motion = example.swing().sample_at([t])
     efforts = rp.distribute(rp.RneaDynamics(robot).reduce(motion))
-    assert efforts.status_labels[0] == "regular"
+    assert efforts.status_labels[0] == "ok"
     return efforts.tau[0]
 
 

@@ -13,7 +13,7 @@ from flat_linkages import four_bar, parallelogram, row_of_four_bars
 import redundancy_pin as rp
 from redundancy_pin.cli import main
 from redundancy_pin.planners.check import closure_rank_losses
-from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
@@ -79,7 +79,7 @@ def test_plans_and_their_check_name_it() -> None:
 def test_the_shipped_robots_have_none_and_the_command_says_so(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = rp.plan_stepwise(rp.RneaDynamics(zoo.robot_of("3rrr")), reference.corner(), dt=0.02)
     assert plan.diagnostics["closure_rank"] == []
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     plan.save(tmp_path / "plan.npz")
     out = CliRunner().invoke(main, ["check", str(tmp_path / "plan.npz"), "--json"])
     assert json.loads(out.stdout)["closure_rank"] == []

@@ -18,8 +18,9 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.csv_file import motion_columns
 
 BASES = np.array([[0.0, 0.0], [0.5, 0.0]])  # of the 2-RPR's legs, m
@@ -201,7 +202,7 @@ def test_a_data_frame_has_the_columns(plan: Plan) -> None:
 def test_samples_without_efforts_say_so_in_every_format(corner: Plan, turning: Robot, tmp_path: Path) -> None:
     tau = np.array(corner.tau)
     tau[3] = np.nan
-    broken = replace(corner, tau=tau, status=PlanStatus.UNBOUNDED_EFFORT)
+    broken = replace(corner, tau=tau, status=ResultStatus.UNBOUNDED)
     broken.to_csv(tmp_path / "plan.csv", robot=turning)
     name = corner.robot.actuated[0]
     assert np.isnan(read(tmp_path / "plan.csv")[f"tau:{name} [N*m]"][3])

@@ -24,9 +24,10 @@ from redundancy_pin.planners.limits import (
     motion_broken,
     ranges_left,
 )
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.robot.joint_ranges import joint_ranges
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -295,7 +296,7 @@ def test_a_plan_on_its_limit_is_within_it_and_one_beside_it_is_not(name):
         if broken:
             worst = max(report.violated, key=lambda event: event.amount)
             assert worst.amount == pytest.approx(1e-8 * most, rel=1e-3)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0**20])

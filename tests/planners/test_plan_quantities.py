@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import redundancy_pin as rp
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.limits import check_limits
+from redundancy_pin.status import SampleStatus
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_efforts_that_do_not_balance_are_said_to(crossing):
     assert plan.residual[100] == pytest.approx(1e-3, rel=1e-6)
     assert plan.sample_status[100] == SampleStatus.SINGULAR_INCONSISTENT
     assert plan.status is not crossing.status
-    assert (np.delete(plan.sample_status, 100) == SampleStatus.REGULAR).all()
+    assert (np.delete(plan.sample_status, 100) == SampleStatus.OK).all()
 
 
 @pytest.mark.parametrize("carrier", [0, 1])

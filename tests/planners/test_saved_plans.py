@@ -21,9 +21,10 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
 from redundancy_pin.io.archive import decode, encode
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.plan import PLAN_VERSION, Plan, PlanStatus, load_plan, load_robot_of
+from redundancy_pin.planners.plan import PLAN_VERSION, Plan, load_plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.status import ResultStatus
 
 # the folder of a test is used anew by every example: each writes its own file whole
 EXAMPLES = examples(15, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -152,7 +153,7 @@ def test_a_full_disk_leaves_the_old_plan(saved: Path, plan: Plan, monkeypatch: p
         (object(), r"diagnostics\['bad'\] is a object"),
         ({"deep": [1, {2, 3}]}, r"diagnostics\['bad'\]\['deep'\]\[1\] is a set"),
         (np.array([object()]), "array of object"),
-        (PlanStatus.WITHIN_LIMITS, "PlanStatus"),
+        (ResultStatus.OK, "ResultStatus"),
     ],
 )
 def test_what_a_file_cannot_hold_is_named_and_nothing_is_written(

@@ -23,7 +23,8 @@ from redundancy_pin import (
 )
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
 pytest.importorskip("casadi")
@@ -53,7 +54,7 @@ def free() -> Plan:
 @pytest.mark.parametrize("rate", [np.inf, pytest.param(0.35, marks=pytest.mark.long)])
 def test_without_carriers_the_time_is_that_of_toppra(rate: float) -> None:
     plan = plan_time_optimal(bare(), CORNER, effort=EFFORT, actuator_speed=rate, steps=100)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     expected = least_time(bare(), CORNER, EFFORT, rate, steps=200)
     assert abs(plan.t[-1] / expected - 1.0) < 5e-3
     assert np.abs(plan.actuated_rate).max() <= rate
@@ -76,7 +77,7 @@ def test_rates_are_looked_at_between_the_nodes(monkeypatch: pytest.MonkeyPatch) 
         angles = np.asarray(inverse_kinematics(robot, each.platform_at(t)).q)[:, at]
         worst.append(np.abs(np.gradient(np.unwrap(angles, axis=0), t, axis=0)).max() / 0.35)
     assert worst[0] > 1.05
-    assert coarse.status is PlanStatus.VIOLATES_LIMITS
+    assert coarse.status is ResultStatus.LIMIT_VIOLATED
     events = [event for event in coarse.limits.violated if event.quantity == "speed"]
     assert {event.carrier for event in events} <= set(robot.actuated)
     assert max(abs(event.value) for event in events) == pytest.approx(0.35 * worst[0], rel=2e-3)
@@ -85,7 +86,7 @@ def test_rates_are_looked_at_between_the_nodes(monkeypatch: pytest.MonkeyPatch) 
         assert 0.999 < use < 1.001
         assert "speed" in {event.quantity for event in each.limits.binding}
         assert "speed" not in {event.quantity for event in each.limits.violated}
-    assert fine.status is PlanStatus.WITHIN_LIMITS
+    assert fine.status is ResultStatus.OK
 
 
 def test_more_actuators_than_freedoms_share_the_load() -> None:
@@ -96,7 +97,7 @@ def test_more_actuators_than_freedoms_share_the_load() -> None:
         robot, actuated=(*robot.actuated, "elbow_1"), actuated_velocity=np.append(robot.actuated_velocity, elbow)
     )
     plan = plan_time_optimal(RneaDynamics(driven), CORNER, effort=EFFORT, steps=60)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert plan.t[-1] < 0.97
     assert abs(plan.t[-1] / least_time(RneaDynamics(driven), CORNER, EFFORT, steps=120) - 1.0) < 5e-3
 
@@ -104,7 +105,7 @@ def test_more_actuators_than_freedoms_share_the_load() -> None:
 def test_carriers_make_the_corner_faster() -> None:
     """0.66 s with a free end, in place of 1.07 s."""
     plan = free()
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert 0.640 < plan.t[-1] < 0.665
     assert np.abs(plan.motion.xd[[0, -1]]).max() < 1e-9
     assert np.abs(plan.carriers.s).max() <= 1.0
@@ -129,7 +130,7 @@ def test_carriers_make_the_corner_faster() -> None:
 )
 def test_times_round_the_corner_by_how_carriers_begin_and_end(options: Any, least: float, most: float) -> None:
     plan = plan_time_optimal(carrying(), CORNER, effort=EFFORT, **{**LIMITS, **options})
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert least < plan.t[-1] < most
     if options.get("end") == "periodic":
         for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd):
@@ -141,7 +142,7 @@ def test_forces_and_jerks_of_carriers_are_kept() -> None:
     plan = plan_time_optimal(
         carrying(), CORNER, effort=EFFORT, end="free", carrier_force=30.0, jerk=500.0, steps=60, **LIMITS
     )
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert free().t[-1] < plan.t[-1] < 0.9
     assert 29.9 < np.abs(plan.carrier_force).max() <= 30.0
     step = np.diff(plan.t)
@@ -157,7 +158,7 @@ def test_a_spatial_platform_under_gravity() -> None:
     goal[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix() @ goal[:3, :3]
     path = reference.pose(zoo.home_of(robot), goal).path
     plan = plan_time_optimal(RneaDynamics(robot), path, effort=80.0, steps=60)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert abs(plan.t[-1] / least_time(RneaDynamics(robot), path, 80.0, steps=200) - 1.0) < 5e-3
 
 
@@ -171,7 +172,7 @@ def test_a_lap_goes_on_where_it_began() -> None:
         ),
     ]
     for plan in plans:
-        assert plan.status is PlanStatus.WITHIN_LIMITS
+        assert plan.status is ResultStatus.OK
         for part in (plan.motion.xd, plan.motion.xdd, plan.tau):
             np.testing.assert_allclose(part[0], part[-1], atol=1e-6)
         assert np.abs(plan.motion.xd[0]).max() > 0.1
@@ -212,7 +213,7 @@ def test_forward_dynamics_follow_the_plan() -> None:
 def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
     dynamics = VirtualWork(zoo.robot_of("2rpr", end_effector_mass=0.5))
     plan = plan_time_optimal(dynamics, reference.line().path, effort=1.0, end="free", steps=50)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     (i,) = plan.diagnostics["singular_nodes"]
     beside = plan.efforts_at(plan.t[i] + np.array([-1e-3, 1e-3]), RneaDynamics(dynamics.robot))
     np.testing.assert_allclose(plan.tau[i], beside.mean(axis=0), atol=0.03)  # what W⁻¹ f tends to

@@ -11,10 +11,9 @@ from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.errors import CarrierLimitError, InputError
-from redundancy_pin.kinematics.forward_kinematics import ForwardStatus
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Constant
-from redundancy_pin.simulation.result import SimulationStatus
+from redundancy_pin.status import ResultStatus, SampleStatus
 
 SLACK = 1e-9
 """Of the machine's length, and rad: what counts as rounding of a position that Newton's method found to 1e-11."""
@@ -59,7 +58,7 @@ def verdicts(path: Path, robot: Robot) -> dict[str, bool]:
     motion = rp.PlatformMotion([0.0], [[np.pi / 2]], still, still)
     try:
         run = rp.simulate(robot, Constant(np.zeros(1), np.zeros(0)), duration=0.05)
-        simulated = run.status is SimulationStatus.COMPLETED and not run.events
+        simulated = run.status is ResultStatus.OK and not run.events
     except InputError:
         simulated = False
     driven = rp.forward_kinematics(robot, np.full((1, 1), np.pi / 2))
@@ -67,7 +66,7 @@ def verdicts(path: Path, robot: Robot) -> dict[str, bool]:
         "info": "(outside)" not in shown,
         "inverse_kinematics": not rp.inverse_kinematics(robot, motion).out_of_range[0],
         "efforts": rp.distribute(rp.RneaDynamics(robot).reduce(motion)).status_labels[0] != "out_of_range",
-        "forward kinematics": driven.status[0] == ForwardStatus.CONVERGED,
+        "forward kinematics": driven.status[0] == SampleStatus.OK,
         "simulation": simulated,
     }
 

@@ -31,7 +31,6 @@ from redundancy_pin.simulation import (
     ForwardDynamics,
     Sampling,
     Simulation,
-    SimulationStatus,
     State,
     closed_state,
     linearise,
@@ -42,6 +41,7 @@ from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr, linear_model
 from redundancy_pin.simulation.derivatives import linearise_along
 from redundancy_pin.simulation.state import Manifold
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 EQUAL = 1e-11
@@ -139,7 +139,7 @@ def test_what_has_no_acceleration_is_left_to_those_who_say_why() -> None:
         rp.simulate(robot, duration=1.0, dynamics=compiled(robot))
     start = closed_state(robot, [0.25, 0.4], [0.2, -0.1], s=[0.1, 0.15], sd=[0.3, -0.6])
     run = rp.simulate(robot, start=start, duration=1.0, stop_at=(), dynamics=compiled(robot))
-    assert run.status is SimulationStatus.FAILED
+    assert run.status is ResultStatus.NOT_CONVERGED
     assert "inertia" in run.reason
     flat = row_of_four_bars(2)
     q = np.zeros(flat.model.nq)
@@ -190,8 +190,8 @@ def test_a_machine_that_is_thrown_moves_the_same(case: str) -> None:
     assert abs(run.statistics.steps - own.statistics.steps) <= 2
     seen = {event.kind for event in own.events}
     assert case in ("few steps", "onto the end of a track") or "type_II" in seen
-    assert case != "onto the end of a track" or own.status is SimulationStatus.STOPPED_BY_EVENT
-    assert case != "few steps" or (own.status is SimulationStatus.FAILED and run.reason == own.reason)
+    assert case != "onto the end of a track" or own.status is ResultStatus.STOPPED
+    assert case != "few steps" or (own.status is ResultStatus.NOT_CONVERGED and run.reason == own.reason)
 
 
 class Damped:
@@ -447,7 +447,7 @@ def test_falling_parallelograms_pass_their_flat_poses_like_the_pendulum_they_are
         rtol=1e-12,
         atol=1e-13,
     )
-    assert run.status is SimulationStatus.COMPLETED
+    assert run.status is ResultStatus.OK
     np.testing.assert_allclose(run.q[:, 0], pendulum.y[0], atol=1e-7)
     flat = [event.t for event in run.events if event.kind == "closure_rank"]
     np.testing.assert_allclose(flat, pendulum.t_events[0], atol=1e-7)

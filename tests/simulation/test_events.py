@@ -15,8 +15,9 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.simulation.controllers.base import Constant
 from redundancy_pin.simulation.events import Event, EventFunctions
-from redundancy_pin.simulation.result import Simulation, SimulationStatus
+from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.state import State, closed_state
+from redundancy_pin.status import ResultStatus
 
 TIMES = 1e-8
 """s: the interpolant of a step is of order 7, and its position off by 1e-10 or less at speeds of order 1."""
@@ -31,7 +32,7 @@ def test_type_two_poses_on_the_way_are_reported_and_passed() -> None:
     robot = moving.massive("2rpr")
     start = closed_state(robot, [0.2, 0.1], [0.1, -1.0])
     run = rp.simulate(robot, start=start, duration=0.25, dt=0.001)
-    assert run.status is SimulationStatus.COMPLETED
+    assert run.status is ResultStatus.OK
     (event,) = of_kind(run, "type_II")
     y = lambda t: float(run.at([t])[0][0, 1])  # noqa: E731
     assert event.t == pytest.approx(brentq(y, 0.05, 0.2), abs=TIMES)
@@ -53,7 +54,7 @@ def test_a_stretched_leg_is_reported_with_its_number_and_the_motion_goes_on() ->
     assert run.t[-1] == 1.5
     assert np.ptp(run.energy) < 1e-9 * run.energy[0]  # regular there: nothing is lost
     stopped = rp.simulate(robot, start=start, duration=1.5, stop_at=("type_I",))
-    assert stopped.status is SimulationStatus.STOPPED_BY_EVENT
+    assert stopped.status is ResultStatus.STOPPED
     assert stopped.t[-1] == stopped.events[-1].t == pytest.approx(stretched[0].t, abs=TIMES)
 
 
@@ -79,7 +80,7 @@ def test_an_end_stop_passed_for_a_moment_within_a_step_is_not_missed(depth: floa
     s, sd, _ = drive.carrier_motion(0.0)
     start = closed_state(robot, s=s, sd=sd)
     run = rp.simulate(robot, drive, start=start, carriers="motion")
-    assert run.status is SimulationStatus.STOPPED_BY_EVENT
+    assert run.status is ResultStatus.STOPPED
     assert run.events[-1].name == "carrier_1 upper"
     assert run.events[-1].t == pytest.approx(0.1 - np.sqrt(depth / 15.0), abs=TIMES)
     assert (
@@ -126,9 +127,9 @@ def test_a_carrier_that_starts_at_its_end_may_leave_inward_only(part_of_slack: f
     robot = moving.massive("2rpr")
     at_end = closed_state(robot, s=[0.2 + part_of_slack * 1e-9 * robot.characteristic_length, 0.0])
     inward = rp.simulate(robot, Constant(np.zeros(2), np.array([-5.0, 0.0])), start=at_end, duration=0.1)
-    assert inward.status is SimulationStatus.COMPLETED
+    assert inward.status is ResultStatus.OK
     outward = rp.simulate(robot, Constant(np.zeros(2), np.array([5.0, 0.0])), start=at_end, duration=0.1)
-    assert outward.status is SimulationStatus.STOPPED_BY_EVENT
+    assert outward.status is ResultStatus.STOPPED
     assert outward.t[-1] == pytest.approx(0.0, abs=SOON)
 
 
@@ -138,7 +139,7 @@ def test_a_start_at_an_end_stops_whichever_way_it_was_rounded(beyond: float) -> 
     robot = moving.massive("2rpr")
     at_end = closed_state(robot, s=[0.2 + beyond, 0.0])
     run = rp.simulate(robot, Constant(np.zeros(2), np.array([5.0, 0.0])), start=at_end, duration=0.3)
-    assert run.status is SimulationStatus.STOPPED_BY_EVENT
+    assert run.status is ResultStatus.STOPPED
     assert [event.name for event in run.events] == ["carrier_1 upper"]
     assert run.t[-1] < SOON
     # from rest at a constant acceleration, s = v t / 2: nine tenths of the slack, less what it was beyond

@@ -15,8 +15,8 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import IllPosedModelError, InputError, UnsupportedRobotError
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Constant, Controller, Sampling
-from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.state import State, closed_state, tree_state
+from redundancy_pin.status import ResultStatus
 
 SAME = 1e-9
 """Two ways through the same motion of a second, each accurate to some 1e-11."""
@@ -50,7 +50,7 @@ def home(robot: Robot) -> Array:
 def test_a_machine_at_rest_without_gravity_stays_where_it_is() -> None:
     robot = zoo.robot_of("3rrr")
     run = rp.simulate(robot, duration=0.1, dt=0.03)
-    assert run.status is SimulationStatus.COMPLETED
+    assert run.status is ResultStatus.OK
     np.testing.assert_array_equal(run.t, [0.0, 0.03, 0.06, 0.09, 0.1])
     np.testing.assert_allclose(run.q, np.tile(robot.q_reference, (5, 1)), atol=1e-12)
     assert not run.tau.any()
@@ -336,7 +336,7 @@ def test_an_ill_posed_start_is_an_error_and_an_ill_posed_pose_on_the_way_a_failu
     # a carrier on its way through s = 0
     start = closed_state(robot, [0.25, 0.4], [0.2, -0.1], s=[0.1, 0.15], sd=[0.3, -0.6])
     run = rp.simulate(robot, start=start, duration=1.0, stop_at=())
-    assert run.status is SimulationStatus.FAILED
+    assert run.status is ResultStatus.NOT_CONVERGED
     assert "inertia" in run.reason
     assert "end_effector_mass" in run.reason
     assert 0.1 < run.t[-1] < 0.5
@@ -353,11 +353,11 @@ def test_a_controller_that_blows_up_is_a_failure_with_its_reason() -> None:
             return 1e3 * np.exp(np.minimum(40.0 * np.abs(state.xd), 300.0)), np.zeros(2)
 
     run = rp.simulate(robot, Explosive(), duration=1.0, stop_at=())
-    assert run.status is SimulationStatus.FAILED
+    assert run.status is ResultStatus.NOT_CONVERGED
     assert run.reason.startswith("At t = ")
     assert "controller" in run.reason or "step" in run.reason
     few = rp.simulate(robot, Constant(np.ones(2), np.zeros(2)), duration=1.0, max_steps=2, max_step=0.01)
-    assert few.status is SimulationStatus.FAILED
+    assert few.status is ResultStatus.NOT_CONVERGED
     assert "2 steps did not reach the end" in few.reason
     assert few.t[-1] <= 0.02
 
@@ -375,7 +375,7 @@ def test_what_runs_away_is_named_and_a_controller_is_blamed_only_where_there_is_
         run = rp.simulate(robot, Cubic(), duration=1.0)
     else:
         run = rp.simulate(robot, duration=1.0, external=lambda state: 50.0 * state.v**3)
-    assert run.status is SimulationStatus.FAILED
+    assert run.status is ResultStatus.NOT_CONVERGED
     assert "joint 'crank' runs away at -7" in run.reason
     assert "ratio of singular values 0.41" in run.reason
     assert ("controller" in run.reason) is driven
@@ -436,5 +436,5 @@ def test_a_controller_without_an_answer_to_a_trial_step_alone_does_no_harm() -> 
     run = rp.simulate(robot, drive, duration=0.1)
     assert len(calls) == 3
     constant = rp.simulate(robot, Constant(drive.tau, drive.carrier_force), duration=0.1)
-    assert run.status is SimulationStatus.COMPLETED
+    assert run.status is ResultStatus.OK
     np.testing.assert_allclose(run.q, constant.q, atol=SAME)

@@ -12,8 +12,9 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, PlanFileError
 from redundancy_pin.simulation.controllers.base import Constant
-from redundancy_pin.simulation.result import Simulation, SimulationStatus, load_simulation
+from redundancy_pin.simulation.result import Simulation, load_simulation
 from redundancy_pin.simulation.state import closed_state
+from redundancy_pin.status import ResultStatus
 
 
 @pytest.fixture(params=["2rpr", "gough"])
@@ -43,7 +44,7 @@ def test_a_simulation_prints_what_tells_it_apart(simulation: Simulation) -> None
     assert f"N={len(simulation)}, t=0..{simulation.t[-1]:g} s, n={simulation.xd.shape[1]}, " in text
     peaks = ", ".join(f"{value:.4g}" for value in largest)
     assert text.endswith(f"peak |carrier_force| {peaks} N)" if len(largest) else "no carrier_force)")
-    assert "failed (too fast)" in repr(replace(simulation, status=SimulationStatus.FAILED, reason="too fast"))
+    assert "not_converged (too fast)" in repr(replace(simulation, status=ResultStatus.NOT_CONVERGED, reason="too fast"))
 
 
 def test_what_is_no_simulation_is_refused_by_name(simulation: Simulation, tmp_path: Path) -> None:

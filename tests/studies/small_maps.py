@@ -6,8 +6,9 @@ import time
 from typing import Any
 
 from redundancy_pin.errors import InputError
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, MapProblem
-from redundancy_pin.studies.verdicts import Cell, Verdict
+from redundancy_pin.studies.verdicts import Cell
 
 COARSE = {WHOLE: {"dt": 0.03, "refinements": 0}, SWITCH_OFF: {"threshold": 20.0, "return_time": "shortest", "dt": 5e-3}}
 
@@ -43,7 +44,7 @@ def corner(**changes: Any) -> MapProblem:
 def quick(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
     """A cell that is possible on one side of a slanting border, at once."""
     possible = x <= 0.1 + 0.2 * y
-    verdict, limits = (Verdict.FEASIBLE, ()) if possible else (Verdict.INFEASIBLE, ("track",))
+    verdict, limits = (ResultStatus.OK, ()) if possible else (ResultStatus.LIMIT_VIOLATED, ("track",))
     return Cell(planner, x, y, verdict, limits, peak_effort=x if possible else None)
 
 

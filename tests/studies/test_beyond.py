@@ -249,10 +249,10 @@ def test_trade_off_is_ordered() -> None:
 
 
 def record(task: str, method: str, peak: float, **changes: Any) -> dict[str, Any]:
-    status = changes.get("status", "within_limits")
+    status = changes.get("status", "ok")
     exists = status != INFEASIBLE
     return {"task": task, "way": method, "unit": "N", "status": status, "exists": exists,
-            "sound": status == "within_limits", "peak": peak, "dense_peak": peak, "worst": peak, "reversals": 2.0,
+            "sound": status == "ok", "peak": peak, "dense_peak": peak, "worst": peak, "reversals": 2.0,
             "rms": peak / 2.0, "carrier_force": 9.0, "main_energy": peak / 10.0, "energy": peak / 10.0 + 1.0,
             "before": math.nan, "missing": math.nan if exists else 0.25, **changes}  # fmt: skip
 
@@ -265,7 +265,7 @@ def changed(method: str, task: str = "", **values: Any) -> Any:
 def made(change: Any = lambda r: r, **parts: Any) -> dict[str, dict[str, Any]]:
     rows = []
     for task in SINGULAR:
-        off = {"status": INFEASIBLE} if task.name == "heavy-0.5" else {"status": "violates_limits", "before": 2.8}
+        off = {"status": INFEASIBLE} if task.name == "heavy-0.5" else {"status": "limit_violated", "before": 2.8}
         rows += [record(task.name, SWITCH_OFF, 28.0, **off), record(task.name, SWITCH_OFF_LATE, 23.0)]
         rows += [record(task.name, EFFORT, 0.28), record(task.name, PEAK, 0.14), record(task.name, SMOOTH, 0.35)]
     for task in TURNS:
@@ -296,7 +296,7 @@ def made(change: Any = lambda r: r, **parts: Any) -> dict[str, dict[str, Any]]:
 
 SLOW = {"task": "circle-0.5", "title": "circle", "unit": "N", "effort_limit": math.inf,
         "fastest_with_plan": {"speed": 0.7, "peak": 74.0}, "slowest_without": None}  # fmt: skip
-WORSE = {"status": "stopped_early", "sound": False}
+WORSE = {"status": "not_converged", "sound": False}
 
 
 @pytest.mark.parametrize(

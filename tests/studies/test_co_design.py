@@ -179,7 +179,7 @@ def test_machines_that_cannot_are_passed_over() -> None:
         (lambda: [crossing()], {"carrier_mass": (2.0, 0.5)}, "range of carrier_mass"),
         (lambda: [crossing()], {"carrier_mass": (2.0, 3.0)}, "has 1"),
         (lambda: [crossing(objectiv="peak")], {"carrier_mass": (0.5, 2.0)}, "objectiv"),
-        (partial(list, [("2rpr", None)]), {"carrier_mass": (0.5, 2.0)}, "str"),
+        (partial(list, [([], None)]), {"carrier_mass": (0.5, 2.0)}, "list was given"),
         (partial(list, [("2rpr",)]), {"carrier_mass": (0.5, 2.0)}, "1 entries"),
         (lambda: [crossing().dynamics], {"carrier_mass": (0.5, 2.0)}, "A task was expected"),
         (lambda: [(crossing().dynamics, circle(), None)], {"carrier_mass": (0.5, 2.0)}, "task's options"),
@@ -201,7 +201,7 @@ def test_twice_the_feed_round_the_corner_under_the_same_torque() -> None:
     plan = rp.plan_whole_trajectory(
         rp.VirtualWork(robot), fast, objective="peak", dt=0.02, acceleration=60.0, speed=5.0, refinements=1
     )
-    assert plan.status.value in ("within_limits", "unresolved")
+    assert plan.status.value in ("ok", "unresolved")
     assert plan.peak_effort.max() < 0.75 * limit < 0.2 * needed
     np.testing.assert_allclose(plan.carriers.s[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(plan.carriers.sd[[0, -1]], 0.0, atol=1e-9)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.beyond import GROWTH, attempt, fastest
 from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import EFFORT, QUICK, SINGULAR, at_speed, by_method
@@ -96,10 +97,10 @@ def test_whether_the_wider_limit_suffices(enough: bool) -> None:
 
 
 def test_an_unsound_plan_is_none() -> None:
-    broken = replace(plan(), status=PlanStatus.VIOLATES_LIMITS)
+    broken = replace(plan(), status=ResultStatus.LIMIT_VIOLATED)
     trial = attempt(Border(lambda case: True, given=broken), by_method(CIRCLE, EFFORT))
     assert not trial["feasible"]
-    assert trial["status"] == "violates_limits"
+    assert trial["status"] == "limit_violated"
 
 
 @pytest.mark.long

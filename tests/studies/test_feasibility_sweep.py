@@ -15,10 +15,11 @@ import pytest
 from small_maps import corner, crossing
 
 from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError, RedundancyPinError
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies import feasibility
 from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, MapProblem, feasibility_map
-from redundancy_pin.studies.verdicts import Cell, Key, Verdict
+from redundancy_pin.studies.verdicts import Cell, Key
 
 HERE = Path(__file__).resolve().parent
 
@@ -112,14 +113,26 @@ def test_a_cell_without_meaning_is_damage(tmp_path: Path, computed: list[Key]) -
     store = tmp_path / "store"
     feasibility_map(corner(), store, jobs=1)
     with sqlite3.connect(store) as raw:
-        raw.execute("""UPDATE record SET record = replace(record, '"infeasible"', '"perhaps"')""")
+        raw.execute("""UPDATE record SET record = replace(record, '"limit_violated"', '"perhaps"')""")
     raw.close()
     with pytest.raises(OutputError, match="damaged"):
         feasibility_map(corner(), store, jobs=1)
 
 
 def test_cells_survive_the_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    given = (Verdict.INFEASIBLE, ("track", "end"), "c", 0.1, float("nan"), None, 1.1, 0.5, "", "ü", {"a": [1.0, "b"]})
+    given = (
+        ResultStatus.LIMIT_VIOLATED,
+        ("track", "end"),
+        "c",
+        0.1,
+        float("nan"),
+        None,
+        1.1,
+        0.5,
+        "",
+        "ü",
+        {"a": [1.0, "b"]},
+    )
     monkeypatch.setattr(feasibility, "compute", lambda problem, *key: Cell(*key, *given))
     before = feasibility_map(corner(), tmp_path / "store", jobs=1)
     again = feasibility_map(corner(), tmp_path / "store", jobs=1)
@@ -138,8 +151,8 @@ def test_a_cell_that_fails_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(Case, "plan", plan)
     result = feasibility_map(corner(), jobs=1)
-    assert result.counts(WHOLE) == {"feasible": 0, "stopped_early": 0, "infeasible": 6, "failed": 3}
-    assert all("by chance" in cell.message for cell in result.cells if cell.verdict is Verdict.FAILED)
+    assert result.counts(WHOLE) == {"ok": 0, "not_converged": 0, "unresolved": 3, "limit_violated": 6}
+    assert all("by chance" in cell.message for cell in result.cells if cell.verdict is ResultStatus.UNRESOLVED)
     # failed cells have no border with infeasible ones
     assert result.border(WHOLE) == ()
 
@@ -148,9 +161,9 @@ def test_a_corner_of_the_map_may_be_out_of_the_domain() -> None:
     """At 1 m/s the ramps do not fit into the straights: those cells fail, the others do not."""
     problem = corner(x=Axis("speed", (0.1, 2.0)), y=Axis("stroke", (1.9, 2.0)), planners=(STEPWISE,))
     result = feasibility_map(problem, jobs=1)
-    assert [cell.verdict for cell in result.cells if cell.x == 2.0] == [Verdict.FAILED] * 2
+    assert [cell.verdict for cell in result.cells if cell.x == 2.0] == [ResultStatus.UNRESOLVED] * 2
     assert all("InputError" in cell.message for cell in result.cells if cell.x == 2.0)
-    assert Verdict.FAILED not in [cell.verdict for cell in result.cells if cell.x == 0.1]
+    assert ResultStatus.UNRESOLVED not in [cell.verdict for cell in result.cells if cell.x == 0.1]
 
 
 def test_a_map_of_nothing_but_mistakes_is_refused_at_once(computed: list[Key]) -> None:

@@ -12,7 +12,8 @@ from small_maps import corner, crossing
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, UnreachablePoseError
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.feasibility import (
     STEPWISE,
@@ -23,7 +24,7 @@ from redundancy_pin.studies.feasibility import (
     MapProblem,
     feasibility_map,
 )
-from redundancy_pin.studies.verdicts import Cell, Verdict, compute, judge
+from redundancy_pin.studies.verdicts import Cell, compute, judge
 from redundancy_pin.trajectory import reference
 
 pytest.importorskip("casadi")
@@ -64,10 +65,10 @@ def _require_cells_of_the_planner(result: FeasibilityMap, dynamics: Any, make: C
     effort, nodes = result.problem.limits.get("max_effort"), result.problem.parameters[WHOLE]
     for cell in result.of(WHOLE):
         plan = _whole(dynamics, make(cell.x), track=[-0.5 * cell.y, 0.5 * cell.y], effort=effort, **nodes)
-        expected = Verdict.INFEASIBLE if plan is None else Verdict.FEASIBLE
+        expected = ResultStatus.LIMIT_VIOLATED if plan is None else ResultStatus.OK
         assert cell.verdict is expected, cell
         if plan is not None:
-            assert plan.status is PlanStatus.WITHIN_LIMITS
+            assert plan.status is ResultStatus.OK
             assert plan.between is not None
             assert cell.dense_ratio == pytest.approx(plan.between.ratio, rel=1e-3)
             assert cell.peak_effort == pytest.approx(plan.peak_effort.max(), rel=1e-3)
@@ -89,7 +90,7 @@ def test_switch_off_cells_are_those_of_the_planner(circle: FeasibilityMap) -> No
     """The stroke goes in as an argument of the model here: the limits come from its URDF."""
     for cell in circle.of(SWITCH_OFF):
         plan = _switched_off(cell, 20.0, "shortest")
-        assert cell.verdict is (Verdict.FEASIBLE if plan else Verdict.INFEASIBLE), cell
+        assert cell.verdict is (ResultStatus.OK if plan else ResultStatus.LIMIT_VIOLATED), cell
         if plan is not None:
             assert cell.peak_effort == pytest.approx(plan.peak_effort.max(), rel=SOLVER)
 
@@ -105,7 +106,7 @@ def _switched_off(cell: Cell, threshold: float, return_time: Any) -> Plan | None
         )
     except InfeasiblePlanError:
         return None
-    return plan if plan.status is PlanStatus.WITHIN_LIMITS else None
+    return plan if plan.status is ResultStatus.OK else None
 
 
 def test_switching_off_is_tried_as_the_thesis_does_it_first() -> None:
@@ -124,8 +125,8 @@ def test_stepwise_cells_are_those_of_the_planner(bend: FeasibilityMap) -> None:
         plan = rp.plan_stepwise(
             dynamics, reference.corner(speed=cell.x), dt=5e-3, track=[-0.5 * cell.y, 0.5 * cell.y], between=3
         )
-        kept = plan.status is PlanStatus.WITHIN_LIMITS and plan.peak_effort_at_samples.max() <= 5.0
-        assert cell.verdict is (Verdict.FEASIBLE if kept else Verdict.INFEASIBLE), cell
+        kept = plan.status is ResultStatus.OK and plan.peak_effort_at_samples.max() <= 5.0
+        assert cell.verdict is (ResultStatus.OK if kept else ResultStatus.LIMIT_VIOLATED), cell
         if not kept:
             assert cell.limits[0] == "effort"
             assert set(cell.limits) <= {"effort", "track"}  # a stop by steps may pass the end between two of them
@@ -135,7 +136,7 @@ def test_stepwise_cells_are_those_of_the_planner(bend: FeasibilityMap) -> None:
 def _require_both_verdicts(result: FeasibilityMap) -> None:
     """Else the tests above would say little."""
     for planner in result.problem.planners:
-        assert {cell.verdict for cell in result.of(planner)} == {Verdict.FEASIBLE, Verdict.INFEASIBLE}
+        assert {cell.verdict for cell in result.of(planner)} == {ResultStatus.OK, ResultStatus.LIMIT_VIOLATED}
 
 
 def test_both_verdicts_occur_on_a_crossing(circle: FeasibilityMap) -> None:
@@ -195,12 +196,16 @@ def _cell_where(planner_does: Any, monkeypatch: pytest.MonkeyPatch) -> Cell:
 @pytest.mark.parametrize(
     ("error", "verdict", "limits"),
     [
-        (RuntimeError("the solver burst"), Verdict.FAILED, ()),
-        (InfeasiblePlanError("Too slow.", constraint="seconds", time=0.0, amount=1.0), Verdict.FAILED, ()),
-        (InfeasiblePlanError("Lost.", constraint="balance", time=0.0, amount=1.0), Verdict.FAILED, ()),
-        (InfeasiblePlanError("It does not say why."), Verdict.FAILED, ()),
-        (InfeasiblePlanError("Too far.", constraint="track", time=0.5, amount=0.1), Verdict.INFEASIBLE, ("track",)),
-        (UnreachablePoseError("Too far away."), Verdict.INFEASIBLE, ("workspace",)),
+        (RuntimeError("the solver burst"), ResultStatus.UNRESOLVED, ()),
+        (InfeasiblePlanError("Too slow.", constraint="seconds", time=0.0, amount=1.0), ResultStatus.UNRESOLVED, ()),
+        (InfeasiblePlanError("Lost.", constraint="balance", time=0.0, amount=1.0), ResultStatus.UNRESOLVED, ()),
+        (InfeasiblePlanError("It does not say why."), ResultStatus.UNRESOLVED, ()),
+        (
+            InfeasiblePlanError("Too far.", constraint="track", time=0.5, amount=0.1),
+            ResultStatus.LIMIT_VIOLATED,
+            ("track",),
+        ),
+        (UnreachablePoseError("Too far away."), ResultStatus.LIMIT_VIOLATED, ("workspace",)),
         (
             InfeasiblePlanError(
                 "Both.",
@@ -208,13 +213,13 @@ def _cell_where(planner_does: Any, monkeypatch: pytest.MonkeyPatch) -> Cell:
                 together=True,
                 relaxations=({"constraint": "track"}, {"constraint": "effort"}),
             ),
-            Verdict.INFEASIBLE,
+            ResultStatus.LIMIT_VIOLATED,
             ("track", "effort"),
         ),
     ],
 )
 def test_failed_is_not_infeasible(
-    error: Exception, verdict: Verdict, limits: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+    error: Exception, verdict: ResultStatus, limits: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell = _cell_where(error, monkeypatch)
     assert (cell.verdict, cell.limits) == (verdict, limits)
@@ -230,7 +235,7 @@ def test_while_one_try_failed_nothing_is_shown_to_be_impossible(monkeypatch: pyt
         raise next(answers, InfeasiblePlanError("No.", constraint="track"))
 
     monkeypatch.setattr(Case, "plan", plan)
-    assert compute(crossing(parameters={}), SWITCH_OFF, 0.4, 0.3).verdict is Verdict.FAILED
+    assert compute(crossing(parameters={}), SWITCH_OFF, 0.4, 0.3).verdict is ResultStatus.UNRESOLVED
 
 
 @pytest.fixture(scope="module")
@@ -241,28 +246,28 @@ def planned() -> Plan:
 
 
 def _judged(plan: Plan, effort: float = 5.0, planner: str = WHOLE) -> Cell:
-    return judge(Cell(planner, 0.1, 2.0, Verdict.FEASIBLE), plan, {"max_effort": effort})
+    return judge(Cell(planner, 0.1, 2.0, ResultStatus.OK), plan, {"max_effort": effort})
 
 
 def test_a_plan_that_stopped_early_is_told_apart(planned: Plan) -> None:
     diagnostics = {**planned.diagnostics, "solver": "Out_Of_Time"}
-    cell = _judged(replace(planned, status=PlanStatus.STOPPED_EARLY, diagnostics=diagnostics))
-    assert cell.verdict is Verdict.STOPPED_EARLY
+    cell = _judged(replace(planned, status=ResultStatus.NOT_CONVERGED, diagnostics=diagnostics))
+    assert cell.verdict is ResultStatus.NOT_CONVERGED
     assert cell.possible
     assert "Out_Of_Time" in cell.message
 
 
 def test_a_plan_without_finite_efforts_is_none(planned: Plan) -> None:
-    cell = _judged(replace(planned, status=PlanStatus.UNBOUNDED_EFFORT))
-    assert (cell.verdict, cell.limits) == (Verdict.INFEASIBLE, ("effort",))
+    cell = _judged(replace(planned, status=ResultStatus.UNBOUNDED))
+    assert (cell.verdict, cell.limits) == (ResultStatus.LIMIT_VIOLATED, ("effort",))
 
 
 def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
     """The crossing of the thesis leaves the track and exceeds the acceleration limit; the worst is told first."""
     plan = crossing().case(SWITCH_OFF, 0.5, 0.4, {"threshold": 5.0}).plan()
-    assert plan.status is PlanStatus.VIOLATES_LIMITS
+    assert plan.status is ResultStatus.LIMIT_VIOLATED
     cell = _judged(plan, np.inf, SWITCH_OFF)
-    assert cell.verdict is Verdict.INFEASIBLE
+    assert cell.verdict is ResultStatus.LIMIT_VIOLATED
     assert set(cell.limits) == {event.quantity for event in plan.limits.violated} == {"track", "acceleration"}
     worst = max(plan.limits.violated, key=lambda event: abs(event.value / event.limit))
     assert (cell.limits[0], cell.carrier, cell.time) == (worst.quantity, worst.carrier, worst.worst)
@@ -273,18 +278,18 @@ def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
 def test_a_plan_beyond_the_effort_limit_is_none(planned: Plan) -> None:
     peak = float(planned.peak_effort_at_samples.max())
     cell = _judged(planned, 0.9 * peak)
-    assert (cell.verdict, cell.limits) == (Verdict.INFEASIBLE, ("effort",))
+    assert (cell.verdict, cell.limits) == (ResultStatus.LIMIT_VIOLATED, ("effort",))
     assert cell.amount == pytest.approx(0.1 * peak)
     i = int(np.argmin(np.abs(planned.t - cell.time)))
     assert np.abs(planned.tau[i]).max() == pytest.approx(peak)
-    assert _judged(planned, 1.1 * peak).verdict is Verdict.FEASIBLE
+    assert _judged(planned, 1.1 * peak).verdict is ResultStatus.OK
 
 
 def test_efforts_that_the_nodes_do_not_show_leave_the_cell_unknown(planned: Plan) -> None:
     assert planned.between is not None
     between = replace(planned.between, ratio=1.5, peak=1.5 * planned.peak_effort_at_samples)
     cell = _judged(replace(planned, between=between), 1.1 * float(planned.peak_effort_at_samples.max()))
-    assert cell.verdict is Verdict.FAILED
+    assert cell.verdict is ResultStatus.UNRESOLVED
     assert "not resolved" in cell.message
 
 
@@ -295,20 +300,20 @@ def test_a_peak_between_the_samples_is_what_the_limit_is_compared_with(planned: 
     shown = float(planned.peak_effort_at_samples.max())
     peak = 1.5 * shown
     between = replace(planned.between, ratio=1.5, peak=1.5 * planned.peak_effort_at_samples)
-    plan = replace(planned, status=PlanStatus.UNRESOLVED, between=between)
+    plan = replace(planned, status=ResultStatus.UNRESOLVED, between=between)
     limits = {} if effort is None else {"max_effort": effort * peak}
-    cell = judge(Cell(WHOLE, 0.1, 2.0, Verdict.FEASIBLE), plan, limits)
-    assert (cell.verdict, cell.status, cell.peak_effort) == (Verdict.FEASIBLE, "unresolved", pytest.approx(peak))
+    cell = judge(Cell(WHOLE, 0.1, 2.0, ResultStatus.OK), plan, limits)
+    assert (cell.verdict, cell.status, cell.peak_effort) == (ResultStatus.OK, "unresolved", pytest.approx(peak))
     assert f"reach {peak:.4g}, at the samples {shown:.4g}" in cell.message
     assert ("no limit of the efforts" in cell.message) is (effort is None)
     assert "effort" not in cell.limits
-    tight = judge(Cell(WHOLE, 0.1, 2.0, Verdict.FEASIBLE), plan, {"max_effort": peak})
-    assert tight.verdict is Verdict.FEASIBLE
+    tight = judge(Cell(WHOLE, 0.1, 2.0, ResultStatus.OK), plan, {"max_effort": peak})
+    assert tight.verdict is ResultStatus.OK
     assert "effort" in tight.limits  # the peak is on it, although no sample is
-    beyond = judge(Cell(WHOLE, 0.1, 2.0, Verdict.FEASIBLE), plan, {"max_effort": 0.9 * peak})
-    assert beyond.verdict is Verdict.FAILED
-    without = replace(plan, status=PlanStatus.UNBOUNDED_EFFORT, between=replace(between, peak=between.peak * np.inf))
-    assert judge(Cell(WHOLE, 0.1, 2.0, Verdict.FEASIBLE), without, limits).verdict is Verdict.INFEASIBLE
+    beyond = judge(Cell(WHOLE, 0.1, 2.0, ResultStatus.OK), plan, {"max_effort": 0.9 * peak})
+    assert beyond.verdict is ResultStatus.UNRESOLVED
+    without = replace(plan, status=ResultStatus.UNBOUNDED, between=replace(between, peak=between.peak * np.inf))
+    assert judge(Cell(WHOLE, 0.1, 2.0, ResultStatus.OK), without, limits).verdict is ResultStatus.LIMIT_VIOLATED
 
 
 def test_a_carrier_mass_of_the_robot_is_an_axis() -> None:
@@ -356,6 +361,6 @@ def test_a_map_of_a_motion_between_poses() -> None:
     )
     problem.require_names()
     light, heavy = (compute(problem, WHOLE, 1.0, mass) for mass in (0.5, 2.0))
-    assert light.verdict is Verdict.INFEASIBLE
+    assert light.verdict is ResultStatus.LIMIT_VIOLATED
     assert "acceleration" in light.limits
-    assert heavy.verdict is Verdict.FEASIBLE
+    assert heavy.verdict is ResultStatus.OK

@@ -9,10 +9,10 @@ import pytest
 import quick_results
 
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.status import SampleStatus
 from redundancy_pin.studies.case import BACKENDS, VIRTUAL_WORK
 from redundancy_pin.studies.cases import MOTIONS
 from redundancy_pin.studies.measures import run

@@ -62,7 +62,7 @@ def test_plans_that_differ_stop_the_chapter() -> None:
 def test_the_track_is_left_where_it_is_left() -> None:
     """Rebuilt elsewhere: carrier 1 is at 0.247 m (0.5 m/s) and 0.260 m (0.75 m/s) as actuators are switched on."""
     records = {record["case"]: record for record in chapter()["crossings"]}
-    assert records["circle-0.5-cn5"]["status"] == "violates_limits"
+    assert records["circle-0.5-cn5"]["status"] == "limit_violated"
     assert records["circle-0.5-cn5"]["beyond_track_at_exit"] == pytest.approx(0.047, abs=5e-4)
     assert records["circle-0.75-cn5"]["beyond_track_at_exit"] == pytest.approx(0.060, abs=5e-4)
     assert records["circle-0.5-cn20"]["beyond_track"] == 0.0
@@ -111,10 +111,10 @@ def test_known_answers_in_a_working_mode(mode: tuple[int, ...]) -> None:
 MODES = ((1, 1, 1), (-1, -1, -1))
 KEY = f"{MOVING}, λ = 0"
 CROSSING = {
-    "case": "circle-0.5-cn5", "status": "violates_limits", "beyond_track_at_exit": 0.047, "shortest": float("nan"),
+    "case": "circle-0.5-cn5", "status": "limit_violated", "beyond_track_at_exit": 0.047, "shortest": float("nan"),
     "no_shortest": "none", "jump": (1e-12, 1e-12), "jump_of_differences": (0.2, 0.2), "step": 1e-3,
 }  # fmt: skip
-SOUND = {**CROSSING, "status": "within_limits", "beyond_track_at_exit": 0.0, "no_shortest": "", "shortest": 0.4}
+SOUND = {**CROSSING, "status": "ok", "beyond_track_at_exit": 0.0, "no_shortest": "", "shortest": 0.4}
 HEAVY = {"what": "end-effector of 0.5 kg", "message": "no", "details": {"amount": 0.25}}
 
 
@@ -129,7 +129,7 @@ def made(
                 carriers = 5.0 if what == KEY else 0.0
                 records.append({"motion": motion, "mode": mode, "what": what, "peak": peak, "rms": peak / 2.0,
                              "carrier_force": 20.0, "main_energy": energy, "energy": energy + carriers,
-                             "status": "within_limits"})  # fmt: skip
+                             "status": "ok"})  # fmt: skip
     claims = [{"modes": {"+": {"holds": True}, "-": {"holds": holds}}}]
     chapter = {"crossings": [crossing], "fair_comparison": records, "heavy_end_effector": heavy, "claims": claims}
     return {record["name"]: record for record in conclusions(chapter)}

@@ -106,7 +106,7 @@ def test_csv_holds_both_backends_and_the_singular_instants(done: Reproduction) -
     first, second = (
         np.array([float(row[name]) for row in rows]) for name in ("tau:slide_1 [N]", "tau_virtual_work:slide_1 [N]")
     )
-    regular = np.array([row["status"] == "regular" for row in rows])
+    regular = np.array([row["status"] == "ok" for row in rows])
     np.testing.assert_allclose(first[regular], second[regular], rtol=1e-9, atol=1e-11)  # twelve digits are written
     singular = [row for row in rows if row["status"] == "singular_inconsistent"]
     assert len(singular) == 2
@@ -276,10 +276,10 @@ def test_each_plan_is_replayed_or_the_reason_is_there() -> None:
     made = reproduction("replay")
     records = {(record["plan"], record["drive"]): record for record in quick_results.chapter("replay")["replays"]}
     massless = records["circle-0.5, switching off", "open loop"]
-    assert massless["status"] == "ill_posed"
+    assert massless["status"] == "not_converged"
     assert "no inertia" in massless["reason"]
     corner = records["corner-r0.025, whole trajectory: effort", "open loop"]
-    assert corner["status"] == "completed"
+    assert corner["status"] == "ok"
     assert corner["largest"] < 1e-6
     (missing,) = quick_results.chapter("replay")["without_plan"].values()
     assert "nothing can carry the inertial force" in missing

@@ -48,7 +48,7 @@ SHORT = Scenario(LINE_OFF, 2.45, 2.55)
 
 
 def trial(number: int, largest: float = 1e-3, **changed) -> Trial:
-    return replace(Trial("line, switch off", "LQR", number, "completed", "", largest, 5e-4, 1.0, 2.0, 0.0), **changed)
+    return replace(Trial("line, switch off", "LQR", number, "ok", "", largest, 5e-4, 1.0, 2.0, 0.0), **changed)
 
 
 def test_a_draw_depends_on_seed_and_number_alone():
@@ -161,7 +161,7 @@ def test_means_have_an_interval_like_students():
     [
         ({}, True),
         ({"largest": SUCCESS * 1.01}, False),
-        ({"status": "stopped_by_event"}, False),
+        ({"status": "stopped"}, False),
         ({"status": "error", "largest": float("nan")}, False),
     ],
 )

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from rich.console import Console
 
-from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.table import Column, Link, Table, csv_text, json_data, span, table, text
 
 TABLE = Table.of(
@@ -52,13 +52,11 @@ def test_csv_keeps_every_bit_and_quotes_commas() -> None:
 
 
 def test_json_has_no_number_that_does_not_exist() -> None:
-    data = json_data(
-        {"a": math.nan, "b": (np.float64(1.0), math.inf), "c": PlanStatus.WITHIN_LIMITS, "d": np.arange(2)}
-    )
+    data = json_data({"a": math.nan, "b": (np.float64(1.0), math.inf), "c": ResultStatus.OK, "d": np.arange(2)})
     assert json.loads(json.dumps(data, allow_nan=False)) == {
         "a": None,
         "b": [1.0, None],
-        "c": "within_limits",
+        "c": "ok",
         "d": [0, 1],
     }
 

@@ -13,13 +13,13 @@ from hypothesis.extra import numpy as arrays_of
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import read_only
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DenseCheck
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.status import ResultStatus, SampleStatus
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True)
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -68,7 +68,7 @@ def plans(draw: st.DrawFn) -> Plan:
 
     tau = floats(samples, m)
     # a plan without finite efforts that claims anything else is refused
-    statuses = list(PlanStatus) if np.isfinite(tau).all() else [PlanStatus.UNBOUNDED_EFFORT]
+    statuses = list(ResultStatus) if np.isfinite(tau).all() else [ResultStatus.UNBOUNDED]
     phases = tuple(draw(st.lists(TEXT, min_size=1, max_size=3)))
     limits = st.builds(CarrierLimits, *([ANY_FLOAT.filter(lambda v: not np.isnan(v))] * 5))
     carriers = CarrierMotion(*(rng.normal(size=(samples, k)) for _ in range(3)))

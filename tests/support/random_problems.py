@@ -19,8 +19,9 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck.cases import Masses, random_robot
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 from redundancy_pin.trajectory.waypoints import rounded_polygon, through_points
@@ -119,7 +120,7 @@ def dense_times(plan: Plan) -> Array:
 
 def broken_promise(plan: Plan, robot: Robot, other: Dynamics) -> str | None:
     """Return which promise a plan breaks that says it is within its limits; None for every other plan."""
-    if plan.status not in (PlanStatus.WITHIN_LIMITS, PlanStatus.STOPPED_EARLY):
+    if plan.status not in (ResultStatus.OK, ResultStatus.NOT_CONVERGED):
         return None
     if not np.isfinite(plan.tau).all():
         return "promise: efforts are finite at the samples"

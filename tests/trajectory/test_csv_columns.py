@@ -50,7 +50,7 @@ def random_motion(robot: Robot, seed: int, samples: int = 20) -> tuple[PlatformM
 
 def written(path: Path, robot: Robot, motion: PlatformMotion, carriers: CarrierMotion | None = None) -> Path:
     efforts = {f"tau:{name}": ("N", np.full(len(motion), np.nan)) for name in robot.actuated}
-    status = {"status": ("", np.array(["regular"] * len(motion)))}
+    status = {"status": ("", np.array(["ok"] * len(motion)))}
     path.write_text(csv_rows({**efforts, **motion_columns(robot, motion, carriers), **status}), encoding="utf-8")
     return path
 

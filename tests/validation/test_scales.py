@@ -21,13 +21,13 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.crosscheck.cases import RandomCase, random_case
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.continuation import follows
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import JointForces, Spring, Wrench
 from redundancy_pin.robot.scales import force_terms, sample_scales, velocity_unit
+from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
 
 EXACT, ROUNDED = 1e-12, 1e-9

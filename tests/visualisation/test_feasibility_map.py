@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.feasibility import (
     STEPWISE,
     WHOLE,
@@ -16,7 +17,6 @@ from redundancy_pin.studies.feasibility import (
     Cell,
     FeasibilityMap,
     MapProblem,
-    Verdict,
     axis_label,
     draw,
     spaced,
@@ -26,6 +26,13 @@ from redundancy_pin.studies.feasibility import (
 from redundancy_pin.visualisation.figures.feasibility_map import Tile, border_of, plot_feasibility
 
 pytest.importorskip("matplotlib")
+
+OK, NOT_CONVERGED, VIOLATED, UNRESOLVED = (
+    ResultStatus.OK,
+    ResultStatus.NOT_CONVERGED,
+    ResultStatus.LIMIT_VIOLATED,
+    ResultStatus.UNRESOLVED,
+)
 
 
 def _drawn(*panels: Sequence[Tile], **changes: object) -> Figure:
@@ -43,24 +50,28 @@ def _lengths(segments: np.ndarray) -> float:
 def test_the_border_runs_between_possible_and_infeasible() -> None:
     """A possible square in a corner of four: two sides of length one are border, the outer edges are not."""
     border = border_of([
-        Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "infeasible", mark="T"),
-        Tile(0, 1, 1, 2, "infeasible", mark="T"), Tile(1, 2, 1, 2, "infeasible", mark="T"),
+        Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, VIOLATED, mark="T"),
+        Tile(0, 1, 1, 2, VIOLATED, mark="T"), Tile(1, 2, 1, 2, VIOLATED, mark="T"),
     ])  # fmt: skip
     assert {tuple(map(tuple, segment)) for segment in border.tolist()} == {((1, 0), (1, 1)), ((0, 1), (1, 1))}
 
 
 def test_tiles_of_different_height_share_part_of_an_edge() -> None:
     border = border_of([
-        Tile(0, 1, 0, 3, "stopped_early", 1.0),
-        Tile(1, 2, 0, 1, "feasible", 1.0), Tile(1, 2, 1, 1.5, "infeasible", mark="T"), Tile(1, 2, 1.5, 3, "failed"),
+        Tile(0, 1, 0, 3, NOT_CONVERGED, 1.0),
+        Tile(1, 2, 0, 1, OK, 1.0), Tile(1, 2, 1, 1.5, VIOLATED, mark="T"), Tile(1, 2, 1.5, 3, UNRESOLVED),
     ])  # fmt: skip
     # possible beside infeasible from 1 to 1.5, possible below infeasible over a width of 1; nothing at the failed one
     assert {tuple(map(tuple, segment)) for segment in border.tolist()} == {((1, 1), (1, 1.5)), ((1, 1), (2, 1))}
 
 
 def test_where_all_is_alike_there_is_no_border() -> None:
-    assert border_of([Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "failed")]).shape == (0, 2, 2)
-    assert border_of([Tile(0, 1, 0, 1, "infeasible", mark="T")]).shape == (0, 2, 2)
+    assert border_of([Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, UNRESOLVED)]).shape == (
+        0,
+        2,
+        2,
+    )
+    assert border_of([Tile(0, 1, 0, 1, VIOLATED, mark="T")]).shape == (0, 2, 2)
 
 
 # ------------------------------------------------------------------------------------------------------------ tiles
@@ -75,7 +86,7 @@ def _map(along: str, extra: tuple[Cell, ...] = ()) -> FeasibilityMap:
         for x in problem.x.values:
             for y in problem.y.values:
                 good = x < 0.25 and y > 0.7
-                verdict = Verdict.FEASIBLE if good else Verdict.INFEASIBLE
+                verdict = OK if good else VIOLATED
                 limits = () if good else ("track",) if y < 0.7 else ("fancy",)
                 cells.append(Cell(planner, x, y, verdict, limits, peak_effort=x if good else None))
     return FeasibilityMap(problem, (*cells, *extra), along)  # type: ignore[arg-type]
@@ -85,8 +96,8 @@ def _map(along: str, extra: tuple[Cell, ...] = ()) -> FeasibilityMap:
 def test_tiles_cover_the_map_without_overlap(along: str) -> None:
     """Refined lines have tiles of their own sizes; each cell lies inside its tile, and the areas add up."""
     extra = (
-        Cell(WHOLE, 0.25, 1.0, Verdict.INFEASIBLE, ("track",)),
-        Cell(WHOLE, 0.225, 1.0, Verdict.FEASIBLE, peak_effort=1.0),
+        Cell(WHOLE, 0.25, 1.0, VIOLATED, ("track",)),
+        Cell(WHOLE, 0.225, 1.0, OK, peak_effort=1.0),
     )
     border_map = _map(along, extra if along == "x" else ())
     for planner in border_map.problem.planners:
@@ -102,8 +113,8 @@ def test_tiles_cover_the_map_without_overlap(along: str) -> None:
 
 def test_a_refined_border_lies_where_it_was_found() -> None:
     extra = (
-        Cell(WHOLE, 0.25, 1.0, Verdict.INFEASIBLE, ("track",)),
-        Cell(WHOLE, 0.225, 1.0, Verdict.FEASIBLE, peak_effort=1.0),
+        Cell(WHOLE, 0.25, 1.0, VIOLATED, ("track",)),
+        Cell(WHOLE, 0.225, 1.0, OK, peak_effort=1.0),
     )
     segments = border_of(tiles(_map("x", extra), WHOLE))
     # along the line at a stroke of 1 m, between 0.225 and 0.25; the other lines keep the middle of the grid
@@ -140,26 +151,26 @@ def _texts(panel: Sequence[Tile]) -> list[str]:
 
 def test_letters_tell_what_is_in_the_way_and_a_question_mark_what_is_not_known() -> None:
     panel = (
-        Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "infeasible", mark="T"),
-        Tile(0, 1, 1, 2, "infeasible", mark="E"), Tile(1, 2, 1, 2, "failed"),
+        Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, VIOLATED, mark="T"),
+        Tile(0, 1, 1, 2, VIOLATED, mark="E"), Tile(1, 2, 1, 2, UNRESOLVED),
     )  # fmt: skip
     assert sorted(_texts(panel)) == ["?", "E", "T"]
 
 
 @pytest.mark.long
 def test_the_legend_tells_only_what_there_is() -> None:
-    one = (Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "infeasible", mark="T"))
-    two = (Tile(0, 1, 0, 1, "stopped_early", 1.0), Tile(1, 2, 0, 1, "failed"))
+    one = (Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, VIOLATED, mark="T"))
+    two = (Tile(0, 1, 0, 1, NOT_CONVERGED, 1.0), Tile(1, 2, 0, 1, UNRESOLVED))
 
     def said(*panels: Sequence[Tile]) -> str:
         return " | ".join(text.get_text() for text in _drawn(*panels).legends[0].get_texts())
 
-    good = (Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "failed"))
+    good = (Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, UNRESOLVED))
     assert said(good, good) == "? not known (numerical failure)"  # no border anywhere
     assert not _drawn(good[:1]).legends
     assert said(one) == "border | not possible; in the way: T track"
     assert "border, other panel" in said(one, two)
-    assert "optimiser stopped early" in said(one, two)
+    assert "optimiser did not converge" in said(one, two)
     assert "not known (numerical failure)" in said(one, two)
 
 
@@ -167,9 +178,9 @@ def test_kinds_of_cells_differ_without_colour() -> None:
     """In grey: a possible cell is even, the others are patterned on white, each in its own way."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    kinds = ("feasible", "stopped_early", "infeasible", "failed")
+    kinds = (OK, NOT_CONVERGED, VIOLATED, UNRESOLVED)
     row = tuple(
-        Tile(i, i + 1, 0, 1, kind, 1.0 if i < 2 else None, "T" if kind == "infeasible" else "")
+        Tile(i, i + 1, 0, 1, kind, 1.0 if i < 2 else None, "T" if kind == VIOLATED else "")
         for i, kind in enumerate(kinds)
     )  # type: ignore[arg-type]
     drawn = _drawn(row)
@@ -222,5 +233,5 @@ def test_units_of_axes() -> None:
 
 
 def test_a_map_without_any_plan_can_be_drawn() -> None:
-    _drawn((Tile(0, 1, 0, 1, "infeasible", mark="T"), Tile(1, 2, 0, 1, "failed")))
-    _drawn((Tile(0.1, 1, 1, 2, "feasible", 0.0),), x_scale="log", y_scale="log")
+    _drawn((Tile(0, 1, 0, 1, VIOLATED, mark="T"), Tile(1, 2, 0, 1, UNRESOLVED)))
+    _drawn((Tile(0.1, 1, 1, 2, OK, 0.0),), x_scale="log", y_scale="log")

@@ -15,6 +15,7 @@ from matplotlib.transforms import Bbox
 
 import redundancy_pin as rp
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.cases import SINGULAR, TASKS, TURNS
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.comparisons import (
@@ -41,7 +42,7 @@ def corner() -> Plan:
 
 
 def _map() -> Figure:
-    kinds = ("feasible", "stopped_early", "infeasible", "failed")
+    kinds = (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.LIMIT_VIOLATED, ResultStatus.UNRESOLVED)
     tiles = tuple(
         Tile(i, i + 1, j, j + 1, kinds[(i + j) % 4], 1.0 + i, "T" if (i + j) % 4 == 2 else "")  # type: ignore[arg-type]
         for i in range(4)

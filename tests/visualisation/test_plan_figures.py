@@ -12,12 +12,12 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
 from redundancy_pin.visualisation.figures.time_panels import phase_spans
@@ -66,7 +66,7 @@ def _plan(**changes: Any) -> Plan:
         phase=phase,
         phases=PHASES,
         limits=LimitReport((event,), (), (LIMITS, LIMITS)),
-        status=PlanStatus.VIOLATES_LIMITS,
+        status=ResultStatus.LIMIT_VIOLATED,
         planner="switch_off",
         backend="Rnea",
         robot=record,
@@ -152,7 +152,7 @@ def _span(patch: Patch) -> tuple[float, float]:
 
 def test_limits_that_differ_say_whose_they_are() -> None:
     wide = replace(LIMITS, upper=0.25, lower=-math.inf)
-    drawn = plot_plan(_plan(limits=LimitReport((), (), (LIMITS, wide)), status=PlanStatus.WITHIN_LIMITS))
+    drawn = plot_plan(_plan(limits=LimitReport((), (), (LIMITS, wide)), status=ResultStatus.OK))
     axes = _panel(drawn, "carrier position")
     assert _horizontals(axes) == {0.2, 0.25, -0.2}
     assert {text.get_text() for text in axes.texts} == {"limit of c1", "limit of c2"}

@@ -15,8 +15,8 @@ from matplotlib.colors import to_hex
 from scipy.optimize import brentq
 
 import redundancy_pin as rp
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError
+from redundancy_pin.status import SampleStatus
 from redundancy_pin.visualisation.viewer.mechanism import base_hinges, body_points
 from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, margin_classes
 

@@ -14,7 +14,8 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation import Event, Simulation, SimulationStatus
+from redundancy_pin.simulation import Event, Simulation
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
 Runs = tuple[Robot, Plan, Simulation]
@@ -39,7 +40,7 @@ def _labels(axes: Any) -> list[str]:
 def test_a_simulation_is_drawn_over_its_plan(runs: Runs) -> None:
     robot, plan, run = runs
     drawn = rp.plot.simulation(run, plan)
-    assert drawn.get_suptitle() == "3rrr: simulation, stepwise, completed"
+    assert drawn.get_suptitle() == "3rrr: simulation, stepwise, ok"
     for label, ours, theirs in (
         ("main torque [N·m]", run.tau, plan.tau),
         ("carrier force [N]", run.carrier_force, plan.carrier_force),
@@ -87,7 +88,7 @@ def test_a_plan_of_another_machine_or_of_other_times_is_refused(runs: Runs) -> N
 def test_a_run_is_shown_as_it_was_simulated(runs: Runs) -> None:
     robot, plan, run = runs
     scene = rp.show(run).scene
-    assert scene.title == "3rrr: simulation, stepwise, completed"
+    assert scene.title == "3rrr: simulation, stepwise, ok"
     data = robot.model.createData()
     frame = len(scene.t) // 2
     pin.forwardKinematics(robot.model, data, np.array(run.q[int(np.abs(run.t - scene.t[frame]).argmin())]))
@@ -114,8 +115,8 @@ def test_where_the_robot_is_gone_efforts_are_drawn_and_nothing_is_made_up(runs: 
 
 def test_titles_say_how_a_run_ended(runs: Runs) -> None:
     event = Event("track", "carrier_2 lower", 0.4, True)
-    stopped = replace(runs[2], status=SimulationStatus.STOPPED_BY_EVENT, events=(event,))
-    failed = replace(runs[2], status=SimulationStatus.FAILED, reason="rank loss")
+    stopped = replace(runs[2], status=ResultStatus.STOPPED, events=(event,))
+    failed = replace(runs[2], status=ResultStatus.NOT_CONVERGED, reason="rank loss")
     titles = [rp.plot.efforts(run).get_suptitle() for run in (stopped, failed)]
     assert titles == [f"3rrr: simulation, stepwise, {end} 0.4 s{why}" for end, why in
                       (("stopped at", ": carrier_2 lower"), ("failed at", ""))]  # fmt: skip

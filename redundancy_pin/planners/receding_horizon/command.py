@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from enum import Enum
 from typing import Literal
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, Frozen, each
 from redundancy_pin.errors import InputError
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.time_scaling import TimeScaling
 
@@ -68,22 +68,6 @@ GOALS = {"peak": Weights(), "effort": Weights(effort=1.0, peak=0.0)}
 """By the names of ``plan_whole_trajectory``."""
 
 
-class PlanningStatus(Enum):
-    """What a tick brought."""
-
-    PLANNED = "planned"
-    """A plan that keeps every limit, over the whole horizon or to the end of the preview."""
-    SLOWED = "slowed"
-    """Such a plan, along the preview more slowly than that: at its speed there was none."""
-    ELASTIC = "elastic"
-    """No such plan: that which misses W τ = f least, or lets out the limits that the carriers are beyond; one that is
-    found to miss more than a tenth of f ahead, where f is not linear, too."""
-    FALLBACK = "fallback"
-    """No plan at all, or it came too late: the last one goes on, to its end and then in place."""
-    REFUSED = "refused"
-    """The preview leads where the machine cannot go, at the time ``reason`` says: a plan up to there."""
-
-
 @dataclass(frozen=True, eq=False)
 class Command(Frozen):
     """What the carriers and the main actuators are to do from a tick on. m main actuators, k carriers.
@@ -91,13 +75,13 @@ class Command(Frozen):
     Attributes:
         t: the tick, s.
         status: what the tick brought.
-        reason: why, where it is not ``PLANNED``.
+        reason: why, where it is not ``OK``.
         carriers: positions (k,), m, as functions of time to the end of the horizon; s̈ is linear between nodes.
         efforts: main efforts (m,) as functions of time, N or N·m: for three steps those of W τ = f that are nearest to
             the planned ones, which follow; within their limits.
         forces: those of the carriers' actuators (k,), N, for these three steps.
         residual: largest |W τ − f| of the planned efforts at the first nodes, N, rotations over the characteristic
-            length: what is missing there in an elastic plan, and else what the next tick will correct.
+            length: what is missing there in a relaxed plan, and else what the next tick will correct.
         peak: largest |τ| of the plan at its nodes, N or N·m.
         singular: (r,) singular instants ahead, s.
         known_until: until when the plan has the platform's motion, s.
@@ -108,7 +92,7 @@ class Command(Frozen):
     """
 
     t: float
-    status: PlanningStatus
+    status: UpdateStatus
     reason: str
     carriers: PiecewisePolynomial
     efforts: PiecewisePolynomial
@@ -170,7 +154,7 @@ class TickPlan:
     @property
     def doubt(self) -> float:
         """What is left; not less than a bit where a limit kept the programme from an answer: it may come no nearer."""
-        return self.left if self.command.status is PlanningStatus.PLANNED else max(self.left, STUCK)
+        return self.left if self.command.status is UpdateStatus.OK else max(self.left, STUCK)
 
     def halfway(self, other: TickPlan) -> TickPlan:
         """Return another of the same nodes, of which the next one begins with the mean of both."""

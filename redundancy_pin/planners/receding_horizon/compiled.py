@@ -31,13 +31,14 @@ from redundancy_pin.machine_code import (
 )
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.receding_horizon.ahead import Ahead, Coefficients
-from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus, TickPlan, Weights
+from redundancy_pin.planners.receding_horizon.command import Command, TickPlan, Weights
 from redundancy_pin.planners.receding_horizon.preview import SAME
 from redundancy_pin.planners.receding_horizon.programme import TickScales, units_of
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 SOURCES = "tick_sight.c", "tick_programme.c", "tick_solver.c", "tick.c"
-DONE, MISSING = 0, 5
+OK, MISSING = 0, 5
 """What the function of ``tick.c`` returns: a plan that keeps every limit; instants that are not evaluated yet."""
 
 SETTINGS = {
@@ -223,7 +224,7 @@ class CompiledTick:
                 break
             places = self._places["missing_time"]
             ahead.at(self._result[places][: self._counts[3]])
-        return self._made(t, ahead.roots, seconds) if status == DONE else None
+        return self._made(t, ahead.roots, seconds) if status == OK else None
 
     def _made(self, t: float, roots: Array, seconds: float) -> TickPlan:
         result = self._result.copy()
@@ -242,7 +243,7 @@ class CompiledTick:
         carriers = function("edge", "piece", 4, pieces, k)
         coming = frozen(roots[roots > t - SAME]) if len(roots) else NONE
         command = Command(
-            t, PlanningStatus.PLANNED, "", carriers,
+            t, UpdateStatus.OK, "", carriers,
             function("effort_edge", "effort", 2, efforts, m), function("force_edge", "force", 2, forces, k),
             residual, peak, coming, float(nodes[max(known - 1, 0)]), 0.0, seconds,
         )  # fmt: skip

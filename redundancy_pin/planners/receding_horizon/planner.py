@@ -14,10 +14,11 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.receding_horizon.ahead import Ahead
-from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, PlanningStatus, Weights
+from redundancy_pin.planners.receding_horizon.command import GOALS, Command, Goal, Weights
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview, Source
 from redundancy_pin.planners.receding_horizon.slowing import Slowing
 from redundancy_pin.planners.receding_horizon.tick import TickPlanner
+from redundancy_pin.status import UpdateStatus
 
 
 class RecedingHorizon:
@@ -38,7 +39,7 @@ class RecedingHorizon:
         track, speed, acceleration, jerk, effort, carrier_force: limits as of ``plan_whole_trajectory``.
         limits: these as one group.
         slow_down: where no plan keeps every limit, lead the platform along its path more slowly: ``Command.scaling``
-            then says which time of the preview it is at, and the status is ``SLOWED``.
+            then says which time of the preview it is at, and the status is ``TIME_SCALED``.
         interpret: do not plan in machine code, as where there is no C compiler: the same plans, ten times as long.
 
     Attributes:
@@ -162,7 +163,7 @@ class RecedingHorizon:
         if self.ticks.last is None:
             raise InputError("There is no plan to go on with.", remedy="Call update first.")
         t, reason = self._tick(t), "the tick was missed"
-        command = replace(self.ticks.last.command, t=t, status=PlanningStatus.FALLBACK, reason=reason)
+        command = replace(self.ticks.last.command, t=t, status=UpdateStatus.FALLBACK, reason=reason)
         return command if self._slowing is None else self._slowing.told(command, t)
 
     def _tick(self, t: float) -> float:

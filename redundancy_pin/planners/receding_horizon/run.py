@@ -17,9 +17,10 @@ from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions, apart
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus
+from redundancy_pin.planners.receding_horizon.command import Command
 from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.preview import place_of
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.time_scaling import ScaledMotion, TimeScaling
@@ -62,7 +63,7 @@ class OnLineRun(Frozen):
     def counts(self) -> dict[str, int]:
         """Ticks by status."""
         counts = Counter(command.status for command in self.commands)
-        return {status.value: counts[status] for status in PlanningStatus}
+        return {status.value: counts[status] for status in UpdateStatus}
 
 
 def run_online(
@@ -141,7 +142,7 @@ def run_online(
             "jerk": tuple(planner.resolved.jerk.tolist()),
         },
         diagnostics={
-            "ticks": {status.value: counts[status.value] for status in PlanningStatus},
+            "ticks": {status.value: counts[status.value] for status in UpdateStatus},
             "singular_instants": singular_instants_met(commands).tolist(),
             "missing_force": max((missing for _, missing in decided), default=0.0),
             "seconds": [command.seconds for command in commands],
@@ -162,7 +163,7 @@ def _require_progress(command: Command, source: ContinuousMotion, planner: Reced
         InfeasiblePlanError: its tick was refused, or the platform stands still and stays so.
     """
     t, scaling, longest = command.t, command.scaling, LONGEST * (source.end - source.start)
-    if command.status is PlanningStatus.REFUSED:
+    if command.status is UpdateStatus.REFUSED:
         raise InfeasiblePlanError(
             f"The planner refuses to go on at t = {t:.6g} s: {command.reason}.",
             remedy="Lead the platform along another path.",

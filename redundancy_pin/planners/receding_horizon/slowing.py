@@ -12,9 +12,10 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.receding_horizon.ahead import KEPT
-from redundancy_pin.planners.receding_horizon.command import Command, PlanningStatus, TickPlan
+from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.tick import CONVERGED, TickPlanner
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.time_scaling import TimeScaling
 
 SLOWER = (
@@ -102,8 +103,8 @@ class Slowing:
         if self.scaling is None:
             return command
         status, reason = command.status, command.reason
-        if status is PlanningStatus.PLANNED and min(self.scaling.final_rate, *self.scaling.at([t])[1]) < FULL:
-            status = PlanningStatus.SLOWED
+        if status is UpdateStatus.OK and min(self.scaling.final_rate, *self.scaling.at([t])[1]) < FULL:
+            status = UpdateStatus.TIME_SCALED
             reason = f"the platform goes over to {self.scaling.final_rate:.1%} of the preview's speed"
             if self.scaling.final_rate < FULL:
                 reason += ": with more of it no plan was found that keeps every limit"

@@ -184,7 +184,7 @@ EXPORTED long rp_tick_solution(void) { return sizeof(Solution); }
 
 EXPORTED long rp_tick_work(void) { return sizeof(Work) + 2 * sizeof(Plan); }
 
-/* Plans from ``now`` on: what ``RecedingHorizon`` gives, as far as it is ``DONE``. */
+/* Plans from ``now`` on: what ``RecedingHorizon`` gives, as far as it is ``OK``. */
 EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
     Work *w = memory;
     Plan *best = (Plan *)(w + 1), *other = best + 1;
@@ -216,8 +216,8 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
         w->given[1][j] = isnan(g->sd[j]) || settled ? sd[j] : g->sd[j];
         w->given[2][j] = sdd[j];
         double place = w->given[0][j];
-        if (place < g->track[2 * j] - BEYOND || place > g->track[2 * j + 1] + BEYOND) return ELASTIC;
-        if (fabs(w->given[1][j]) > g->speed[j] + BEYOND) return ELASTIC;
+        if (place < g->track[2 * j] - BEYOND || place > g->track[2 * j + 1] + BEYOND) return RELAXED;
+        if (fabs(w->given[1][j]) > g->speed[j] + BEYOND) return RELAXED;
     }
     double share = smaller(larger(g->peak / g->tau, SMALLEST), 1.0), row = 0.0;
     w->tau_unit = share * g->tau;
@@ -253,7 +253,7 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
             best = other, other = swap;
         }
     }
-    if (best->left > STUCK) return ELASTIC;
+    if (best->left > STUCK) return RELAXED;
     result->pieces = best->pieces;
     result->residual = best->residual, result->peak = best->peak, result->left = best->left;
     result->solution = w->solution, result->iterations = w->iterations;
@@ -276,5 +276,5 @@ EXPORTED int rp_tick(const Given *g, Result *result, void *memory) {
             result->largest = larger(result->largest, fabs(x + fraction * (y - x)));
         }
     }
-    return DONE;
+    return OK;
 }

@@ -19,12 +19,13 @@ from redundancy_pin.planners.receding_horizon import ahead as sight
 from redundancy_pin.planners.receding_horizon import programme as programmes
 from redundancy_pin.planners.receding_horizon.ahead import FIRST, SOON, Ahead, Linearised, nodes_from
 from redundancy_pin.planners.receding_horizon.ahead import NEAR as NEAR_STEPS
-from redundancy_pin.planners.receding_horizon.command import STUCK, Command, PlanningStatus, TickPlan, Weights, extended
+from redundancy_pin.planners.receding_horizon.command import STUCK, Command, TickPlan, Weights, extended
 from redundancy_pin.planners.receding_horizon.compiled import CompiledTick, tick_library
 from redundancy_pin.planners.receding_horizon.preview import SAME, place_of
 from redundancy_pin.planners.receding_horizon.programme import BEYOND, Programme, TickProblem, TickScales, units_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import turning_velocities
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 NEAR = 0.25
@@ -179,7 +180,7 @@ class TickPlanner:
                 plan = self.rounds(t, until, given, self.last)
         else:
             plan = self._compiled(t, until, given)
-        if plan is None or self.checked_between(t, plan.command).status is not PlanningStatus.PLANNED:
+        if plan is None or self.checked_between(t, plan.command).status is not UpdateStatus.OK:
             return None
         return plan
 
@@ -202,7 +203,7 @@ class TickPlanner:
         """Return a plan by programmes of numpy."""
         last = self.last
         plan = self.rounds(t, until, given, last)
-        if last is not None and plan.command.status is PlanningStatus.ELASTIC:
+        if last is not None and plan.command.status is UpdateStatus.RELAXED:
             # it may be stuck where W τ = f is missed least nearby
             another = self.rounds(t, until, given, self.guess(t, until, last))
             if another.doubt < plan.doubt:
@@ -243,13 +244,13 @@ class TickPlanner:
             if another.doubt > max(best.doubt, LINEAR):  # too far: f is linear nearer to the best so far
                 plan = best.halfway(another)
                 continue
-            stuck = another.doubt > SLOW * best.doubt and another.command.status is PlanningStatus.ELASTIC
+            stuck = another.doubt > SLOW * best.doubt and another.command.status is UpdateStatus.RELAXED
             best = plan = another
             if stuck:
                 break
-        if best.command.status is PlanningStatus.PLANNED and best.left > STUCK:
+        if best.command.status is UpdateStatus.OK and best.left > STUCK:
             reason = f"ahead {best.left:.0%} of the force is missing"
-            best = replace(best, command=replace(best.command, status=PlanningStatus.ELASTIC, reason=reason))
+            best = replace(best, command=replace(best.command, status=UpdateStatus.RELAXED, reason=reason))
         return best
 
     def guess(self, t: float, until: float, last: TickPlan) -> TickPlan:
@@ -274,7 +275,7 @@ class TickPlanner:
         Between nodes f and the carriers' forces may be larger than at them, above all where ẍ jumps: the efforts are
         cut off then, the forces are not. The programme does not bound the speed of the first half step, which is given.
         """
-        if command.status is not PlanningStatus.PLANNED:
+        if command.status is not UpdateStatus.OK:
             return command
         limits, end = self.limits, min(t + self.step, command.carriers.end)
         _, (sd,), (sdd,) = extended(command.carriers, np.array([t]))
@@ -282,7 +283,7 @@ class TickPlanner:
             least, most = command.carriers.between(t, end).derivative().ranges()
             if (np.maximum(-least, most) > limits.speed * (1.0 + SAME_SPEED)).any():
                 reason = "between the nodes a carrier exceeds its speed"
-                return replace(command, status=PlanningStatus.ELASTIC, reason=reason)
+                return replace(command, status=UpdateStatus.RELAXED, reason=reason)
         if not (self.sizes and self._cuts):
             return command
         ahead, end = self.ahead, command.known_until
@@ -290,7 +291,7 @@ class TickPlanner:
         times = times[times <= t + self.step + SAME]
         if (np.abs(command.forces(times)) > limits.carrier_force * (1.0 + LIMIT_TOLERANCE)).any():
             reason = "between the nodes a carrier exceeds its force"
-            return replace(command, status=PlanningStatus.ELASTIC, reason=reason)
+            return replace(command, status=UpdateStatus.RELAXED, reason=reason)
         efforts = command.efforts(times)
         meets = (np.abs(efforts) >= limits.effort * (1.0 - 1e-12)).any(axis=1)
         if not meets.any():
@@ -302,13 +303,13 @@ class TickPlanner:
         if missing.max() <= CUT_OFF * float(self.sizes.row.max()):
             return replace(command, residual=residual)
         reason = "between the nodes the efforts meet their limits"
-        return replace(command, status=PlanningStatus.ELASTIC, reason=reason, residual=residual)
+        return replace(command, status=UpdateStatus.RELAXED, reason=reason, residual=residual)
 
     def is_settled(self, t: float, plan: TickPlan) -> bool:
         """Return whether another round would bring nothing."""
         command = plan.command
-        if command.status is not PlanningStatus.PLANNED:
-            return command.status is not PlanningStatus.ELASTIC
+        if command.status is not UpdateStatus.OK:
+            return command.status is not UpdateStatus.RELAXED
         roots = command.singular
         near = bool(((roots > t) & (roots < t + CONVERGED * self.step)).any())
         exact = self.sizes is None or command.residual <= EXACT * float(self.sizes.row.max())
@@ -373,11 +374,11 @@ class TickPlanner:
             InfeasiblePlanError: nor is there a last one.
         """
         lin, (s, sd, _) = problem.lin, problem.first
-        began, status, reason = time.perf_counter(), PlanningStatus.PLANNED, ""
+        began, status, reason = time.perf_counter(), UpdateStatus.OK, ""
         solution = None if is_beyond(self.limits, s, sd) else self.programme(False).solve(problem)
         if solution is None:
             solution = self.programme(True).solve(problem)
-            status, reason = PlanningStatus.ELASTIC, "no plan keeps every limit"
+            status, reason = UpdateStatus.RELAXED, "no plan keeps every limit"
         seconds = time.perf_counter() - began
         if solution is None:
             if last is None or self.last is None:
@@ -385,9 +386,9 @@ class TickPlanner:
                     f"No plan was found at t = {t:.6g} s.", remedy="Start elsewhere, or widen the limits.", time=t
                 )
             reason = "the solver found none"
-            command = replace(last, t=t, status=PlanningStatus.FALLBACK, reason=reason, solver_seconds=seconds)
+            command = replace(last, t=t, status=UpdateStatus.FALLBACK, reason=reason, solver_seconds=seconds)
             return replace(self.last, command=command, left=np.inf)
-        (x, multipliers), programme = solution, self.programme(status is PlanningStatus.ELASTIC)
+        (x, multipliers), programme = solution, self.programme(status is UpdateStatus.RELAXED)
         a = x[programme.sdd] * units_of(self.limits)[2]
         h, none = np.diff(lin.nodes)[:, None], np.zeros_like(a[:1])
         # integrated once more: the solver's own are off by its tolerance
@@ -404,7 +405,7 @@ class TickPlanner:
         unknown = np.flatnonzero(~lin.known)
         known_until = float(lin.nodes[max(unknown[0] - 1, 0)]) if len(unknown) else float(lin.nodes[-1])
         if len(unknown) and lin.nodes[unknown[0]] <= lin.until + SAME:
-            status = PlanningStatus.REFUSED
+            status = UpdateStatus.REFUSED
             where = place_of(self.ahead.preview.states(lin.nodes[unknown[:1]])[0][0])
             reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go, to {where}"
         command = Command(

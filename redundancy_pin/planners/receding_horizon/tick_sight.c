@@ -8,7 +8,7 @@ enum { NX = 3 * K, NF = K + M, NW = NX + M, NZ = NF - N, NV = NX + NZ, LANES = C
 enum { LONG = 4, WIDE = (NV + LONG - 1) / LONG, TALL = (NW + LONG - 1) / LONG };   /* vectors for NV and NW numbers */
 enum { BORDER = 10, SIDES = BORDER + 1, INSTANTS = 160, MOST_SINGULAR = (BORDER - 2) / 2 };
 enum { TIMES = INSTANTS + COUNT };                  /* of efforts: at instants, and then at nodes */
-enum { DONE = 0, UNSOLVED = 1, ELASTIC = 2, REFUSED = 3, TOO_MANY = 4, MISSING = 5 };
+enum { OK = 0, UNSOLVED = 1, RELAXED = 2, REFUSED = 3, TOO_MANY = 4, MISSING = 5 };
 
 /* As of GCC and Clang, anywhere in arrays of numbers; for processors that have none as long they make it of shorter ones. */
 typedef double Vector __attribute__((vector_size(LONG * sizeof(double)), aligned(sizeof(double)), may_alias));

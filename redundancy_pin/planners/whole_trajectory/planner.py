@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics, has_expressions
+from redundancy_pin.dynamics.base import has_expressions
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -62,7 +62,7 @@ def plan_whole_trajectory(
     *,
     objective: str | Mapping[str, float] | Objective = "effort",
     lam: float = 0.0,
-    baseline: Dynamics | None = None,
+    baseline: DynamicsLike | None = None,
     base_point: ArrayLike | None = None,
     start: ArrayLike | None = None,
     start_speed: ArrayLike = 0.0,
@@ -115,7 +115,7 @@ def plan_whole_trajectory(
             ∫ |F_b|² + |M_b|²/ℓ² dt, ℓ the characteristic length: what the base feels beyond the load at rest where the
             motion begins (``planners.base_wrench``).
         lam: λ of "tracking", 0 to 1.
-        baseline: backend of the robot whose efforts are τ̂.
+        baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it.
         base_point: (3,) about which the moment on the base is taken, m; the world origin when left out.
         start: scalar or (k,) positions at the start, m; the datum when left out.
         start_speed: scalar or (k,) speeds there, m/s.

@@ -1,6 +1,6 @@
 """Controllers that hold a planned motion (feed-forward, computed torque, LQR), and the base of one of your own."""
 
-from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus
+from redundancy_pin.dynamics.allocation import Allocation
 from redundancy_pin.simulation.controllers.base import Controller, FeedForward, Sampling, Tracking
 from redundancy_pin.simulation.controllers.by_name import NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
@@ -10,7 +10,6 @@ from redundancy_pin.simulation.controllers.online import OnlinePlanning
 
 __all__ = [
     "Allocation",
-    "AllocationStatus",
     "ComputedTorque",
     "Controller",
     "Encoders",

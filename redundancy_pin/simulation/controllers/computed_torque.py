@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, positive, read_only
-from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus, CarrierForces, allocate
+from redundancy_pin.dynamics.allocation import Allocation, CarrierForces, allocate
 from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.dynamics.forward import Equations, Feedback, ForwardKernel
 from redundancy_pin.dynamics.tree_loads import tree_equations
@@ -34,6 +34,7 @@ from redundancy_pin.simulation.controllers.base import (
 )
 from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, State
+from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -132,7 +133,7 @@ class TorqueCommand:
         t: time, s.
         tau: (m,) main efforts, N or N·m.
         carrier_force: (k,) carrier forces, N.
-        allocation: how the force was shared out; where its status is ``UNBALANCED`` the efforts are the plan's.
+        allocation: how the force was shared out; where it is not ``balanced`` the efforts are the plan's.
     """
 
     t: float
@@ -149,7 +150,8 @@ class ComputedTorque(Tracking):
     efforts and δ from ``allocate``. Away from a type II pose δ is small and platform and carriers obey two decoupled
     linear equations. Towards one the carriers take over: the platform keeps its equation, the carriers leave theirs by
     δ and come back afterwards. It gives up, by feeding the plan's efforts forward, at a type I pose and where main
-    actuators and carriers together have no effect in some direction that the force needs (``UNBALANCED``).
+    actuators and carriers together have no effect in some direction that the force needs (the allocation is not
+    ``balanced``).
 
     Its feedback holds the carriers too, by their forces: ``simulate(carriers="motion")`` refuses it.
 
@@ -166,8 +168,9 @@ class ComputedTorque(Tracking):
             planned |s̈| when left out.
         effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
         carrier_force_limit: scalar or (k,) largest |F|, N; what it cuts off is left to the main actuators.
-        dynamics: a backend of the plan's robot with forward dynamics in machine code (``CompiledDynamics``), which then
-            forms the equations. ``simulate`` with ``dynamics`` takes the whole law of one without ``sampling`` there.
+        dynamics: the plan's robot, or its name or path, for generated code (``as_dynamics``), which then forms the
+            equations; or a backend of it. ``simulate`` with ``dynamics`` takes the whole law of one without
+            ``sampling`` there.
         sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
             answer will act.
 
@@ -259,7 +262,7 @@ class ComputedTorque(Tracking):
         try:
             equations = self._model.at(here.q, here.v)
         except SingularPoseError:
-            nothing = Allocation(point.tau, np.zeros(robot.k), float("nan"), 0.0, AllocationStatus.UNBALANCED)
+            nothing = Allocation(point.tau, np.zeros(robot.k), float("nan"), 0.0, SampleStatus.TYPE_I)
             return self._as_planned(t, point, nothing)
         needed = equations.mass @ wanted + equations.bias
         carriers = CarrierForces(needed[n:], equations.mass[n:, n:], self.carrier_force_limit)
@@ -274,7 +277,7 @@ class ComputedTorque(Tracking):
             effort_limit=self.effort_limit,
             carriers=carriers,
         )
-        if allocation.status is AllocationStatus.UNBALANCED:
+        if not allocation.balanced:
             return self._as_planned(t, point, allocation)
         return TorqueCommand(t, read_only(allocation.tau), read_only(carriers.of(allocation.deviation)), allocation)
 

@@ -266,8 +266,8 @@ class TimeVaryingLqr(Tracking):
         carrier_force_limit: scalar or (k,) the same for the carriers, N.
         sampling: of the simulation; its delay may be up to one period.
         step: distance of the nodes of the linear model, s.
-        dynamics: a backend of the plan's robot with forward dynamics in machine code (``CompiledDynamics``), by whose
-            derivatives the linear model is made.
+        dynamics: the plan's robot, or its name or path, for generated code (``as_dynamics``), by whose derivatives the
+            linear model is made; or a backend of it.
 
     Attributes:
         model: the linear model along the reference.

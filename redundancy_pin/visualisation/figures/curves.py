@@ -10,15 +10,16 @@ import numpy as np
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type, runs
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
+from redundancy_pin.dynamics.distribution import Distribution
 from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord, robot_of_record, robot_record
 from redundancy_pin.robot import CarrierLimits, Robot
-from redundancy_pin.simulation.result import Simulation, SimulationStatus
+from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.singularities.classify import classify
 from redundancy_pin.singularities.crossings import Crossing
+from redundancy_pin.status import ResultStatus, SampleStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ def curves_of_plan(plan: Plan) -> Curves:
     return Curves(
         f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
         limits=plan.limits.judged_by,
-        regular=plan.sample_status == SampleStatus.REGULAR,
+        regular=plan.sample_status == SampleStatus.OK,
         instants=numbers(plan.diagnostics.get("singular_instants")),
         thresholds=numbers([threshold]),
         **_drawn(plan, ("t", "tau", "carrier_force", "carriers", "condition", "margin")),
@@ -120,7 +121,7 @@ def run_title(run: Simulation, drive: str | None = None) -> str:
     last = run.events[-1] if run.events else None
     if last is not None and last.terminal:
         ended = f"stopped at {last.t:.4g} s: {last.name}"
-    elif run.status is SimulationStatus.FAILED:
+    elif run.status is ResultStatus.NOT_CONVERGED:
         ended = f"failed at {run.t[-1]:.4g} s"
     return f"{run.robot.name}: simulation{f', {drive}' if drive else ''}, {ended}"
 
@@ -161,7 +162,7 @@ def curves(
         robot.name if title is None else title,
         carriers=sliding,
         limits=robot.carrier_limits,
-        regular=efforts.status == SampleStatus.REGULAR,
+        regular=efforts.status == SampleStatus.OK,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
         **_drawn(reduced, ("t", "carrier_force")),
@@ -195,7 +196,7 @@ def plan_title(plan: Plan) -> str:
     title = curves_of_plan(plan).title
     if not plan.diagnostics.get("optimal", True):
         title = f"{title}, NOT an optimum"
-    if plan.status is not PlanStatus.VIOLATES_LIMITS:
+    if plan.status is not ResultStatus.LIMIT_VIOLATED:
         return title
     broken: dict[str, list[str]] = {}
     for name in dict.fromkeys((*plan.robot.carriers, *(event.carrier for event in plan.limits.violated))):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.visualisation.figures.style import figure, legend_below, log_scale, write_numbers
 
 if TYPE_CHECKING:
@@ -17,16 +18,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Kind = Literal["feasible", "stopped_early", "infeasible", "failed"]
 Scale = Literal["linear", "log"]
 
 _COLORS = "cividis"  # lightness rises evenly, so that it reads in grey too
 _DECADES = 30.0  # largest over smallest effort from which on colours are logarithmic
-_HATCHES: Mapping[str, tuple[str, str]] = {"infeasible": ("////", "#BDBDBD"), "failed": ("....", "#8C8C8C")}
+_HATCHES: Mapping[ResultStatus, tuple[str, str]] = {
+    ResultStatus.LIMIT_VIOLATED: ("////", "#BDBDBD"),
+    ResultStatus.UNRESOLVED: ("....", "#8C8C8C"),
+}
 _RING: dict[str, Any] = {
     "linestyle": "none", "marker": "o", "markerfacecolor": "#FFFFFF", "markeredgecolor": "#000000"
 }  # fmt: skip
-"""Of a plan whose optimiser stopped early."""
+"""Of a plan whose optimiser did not converge."""
 
 _LARGEST, _SMALLEST = 9.0, 4.5  # size of the letters, points: as the tiles allow; below the smallest there is none
 
@@ -39,14 +42,14 @@ class Tile:
     x1: float
     y0: float
     y1: float
-    kind: Kind
+    kind: ResultStatus
     value: float | None = None  # peak effort, for the colour; None without a plan
     mark: str = ""  # letter of the limit that is in the way
 
     @property
     def possible(self) -> bool:
         """Whether there is a plan that keeps every limit."""
-        return self.kind in ("feasible", "stopped_early")
+        return self.kind in (ResultStatus.OK, ResultStatus.NOT_CONVERGED)
 
 
 def plot_feasibility(
@@ -62,9 +65,9 @@ def plot_feasibility(
 ) -> Figure:
     """Draw the maps of several planners side by side, readable without colour.
 
-    Feasible tiles are coloured by effort; a ring says that the optimiser stopped early. Infeasible ones are hatched and
-    carry the letter of the limit in the way, failed ones are dotted with a question mark. A thick line is the border
-    between possible and infeasible, a dashed one that of the other planner (only with two of them).
+    Tiles with a plan are coloured by effort; a ring says that the optimiser did not converge. Tiles without a plan are
+    hatched and carry the letter of the limit in the way, unresolved ones are dotted with a question mark. A thick line
+    is the border between possible and not possible, a dashed one that of the other planner (only with two of them).
 
     ``panels`` are by their titles; ``x``, ``y`` and ``value`` label the axes and the colours; ``marks`` says what each
     letter stands for.
@@ -103,12 +106,12 @@ def plot_feasibility(
 
 
 def border_of(tiles: Sequence[Tile]) -> Array:
-    """Return (S, 2, 2) segments, start and end (x, y), where possible and infeasible tiles meet.
+    """Return (S, 2, 2) segments, start and end (x, y), where tiles with and without a plan meet.
 
     Tiles do not overlap, and neighbours share their edges exactly.
     """
     one = [tile for tile in tiles if tile.possible]
-    other = [tile for tile in tiles if tile.kind == "infeasible"]
+    other = [tile for tile in tiles if tile.kind == ResultStatus.LIMIT_VIOLATED]
     if not (one and other):
         return np.empty((0, 2, 2))
     ax0, ax1, ay0, ay1 = (np.array([getattr(tile, name) for tile in one]) for name in ("x0", "x1", "y0", "y1"))
@@ -144,7 +147,7 @@ def _draw_tiles(axes: Axes, tiles: Sequence[Tile], norm: Normalize | None) -> No
     from matplotlib.collections import PolyCollection
 
     colors = matplotlib.colormaps[_COLORS]
-    for kind in ("feasible", "stopped_early", "infeasible", "failed"):
+    for kind in (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.LIMIT_VIOLATED, ResultStatus.UNRESOLVED):
         chosen = [tile for tile in tiles if tile.kind == kind]
         if not chosen:
             continue
@@ -156,7 +159,7 @@ def _draw_tiles(axes: Axes, tiles: Sequence[Tile], norm: Normalize | None) -> No
             fill = [colors(norm(t.value)) if norm is not None and t.value else "#FFFFFF" for t in chosen]
             style = {"facecolor": fill, "edgecolor": "none", "linewidth": 0.0}
         axes.add_collection(PolyCollection(corners, zorder=1.0, **style))
-        if kind == "stopped_early":
+        if kind == ResultStatus.NOT_CONVERGED:
             centres = np.array([_centre(axes, tile) for tile in chosen])
             axes.plot(*centres.T, markersize=5, zorder=3.0, **_RING)
 
@@ -175,7 +178,13 @@ def _draw_border(axes: Axes, segments: Array, *, own: bool) -> None:
 
 def _draw_marks(axes: Axes, tiles: Sequence[Tile]) -> None:
     for tile in tiles:
-        text = "?" if tile.kind == "failed" else tile.mark if tile.kind == "infeasible" else ""
+        text = (
+            "?"
+            if tile.kind == ResultStatus.UNRESOLVED
+            else tile.mark
+            if tile.kind == ResultStatus.LIMIT_VIOLATED
+            else ""
+        )
         corners = axes.transData.transform([(tile.x0, tile.y0), (tile.x1, tile.y1)])
         size = min(0.62 * float(np.abs(corners[1] - corners[0]).min()) * 72.0 / axes.figure.dpi, _LARGEST)
         if text and size >= _SMALLEST:
@@ -196,7 +205,7 @@ def _legend(drawn: Figure, panels: Sequence[Sequence[Tile]], marks: Mapping[str,
 
     tiles = [tile for panel in panels for tile in panel]
     present = {tile.kind for tile in tiles}
-    used = sorted({tile.mark for tile in tiles if tile.kind == "infeasible"})
+    used = sorted({tile.mark for tile in tiles if tile.kind == ResultStatus.LIMIT_VIOLATED})
     limits = ", ".join(f"{mark} {marks[mark]}" for mark in used)
     handles: list[Any] = []
     if bordered:
@@ -204,11 +213,11 @@ def _legend(drawn: Figure, panels: Sequence[Sequence[Tile]], marks: Mapping[str,
     if bordered and len(panels) == 2:
         dashes = (0, (4, 2))
         handles.append(Line2D([], [], color="#000000", linewidth=1.1, linestyle=dashes, label="border, other panel"))
-    if "stopped_early" in present:
-        handles.append(Line2D([], [], label="possible, optimiser stopped early", **_RING))
+    if ResultStatus.NOT_CONVERGED in present:
+        handles.append(Line2D([], [], label="possible, optimiser did not converge", **_RING))
     for kind, label in (
-        ("infeasible", f"not possible; in the way: {limits}"),
-        ("failed", "? not known (numerical failure)"),
+        (ResultStatus.LIMIT_VIOLATED, f"not possible; in the way: {limits}"),
+        (ResultStatus.UNRESOLVED, "? not known (numerical failure)"),
     ):
         if kind in present:
             hatch, grey = _HATCHES[kind]

@@ -19,12 +19,13 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.machine_code import CACHE, find_compiler
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon, Weights
+from redundancy_pin.planners.receding_horizon import RecedingHorizon, Weights
 from redundancy_pin.planners.receding_horizon.ahead import FIRST, SOON
 from redundancy_pin.planners.receding_horizon.command import Command, TickPlan
 from redundancy_pin.planners.receding_horizon.preview import SAME
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
 from redundancy_pin.planners.receding_horizon.tick import REGULAR
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
 from redundancy_pin.trajectory.paths import circle_path
 
@@ -194,7 +195,7 @@ def assert_the_same(tick: Tick) -> None:
     own, their = tick.compiled, tick.interpreted
     command, expected = own.command, their.command
     assert command.status is expected.status
-    assert command.status is PlanningStatus.PLANNED or "between the nodes" in command.reason
+    assert command.status is UpdateStatus.OK or "between the nodes" in command.reason
     assert command.reason == expected.reason
     np.testing.assert_array_equal(own.nodes, their.nodes)
     np.testing.assert_array_equal(command.singular, expected.singular)
@@ -308,7 +309,7 @@ def test_plans_that_begin_at_a_singular_instant_are_the_same() -> None:
 # what is left to Python
 
 
-def statuses_of(planner: RecedingHorizon, motion: Any, times: Array) -> tuple[list[TickPlan], list[PlanningStatus]]:
+def statuses_of(planner: RecedingHorizon, motion: Any, times: Array) -> tuple[list[TickPlan], list[UpdateStatus]]:
     plans, statuses = [], []
     for t in times:
         statuses.append(planner.update(float(t), motion).status)
@@ -333,14 +334,14 @@ def test_what_no_plan_keeps_within_limits_is_left_to_python(settings: dict[str, 
         t = 0.04 * i
         last, largest, sizes = compiled.ticks.last, compiled.ticks.largest, compiled.ticks.sizes
         command = compiled.update(t, ACROSS)
-        if last is None or command.status is PlanningStatus.PLANNED:
+        if last is None or command.status is UpdateStatus.OK:
             continue
         elastic += 1
         again = RecedingHorizon(dynamics, step=STEP, interpret=True, **settings)
         again.update(0.0, ACROSS)
         again.ticks.last, again.ticks.largest, again.ticks.sizes = last, largest, sizes
         expected = again.update(t, ACROSS)
-        assert command.status is expected.status is PlanningStatus.ELASTIC
+        assert command.status is expected.status is UpdateStatus.RELAXED
         assert command.reason == expected.reason
         assert command.residual == pytest.approx(expected.residual, rel=0.02)
     assert (elastic > 0) == lost
@@ -361,7 +362,7 @@ def test_limits_that_change_between_ticks_hold_for_machine_code_as_well() -> Non
         planner.limits = changed
         t = planner.ticks.last.command.t + TICK if planner.ticks.last else 0.0
         command = planner.update(t, ACROSS)
-        assert command.status is PlanningStatus.PLANNED
+        assert command.status is UpdateStatus.OK
         nodes = np.linspace(t + 1e-9, t + HORIZON, 400)
         resolved = planner.resolved
         _, sd, sdd = (np.array(part) for part in zip(*(command.motion_at(float(x)) for x in nodes), strict=True))

@@ -14,8 +14,9 @@ import pytest
 from examples import SHARE
 
 import redundancy_pin as rp
-from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon
+from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.command import extended
+from redundancy_pin.status import UpdateStatus
 
 DROPS = {"2rpr": 10_000, "3rrr": 1_000, "five_bar": 1_000}
 PARTS = 10
@@ -142,11 +143,11 @@ def miss_ticks(name, least, seed):
                 missed.broken.append(f"the carriers jump at {t:.6g} s")
             if left_out:
                 left_out -= 1
-                if plan.status is PlanningStatus.PLANNED:  # an elastic plan promises nothing
+                if plan.status is UpdateStatus.OK:  # an elastic plan promises nothing
                     missed.judge(command, plan, trajectory, judge, size)
             else:
-                if last is not plan and plan.status is PlanningStatus.PLANNED:
-                    missed.again.append(command.status is PlanningStatus.PLANNED)
+                if last is not plan and plan.status is UpdateStatus.OK:
+                    missed.again.append(command.status is UpdateStatus.OK)
                 plan = command
                 if rng.random() < MISSED:
                     left_out = int(rng.choice([1, 2, 3, 10, 40], p=[0.5, 0.2, 0.2, 0.08, 0.02]))

@@ -14,8 +14,9 @@ from scipy.interpolate import make_interp_spline
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon
+from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.tick import begun_with, is_beyond, with_stop
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import RestToRest, SpeedProfile, Trajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line, circle_path
@@ -184,11 +185,11 @@ def test_a_pose_out_of_reach_at_the_very_end_of_the_horizon_is_refused() -> None
     path = Line(tuple(home), (home[0], home[1] + 0.9))
     away = Trajectory(path, SpeedProfile(0.9, 0.9 / 0.56, 0.2))
     first = RecedingHorizon(dynamics).update(0.0, away)
-    assert first.status is PlanningStatus.REFUSED
+    assert first.status is UpdateStatus.REFUSED
     lost = float(first.reason.split("t = ")[1].split()[0])
     horizons = np.array([lost - STEP, lost - 0.4 * STEP, lost, lost + STEP])
     statuses = [RecedingHorizon(dynamics, horizon=float(h)).update(0.0, away).status for h in horizons]
-    assert [status is PlanningStatus.REFUSED for status in statuses] == [False, False, True, True]
+    assert [status is UpdateStatus.REFUSED for status in statuses] == [False, False, True, True]
 
 
 CORNER = rp.trajectory.reference.corner(radius=0.025)

@@ -15,8 +15,9 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.receding_horizon import OnLineRun, PlanningStatus, Preview, RecedingHorizon, run_online
+from redundancy_pin.planners.receding_horizon import OnLineRun, Preview, RecedingHorizon, run_online
 from redundancy_pin.planners.receding_horizon.slowing import Slowing
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, through_points
 from redundancy_pin.trajectory.time_scaling import TimeScaling
 
@@ -86,12 +87,12 @@ def assert_balanced(plan, other) -> None:
 
 def test_at_full_speed_there_is_no_plan_and_more_slowly_there_is() -> None:
     counts = run_online(RecedingHorizon(machine()[0], **WEAK), CIRCLE).counts
-    assert counts["elastic"] > 0
+    assert counts["relaxed"] > 0
     run = slowed()
     counts = run.counts
-    assert counts["slowed"] > 0
-    assert counts["slowed"] + counts["planned"] == len(run.commands)
-    assert run.plan.status.value == "within_limits"
+    assert counts["time_scaled"] > 0
+    assert counts["time_scaled"] + counts["ok"] == len(run.commands)
+    assert run.plan.status.value == "ok"
     assert 0.02 < run.plan.diagnostics["delay"] < 1.0
 
 
@@ -108,14 +109,14 @@ def test_commands_say_where_along_the_preview_the_platform_is() -> None:
     plan, speeds = run.plan, []
     for command, after in itertools.pairwise(run.commands):
         if command.scaling is None:
-            assert command.status is PlanningStatus.PLANNED
+            assert command.status is UpdateStatus.OK
             continue
         t = np.linspace(command.t, after.t, 5)
         sigma, rate, _ = command.scaling.at(t)
         speeds += rate.tolist()
         np.testing.assert_allclose(plan.functions_of_time.platform.sample_at(t).x, CIRCLE.sample_at(sigma).x, atol=1e-9)
         slow = min(rate[0], command.scaling.final_rate) < 1.0 - 1e-6
-        assert command.status is (PlanningStatus.SLOWED if slow else PlanningStatus.PLANNED)
+        assert command.status is (UpdateStatus.TIME_SCALED if slow else UpdateStatus.OK)
         assert bool(command.reason) == slow
     assert min(speeds) < 0.9
     assert min(speeds) >= 0.0
@@ -146,8 +147,8 @@ def test_numpy_slows_down_too() -> None:
     run = run_online(
         RecedingHorizon(machine()[0], slow_down=True, interpret=True, horizon=0.3, acceleration=3.0), short
     )
-    assert run.counts["slowed"] > 0
-    assert run.counts["elastic"] == 0
+    assert run.counts["time_scaled"] > 0
+    assert run.counts["relaxed"] == 0
     assert_within(run.plan, RecedingHorizon(machine()[0], acceleration=3.0).resolved)
     assert_same_path(run.plan, short, run.plan.diagnostics["delay"])
 
@@ -160,7 +161,7 @@ def test_a_preview_that_is_a_function_is_asked_in_its_own_time() -> None:
         return CIRCLE.sample_at(np.minimum(times, CIRCLE.duration - 1e-9))
 
     commands = [planner.update(t, preview) for t in (0.02 * np.arange(40)).tolist()]
-    assert {c.status for c in commands} == {PlanningStatus.PLANNED, PlanningStatus.SLOWED}
+    assert {c.status for c in commands} == {UpdateStatus.OK, UpdateStatus.TIME_SCALED}
     last = commands[-1]
     behind = last.t - float(last.scaling.at([last.t])[0][0])
     assert behind > 0.01
@@ -186,7 +187,7 @@ def test_before_a_pose_out_of_reach_the_platform_stops_and_stays() -> None:
     assert not other.along(motion.sample_at(still), unreachable="mark").reduce().reachable.any()
     planner = RecedingHorizon(dynamics, slow_down=True)
     commands = [planner.update(t, motion) for t in (0.02 * np.arange(200)).tolist()]
-    assert {c.status for c in commands} == {PlanningStatus.PLANNED, PlanningStatus.SLOWED}
+    assert {c.status for c in commands} == {UpdateStatus.OK, UpdateStatus.TIME_SCALED}
     scaling = commands[-1].scaling
     sigma, rate, _ = scaling.at([commands[-1].t])
     assert rate[0] == 0.0
@@ -210,7 +211,7 @@ def test_limits_that_are_loosened_let_it_go_on() -> None:
     planner.limits = Limits()
     later = [planner.update(slow + 0.02 * i, CIRCLE) for i in range(2, 42)]
     assert later[-1].scaling.final_rate == 1.0
-    assert later[-1].status is PlanningStatus.PLANNED
+    assert later[-1].status is UpdateStatus.OK
 
 
 def test_a_tick_that_is_missed_says_where_the_platform_is_too() -> None:
@@ -218,7 +219,7 @@ def test_a_tick_that_is_missed_says_where_the_platform_is_too() -> None:
     commands = [planner.update(t, CIRCLE) for t in (0.02 * np.arange(40)).tolist()]
     assert commands[-1].scaling is not None
     missed = planner.skip(0.8)
-    assert missed.status is PlanningStatus.FALLBACK
+    assert missed.status is UpdateStatus.FALLBACK
     assert missed.scaling is commands[-1].scaling
 
 
@@ -228,8 +229,8 @@ def test_random_paths_with_weak_carriers_are_followed_to_their_end(name: str, sh
     trajectory = next(itertools.islice(online.random_paths(name, dynamics), seed, None))
     weak = [share * limit.acceleration for limit in dynamics.robot.carrier_limits]
     run = run_online(RecedingHorizon(dynamics, slow_down=True, acceleration=weak), trajectory)
-    assert run.counts["planned"] + run.counts["slowed"] == len(run.commands)
-    assert run.counts["slowed"] > 0
+    assert run.counts["ok"] + run.counts["time_scaled"] == len(run.commands)
+    assert run.counts["time_scaled"] > 0
     assert_within(run.plan, RecedingHorizon(dynamics, acceleration=weak).resolved)
     assert_same_path(run.plan, trajectory, run.plan.diagnostics["delay"])
     assert_balanced(run.plan, other)
@@ -306,7 +307,7 @@ def test_planners_that_run_without_end_forget_the_speeds_that_are_past() -> None
         command = planner.update(1e3 + 0.02 * i, preview)
         if command.scaling is not None:
             most = max(most, len(command.scaling.curve.edges))
-    assert command.status in (PlanningStatus.PLANNED, PlanningStatus.SLOWED)
+    assert command.status in (UpdateStatus.OK, UpdateStatus.TIME_SCALED)
     assert 2 < most < 12
 
 
@@ -319,7 +320,7 @@ def test_a_preview_that_begins_too_late_is_told_in_both_times() -> None:
     with pytest.raises(InputError, match=rf"t = 0.8 s, {own:.6g} s of the preview .* begins at 0.8 s"):
         planner.update(0.8, late)
     on_time = CIRCLE.sample_at(np.linspace(own, 1.6, 200))
-    assert planner.update(0.8, on_time).status in (PlanningStatus.PLANNED, PlanningStatus.SLOWED)
+    assert planner.update(0.8, on_time).status in (UpdateStatus.OK, UpdateStatus.TIME_SCALED)
 
 
 def test_a_plan_that_is_too_fast_next_to_its_start_is_none() -> None:

@@ -15,11 +15,12 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.receding_horizon import PlanningStatus, RecedingHorizon
+from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.receding_horizon.ahead import Linearised
 from redundancy_pin.planners.receding_horizon.command import Command, extended
 from redundancy_pin.planners.receding_horizon.programme import Programme, TickProblem, units_of
 from redundancy_pin.planners.receding_horizon.tick import TickPlanner, with_stop
+from redundancy_pin.status import UpdateStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import circle_path
@@ -106,7 +107,7 @@ def test_without_a_track_a_motion_to_begin_with_stays_where_the_carriers_are() -
 
 
 def scripted(
-    monkeypatch: pytest.MonkeyPatch, planner: RecedingHorizon, answers: list[tuple[float, PlanningStatus]]
+    monkeypatch: pytest.MonkeyPatch, planner: RecedingHorizon, answers: list[tuple[float, UpdateStatus]]
 ) -> tuple[list[Any], list[Any]]:
     """Have the programmes of a tick miss so much of f; return what they were about, and what they brought."""
     about: list[Any] = []
@@ -129,8 +130,8 @@ def scripted(
     return about, made
 
 
-PLANNED, ELASTIC, FALLBACK = PlanningStatus.PLANNED, PlanningStatus.ELASTIC, PlanningStatus.FALLBACK
-FINE = (1e-4, PLANNED)
+OK, RELAXED, FALLBACK = UpdateStatus.OK, UpdateStatus.RELAXED, UpdateStatus.FALLBACK
+FINE = (1e-4, OK)
 
 
 @pytest.mark.parametrize(
@@ -138,15 +139,15 @@ FINE = (1e-4, PLANNED)
     [
         pytest.param(True, [FINE] * 8, 3, 2, id="three at first"),
         pytest.param(False, [FINE] * 8, 1, 0, id="one is enough"),
-        pytest.param(False, [(1e-2, PLANNED)] + [FINE] * 8, 1, 0, id="a hundredth is linear"),
-        pytest.param(False, [(1.1e-2, PLANNED)] + [FINE] * 8, 2, 1, id="more is not"),
-        pytest.param(True, [(0.09, PLANNED)] * 3 + [FINE] * 8, 4, 3, id="three at first and one more"),
-        pytest.param(False, [(0.08 - 0.005 * i, PLANNED) for i in range(9)], 8, 7, id="eight at most"),
-        pytest.param(False, [(0.5, ELASTIC), (0.4, ELASTIC), (0.3961, ELASTIC)], 3, 2, id="no nearer"),
-        pytest.param(False, [(0.5, ELASTIC), (0.4, ELASTIC), (0.39, ELASTIC), (0.39, ELASTIC)], 4, 3, id="nearer"),
-        pytest.param(False, [(0.03, PLANNED)] * 9, 8, 7, id="a plan may be as far"),
+        pytest.param(False, [(1e-2, OK)] + [FINE] * 8, 1, 0, id="a hundredth is linear"),
+        pytest.param(False, [(1.1e-2, OK)] + [FINE] * 8, 2, 1, id="more is not"),
+        pytest.param(True, [(0.09, OK)] * 3 + [FINE] * 8, 4, 3, id="three at first and one more"),
+        pytest.param(False, [(0.08 - 0.005 * i, OK) for i in range(9)], 8, 7, id="eight at most"),
+        pytest.param(False, [(0.5, RELAXED), (0.4, RELAXED), (0.3961, RELAXED)], 3, 2, id="no nearer"),
+        pytest.param(False, [(0.5, RELAXED), (0.4, RELAXED), (0.39, RELAXED), (0.39, RELAXED)], 4, 3, id="nearer"),
+        pytest.param(False, [(0.03, OK)] * 9, 8, 7, id="a plan may be as far"),
         pytest.param(False, [(0.5, FALLBACK)] + [FINE] * 8, 1, 0, id="no answer"),
-        pytest.param(False, [(0.02, ELASTIC), (0.02, ELASTIC)], 2, 1, id="as near as it may be in doubt"),
+        pytest.param(False, [(0.02, RELAXED), (0.02, RELAXED)], 2, 1, id="as near as it may be in doubt"),
     ],
 )
 def test_a_tick_has_as_many_programmes_as_it_takes(
@@ -168,7 +169,7 @@ def test_a_programme_that_is_farther_off_is_followed_by_one_about_the_plan_halfw
 ) -> None:
     planner = planner_of()
     lefts = [0.05, 0.2, 0.06, 0.04, 0.009]
-    about, made = scripted(monkeypatch, planner, [(left, PLANNED) for left in lefts])
+    about, made = scripted(monkeypatch, planner, [(left, OK) for left in lefts])
     found = planner.ticks.rounds(0.2, 0.7, (None, None), first_round())
     assert found is made[4]
     assert about[1] is made[0]
@@ -185,7 +186,7 @@ def test_farther_off_within_a_hundredth_is_no_farther(monkeypatch: pytest.Monkey
     """Where a singular instant is near and f is not yet exact there, there is another round all the same."""
     planner = planner_of()
     planner.ticks.sizes = tick_sizes()
-    about, made = scripted(monkeypatch, planner, [(1e-4, PLANNED), (5e-3, PLANNED), (1e-3, PLANNED)])
+    about, made = scripted(monkeypatch, planner, [(1e-4, OK), (5e-3, OK), (1e-3, OK)])
     monkeypatch.setattr(planner.ticks, "is_settled", lambda t, plan: len(made) > 2)
     assert planner.ticks.rounds(0.2, 0.7, (None, None), first_round()) is made[2]
     assert about[2] is made[1]
@@ -202,17 +203,17 @@ def test_a_plan_that_misses_a_tenth_of_f_ahead_is_called_elastic(
     monkeypatch: pytest.MonkeyPatch, left: float, softened: bool
 ) -> None:
     planner = planner_of()
-    scripted(monkeypatch, planner, [(left, PLANNED)] * 8)
+    scripted(monkeypatch, planner, [(left, OK)] * 8)
     command = planner.ticks.rounds(0.2, 0.7, (None, None), first_round()).command
-    assert (command.status is ELASTIC) == softened
+    assert (command.status is RELAXED) == softened
     assert command.reason == ("ahead 11% of the force is missing" if softened else "")
 
 
 def test_an_elastic_programme_counts_as_a_tenth_off_at_least() -> None:
     for left, status, doubt in (
-        (0.03, PLANNED, 0.03),
-        (0.03, ELASTIC, 0.1),
-        (0.3, ELASTIC, 0.3),
+        (0.03, OK, 0.03),
+        (0.03, RELAXED, 0.1),
+        (0.3, RELAXED, 0.3),
         (0.03, FALLBACK, 0.1),
     ):
         plan = first_round()
@@ -226,10 +227,10 @@ def test_next_to_a_singular_instant_f_is_met_to_a_millionth() -> None:
     for ahead, near in (((-1e-4,), False), ((1e-4,), True), ((2.4 * STEP,), True), ((2.6 * STEP,), False), ((), False)):
         for residual, met in ((0.9 * exact, True), (1.1 * exact, False)):
             for left in (0.009, 0.011):
-                command = replace(plan.command, t=t, singular=t + np.array(ahead), residual=residual, status=PLANNED)
+                command = replace(plan.command, t=t, singular=t + np.array(ahead), residual=residual, status=OK)
                 settled = planner.ticks.is_settled(t, replace(plan, command=command, left=left))
                 assert settled == (left < 0.01 and (met or not near))
-    for status, settled in ((ELASTIC, False), (FALLBACK, True), (PlanningStatus.REFUSED, True)):
+    for status, settled in ((RELAXED, False), (FALLBACK, True), (UpdateStatus.REFUSED, True)):
         command = replace(plan.command, status=status)
         assert planner.ticks.is_settled(t, replace(plan, command=command, left=1.0)) == settled
 
@@ -243,7 +244,7 @@ def test_an_elastic_plan_is_tried_from_elsewhere_too_and_the_nearer_one_counts(
     last, asked = planner.ticks.last, []
     assert last is not None
     plans = [
-        replace(last, command=replace(last.command, status=ELASTIC, peak=float(i)), left=left)
+        replace(last, command=replace(last.command, status=RELAXED, peak=float(i)), left=left)
         for i, left in enumerate((0.3, other))
     ]
 
@@ -262,7 +263,7 @@ def test_an_elastic_plan_is_tried_from_elsewhere_too_and_the_nearer_one_counts(
 def test_the_largest_effort_so_far_is_that_of_each_step_until_the_next_tick(monkeypatch: pytest.MonkeyPatch) -> None:
     planner, plan, largest = planner_of(), first_round(), 0.0
     for t, peak in ((0.2, 3.0), (0.22, 5.0), (0.24, 4.0)):
-        made = replace(plan, command=replace(plan.command, t=t, status=ELASTIC), largest=peak)
+        made = replace(plan, command=replace(plan.command, t=t, status=RELAXED), largest=peak)
         monkeypatch.setattr(planner.ticks, "rounds", lambda *ask, made=made: made)
         planner.update(t, ACROSS)
         largest = max(largest, peak)
@@ -451,7 +452,7 @@ def test_commands_are_the_motion_of_a_solution_and_the_efforts_that_it_takes(nam
     """By the other backend: what is missing of f at all nodes, over their sizes, and at the first four, N."""
     planner, seen = asked(name)
     other, motion = backends(name)[1], MOTIONS[name]
-    assert all(tick.made.command.status is PLANNED for tick in seen)
+    assert all(tick.made.command.status is OK for tick in seen)
     for tick in seen:
         x, multipliers = tick.solution
         p, made, command, nodes = planner.ticks.programme(False), tick.made, tick.made.command, tick.lin.nodes
@@ -556,12 +557,12 @@ def test_what_limits_cut_off_until_the_next_node_is_looked_at_where_they_are_met
         found = planner.ticks.checked_between(t, command)
         assert found.residual == pytest.approx(max(worst, 1e-9), rel=1e-5, abs=1e-7)
         softened = worst > 1e-3 * sizes.row.max()
-        assert found.status is (ELASTIC if softened else PLANNED)
+        assert found.status is (RELAXED if softened else OK)
         assert bool(found.reason) == softened
         if worst > 1e-4:  # a thousandth of the size of f, and that alone, decides
             for part, elastic in ((1.1, False), (0.9, True)):
                 planner.ticks.sizes = replace(sizes, row=part * 1e3 * worst * np.array([0.1, 1.0]))
-                assert (planner.ticks.checked_between(t, command).status is ELASTIC) == elastic
+                assert (planner.ticks.checked_between(t, command).status is RELAXED) == elastic
             planner.ticks.sizes = sizes
 
 

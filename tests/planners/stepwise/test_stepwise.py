@@ -16,8 +16,8 @@ from scipy.optimize import lsq_linear, minimize
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot
 from redundancy_pin.kinematics.coordinates import all_working_modes
 from redundancy_pin.planners.functions import ALLOWED
-from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
 # scipy of Python 3.10 rounds out of its own bounds on the way, says so, and steps back inside
@@ -144,10 +144,10 @@ def test_random_plans_are_minimal_within_limits_and_end_at_rest(lam, mode, mass,
     require_limits(plan, limits)
     # between single samples, the step into a jump of ẍ has the efforts of the jump, which no sample need show
     ratio = largest_inside_steps(plan, RneaDynamics(dynamics.robot)) / np.abs(plan.tau).max()
-    assert plan.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.UNRESOLVED)
+    assert plan.status in (ResultStatus.OK, ResultStatus.UNRESOLVED)
     assert plan.between.ratio >= ratio * (1.0 - BETWEEN)
-    assert plan.status is PlanStatus.UNRESOLVED or ratio <= ALLOWED * (1.0 + BETWEEN)
-    assert plan.status is PlanStatus.WITHIN_LIMITS or ratio > ALLOWED * (1.0 - BETWEEN)
+    assert plan.status is ResultStatus.UNRESOLVED or ratio <= ALLOWED * (1.0 + BETWEEN)
+    assert plan.status is ResultStatus.OK or ratio > ALLOWED * (1.0 - BETWEEN)
     assert (plan.carriers.sd[-1] == 0.0).all()
     assert plan.diagnostics["largest_gradient"] < 1e-6
     assert plan.diagnostics["least_curvature"] > 0.0
@@ -295,6 +295,6 @@ def test_the_thesis_corner_in_its_mode():
     bounds = {(event["carrier"], event["bound"]) for event in plan.diagnostics["bounds"]}
     assert bounds == {("carrier_2", "speed"), ("carrier_2", "acceleration")}
     assert not plan.limits.violated
-    assert plan.status is PlanStatus.UNRESOLVED  # single samples
+    assert plan.status is ResultStatus.UNRESOLVED  # single samples
     both = plan_stepwise(dynamics_of(), reference.corner(), dt=0.005)
-    assert both.status is PlanStatus.WITHIN_LIMITS
+    assert both.status is ResultStatus.OK

@@ -9,8 +9,8 @@ import pytest
 from scipy.interpolate import BSpline
 
 from redundancy_pin import CarrierMotion, PlatformMotion, VirtualWork, distribute, load_robot
-from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.stepwise.planner import between_samples, plan_stepwise
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import boundary_polynomial, reference
 
 
@@ -97,7 +97,7 @@ def test_the_optimiser_takes_over_an_unfinished_return():
 def test_the_shortest_return_uses_a_limit_up_and_a_shorter_one_breaks_it():
     limits = {"speed": 1.5, "acceleration": 12.0}
     plan = square_plan(return_time="shortest", **limits)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     begun, ended = plan.diagnostics["returns"][1]
     start = int(np.searchsorted(plan.t, begun))
     state = [getattr(plan.carriers, part)[start] for part in ("s", "sd", "sdd")]
@@ -113,7 +113,7 @@ def test_the_shortest_return_uses_a_limit_up_and_a_shorter_one_breaks_it():
 
 def test_a_return_that_breaks_a_limit_is_said_to():
     plan = square_plan(return_time=0.1)
-    assert plan.status is PlanStatus.VIOLATES_LIMITS
+    assert plan.status is ResultStatus.LIMIT_VIOLATED
     assert {event.quantity for event in plan.limits.violated} <= {"acceleration", "speed"}
 
 
@@ -177,7 +177,7 @@ def test_anticipation_changes_nothing_until_a_carrier_must_stop():
 def test_anticipation_keeps_a_short_track():
     motion = reference.corner().sample(0.005, two_sided=False)
     plan = plan_stepwise(dynamics_of(), motion, track=(-0.3, 0.2))
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert plan.carriers.s.min() >= -0.3
     assert plan.carriers.s.max() <= 0.2
     assert "stop" in {event["bound"] for event in plan.diagnostics["bounds"]}
@@ -298,7 +298,7 @@ def test_between_samples_follows_the_polynomials_of_the_returns():
 def test_a_limit_broken_between_samples_of_a_return_is_said():
     """A return whose samples stay within 7 m/s² while its polynomial does not (coarse steps of 20 ms)."""
     import redundancy_pin as rp
-    from redundancy_pin.planners.plan import PlanStatus
+    from redundancy_pin.status import ResultStatus
     from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
 
     path = Line([0.6, 0.5, 0.0], [1.1, 0.5, 0.0])
@@ -306,7 +306,7 @@ def test_a_limit_broken_between_samples_of_a_return_is_said():
     dynamics = rp.VirtualWork(rp.load_robot("3rrr"))
     plan = rp.plan_stepwise(dynamics, motion, dt=0.02, active="accelerating", return_time=0.8542364)
     assert np.abs(plan.carriers.sdd).max() <= 7.0 * (1 + 1e-9)
-    assert plan.status is PlanStatus.VIOLATES_LIMITS
+    assert plan.status is ResultStatus.LIMIT_VIOLATED
     event = max(plan.limits.violated, key=lambda event: event.amount)
     assert event.quantity == "acceleration"
     assert 0.0 < event.amount < 0.02

@@ -12,8 +12,8 @@ from leg_momentum import condition, free_carriers, imbalance, legs_along, moment
 
 from redundancy_pin import RneaDynamics, VirtualWork, distribute
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, circle_path, reference
 
 PARKED, RAMP_DOWN, OFF, RETURN = range(4)
@@ -252,7 +252,7 @@ def test_thesis_circle_carriers(speed, threshold, position, effort):
 
 def test_the_thesis_circle_leaves_its_track():
     plan = circle_plan()
-    assert plan.status is PlanStatus.VIOLATES_LIMITS
+    assert plan.status is ResultStatus.LIMIT_VIOLATED
     track = [event for event in plan.limits.violated if event.quantity == "track"]
     assert {event.carrier for event in track} == {"carrier_1"}
     (exit_state,) = (window["carriers_at_exit"] for window in plan.diagnostics["windows"])

@@ -9,8 +9,8 @@ from leg_momentum import imbalance, legs_along, momentum_rate
 
 from redundancy_pin import RneaDynamics, VirtualWork
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
 
@@ -107,19 +107,19 @@ def test_threshold_on_the_margin():
 def test_shortest_return_in_a_plan(threshold):
     plan = plan_switch_off(two_rpr(), reference.circle(), threshold=threshold, return_time="shortest")
     (window,) = plan.diagnostics["windows"]
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert {event.quantity for event in plan.limits.binding} == {"acceleration"}
     shorter = plan_switch_off(
         two_rpr(), reference.circle(), threshold=threshold, return_time=0.999 * window["return_time"]
     )
-    assert shorter.status is PlanStatus.VIOLATES_LIMITS
+    assert shorter.status is ResultStatus.LIMIT_VIOLATED
 
 
 @pytest.mark.long
 def test_shortest_returns_decide_whether_windows_merge():
     plan = plan_switch_off(two_rpr(), reference.circle(), threshold=400.0, return_time="shortest")
     assert len(plan.diagnostics["windows"]) == 2
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     merged = plan_switch_off(two_rpr(), reference.circle(), threshold=20.0, return_time="shortest")
     assert len(merged.diagnostics["windows"]) == 1
 

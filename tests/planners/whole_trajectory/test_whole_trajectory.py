@@ -9,9 +9,8 @@ import zoo
 import redundancy_pin.planners.whole_trajectory.planner as planner
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError, UnsupportedRobotError
-from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -52,7 +51,7 @@ def between(plan, parts):
 
 def require_sound(dynamics, trajectory, plan):
     """Optimal, within limits also between the nodes, at rest at the datum, and as good between the nodes as at them."""
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert plan.diagnostics["optimal"]
     assert np.isfinite(plan.tau).all()
     for end in (0, -1):
@@ -267,7 +266,7 @@ def test_jerk_effort_and_force_limits_hold():
     free = plan_whole_trajectory(dynamics, circle(), dt=0.04, refinements=0)
     force = 0.9 * np.abs(free.carrier_force).max()
     plan = plan_whole_trajectory(dynamics, circle(), dt=0.02, jerk=300.0, effort=0.19, carrier_force=force)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     h = np.diff(plan.t)
     steps = np.diff(plan.carriers.sdd, axis=0)
     assert (np.abs(steps) <= 300.0 * h[:, None] + 1e-9).all()
@@ -307,7 +306,7 @@ def test_infeasible_says_how_much_would_suffice():
     assert enough.diagnostics["optimal"]
     assert enough.peak_effort_at_samples.max() <= 1.001 * least * (1.0 + 1e-6)
     # steps of 50 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
-    assert enough.status is PlanStatus.VIOLATES_LIMITS
+    assert enough.status is ResultStatus.LIMIT_VIOLATED
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
 
@@ -325,7 +324,7 @@ def test_coarse_meshes_are_not_finished(monkeypatch):
     ratios = plan.diagnostics["dense_ratios"]
     assert len(ratios) > len(solved) == 1
     assert ratios[0] > 1.05 >= ratios[-1]
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     problem, solution = solved[0]
     assert solver.solve(problem, {}, 60.0).cost == pytest.approx(solution.cost, rel=1e-8)
 
@@ -358,7 +357,7 @@ def test_no_time_is_not_called_infeasible():
 def test_a_plan_that_is_not_optimal_says_so(monkeypatch):
     monkeypatch.setattr(solver, "TOLERANCE", 1e-40)  # never reached, so the solver ends at what it calls acceptable
     plan = plan_whole_trajectory(two_rpr(), circle(), dt=0.05, refinements=0)
-    assert plan.status is PlanStatus.STOPPED_EARLY
+    assert plan.status is ResultStatus.NOT_CONVERGED
     assert not plan.diagnostics["optimal"]
 
 

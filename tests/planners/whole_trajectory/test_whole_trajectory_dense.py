@@ -5,7 +5,7 @@ import pytest
 import zoo
 
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
-from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -61,7 +61,7 @@ def require_as_good_between(seed):
     objective = ("effort", "peak")[seed // 3 % 2]
     dt = trajectory.duration / STEPS
     plan = plan_whole_trajectory(dynamics, trajectory, objective=objective, dt=dt, **limits)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     times = dense_times(plan)
     efforts = distribute(dynamics.reduce(trajectory.sample_at(times), carriers_at(plan, times))).tau
     assert np.isfinite(efforts).all()

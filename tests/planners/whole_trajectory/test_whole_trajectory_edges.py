@@ -11,8 +11,8 @@ import zoo
 from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import carrier_model
-from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory.problem import singular_node
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -96,10 +96,10 @@ def test_carrier_forces_are_looked_at_between_the_nodes():
         reduced = dynamics.reduce(trajectory.sample_at(times), carriers_between(plan, times))
         most = float(np.abs(reduced.carrier_force).max())
         if refinements:
-            assert plan.status is PlanStatus.WITHIN_LIMITS
+            assert plan.status is ResultStatus.OK
             assert most <= 1.001 * limit
         else:
-            assert plan.status is PlanStatus.VIOLATES_LIMITS
+            assert plan.status is ResultStatus.LIMIT_VIOLATED
             worst = max(event.amount for event in plan.limits.violated if event.quantity == "force")
             # by samples 0.4 ms apart on both sides
             assert worst == pytest.approx(most - limit, rel=1e-2)
@@ -112,13 +112,13 @@ def test_an_actuator_with_a_low_limit_is_looked_at_between_the_nodes(monkeypatch
     fine, lowered = (plan_whole_trajectory(dynamics, trajectory, refinements=often, **settings) for often in (3, 0))
     monkeypatch.setattr("redundancy_pin.planners.whole_trajectory.planner.LOWERED", 0)
     rough = plan_whole_trajectory(dynamics, trajectory, refinements=0, **settings)
-    assert rough.status is PlanStatus.VIOLATES_LIMITS
+    assert rough.status is ResultStatus.LIMIT_VIOLATED
     (event,) = rough.limits.violated
     assert (event.quantity, event.carrier) == ("effort", rough.robot.actuated[1])
     assert event.amount > 0.05 * 1.9
     assert abs(efforts_at(dynamics, trajectory, rough, [event.worst])[0, 1]) == pytest.approx(1.9 + event.amount)
     for plan in (fine, lowered):
-        assert plan.status is PlanStatus.WITHIN_LIMITS
+        assert plan.status is ResultStatus.OK
         assert ("effort", plan.robot.actuated[1]) in {(event.quantity, event.carrier) for event in plan.limits.binding}
         inside = np.linspace(plan.t[0], plan.t[-1], 20000)[1:-1]
         assert np.abs(efforts_at(dynamics, trajectory, plan, inside)[:, 1]).max() <= 1.001 * 1.9
@@ -154,7 +154,7 @@ def test_one_freedom_crosses_its_singularity(tmp_path):
     dynamics, path = RneaDynamics(robot), Line((1.0,), (5.0,))
     trajectory = Trajectory(path, SpeedProfile(path.length, 2.0, 0.2))
     plan = plan_whole_trajectory(dynamics, trajectory, dt=0.04)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     (node,) = plan.diagnostics["singular_nodes"]
     for side in (-1e-5, 1e-5):
         beside = efforts_at(dynamics, trajectory, plan, [plan.t[node] + side])[0]
@@ -168,7 +168,7 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
     dynamics = RneaDynamics(robot)
     plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.05)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert plan.diagnostics["dense_check"]["passed"]
     reduced = dynamics.reduce(plan.motion, plan.carriers)
     assert np.abs(distribute(reduced).tau).max() > 1.05 * np.abs(plan.tau).max()

@@ -9,8 +9,8 @@ import zoo
 
 from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory import multistart, planner
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -109,7 +109,7 @@ def test_what_is_said_to_suffice_suffices_and_less_does_not(seed):
     # a statement about the nodes; without refinements efforts may exceed their limit between them, as the status says
     assert plan.diagnostics["optimal"]
     assert np.abs(plan.tau).max() <= enough.get("effort", np.inf) * (1.0 + ROUNDING)
-    if plan.status is not PlanStatus.WITHIN_LIMITS:
+    if plan.status is not ResultStatus.OK:
         assert {event.quantity for event in plan.limits.violated} == {"effort"}
         assert not plan.diagnostics["dense_check"]["passed"]
     too_little = relaxed(dynamics, limits, details, NARROWER)

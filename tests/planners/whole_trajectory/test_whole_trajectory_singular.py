@@ -9,7 +9,7 @@ import zoo
 
 from redundancy_pin import VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import Line, circle_path
 
@@ -66,7 +66,7 @@ def test_two_crossings_in_a_moment_are_both_on_nodes(depth):
     half = np.arccos(1.0 - depth / RADIUS) * RADIUS / SPEED
     middle = trajectory.duration / 2
     np.testing.assert_allclose(plan.diagnostics["singular_instants"], [middle - half, middle + half], atol=1e-6)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert plan.diagnostics["dense_check"]["passed"]
 
 
@@ -85,7 +85,7 @@ def test_passing_close_by_is_planned_as_carefully(objective, height):
     assert plan.diagnostics["singular_instants"] == []
     # the first plan is near already (7.4 for the peak at 1e-6, else 2.9 at most); 100 and more without middle nodes
     assert plan.diagnostics["dense_ratios"][0] <= 10.0
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.status is ResultStatus.OK
     assert plan.diagnostics["dense_check"]["passed"]
 
 

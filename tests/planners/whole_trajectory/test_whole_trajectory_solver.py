@@ -9,8 +9,8 @@ import redundancy_pin.planners.whole_trajectory.solver as constraint_generation
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory import multistart
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line
@@ -110,7 +110,7 @@ def test_limits_hold_between_the_nodes_where_they_are_met(quantity, limit, toler
     setting = {"speed": limit} if quantity == "speed" else {"track": (-limit, limit)}
     plan = plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.6, 0.2), **COARSE, **setting)
     assert plan.diagnostics["optimal"] is (tolerance == 1e-9)
-    assert plan.status is (PlanStatus.WITHIN_LIMITS if plan.diagnostics["optimal"] else PlanStatus.STOPPED_EARLY)
+    assert plan.status is (ResultStatus.OK if plan.diagnostics["optimal"] else ResultStatus.NOT_CONVERGED)
     c = plan.carriers
     position = PiecewisePolynomial.linear(plan.t, c.s, c.sd, c.sdd)
     least, most = (position if quantity == "track" else position.derivative()).ranges()
