@@ -185,7 +185,7 @@ def test_expressions_of_the_carriers_motion_have_the_values_of_rnea(shipped: rp.
     """Of many samples at once, each with its own influence matrix."""
     t = np.linspace(0.0, 1.0, 4)
     motion, carriers = zoo.smooth_motion(shipped, 5).at(t), zoo.carriers_at(shipped, t)
-    along = rp.CompiledDynamics(shipped, interpret=True).along(motion)
+    along = rp.CompiledDynamics(shipped).along(motion)
     f, force = along.expressions(*(ca.DM(part.T) for part in (carriers.s, carriers.sd, carriers.sdd)))
     wanted = rp.RneaDynamics(shipped).reduce(motion, carriers)
     for got, want in ((f, wanted.f), (force, wanted.carrier_force)):

@@ -3,8 +3,6 @@
 A library's name is a hash of all that goes into it: the topology of the robot, the versions of casadi and Pinocchio,
 the texts of this package, the compiler and its flags. Numbers of the robot are no part of it: they are arguments
 (``parameters``), and robots that differ in them share a library.
-
-Where there is no C compiler, or it fails, casadi interprets the same functions (``interpreted``).
 """
 
 from __future__ import annotations
@@ -266,8 +264,6 @@ class Library:
         path: the shared library.
         robot: the robot.
     """
-
-    compiled = True
 
     def __init__(self, path: Path, robot: Robot) -> None:
         self.path = path
