@@ -3,8 +3,6 @@
 A library's name is a hash of all that goes into it: the topology of the robot, the versions of casadi and Pinocchio,
 the texts of this package, the compiler and its flags. Numbers of the robot are no part of it: they are arguments
 (``parameters``), and robots that differ in them share a library.
-
-Where there is no C compiler, or it fails, casadi interprets the same functions (``interpreted``).
 """
 
 from __future__ import annotations
@@ -250,18 +248,13 @@ _WRITTEN = (
 
 def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Sequence[str] = FLAGS) -> str:
     """Return what tells one library from another: a hash of all that goes into it. Numbers of the robot do not."""
-    return digest([topology_of(robot).text, *_sources(tuple(files)), compiler, *flags])
-
-
-@functools.cache
-def _sources(files: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what of the program goes into a library: versions, tolerances, and the texts of files of this package."""
     try:
         version = importlib.metadata.version("casadi")  # without the time that an import takes
     except importlib.metadata.PackageNotFoundError:
         version = str(casadi().__version__)  # installed by other means than pip, or not at all
     constants = repr((CLOSURE_TOLERANCE, RANK_TOLERANCE, NEAR_SINGULAR_MARGIN, CONSISTENCY_TOLERANCE, FORCE_TOLERANCE))
-    return version, str(pin.__version__), constants, *files, *(text_of(name) for name in files)
+    texts = (text_of(name) for name in files)
+    return digest([topology_of(robot).text, version, str(pin.__version__), constants, *files, *texts, compiler, *flags])
 
 
 class Library:
@@ -271,8 +264,6 @@ class Library:
         path: the shared library.
         robot: the robot.
     """
-
-    compiled = True
 
     def __init__(self, path: Path, robot: Robot) -> None:
         self.path = path

@@ -3,7 +3,8 @@
 Compiled are the joints and their order, which frames closures join, what is actuated, and the structural zeros: numbers
 that are zero, and entries of rotations and axes that are 1 or −1. All other numbers are parameters: placements, masses,
 first moments, inertias, armatures, gravity, coupling polynomials, loads, signs of the working mode, and scales. Robots
-that differ in them share one library.
+that differ in them share one library. Of a platform with mass, and of a link with a payload, all inertial numbers are
+parameters, also those that are zero.
 
 Inertial numbers are the mass m, the first moment m c and the inertia about the joint's origin, in the axes of the
 joint's frame: forces are linear in them, also at bodies without mass (Featherstone, "Rigid Body Dynamics Algorithms",
@@ -23,7 +24,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, read_only
-from redundancy_pin.robot import JointForces, Robot, Spring, Wrench
+from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.lookup import find_joint, find_link
 from redundancy_pin.robot.scales import (
@@ -47,7 +48,7 @@ _ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Share of a size below which a number is zero, and distance at which an entry of a rotation is 1: rounding of a sum of
 a few products."""
 
-_SIZE, _ENTRY, _SIGN = range(3)
+_SIZE, _ENTRY, _FREE = range(3)
 """Which values are compiled: zero; zero, 1 and −1; none."""
 
 JOINT_NUMBERS = ("damping", "friction", "friction_speed", "stiffness", "rest", "rotor_inertia", "gear")
@@ -91,7 +92,7 @@ def numbers_of(robot: Robot) -> Numbers:
         values.append(flat)
         kinds.append(np.full(len(flat), what))
     whole, kind = np.concatenate(values), np.concatenate(kinds)
-    structural = (kind != _SIGN) & ((whole == 0.0) | ((kind == _ENTRY) & (np.abs(whole) == 1.0)))
+    structural = (kind != _FREE) & ((whole == 0.0) | ((kind == _ENTRY) & (np.abs(whole) == 1.0)))
     return Numbers(MappingProxyType(places), read_only(whole), read_only(structural))
 
 
@@ -101,6 +102,10 @@ def _listed(robot: Robot) -> Iterator[tuple[Key, Any, int, float]]:
     yield ("gravity",), model.gravity.linear, _SIZE, 0.0
     yield ("armature",), model.armature, _SIZE, 0.0
     subspaces = motion_subspaces(robot)
+    # payloads are put on the platform: their centres and inertias do not make another topology
+    links = [robot.platform.frame] if robot.platform else []
+    links += [load.frame for load in of_kind(robot.loads, Payload)]
+    loaded = {int(find_link(model, name).parentJoint) for name in links}
     for index in range(1, model.njoints):
         placement, body = model.jointPlacements[index], model.inertias[index]
         yield ("joint", index, "rotation"), placement.rotation, _ENTRY, 1.0
@@ -108,8 +113,9 @@ def _listed(robot: Robot) -> Iterator[tuple[Key, Any, int, float]]:
         yield ("joint", index, "subspace"), subspaces[index], _ENTRY, 1.0
         mass, first, inertia = moments(body)
         yield ("joint", index, "mass"), mass, _SIZE, 0.0
-        yield ("joint", index, "moment"), first, _SIZE, mass * length
-        yield ("joint", index, "inertia"), inertia, _SIZE, float(np.abs(inertia).max())
+        kind = _FREE if mass and index in loaded else _SIZE
+        yield ("joint", index, "moment"), first, kind, mass * length
+        yield ("joint", index, "inertia"), inertia, kind, float(np.abs(inertia).max())
     for name in links_of(robot):
         placement = find_link(model, name).placement
         yield ("link", name, "rotation"), placement.rotation, _ENTRY, 1.0
@@ -127,7 +133,7 @@ def _listed(robot: Robot) -> Iterator[tuple[Key, Any, int, float]]:
                 yield ("load", i, name), getattr(load, name), _SIZE, 0.0
     modes = robot.working_modes
     signs = [sign * own for sign, own in zip(modes.signs, robot.working_mode, strict=True)] if modes else []
-    yield ("mode",), signs, _SIGN, 0.0
+    yield ("mode",), signs, _FREE, 0.0
 
 
 def links_of(robot: Robot) -> list[str]:
@@ -204,7 +210,7 @@ def topology_of(robot: Robot) -> Topology:
         [(coupling.joint, coupling.of, len(coupling.polynomial)) for coupling in robot.couplings],
         (robot.platform, robot.independent_joints, robot.actuated, robot.carriers),
         robot.working_modes.joints if robot.working_modes else (),
-        [_kind_of(load) for load in robot.loads],
+        [_kind_of(load) for load in robot.loads if not isinstance(load, Payload)],  # a payload is in the inertias
         (turns.coordinates.tolist(), turns.angles.tolist(), turns.kept.tolist()),
         np.packbits(numbers.structural).tobytes().hex(),
         numbers.values[numbers.structural].astype(int).tolist(),
