@@ -35,16 +35,12 @@ COLORS = 32
 
 def crossing() -> rp.Plan:
     """The 2-RPR on the thesis's circle, through two singularities with its main actuators off."""
-    return rp.plan_switch_off(
-        rp.load_robot("2rpr"), rp.trajectory.reference.circle(speed=0.5), threshold=7.0
-    )
+    return rp.plan_switch_off(rp.load_robot("2rpr"), rp.trajectory.reference.circle(speed=0.5), threshold=7.0)
 
 
 def corner() -> rp.Plan:
     """The 3-RRR around the thesis's corner, its carriers moving for least torque."""
-    return rp.plan_stepwise(
-        rp.load_robot("3rrr"), rp.trajectory.reference.corner(radius=0.025), lam=0.0
-    )
+    return rp.plan_stepwise(rp.load_robot("3rrr"), rp.trajectory.reference.corner(radius=0.025), lam=0.0)
 
 
 def animate(scene: Scene, path: Path, *, title: str) -> None:
