@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled import CompiledDynamics
     from redundancy_pin.dynamics.compiled.symbolic import symbolic
     from redundancy_pin.dynamics.distribution import distribute
-    from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics, inverse_dynamics_in_blocks
+    from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics
     from redundancy_pin.dynamics.reactions import joint_reactions
     from redundancy_pin.dynamics.rnea import RneaDynamics
     from redundancy_pin.dynamics.virtual_work import VirtualWork
@@ -54,7 +54,7 @@ _PLACES = {
         "dynamics.compiled": "CompiledDynamics",
         "dynamics.compiled.symbolic": "symbolic",
         "dynamics.distribution": "distribute",
-        "dynamics.inverse_dynamics": "inverse_dynamics inverse_dynamics_in_blocks",
+        "dynamics.inverse_dynamics": "inverse_dynamics",
         "dynamics.reactions": "joint_reactions",
         "dynamics.rnea": "RneaDynamics",
         "dynamics.virtual_work": "VirtualWork",
@@ -109,7 +109,6 @@ __all__ = [
     "find_crossings",
     "forward_kinematics",
     "inverse_dynamics",
-    "inverse_dynamics_in_blocks",
     "inverse_kinematics",
     "joint_reactions",
     "load_plan",

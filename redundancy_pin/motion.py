@@ -153,19 +153,6 @@ class CarrierMotion(Frozen):
         return CarrierMotion(self.s[index], self.sd[index], self.sdd[index], check_rates=self.check_rates)
 
 
-def joined(
-    before: tuple[PlatformMotion, CarrierMotion | None], after: tuple[PlatformMotion, CarrierMotion | None]
-) -> tuple[PlatformMotion, CarrierMotion | None]:
-    """Return the samples of both, as they follow each other in time; carriers where both have them."""
-    (motion, carriers), (more, moved) = before, after
-    both = [np.concatenate([getattr(motion, name), getattr(more, name)]) for name in ("t", "x", "xd", "xdd")]
-    platform = PlatformMotion(*both, check_rates=more.check_rates)
-    if carriers is None or moved is None:
-        return platform, moved
-    both = [np.concatenate([getattr(carriers, name), getattr(moved, name)]) for name in ("s", "sd", "sdd")]
-    return platform, CarrierMotion(*both, check_rates=moved.check_rates)
-
-
 def parked_place(at: ArrayLike, carriers: int, name: str) -> Array:
     """Return (k,) where carriers are parked, m, by one number for all or one for each.
 

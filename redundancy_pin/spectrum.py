@@ -6,69 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, read_only
-
-ORTHOGONALITY_TOLERANCE = 1e-13
-"""Cosine of the angle between two columns below which they count as orthogonal. Left alone, such a pair changes
-the singular values by at most this fraction of themselves: three digits below the promised 1e-10."""
-
-MAX_SWEEPS = 12
-"""Sweeps over all pairs of columns. Random 3 x 3 matrices need 5, since the convergence is quadratic."""
-
-
-def jacobi_singular_values(matrices: Array) -> tuple[Array, BoolArray]:
-    """Return the singular values of stacked matrices, without forming their Gram matrices.
-
-    Pairs of columns (rows, if they are fewer) are rotated until all are orthogonal; their lengths are then the
-    singular values. Squaring the matrix would lose half of the digits of a small singular value, and the
-    trigonometric eigenvalue formula those of a double one (every symmetric machine at its centre); rotations lose
-    neither. See Demmel and Veselić, "Jacobi's method is more accurate than QR", 1992. All N matrices share each
-    rotation, so the cost of one is that of a few dozen array operations. Of 10,000 matrices 2 x 2 it takes 0.7 ms and
-    LAPACK 5.3, of 3 x 3 3.5 and 12.6, of 6 x 6 24 and 32 ms; of 100 of 3 x 3 0.28 and 0.13 ms. It is as exact.
-    ``distribute`` takes 5.5 ms so for 10,000 samples of the 2-RPR and 8.0 of the 3-RRR, with LAPACK's 10.3 and 19.1.
-
-    Returns (N, min(n, m)) values, largest first, and (N,) whether ``MAX_SWEEPS`` were enough; the matrices are finite,
-    their entries far from overflow when squared.
-    """
-    samples, n, m = matrices.shape
-    columns = np.ascontiguousarray(matrices.transpose((2, 1, 0) if m <= n else (1, 2, 0)))
-    pairs = [(p, q) for p in range(len(columns)) for q in range(p + 1, len(columns))]
-    moved = np.zeros(samples, dtype=bool)
-    for _ in range(MAX_SWEEPS):
-        moved = np.zeros(samples, dtype=bool)
-        for p, q in pairs:
-            moved |= _orthogonalise(columns[p], columns[q])
-        if not moved.any():
-            break
-    values = np.sqrt(np.einsum("pkN,pkN->Np", columns, columns))
-    values.sort(axis=1)
-    return values[:, ::-1], ~moved
-
-
-def _orthogonalise(x: Array, y: Array) -> BoolArray:
-    """Rotate the columns x and y, both (k, N), in place; return (N,) where they were not orthogonal yet."""
-    xx = np.einsum("kN,kN->N", x, x)
-    yy = np.einsum("kN,kN->N", y, y)
-    xy = np.einsum("kN,kN->N", x, y)
-    oblique: BoolArray = xy * xy > ORTHOGONALITY_TOLERANCE**2 * xx * yy
-    if not oblique.any():
-        return oblique
-    # tangent of the smaller of the two angles that zero the inner product; 0 / tiny = 0 where both columns vanish
-    half_difference = 0.5 * (yy - xx)
-    root = np.sqrt(half_difference * half_difference + xy * xy) + np.finfo(np.float64).tiny
-    tangent = xy / (half_difference + np.copysign(root, half_difference))
-    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
-    sine = tangent * cosine
-    rotated = cosine * x - sine * y
-    y *= cosine
-    y += sine * x
-    x[:] = rotated
-    return oblique
-
-
-JACOBI_MIN_SAMPLES = 1000
-JACOBI_MAX_COLUMNS = 3
-"""Fewer or wider matrices than these are left to LAPACK, which is faster for them."""
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, IntArray, read_only
 
 UNIT = 1.0
 """Size of an actuation matrix without units, a lever ratio: where all of it vanishes, as at a singular pose of a
@@ -132,12 +70,8 @@ def spectrum_of(matrices: Array) -> Spectrum:
     if not finite.all():
         values = np.full((samples, min(n, m)), np.nan)
         values[finite] = spectrum_of(matrices[finite]).singular_values
-    elif samples < JACOBI_MIN_SAMPLES or min(n, m) > JACOBI_MAX_COLUMNS:
-        values = np.linalg.svd(matrices, compute_uv=False).astype(np.float64, copy=False)
     else:
-        values, converged = jacobi_singular_values(matrices)
-        if not converged.all():
-            values[~converged] = np.linalg.svd(matrices[~converged], compute_uv=False)
+        values = np.linalg.svd(matrices, compute_uv=False).astype(np.float64, copy=False)
     return Spectrum(read_only(values))
 
 

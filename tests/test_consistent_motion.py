@@ -422,3 +422,15 @@ def test_the_verdict_does_not_depend_on_the_unit_of_length(wrong: float) -> None
             verdicts.add("refused")
     assert len(verdicts) == 1
     assert wrong != 1.0 or verdicts == {"accepted"}
+
+
+def test_long_motions_are_compared_to_their_end():
+    t = np.arange(50_000) * 1e-3
+    x, xd, xdd = (3.0**k * np.sin(3.0 * t + 0.5 * np.pi * k)[:, None] for k in range(3))
+    require_consistent(PlatformMotion(t, x, xd, xdd))
+    for late in (16_667, 49_990):  # parts of a motion are compared one by one, without a gap
+        wrong = x.copy()
+        wrong[late:] += 0.02
+        with pytest.raises(InputError, match=f"from sample {late - 1} to {late} ") as caught:
+            require_consistent(PlatformMotion(t, wrong, xd, xdd))
+        assert caught.value.details["time"] == t[late]

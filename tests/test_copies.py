@@ -21,7 +21,6 @@ from redundancy_pin.dynamics.allocation import CarrierForces, allocate
 from redundancy_pin.dynamics.compiled import design_of
 from redundancy_pin.dynamics.contacts import closure_forces
 from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
-from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import Command
@@ -99,7 +98,6 @@ def objects() -> dict[str, Any]:
         "efforts": efforts,
         "inverse dynamics": rp.inverse_dynamics(dynamics, motion, carriers),
         "reactions": rp.joint_reactions(along, efforts.tau, carriers),
-        "assemblies": forward_displacement(three_rrr.ThreeRrrGeometry(0.5, 0.1, 0.3, 0.3), [0.3, 2.0, -1.5]),
         "allocation": allocate(
             *(np.eye(3), np.eye(3), three, np.zeros(3)),
             **{"effort_scale": three, "carrier_scale": three, "row_scale": three},

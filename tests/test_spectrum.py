@@ -5,13 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from redundancy_pin import spectrum as spectrum_module
 from redundancy_pin.spectrum import null_directions, scaled, spectrum_of
 
 MARGIN_TOLERANCE = 1e-10
 """The promised accuracy of a margin, relative to the largest singular value."""
 
-MANY = spectrum_module.JACOBI_MIN_SAMPLES
 FEW = 7
 
 
@@ -24,21 +22,20 @@ def with_values(rng, samples, n, m, values):
     return orthogonal(rng, samples, n)[:, :, :p] * values @ orthogonal(rng, samples, m)[:, :p]
 
 
-@pytest.mark.parametrize("samples", [FEW, MANY])
 @pytest.mark.parametrize("smallest", [1.0, 0.3, 1e-3, 1e-6, 1e-9, 1e-13, 0.0])
 @pytest.mark.parametrize("shape", [(1, 2), (2, 2), (2, 4), (3, 2), (3, 3), (4, 4), (6, 6)])
-def test_margin_is_the_prescribed_smallest_singular_value(samples, smallest, shape):
+def test_margin_is_the_prescribed_smallest_singular_value(smallest, shape):
     rng = np.random.default_rng(1)
     values = np.linspace(4.0, 1.0, min(shape))
     values[-1] = smallest
-    margin = spectrum_of(with_values(rng, samples, *shape, values)).margin
-    assert margin == pytest.approx(np.full(samples, smallest), rel=0.0, abs=MARGIN_TOLERANCE * 4.0)
+    margin = spectrum_of(with_values(rng, FEW, *shape, values)).margin
+    assert margin == pytest.approx(np.full(FEW, smallest), rel=0.0, abs=MARGIN_TOLERANCE * 4.0)
 
 
 def test_margin_along_a_path_through_a_singularity_is_the_absolute_value_of_the_distance():
     # diag(1, 1, d) seen through two fixed rotations: the margin is |d| on both sides, with a kink at 0
     rng = np.random.default_rng(2)
-    distance = np.linspace(-1e-6, 1e-6, MANY + 1)
+    distance = np.linspace(-1e-6, 1e-6, 1001)
     left, right = orthogonal(rng, 2, 3)
     matrices = left * np.stack([np.ones_like(distance), np.ones_like(distance), distance], axis=1)[:, None, :] @ right
     assert spectrum_of(matrices).margin == pytest.approx(np.abs(distance), rel=0.0, abs=1e-15)
@@ -57,13 +54,12 @@ def test_condition_of_a_zero_matrix_is_infinite():
     assert np.isposinf(spectrum_of(np.zeros((1, 2, 2))).condition).all()
 
 
-@pytest.mark.parametrize("samples", [FEW, MANY])
 @pytest.mark.parametrize(
     ("values", "rank"),
     [([5, 1, 1], 3), ([5, 1, 1e-8], 3), ([5, 1, 1e-10], 2), ([5, 1, 0], 2), ([5, 1e-12, 0], 1), ([0, 0, 0], 0)],
 )
-def test_rank_counts_singular_values_above_the_tolerance(samples, values, rank):
-    matrices = with_values(np.random.default_rng(3), samples, 3, 3, np.array(values, float))
+def test_rank_counts_singular_values_above_the_tolerance(values, rank):
+    matrices = with_values(np.random.default_rng(3), FEW, 3, 3, np.array(values, float))
     assert (spectrum_of(matrices).rank(1e-9) == rank).all()
 
 
@@ -80,24 +76,17 @@ def test_of_a_matrix_that_vanishes_altogether_no_rank_is_left():
     assert spectrum_of(np.array([[[1e-37]], [[1e-3]], [[-0.5]]])).rank().tolist() == [0, 1, 1]
 
 
-@pytest.mark.parametrize("samples", [FEW, MANY])
-def test_matrices_that_are_not_finite_give_nan_and_leave_their_neighbours_alone(samples):
-    matrices = np.random.default_rng(4).normal(size=(samples, 3, 3))
+def test_matrices_that_are_not_finite_give_nan_and_leave_their_neighbours_alone():
+    matrices = np.random.default_rng(4).normal(size=(FEW, 3, 3))
     clean = spectrum_of(matrices).singular_values
     matrices[2] = np.nan
     matrices[4, 0, 0] = np.inf
     spectrum = spectrum_of(matrices)
-    others = np.delete(np.arange(samples), [2, 4])
+    others = np.delete(np.arange(FEW), [2, 4])
     assert np.isnan(spectrum.singular_values[[2, 4]]).all()
     assert np.isnan(spectrum.condition[[2, 4]]).all()
     assert (spectrum.rank()[[2, 4]] == 0).all()
     assert spectrum.singular_values[others] == pytest.approx(clean[others], rel=1e-14)
-
-
-def test_matrices_that_do_not_converge_go_to_lapack(monkeypatch):
-    matrices = np.random.default_rng(5).normal(size=(MANY, 3, 3))
-    monkeypatch.setattr("redundancy_pin.spectrum.MAX_SWEEPS", 1)
-    assert spectrum_of(matrices).singular_values == pytest.approx(np.linalg.svd(matrices, compute_uv=False), rel=1e-14)
 
 
 def test_scaling_is_the_product_with_both_diagonal_matrices():

@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any
 
 import click
 import numpy as np
 from numpy.typing import NDArray
 
-from redundancy_pin.arrays import Array, blocks
+from redundancy_pin.arrays import Array
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.dynamics.base import OnUnreachable, require_matching_carriers
-from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics, SingularInstant, inverse_dynamics_in_blocks
+from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics
+from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as efforts_along
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable, write_text
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.joint_ranges import JointExcess
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import backend_of
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 STEP = 1e-3  # between samples of a trajectory, s
-BLOCK = 20_000  # samples that are worked on at a time
 EXIT_CODES = {ResultStatus.OK: 0, ResultStatus.UNBOUNDED: 3, ResultStatus.UNRESOLVED: 4}
-_WORST_FIRST = (ResultStatus.UNBOUNDED, ResultStatus.UNRESOLVED, ResultStatus.OK)
 _LISTED = 10  # instants that a warning names
 _FLAGS = {"unreachable": "--unreachable", "dt": "--dt", "lower": "--min-effort", "upper": "--max-effort",
           "preferred": "--preferred"}  # fmt: skip
@@ -123,19 +119,10 @@ def inverse_dynamics(
         followed = motion.follow("Inverse dynamics", loaded, dt=dt)
         samples = followed if isinstance(followed, PlatformMotion) else followed.sample(STEP if dt is None else dt)
         carriers = require_matching_carriers(loaded, motion.carriers(loaded), len(samples))
-        require_consistent(samples, carriers)
         advance(0, len(samples), "dynamics")
-        result = _Whole()
-        pairs = [(samples[part], carriers[part]) for part in blocks(len(samples), BLOCK)]
-
-        def texts() -> Iterator[str]:
-            parts = inverse_dynamics_in_blocks(dynamics, pairs, unreachable=unreachable, preferred=preferred, **wanted)
-            for pair, part in zip(pairs, parts, strict=True):
-                yield csv_rows(_columns(loaded, *pair, part), first=not result.samples)
-                result.add(part)
-                advance(result.samples, len(samples), "dynamics")
-
-        write_text(out, texts())  # block by block: memory does not grow with the motion
+        result = efforts_along(dynamics, samples, carriers, unreachable=unreachable, preferred=preferred, **wanted)
+        write_text(out, csv_rows(_columns(loaded, samples, carriers, result)))
+        advance(len(samples), len(samples), "dynamics")
     _warn(result)
     facts: dict[str, Any] = {
         "robot": loaded.name,
@@ -154,15 +141,15 @@ def inverse_dynamics(
     if result.instants:
         rows.append(("singular at t [s]", output.row(one.t for one in result.instants)))
     rows.append(("written to", out))
-    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {used}: {result.samples} samples", (), rows))
+    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {used}: {len(samples)} samples", (), rows))
     return EXIT_CODES[result.status]
 
 
 def _columns(
-    robot: Robot, motion: PlatformMotion, carriers: CarrierMotion, part: InverseDynamics
+    robot: Robot, motion: PlatformMotion, carriers: CarrierMotion, result: InverseDynamics
 ) -> dict[str, tuple[str, NDArray[Any]]]:
     """Return the columns of a file: unit and values of the motion, the efforts, and what is said of each sample."""
-    efforts, forces = part.efforts, part.reduced.carrier_force
+    efforts, forces = result.efforts, result.reduced.carrier_force
     return {
         **motion_columns(robot, motion, carriers),
         **effort_columns(robot.actuated, efforts.tau, robot),
@@ -171,7 +158,7 @@ def _columns(
     }  # fmt: skip
 
 
-def _warn(result: _Whole) -> None:
+def _warn(result: InverseDynamics) -> None:
     """Print on stderr where no finite efforts are, and what the samples do not show, a line each."""
     unbounded = [one for one in result.instants if one.unbounded]
     if unbounded:
@@ -187,74 +174,22 @@ def _warn(result: _Whole) -> None:
         output.warning(f"between its samples the motion cannot be followed: {result.unresolved}")
     for excess in result.joint_limits:
         output.warning(f"{excess}.")
-    if result.without:
-        output.warning(
-            f"no finite main efforts at {result.without} of {result.samples} samples, first at {result.first_without}."
-        )
+    reduced, efforts = result.reduced, result.efforts
+    without = np.flatnonzero(~np.isfinite(efforts.tau).all(axis=1))
+    if len(without):
+        first = f"t = {reduced.t[without[0]]:.6g} s ({efforts.status_labels[without[0]]})"
+        output.warning(f"no finite main efforts at {len(without)} of {len(efforts)} samples, first at {first}.")
 
 
-class _Whole:
-    """The summary of a motion that came in blocks."""
-
-    def __init__(self) -> None:
-        self.samples, self.without, self.first_without, self.unresolved = 0, 0, "", ""
-        self.statuses: Counter[str] = Counter()
-        self.instants: list[SingularInstant] = []
-        self._limits: dict[tuple[str, float], JointExcess] = {}
-        self._statuses: set[ResultStatus] = set()
-        self.tau = self.force = np.zeros(0)
-        self.margin = self.gap = np.nan
-
-    @property
-    def status(self) -> ResultStatus:
-        """As ``InverseDynamics.status``."""
-        return next(one for one in _WORST_FIRST if one in self._statuses)
-
-    @property
-    def joint_limits(self) -> list[JointExcess]:
-        """As ``InverseDynamics.joint_limits``."""
-        return list(self._limits.values())
-
-    def add(self, part: InverseDynamics) -> None:
-        """Take a block."""
-        reduced, efforts = part.reduced, part.efforts
-        without = np.flatnonzero(~np.isfinite(efforts.tau).all(axis=1))
-        if len(without) and not self.without:
-            first = without[0]
-            self.first_without = f"t = {reduced.t[first]:.6g} s ({efforts.status_labels[first]})"
-        self.samples += len(efforts)
-        self.without += len(without)
-        self.statuses.update(efforts.status_counts)
-        tau, force = _largest(efforts.tau), _largest(reduced.carrier_force)
-        self.tau, self.force = (
-            (np.fmax(one, other) for one, other in ((self.tau, tau), (self.force, force)))
-            if len(self._statuses)
-            else (tau, force)
-        )
-        self.margin = float(np.fmin(self.margin, np.fmin.reduce(efforts.margin)))
-        self.gap = float(np.fmax(self.gap, np.fmax.reduce(reduced.gap)))
-        self._statuses.add(part.status)
-        self.unresolved = self.unresolved or part.unresolved
-        for one in part.instants:
-            last = self.instants[-1] if self.instants else None
-            if last and last.kind == one.kind and one.t <= last.until:  # stays singular from block to block
-                self.instants[-1] = replace(last, until=one.until, residual=max(last.residual, one.residual))
-            else:
-                self.instants.append(one)
-        for excess in part.joint_limits:
-            known = self._limits.setdefault((excess.joint, excess.limit), excess)
-            if abs(excess.value - excess.limit) > abs(known.value - known.limit):
-                self._limits[excess.joint, excess.limit] = replace(excess, t=known.t)
-
-
-def _summary(result: _Whole) -> dict[str, Any]:
+def _summary(result: InverseDynamics) -> dict[str, Any]:
+    reduced, efforts = result.reduced, result.efforts
     return {
-        "samples": result.samples,
-        "statuses": dict(result.statuses),
-        "largest_tau": result.tau.tolist(),
-        "largest_carrier_force": result.force.tolist(),
-        "smallest_margin": result.margin,
-        "largest_gap": result.gap,
+        "samples": len(efforts),
+        "statuses": efforts.status_counts,
+        "largest_tau": _largest(efforts.tau).tolist(),
+        "largest_carrier_force": _largest(reduced.carrier_force).tolist(),
+        "smallest_margin": float(np.fmin.reduce(efforts.margin)),
+        "largest_gap": float(np.fmax.reduce(reduced.gap)),
         "status": result.status.value,
         "singular_instants": [
             {**vars(one), "kind": one.kind.label, "status": one.status.label, "unbounded": one.unbounded}

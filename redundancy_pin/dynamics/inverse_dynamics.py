@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, TypeGuard
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, frozen, require_type, runs
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, runs
 from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
@@ -19,12 +19,12 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
-from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
-from redundancy_pin.kinematics.coordinates import difference, working_modes
+from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, joined, require_consistent, require_sampled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.joint_ranges import JointExcess, Turns, beyond_limits, out_of_range, turns_of
+from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
 from redundancy_pin.robot.loads import Load, Wrench
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
@@ -144,144 +144,46 @@ def inverse_dynamics(
     """
     dynamics = as_dynamics(dynamics)
     dynamics = dynamics.with_external(*external) if external else dynamics
-    require_sampled(motion)
-    require_matching_carriers(dynamics.robot, carriers, len(motion))
-    require_consistent(motion, carriers)
-    wanted = {"lower": lower, "upper": upper, "preferred": preferred}
-    return _part(dynamics, motion, carriers, unreachable, motion.check_rates, {}, wanted)[0]
-
-
-def inverse_dynamics_in_blocks(
-    dynamics: DynamicsLike,
-    blocks: Iterable[tuple[PlatformMotion, CarrierMotion | None]],
-    *,
-    unreachable: OnUnreachable = "raise",
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    preferred: ArrayLike | None = None,
-) -> Iterator[InverseDynamics]:
-    """Give what ``inverse_dynamics`` returns for a motion that comes in blocks, block by block: memory does not grow.
-
-    Each block goes on from a sample shortly before its first one, on the branch that the last one has led to, so that
-    singularities between blocks are found too. Whole turns of joints are counted as in the first block. Rates are not
-    compared with positions here: ``require_consistent`` does that for the whole.
-
-    Args:
-        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend. Loads
-            sampled in time do not go in blocks.
-        blocks: samples of platform and carriers, each block following the one before.
-        unreachable: as in ``inverse_dynamics``.
-        lower: smallest efforts, scalar or (m,), as in ``distribute``.
-        upper: largest ones, likewise.
-        preferred: efforts that are kept to where there is a choice, likewise.
-
-    Raises:
-        InputError: a load of the robot is sampled in time, or blocks are not those of one motion.
-        CarrierLimitError, UnreachablePoseError, SingularPoseError, WorkingModeError: as ``inverse_dynamics``; samples
-            are numbered from the beginning of the motion.
-    """
-    dynamics = as_dynamics(dynamics)
-    if any(_is_sampled(load) for load in dynamics.robot.loads):
-        raise InputError(
-            "A wrench sampled in time does not go with blocks of samples.",
-            remedy="Pass a function of time, or the whole motion to inverse_dynamics.",
-        )
-    before: tuple[PlatformMotion, CarrierMotion | None] | None = None
-    turns: Turns = {}
-    wanted = {"lower": lower, "upper": upper, "preferred": preferred}
-    done = 0  # samples that have been given
-    for block in blocks:
-        require_type(block, tuple, "A pair of motion and carriers", "Pass [(motion, None)] for one without carriers.")
-        motion, carriers = block
-        require_sampled(motion)
-        if before is not None and motion.x.shape[1:] != before[0].x.shape[1:]:
-            raise InputError(
-                f"Samples of shape {motion.x.shape[1:]} follow such of {before[0].x.shape[1:]}.",
-                remedy="Pass blocks of one motion.",
-            )
-        again = 0 if before is None else len(before[0])
-        whole, moved = joined(before, (motion, carriers)) if before else (motion, carriers)
-        until = -np.inf if before is None else before[0].t[-1]
-        with numbered_from(done - again):
-            result, tree = _part(dynamics, whole, moved, unreachable, motion.check_rates, turns, wanted)
-        yield _without(result, again, until)
-        done += len(motion)
-        turns = turns or turns_of(dynamics.robot, tree.q)
-        edge = edge_of(tree)
-        before = whole[edge:], None if moved is None else moved[edge:]
-        if tree.reachable[edge]:
-            dynamics = _starting_at(dynamics, tree.q[edge])
-
-
-def _part(
-    dynamics: Dynamics,
-    motion: PlatformMotion,
-    carriers: CarrierMotion | None,
-    unreachable: OnUnreachable,
-    between: bool,
-    turns: Turns,
-    wanted: Mapping[str, Any],
-) -> tuple[InverseDynamics, JointTrajectory]:
-    """Return the efforts along consistent samples and the motion of the tree; ``between`` looks between them.
-
-    ``wanted`` are arguments of ``distribute``.
-    """
     robot = dynamics.robot
-    require_on_track(robot, require_matching_carriers(robot, carriers, len(motion)), motion.t)
+    require_sampled(motion)
+    matched = require_matching_carriers(robot, carriers, len(motion))
+    require_consistent(motion, carriers)
+    require_on_track(robot, matched, motion.t)
     along = dynamics.along(motion, unreachable=unreachable)
     reduced, tree = along.reduce(carriers), getattr(along, "tree", None)
     if not isinstance(tree, JointTrajectory):
         tree = inverse_kinematics(robot, motion, mark_unreachable=unreachable == "mark")
-    if turns and reduced.out_of_range is not None:
-        reduced = replace(reduced, out_of_range=out_of_range(robot, tree.q, turns=turns))
+    crossings, unresolved = _crossings(robot, motion, reduced, tree) if motion.check_rates else ([], "")
+    met = [one for one in crossings if one.kind != SingularityKind.TYPE_I]
+    return InverseDynamics(
+        reduced=reduced,
+        efforts=distribute(reduced, lower=lower, upper=upper, preferred=preferred),
+        instants=_instants(dynamics, motion, carriers, met, unreachable) if met else (),
+        joint_limits=beyond_limits(robot, tree.q, motion.t),
+        unresolved=unresolved,
+    )
+
+
+def _crossings(
+    robot: Robot, motion: PlatformMotion, reduced: ReducedDynamics, tree: JointTrajectory
+) -> tuple[list[Crossing], str]:
+    """Return the singularities at and between consistent samples, and why some part cannot be followed, or ""."""
     margins = signed_margin(scaled(reduced.W, reduced.row_scale, reduced.column_scale))
     crossings: list[Crossing] = []
     unresolved = ""
-    for first, stop in runs(reduced.reachable) if between else ():
+    for first, stop in runs(reduced.reachable):
         part, margin = motion[first:stop], margins[first:stop]
-        if part.t[-1] > part.t[0] and _may_meet(robot, part, margin, _NEAR):
-            try:
-                start = tree.state(first) if tree.reachable[first] else None
-                crossings += find_crossings(robot, _unchecked(part), start=start)
-            except RedundancyPinError as error:
-                # the samples can be followed, the motion between them cannot, or is too near a rank loss to search
-                if _may_meet(robot, part, margin, _FAR):
-                    unresolved = unresolved or error.message
-    met = [one for one in crossings if one.kind != SingularityKind.TYPE_I]
-    instants = _instants(dynamics, motion, carriers, met, unreachable) if met else ()
-    excesses = beyond_limits(robot, tree.q, motion.t, turns)
-    return InverseDynamics(reduced, distribute(reduced, **wanted), instants, excesses, unresolved), tree
-
-
-def _unchecked(motion: PlatformMotion) -> PlatformMotion:
-    """Return samples whose rates have been compared with their positions."""
-    return PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
-
-
-def _without(result: InverseDynamics, again: int, until: float) -> InverseDynamics:
-    """Return a part without the samples, and the instants up to a time, that the part before it has given."""
-    if not again:
-        return result
-    whole = {field.name: getattr(result.efforts, field.name) for field in fields(result.efforts)}
-    rest: dict[str, Any] = {name: part if part is None else part[again:] for name, part in whole.items()}
-    efforts = replace(result.efforts, **rest)
-    reduced = result.reduced.at(slice(again, None))
-    instants = tuple(one for one in result.instants if one.until > until)
-    return replace(result, reduced=reduced, efforts=efforts, instants=instants)
-
-
-def edge_of(tree: JointTrajectory) -> int:
-    """Return the sample of the last tenth that is farthest from losing the branch, or the last where none is closed."""
-    first = len(tree.motion) - max(1, len(tree.motion) // 10)
-    margin = np.where(tree.reachable, tree.serial_margin_bound, -1.0)[first:]
-    return first + int(np.argmax(margin)) if margin.max() > 0.0 else len(tree.motion) - 1
-
-
-def _starting_at(dynamics: Dynamics, q: Array) -> Dynamics:
-    """Return the backend with a configuration (nq,) of the branch as the reference: what follows comes from there."""
-    robot = dynamics.robot
-    mode = tuple(working_modes(robot, q[None])[0].tolist()) if robot.working_modes else robot.working_mode
-    return dynamics.for_robot(replace(robot, q_reference=frozen(q), working_mode=mode))
+        if not part.t[-1] > part.t[0] or not _may_meet(robot, part, margin, _NEAR):
+            continue
+        checked = PlatformMotion(part.t, part.x, part.xd, part.xdd, check_rates=False)
+        start = tree.state(first) if tree.reachable[first] else None
+        try:
+            crossings += find_crossings(robot, checked, start=start)
+        except RedundancyPinError as error:
+            # the samples can be followed, the motion between them cannot, or is too near a rank loss to search
+            if _may_meet(robot, part, margin, _FAR):
+                unresolved = unresolved or error.message
+    return crossings, unresolved
 
 
 def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: float) -> bool:

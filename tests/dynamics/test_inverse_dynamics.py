@@ -6,7 +6,6 @@ import importlib
 import json
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -292,10 +291,22 @@ def test_wrenches_given_at_samples_are_known_between_them(name: str) -> None:
     )
 
 
-@pytest.mark.parametrize("ask", [rp.inverse_dynamics, lambda *given: list(rp.inverse_dynamics_in_blocks(*given))])
-def test_what_is_no_backend_is_refused(ask: Callable[..., object]) -> None:
+def test_what_is_no_backend_is_refused() -> None:
     with pytest.raises(InputError, match="list was given for the dynamics"):
-        ask([], [])
+        rp.inverse_dynamics([], [])
+
+
+@pytest.mark.parametrize(("start", "turns", "leaves"), [(2.0 * np.pi + 0.1, 0.9, False), (0.1, 1.4, True)])
+def test_whole_turns_of_a_limited_crank_are_counted_once_per_motion(start: float, turns: float, leaves: bool) -> None:
+    crank = zoo.robot_of("four_bar").independent_joints[0]
+    robot = zoo.robot_of("four_bar").with_limits({crank: {"lower": 0.0, "upper": 6.2}})
+    angle = start + turns * 2.0 * np.pi * np.linspace(0.0, 1.0, 201)[:, None]
+    rate = np.full_like(angle, turns * 2.0 * np.pi)
+    turning = PlatformMotion(np.linspace(0.0, 1.0, 201), angle, rate, 0.0 * rate)
+    solution = rp.inverse_dynamics(rp.RneaDynamics(robot), turning)
+    out = solution.efforts.status == SampleStatus.OUT_OF_RANGE
+    np.testing.assert_array_equal(out, angle[:, 0] > 6.2 if leaves else np.zeros(201, dtype=bool))
+    assert bool(solution.joint_limits) == leaves
 
 
 def test_bounds_and_preference_are_those_of_distribute() -> None:
