@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled.symbolic import symbolic
     from redundancy_pin.dynamics.distribution import distribute
     from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics, inverse_dynamics_in_blocks
-    from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
+    from redundancy_pin.dynamics.reactions import joint_reactions
+    from redundancy_pin.dynamics.rnea import RneaDynamics
     from redundancy_pin.dynamics.virtual_work import VirtualWork
     from redundancy_pin.kinematics.forward_kinematics import assembly_modes, forward_kinematics
     from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -54,7 +55,8 @@ _PLACES = {
         "dynamics.compiled.symbolic": "symbolic",
         "dynamics.distribution": "distribute",
         "dynamics.inverse_dynamics": "inverse_dynamics inverse_dynamics_in_blocks",
-        "dynamics.rnea": "RneaDynamics joint_reactions",
+        "dynamics.reactions": "joint_reactions",
+        "dynamics.rnea": "RneaDynamics",
         "dynamics.virtual_work": "VirtualWork",
         "kinematics.forward_kinematics": "assembly_modes forward_kinematics",
         "kinematics.inverse_kinematics": "inverse_kinematics",
