@@ -12,10 +12,10 @@ from typing import NoReturn
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, frozen
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, frozen
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError, millimetres
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
-from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState, continuous
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate
+from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -48,10 +48,6 @@ _FEWEST_STEPS = 400
 _OVERSHOOT = 0.5
 """Change of a joint over one sampling step, rad or characteristic lengths, that is no motion along the branch: Newton's
 method overshot next to a singularity. A sampling step is a hundredth of the robot's size."""
-
-_HALVINGS, _KINK = 30, 0.2
-"""Bisections of a step over which q does not follow its rate, and the fraction of its change below which the step is
-smooth or a kink. At a square root each halving of time shrinks the change by 0.7, so five suffice; a jump stays."""
 
 _NO_SIDE = 1e-6
 """Mode indicator (sine or metres) that counts as zero: Newton's method leaves as much at a type I singularity."""
@@ -247,16 +243,20 @@ class FollowedPath:
         u = ((times - self.t[left]) / (self.t[left + 1] - self.t[left]))[:, None]
         guess = integrate(model, self.q[left], u * span)
         solution = assemble(self.system, guess, self.law.sample_at(times).x, max_iterations=_SLOW_NEWTON)
-        _require_closed(self.system.robot, times, solution.gap)
-        miss = np.abs(configuration_difference(model, guess, solution.q) / unit).max(axis=1)
-        # near a type I singularity q goes with a square root: within half of the span is on the branch, not beyond
-        lost = np.flatnonzero(miss > np.maximum(np.abs(span / unit).max(axis=1), SAME_CONFIGURATION))
+        miss, size = (
+            np.abs(part / unit).max(axis=1) for part in (configuration_difference(model, guess, solution.q), span)
+        )
+        # near a type I singularity q goes with a square root: on the branch it lies within half of the span
+        lost = np.flatnonzero(~solution.closed | (miss > np.maximum(size, SAME_CONFIGURATION)))
         if len(lost):
-            t = float(times[lost[0]])
+            k = int(lost[0])
+            if size[k] <= _OVERSHOOT:
+                _require_closed(self.system.robot, times[k : k + 1], solution.gap[k : k + 1])
             raise WorkingModeError(
-                f"At t = {t:.9g} s the configuration between two samples lies on another branch.",
-                remedy="Ask for a finer spacing, or keep away from type I singularities.",
-                time=t,
+                f"At t = {times[k]:.9g} s the configuration between two samples lies on another branch: the path "
+                "passes through or next to a type I singularity.",
+                remedy=f"{_STAY_AWAY} Next to one, a finer spacing helps.",
+                time=float(times[k]),
             )
         return solution.q
 
@@ -284,8 +284,6 @@ def follow_law(
     _drop_overshoots(path.q, position_unit(robot))
     if np.isnan(path.q).any():
         _fill_in(path, tree.gap)
-    gamma = project(system, system.evaluate(path.q)).gamma
-    _require_no_jump(path, ~continuous(system, path.q, gamma, x))
     return path
 
 
@@ -372,44 +370,3 @@ def _require_closed(robot: Robot, times: Array, residual: Array) -> None:
             time=float(times[k]),
             gap=float(residual[k]),
         )
-
-
-def _require_no_jump(path: FollowedPath, suspects: BoolArray) -> None:
-    """Bisect steps (N − 1,) over which q does not follow its rate: a kink shrinks, a jump to another branch stays.
-
-    A leg that passes through zero length jumps: the prismatic leg of a 2-RPR turns by π at its base hinge.
-
-    Raises:
-        WorkingModeError: the configuration jumps; carries the time.
-    """
-    model, unit = path.system.robot.model, velocity_unit(path.system.robot)
-
-    def distance(one: Array, other: Array) -> float:
-        return float(np.abs(configuration_difference(model, one[None], other[None]) / unit).max())
-
-    for k in np.flatnonzero(suspects):
-        left, right, q_left, q_right = float(path.t[k]), float(path.t[k + 1]), path.q[k], path.q[k + 1]
-        span = distance(q_left, q_right)
-        limit = max(_KINK * span, SAME_CONFIGURATION)
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (left + right)
-            # from both ends: Newton cannot start at the one that is singular
-            goal = path.law.sample_at(np.array([middle])).x.repeat(2, axis=0)
-            solution = assemble(path.system, np.stack([q_left, q_right]), goal, max_iterations=_SLOW_NEWTON)
-            if not solution.closed.any():
-                break
-            parts = [(distance(q_left, q), distance(q, q_right)) for q in solution.q]
-            best = min(np.flatnonzero(solution.closed), key=lambda i: max(parts[i]))
-            if parts[best][0] < parts[best][1]:
-                left, q_left, span = middle, solution.q[best], parts[best][1]
-            else:
-                right, q_right, span = middle, solution.q[best], parts[best][0]
-            if span < limit:
-                break
-        if span > limit:
-            raise WorkingModeError(
-                f"The configuration jumps at t = {left:.9g} s (by {span:.3g} rad or characteristic lengths): the path "
-                "runs through a type I singularity, behind which the working mode is another branch.",
-                remedy=_STAY_AWAY,
-                time=left,
-            )

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, IntArray, blocks, checked, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.branch import follows
@@ -55,7 +55,7 @@ _SLIDE = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class Slice(Frozen):
+class Slice:
     """The part of a workspace that a grid covers: some coordinates vary, the others are fixed.
 
     Attributes:

@@ -61,8 +61,8 @@ _LONGEST_STEP = 0.3
 """Longest Newton step, rad or characteristic lengths: the linear model of a turning joint holds to about 20°."""
 
 _JUMP = 1.0
-"""Change of a joint between neighbouring points, rad or characteristic lengths, that separates two curves. On one curve
-a joint turns by about the square root of a cell, on the two sides of a leg of zero length by half a turn."""
+"""Angle of a joint between neighbouring points, rad, that separates two curves. On one curve a joint turns by about the
+square root of a cell (in lengths of its link); on the two sides of a leg of zero length it differs by half a turn."""
 
 _LONGEST_CHORD = 3.0
 """Longest distance between neighbouring points of a curve, cells. At a corner of the border two singular values of K
@@ -192,7 +192,9 @@ def singular_locus(
         contours += [(SingularityKind.TYPE_II, one) for one in _contours(parallel + _ROUNDING, grid.shape)]
     for kind, contour in contours:
         found = [_point_on_edge(solver, grid, kind, *one) for one in contour]
-        edges += [grid.x[start] for (start, _, _), point in zip(contour, found, strict=True) if point is None]
+        # an exact point may still be dropped, alone between two jumps; isolated type I points are no curves
+        missed = [point is None or kind == SingularityKind.TYPE_II for point in found]
+        edges += [grid.x[start] for (start, _, _), flag in zip(contour, missed, strict=True) if flag]
         curves += _curves(solver, grid, kind, found, len(contour) > 2 and contour[0] == contour[-1])
     points = np.concatenate([np.full((1, robot.n), np.inf), *(curve.points for curve in curves)])
     return SingularLocus(
@@ -288,7 +290,7 @@ class _SingularPoints:
         system = self.chain.system
         self.unit, self.step_unit, self.closure_unit = coordinate_unit(robot), system.step_unit, system.closure_unit
         self.speed, self.closure_scale = velocity_scale(robot)[columns], system.closure_scale
-        self.turning = turning_velocities(robot)[columns]
+        self.turning = columns[turning_velocities(robot)[columns]]
         self.selection = system.selection[:, columns] * (column_scale(robot)[:, None] / self.speed)
 
     def solve(
@@ -326,11 +328,10 @@ class _SingularPoints:
         exact = closed and in_mode.all() and all(least[kind] < SINGULAR for kind in singular)
         return _Point(self.chain.coordinates(q), q, serial, locked) if exact else None
 
-    def jump(self, q: Array, other: Array) -> float:
-        """Return the largest change of a joint between two configurations, whole turns left out, without unit."""
-        change = configuration_difference(self.robot.model, q[None], other[None])[0, self.columns] / self.step_unit
-        turned = np.remainder(change + np.pi, 2.0 * np.pi) - np.pi
-        return float(np.abs(np.where(self.turning, turned, change)).max())
+    def turn(self, q: Array, other: Array) -> float:
+        """Return the largest angle, rad, of a joint between two configurations; whole turns are left out."""
+        change = configuration_difference(self.robot.model, q[None], other[None])[0, self.turning]
+        return float(np.abs(np.remainder(change + np.pi, 2.0 * np.pi) - np.pi).max(initial=0.0))
 
     def _equations(
         self, q: Array, singular: Sequence[SingularityKind], target: Array, fixed: Sequence[int]
@@ -395,7 +396,7 @@ def _curves(
         for k, (one, other) in enumerate(zip(points, [*points[1:], *points[:1]], strict=True), start=1)
         if (k == len(points) and not closed)
         or np.linalg.norm(one.x - other.x) > _LONGEST_CHORD * cell
-        or (type_ii and solver.jump(one.q, other.q) > _JUMP)
+        or (type_ii and solver.turn(one.q, other.q) > _JUMP)
     ]
     pieces = [[*points, *points[:1]]] if len(points) > 2 else []
     if cuts:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import zoo
@@ -168,9 +170,12 @@ def test_leaving_the_workspace_names_the_time() -> None:
     assert caught.value.details["time"] == pytest.approx(time_at_arc(trajectory, 0.5), abs=1e-8)
 
 
-def test_a_path_through_a_base_hinge_is_refused() -> None:
+@pytest.mark.parametrize("modes", [True, False])
+def test_a_path_through_a_folded_leg_is_refused(modes: bool) -> None:
+    """Within 0.1 mm of its base hinge the leg of a 2-RPR turns by half a turn: no branch continues."""
+    robot = zoo.robot_of("2rpr") if modes else replace(zoo.robot_of("2rpr"), working_modes=None, working_mode=())
     with pytest.raises(WorkingModeError):
-        find_crossings(zoo.robot_of("2rpr"), along(through_points([[-0.1, 0.1], [0.1, -0.1]])))
+        find_crossings(robot, along(through_points([[-0.1, 0.1], [0.1001, -0.0999]])))
 
 
 def test_five_bar_crosses_where_its_distal_links_align() -> None:
