@@ -25,7 +25,7 @@ def rows():
     motion, carriers = smooth_motion(SAMPLES)
     few, its_carriers = motion[:SINGLE], carriers[:SINGLE]
     along = rp.RneaDynamics(robot).along(motion)
-    q, v, a = (np.ascontiguousarray(part.T) for part in along.tree_motion(carriers))
+    q, v, a = along.tree_motion(carriers)
     again = compiled.along(motion)
     pairs = {
         "from platform motion": (

@@ -130,7 +130,7 @@ def main():
     ]
     rows.append(one_by_one(loop, rnea, motion[:ONE_BY_ONE], carriers[:ONE_BY_ONE]))
     along = rnea.along(motion)
-    q, v, a = (np.ascontiguousarray(part.T) for part in along.tree_motion(carriers))
+    q, v, a = along.tree_motion(carriers)
     rows.append(
         compare(
             "RNEA backend, new carrier motion, against the loop given q, v, a",

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled.symbolic import symbolic
     from redundancy_pin.dynamics.distribution import distribute
     from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics, inverse_dynamics_in_blocks
-    from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
+    from redundancy_pin.dynamics.reactions import joint_reactions
+    from redundancy_pin.dynamics.rnea import RneaDynamics
     from redundancy_pin.dynamics.virtual_work import VirtualWork
     from redundancy_pin.kinematics.forward_kinematics import assembly_modes, forward_kinematics
     from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from redundancy_pin.singularities.crossings import find_crossings
     from redundancy_pin.singularities.locus import singular_locus
     from redundancy_pin.singularities.performance import performance, platform_play, platform_stiffness
-    from redundancy_pin.singularities.workspace_map import workspace
+    from redundancy_pin.singularities.workspace import workspace
     from redundancy_pin.studies.co_design import co_design
     from redundancy_pin.view import show
     from redundancy_pin.visualisation.figures import plots as plot
@@ -54,7 +55,8 @@ _PLACES = {
         "dynamics.compiled.symbolic": "symbolic",
         "dynamics.distribution": "distribute",
         "dynamics.inverse_dynamics": "inverse_dynamics inverse_dynamics_in_blocks",
-        "dynamics.rnea": "RneaDynamics joint_reactions",
+        "dynamics.reactions": "joint_reactions",
+        "dynamics.rnea": "RneaDynamics",
         "dynamics.virtual_work": "VirtualWork",
         "kinematics.forward_kinematics": "assembly_modes forward_kinematics",
         "kinematics.inverse_kinematics": "inverse_kinematics",
@@ -74,7 +76,7 @@ _PLACES = {
         "singularities.crossings": "find_crossings",
         "singularities.locus": "singular_locus",
         "singularities.performance": "performance platform_play platform_stiffness",
-        "singularities.workspace_map": "workspace",
+        "singularities.workspace": "workspace",
         "studies.co_design": "co_design",
         "view": "show",
     }.items()

@@ -11,7 +11,6 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 MOVED = {
-    "dynamics.reactions": "dynamics.rnea",
     "dynamics.status": "dynamics.distribution",
     "experiments": "studies",
     "files": "io.files",
@@ -21,7 +20,6 @@ MOVED = {
     "kinematics.singularity": "singularities.classify",
     "kinematics.state": "kinematics.inverse_kinematics",
     "kinematics.three_rrr": "dynamics.virtual_work.three_rrr",
-    "kinematics.three_rrr_forward": "dynamics.virtual_work.three_rrr_forward",
     "kinematics.two_rpr": "dynamics.virtual_work.two_rpr",
     "planners.plan_file": "planners.plan",
     "simulation.control": "simulation.controllers.base",

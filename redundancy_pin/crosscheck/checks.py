@@ -174,7 +174,7 @@ def check_motion(case: RandomCase) -> Iterator[Deviation]:
     """Rates and accelerations of the joints keep closures closed and move the platform as told: Pinocchio's frames."""
     motion = case.motion(case.t)
     tree = RneaDynamics(case.robot).along(motion)
-    q, v, a = tree.tree_motion(case.carriers(case.t))
+    q, v, a = (part.T for part in tree.tree_motion(case.carriers(case.t)))
     keep, skipped = select(len(case.t), near_type_i=~_regular(tree.tree.serial_margin_bound))
     frames = ClosedForward(case.robot)
     missed = [frames.missed(q[:, k], v[:, k], a[:, k], motion.xd[k], motion.xdd[k]) for k in keep]
@@ -190,9 +190,9 @@ def check_power(case: RandomCase, dynamics: Dynamics, label: str) -> Iterator[De
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     tree, along = RneaDynamics(case.robot).along(motion), dynamics.along(motion)
     keep, skipped = select(len(case.t), near_type_i=~_regular(tree.tree.serial_margin_bound))
-    reduced, states = along.reduce(carriers), tree.tree_motion(carriers)
+    reduced, (q, v, a) = along.reduce(carriers), (part.T for part in tree.tree_motion(carriers))
     power = (reduced.f * motion.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
-    rate, energy, lost = energy_rate(case.robot, motion, *states, _TURN, _STENCIL)
+    rate, energy, lost = energy_rate(case.robot, motion, q, v, a, _TURN, _STENCIL)
     size = np.maximum(np.maximum(np.abs(reduced.f * motion.xd).sum(axis=1), np.abs(energy)), 1e-3)
     yield Deviation(f"power balance ({label})", (np.abs(rate + lost - power) / size)[keep], POWER, skipped)
     missed = np.abs(along.energy(carriers) - energy) / size
@@ -255,7 +255,7 @@ def check_round_trip(case: RandomCase, dynamics: Dynamics, label: str) -> Iterat
     reduced = dynamics.along(motion).reduce(carriers)
     driven, tau, unsolvable = _efforts(robot, reduced)
     keep, skipped = select(len(case.t), near_type_i=~_regular(rnea.tree.serial_margin_bound), **unsolvable)
-    q, v, a = rnea.tree_motion(carriers)
+    q, v, a = (part.T for part in rnea.tree_motion(carriers))
     effort = np.zeros_like(v)
     effort[driven] = tau.T
     effort[robot.carrier_velocity] = reduced.carrier_force.T

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, checked, each, positive, read_only, require_type, rows_of
 from redundancy_pin.dynamics.distribution import EffortRows
-from redundancy_pin.dynamics.rnea import RneaAlongMotion, closure_multipliers
+from redundancy_pin.dynamics.reactions import ClosureEquations
+from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.errors import InputError, did_you_mean, shown
-from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
 from redundancy_pin.motion import CarrierMotion
 
 
@@ -125,13 +125,16 @@ def closure_forces(along: RneaAlongMotion, carriers: CarrierMotion | None = None
         InputError: ``along`` or ``carriers`` are something else.
     """
     require_type(along, RneaAlongMotion, "RNEA dynamics along a motion", "Pass RneaDynamics(robot).along(motion).")
-    robot, tree = along.robot, along.tree
-    efforts = np.zeros((len(along.motion), robot.model.nv, 1 + robot.m))
-    efforts[:, :, 0] = along.tree_effort(carriers).T
-    efforts[:, robot.actuated_velocity, 1 + np.arange(robot.m)] = -1.0
-    usable = tree.reachable
-    efforts[~usable] = 0.0
-    whole = with_all_rows(robot)
-    forces, _, determined = closure_multipliers(robot, constraint_system(whole).evaluate(tree.q), efforts, usable)
-    forces[~(usable & determined)] = np.nan
-    return ClosureForces(whole.constraint_names, read_only(forces[:, :, 0]), read_only(forces[:, :, 1:]))
+    robot, model = along.robot, along.robot.model
+    equations = ClosureEquations(robot)
+    efforts = np.zeros((model.nv, 1 + robot.m))
+    efforts[robot.actuated_velocity, 1 + np.arange(robot.m)] = -1.0
+    forces = np.full((len(along.motion), len(equations.names), 1 + robot.m), np.nan)
+    tree_effort = along.tree_effort(carriers)
+    for i, state in enumerate(along.states(carriers)):
+        if along.tree.reachable[i]:
+            efforts[:, 0] = tree_effort[i]
+            solution = equations.solve(state.q, state.v, efforts)
+            if solution.determined:
+                forces[i] = solution.forces
+    return ClosureForces(equations.names, read_only(forces[:, :, 0]), read_only(forces[:, :, 1:]))

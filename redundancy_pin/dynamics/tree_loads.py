@@ -1,334 +1,353 @@
-"""What the loads of a robot ask of the joints of its tree, for many samples at once.
+"""Generalised forces that the loads of a robot require at the joints of its tree, at one state.
 
-Every load is a wrench w on a body (about the world origin, world axes), or acts in a joint alone. With J the joints'
-spatial velocities at the world origin, the generalised forces beside rnea(q, v, a) are
+Every load is a wrench on a body, or acts in a single joint. With the wrenches w_b given to RNEA as external forces,
 
-    L = (friction, springs and reflected inertia of each joint) − Σ Jᵀ w.
+    effort = rnea(q, v, a, w) + joint terms,
 
-A rotor of inertia I and ratio G spins at G v about the joint's axis z relative to the link that carries it, whose
-angular velocity is ω. Beyond the motion with that link, which is the link's own, its angular momentum is I G v z:
+where the joint terms are friction, springs and rotor inertia of each joint. Wrenches are expressed in the frame of the
+joint that moves the body, force first, as Pinocchio's ``fext`` and Featherstone's f^x (RBDA 2008, table 5.1).
 
-    I (G² v̇ + G z·ω̇) in its joint,    and −I G (v̇ z + v ω × z) as a moment on the link.
+A rotor of inertia I and gear ratio G spins at G v about the joint's axis z relative to the parent link, whose angular
+velocity is ω. Beyond the motion with that link its angular momentum is I G v z, so it requires
+
+    I G (G v̇ + z·ω̇) in its joint,    and acts with −I G (v̇ z + v ω × z) as a moment on the parent link.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array
-from redundancy_pin.errors import UnsupportedRobotError
-from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link
-from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.robot.types import slides
 
+_LOCAL, _ALIGNED = pin.ReferenceFrame.LOCAL, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
-@dataclass(frozen=True, eq=False)
-class TreeState:
-    """N samples of the tree.
+
+class TreeState(NamedTuple):
+    """One state of the open tree, carriers included, m, rad and s.
 
     Attributes:
-        q, v, a: (N, nq), (N, nv), (N, nv), carriers included.
-        wrenches: (N, 6) the value of each of the robot's wrenches (``wrench_values``).
+        q: (nq,) configuration.
+        v, a: (nv,) velocity and acceleration.
+        wrenches: (6,) value of each of the robot's wrenches in its own axes, N and N·m (``wrench_values``); none at
+            all leaves them out.
     """
 
     q: Array
     v: Array
     a: Array
-    wrenches: tuple[Array, ...] = ()
+    wrenches: Sequence[Array] = ()
+
+
+class _Point(NamedTuple):
+    """A point of a body: the joint that moves it, rotation (3, 3) of its link and position (3,) in the joint frame."""
+
+    joint: int
+    rotation: Array
+    position: Array
+
+
+class _Rotor(NamedTuple):
+    """A rotor: I G in kg·m², G, its velocity index, parent joint, and the axis z (3,) in the parent's joint frame."""
+
+    size: float
+    gear: float
+    column: int
+    parent: int
+    axis: Array
 
 
 class TreeLoads:
-    """The loads of one robot on its tree.
+    """The loads of one robot on its tree, payloads excepted: these are in the bodies of the model.
+
+    All methods work at one state and write into the Pinocchio data that they are given.
 
     Args:
         robot: the robot.
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        loads, model = robot.loads, robot.model
-        self._wrenches, self._springs = of_kind(loads, Wrench), of_kind(loads, Spring)
-        self._joints = [(load, find_joint(model, load.joint)) for load in of_kind(loads, JointForces)]
-        self._rotors = [_Rotor(robot, load) for load, _ in self._joints if load.rotor_inertia and load.gear]
-        frames = {wrench.frame for wrench in self._wrenches} | {rotor.frame for rotor in self._rotors}
-        frames |= {frame for spring in self._springs for frame in (spring.frame_a, spring.frame_b)}
-        self.has_rotors = bool(self._rotors)
-        self._frames = sorted(frames)
-        self._carried_by = {name: int(find_link(model, name).parentJoint) for name in self._frames}
-        self.supports = [
-            [
-                column
-                for joint in model.supports[index]
-                if joint > 0
-                for column in range(model.joints[joint].idx_v, model.joints[joint].idx_v + model.joints[joint].nv)
-            ]
-            for index in range(model.njoints)
+        self.model = model = robot.model
+
+        def point_of(frame: str, point: Array) -> _Point:
+            link = find_link(model, frame)
+            return _Point(int(link.parentJoint), link.placement.rotation, link.placement.act(np.array(point)))
+
+        loads = robot.loads
+        self._wrenches = [(load, point_of(load.frame, load.point)) for load in of_kind(loads, Wrench)]
+        self._springs = [
+            (load, point_of(load.frame_a, load.point_a), point_of(load.frame_b, load.point_b))
+            for load in of_kind(loads, Spring)
         ]
+        self._joints = [(load, find_joint(model, load.joint)) for load in of_kind(loads, JointForces)]
+        self._rotors = [_rotor(model, load) for load, _ in self._joints if load.rotor_inertia and load.gear]
+        self._on_bodies = bool(self._wrenches or self._springs or self._rotors)
 
-    @cached_property
-    def _tree(self) -> TreeKinematics:
-        return TreeKinematics(self.robot.model, self._frames)
+    def body_forces(self, data: pin.Data, state: TreeState) -> list[pin.Force]:
+        """Return the wrench on each body, by joint index, in its joint frame: RNEA's external forces.
 
-    def efforts(self, state: TreeState, *, joints: bool = True) -> Array:
-        """Return L (nv, N), N or N·m; without friction and springs of joints where they are not wanted.
-
-        A state without values of wrenches is one without wrenches.
+        Index 0 holds what springs and rotors exert on the base; wrenches on the base are left out.
         """
-        effort = np.zeros((self.robot.model.nv, len(state.q)))
-        if joints:
-            for load, joint in self._joints:
-                for column in range(joint.idx_v, joint.idx_v + joint.nv):
-                    v = state.v[:, column]
-                    effort[column] += load.resistance(state.q[:, joint.idx_q] if joint.nq == 1 else 0.0 * v, v)
-        if self._frames:
-            placed = self._placed(state)
-            for index, wrench in self._bodies(state, placed).items():
-                for column in self.supports[index]:
-                    effort[column] -= np.einsum("in,in->n", placed.pose.jacobian[:, column], wrench)
-            for rotor, spin in zip(self._rotors, placed.spins, strict=True):
-                effort[rotor.column] += rotor.load.rotor_inertia * rotor.load.gear * spin.turn
+        total = [pin.Force.Zero() for _ in range(self.model.njoints)]
+        if not self._on_bodies:
+            return total
+        pin.forwardKinematics(self.model, data, state.q, state.v, state.a)
+        for (load, point), value in zip(self._wrenches, state.wrenches, strict=False):
+            if point.joint:
+                total[point.joint] += _at_point(*_in_joint_frame(load, point, value, data), point)
+        for spring, end_a, end_b in self._springs:
+            force = _spring(spring, *_span(data, end_a, end_b))[0]
+            for end, sign in ((end_b, 1.0), (end_a, -1.0)):
+                local = sign * data.oMi[end.joint].rotation.T @ force
+                total[end.joint] += _at_point(local, np.zeros(3), end)
+        for rotor in self._rotors:
+            turning = np.cross(data.v[rotor.parent].angular, rotor.axis)
+            moment = -rotor.size * (state.a[rotor.column] * rotor.axis + state.v[rotor.column] * turning)
+            total[rotor.parent] += pin.Force(np.zeros(3), moment)
+        return total
+
+    def joint_terms(self, data: pin.Data, state: TreeState) -> Array:
+        """Return (nv,) friction, springs and rotor inertia of the joints, N or N·m; call ``body_forces`` first."""
+        effort = np.zeros(self.model.nv)
+        for load, joint in self._joints:
+            columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+            # a joint of several coordinates has no spring
+            position = state.q[joint.idx_q] if joint.nq == 1 else np.zeros(())
+            effort[columns] += load.resistance(position, state.v[columns])
+        for rotor in self._rotors:
+            turning = float(rotor.axis @ data.a[rotor.parent].angular)
+            effort[rotor.column] += rotor.size * (rotor.gear * state.a[rotor.column] + turning)
         return effort
 
-    def rotor_mass(self, state: TreeState) -> Array:
-        """Return (nv, nv) what the rotors add to the mass matrix at one sample."""
-        nv = self.robot.model.nv
-        at_rest = TreeState(np.repeat(state.q, nv, axis=0), np.zeros((nv, nv)), np.eye(nv))
-        mass, placed = np.zeros((nv, nv)), self._placed(at_rest)
-        for rotor, spin in zip(self._rotors, placed.spins, strict=True):
-            size = rotor.load.rotor_inertia * rotor.load.gear
-            mass[rotor.column] += size * spin.turn
-            for column in self.supports[rotor.parent]:
-                mass[column] += size * np.einsum("in,in->n", placed.pose.jacobian[3:, column], spin.rate)
+    def rotor_mass(self, data: pin.Data, q: Array) -> Array:
+        """Return (nv, nv) what the rotors add to the mass matrix: T = ½ I G² v² + I G v z·ω."""
+        model = self.model
+        mass = np.zeros((model.nv, model.nv))
+        if self._rotors:
+            pin.computeJointJacobians(model, data, q)
+        for rotor in self._rotors:
+            column = rotor.column
+            mass[column, column] += rotor.size * rotor.gear
+            if rotor.parent:
+                coupling = rotor.size * (rotor.axis @ pin.getJointJacobian(model, data, rotor.parent, _LOCAL)[3:])
+                mass[column] += coupling
+                mass[:, column] += coupling
         return mass
 
-    def external(self, state: TreeState) -> Array:
-        """Return (nv, N) Σ Jᵀ w of the wrenches alone."""
-        effort, pose = np.zeros((self.robot.model.nv, len(state.q))), self._tree.pose(state.q)
-        for wrench, value in zip(self._wrenches, state.wrenches, strict=True):
-            total = _external(wrench, value, _Placed(pose, {}, []))
-            for column in self.supports[self._carried_by[wrench.frame]]:
-                effort[column] += np.einsum("in,in->n", pose.jacobian[:, column], total)
+    def external(self, data: pin.Data, state: TreeState) -> Array:
+        """Return (nv,) Σ Jᵀ w of the wrenches alone, N or N·m."""
+        effort = np.zeros(self.model.nv)
+        if self._wrenches:
+            pin.computeJointJacobians(self.model, data, state.q)
+        for (load, point), value in zip(self._wrenches, state.wrenches, strict=True):
+            if point.joint:
+                wrench = _at_point(*_in_joint_frame(load, point, value, data), point)
+                effort += pin.getJointJacobian(self.model, data, point.joint, _LOCAL).T @ wrench.vector
         return effort
 
-    def bodies(self, state: TreeState) -> dict[int, Array]:
-        """Return by joint index the wrench (6, N) on the body it moves: about the world origin, world axes."""
-        return self._bodies(state, self._placed(state)) if self._frames else {}
-
-    def resultant(self, state: TreeState) -> Array:
-        """Return (N, 6) what of the loads reaches the base: external wrenches less the rate of the rotors' momentum."""
-        total = np.zeros((6, len(state.q)))
-        if self._frames:
-            placed = self._placed(state)
-            for wrench, value in zip(self._wrenches, state.wrenches, strict=True):
-                if self._carried_by[wrench.frame]:
-                    total += _external(wrench, value, placed)
-            for rotor, spin in zip(self._rotors, placed.spins, strict=True):
-                total[3:] -= rotor.load.rotor_inertia * rotor.load.gear * spin.rate
-        return np.ascontiguousarray(total.T)
-
-    def energy(self, state: TreeState) -> Array:
-        """Return (N,) kinetic energy of the rotors beyond that of their links, and energy of the springs, J."""
-        total = np.zeros(len(state.q))
+    def energy(self, data: pin.Data, q: Array, v: Array) -> float:
+        """Return kinetic energy of the rotors beyond that of their links, plus energy of the springs, J."""
+        total = 0.0
         for load, joint in self._joints:
             if load.stiffness:
-                total += 0.5 * load.stiffness * (state.q[:, joint.idx_q] - load.rest) ** 2
-        if self._frames:
-            placed = self._placed(state)
-            for rotor, spin in zip(self._rotors, placed.spins, strict=True):
-                size = rotor.load.rotor_inertia * rotor.load.gear
-                v = state.v[:, rotor.column]
-                total += size * v * (0.5 * rotor.load.gear * v + spin.link)
-            for spring in self._springs:
-                line = placed.point(spring.frame_b, spring.point_b) - placed.point(spring.frame_a, spring.point_a)
-                total += 0.5 * spring.stiffness * (np.linalg.norm(line, axis=0) - spring.length) ** 2
-        return total
+                total += 0.5 * load.stiffness * (q[joint.idx_q] - load.rest) ** 2
+        if self._rotors or self._springs:
+            pin.forwardKinematics(self.model, data, q, v)
+        for rotor in self._rotors:
+            rate = v[rotor.column]
+            total += rotor.size * rate * (0.5 * rotor.gear * rate + rotor.axis @ data.v[rotor.parent].angular)
+        for spring, end_a, end_b in self._springs:
+            stretch = float(np.linalg.norm(_span(data, end_a, end_b)[0])) - spring.length
+            total += 0.5 * spring.stiffness * stretch**2
+        return float(total)
 
-    def carrier_derivatives(self, state: TreeState) -> tuple[Array, Array, Array]:
-        """Return the derivatives (N, nv, k) of L by s, ṡ, s̈ of carriers that slide or turn.
+    def carrier_derivatives(self, data: pin.Data, state: TreeState, columns: IntArray) -> Array:
+        """Return (3, nv, k) exact derivatives of the efforts by s, ṡ, s̈, to be added to those of RNEA.
 
-        L is quadratic in the rates of carriers and affine in s of one that slides, so differences are exact there up to
-        rounding; for what turns with s, and springs, they are of order eight and reach rounding too.
+        ``pin.computeRNEADerivatives`` takes external forces as constant in the joint frames. Here follows how they
+        change in these frames, and the derivatives of the joint terms.
+
+        Args:
+            data: workspace.
+            state: a state of the tree.
+            columns: (k,) velocity indices of the carriers.
         """
-        robot = self.robot
-        samples, nv = state.v.shape
-        derivatives = [np.zeros((samples, nv, robot.k)) for _ in range(3)]
-        unit = velocity_unit(robot)
-        reach = _STEP * np.clip(self._shortest(state) / robot.characteristic_length, 1e-4, 1.0)
-        rates = [np.abs(rate / unit).max(axis=1, initial=0.0) for rate in (state.v, state.a)]
-        sizes = reach, *(np.where(rate > 0.0, rate, 1.0) for rate in rates)
-        places = (robot.carrier_position, robot.carrier_velocity, robot.carrier_velocity)
-        for i, column in enumerate(robot.carrier_velocity.tolist()):
-            for order, (name, derivative) in enumerate(zip("qva", derivatives, strict=True)):
-                weights, step = _EIGHTH if order == 0 else {1: 0.5}, sizes[order] * unit[column]
-                for distance, weight in weights.items():
-                    for sign in (1.0, -1.0):
-                        moved = np.array(getattr(state, name))
-                        moved[:, places[order][i]] += sign * distance * step
-                        parts = {"q": state.q, "v": state.v, "a": state.a, name: moved}
-                        shifted = TreeState(**parts, wrenches=state.wrenches)
-                        derivative[:, :, i] += sign * weight * (self.efforts(shifted, joints=False) / step).T
-            for load, joint in self._joints:
-                if joint.idx_v == column:
-                    derivatives[0][:, column, i] += load.stiffness
-                    derivatives[1][:, column, i] += load.resistance_rate(state.v[:, column])
-        return derivatives[0], derivatives[1], derivatives[2]
-
-    def _shortest(self, state: TreeState) -> Array:
-        """Return (N,) the length of the shortest spring, m: how fast forces bend with places."""
-        shortest = np.full(len(state.q), np.inf)
-        if not self._springs:
-            return shortest
-        placed = self._placed(state)
-        for spring in self._springs:
-            line = placed.point(spring.frame_b, spring.point_b) - placed.point(spring.frame_a, spring.point_a)
-            shortest = np.minimum(shortest, np.linalg.norm(line, axis=0))
-        return shortest
-
-    def _placed(self, state: TreeState) -> _Placed:
-        pose = self._tree.pose(state.q)
-        motions = self._tree.motions(pose, state.v) if self._springs or self._rotors else {}
-        placed = _Placed(pose, motions, [])
-        return replace(placed, spins=[rotor.spin(placed, state, self.supports) for rotor in self._rotors])
-
-    def _bodies(self, state: TreeState, placed: _Placed) -> dict[int, Array]:
-        total: dict[int, Array] = {}
-
-        def add(joint: int, wrench: Array) -> None:
-            total[joint] = total.get(joint, 0.0) + wrench
-
-        for wrench, value in zip(self._wrenches, state.wrenches, strict=False):  # none are given, or all
-            add(self._carried_by[wrench.frame], _external(wrench, value, placed))
-        for spring in self._springs:
-            on_b = _spring_wrench(spring, placed)
-            add(self._carried_by[spring.frame_b], on_b)
-            add(self._carried_by[spring.frame_a], -on_b)
-        for rotor, spin in zip(self._rotors, placed.spins, strict=True):
-            moment = -rotor.load.rotor_inertia * rotor.load.gear * spin.rate
-            add(rotor.parent, np.concatenate([np.zeros_like(moment), moment]))
-        return total
-
-
-_EIGHTH = {1: 4.0 / 5.0, 2: -1.0 / 5.0, 3: 4.0 / 105.0, 4: -1.0 / 280.0}
-"""Weights of central differences of order eight, by distance in steps (Fornberg 1988)."""
-
-_STEP = 0.02
-"""Of those differences, in lengths of the shortest spring, at most characteristic lengths or rad."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Spin:
-    """Of a rotor, by unit of I G: what its joint feels (N,), the rate of its momentum (3, N), and z·ω of its link."""
-
-    turn: Array
-    rate: Array
-    link: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    pose: TreePose
-    motions: dict[str, tuple[Array, Array]]
-    spins: list[_Spin]  # of each rotor: a joint may have several
-
-    def point(self, frame: str, point: Array) -> Array:
-        """Return (3, N) a point of a frame in the world, m."""
-        place: Array = self.pose.frame_origin[frame] + np.einsum("ijn,j->in", self.pose.frame_rotation[frame], point)
-        return place
-
-    def velocity(self, frame: str, place: Array) -> Array:
-        """Return (3, N) the velocity of the body's point that is at ``place``, m/s."""
-        twist = self.motions[frame][0]
-        velocity: Array = twist[:3] + cross(twist[3:], place)
-        return velocity
-
-
-class _Rotor:
-    """A rotor, carried by the link before its joint and followed by a link behind it."""
-
-    def __init__(self, robot: Robot, load: JointForces) -> None:
-        model = robot.model
-        index = find_joint_index(model, load.joint)
-        joint = model.joints[index]
-        self.load, self.column, self.joint = load, int(joint.idx_v), index
-        self.parent = int(model.parents[index])
-        self.turning = not slides(joint)
-        links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == index]
-        if not links:
-            raise UnsupportedRobotError(
-                f"No link is named behind the joint {load.joint!r}, whose rotor therefore cannot be followed.",
-                remedy="Add a frame of type BODY to the model there.",
-                joint=load.joint,
+        model, v = self.model, state.v
+        changes = _Changes(model, data, state, columns)
+        by_q, by_v, by_a = derivatives = np.zeros((3, model.nv, len(columns)))
+        for (load, point), value in zip(self._wrenches, state.wrenches, strict=True):
+            if point.joint and load.reference == "world":
+                force, moment = _in_joint_frame(load, point, value, data)
+                turn = changes.jacobian(point.joint)[3:, columns]
+                by_q -= changes.effort(point, -_cross(turn, force), -_cross(turn, moment))
+        for spring, end_a, end_b in self._springs:
+            by_place, by_speed = changes.span(end_a, end_b)
+            force, along, across = _spring(spring, *_span(data, end_a, end_b))
+            for end, sign in ((end_b, 1.0), (end_a, -1.0)):
+                if not end.joint:
+                    continue
+                rotation = data.oMi[end.joint].rotation.T
+                turn = changes.jacobian(end.joint)[3:, columns]
+                moved = rotation @ (along @ by_place + across @ by_speed) - _cross(turn, rotation @ force)
+                by_q -= changes.effort(end, sign * moved)
+                by_v -= changes.effort(end, sign * (rotation @ across @ by_place))
+        for rotor in self._rotors:
+            own = (columns == rotor.column).astype(float)
+            spin, rate, rate_by_v, rate_by_a = changes.turning(rotor.parent)
+            speed, omega = v[rotor.column], data.v[rotor.parent].angular
+            by_spin = changes.jacobian(rotor.parent)[3:, columns]
+            moments = (
+                speed * np.cross(spin.T, rotor.axis).T,
+                speed * np.cross(by_spin.T, rotor.axis).T + np.outer(np.cross(omega, rotor.axis), own),
+                np.outer(rotor.axis, own),
             )
-        self.frame = str(links[0].name)
-
-    def spin(self, placed: _Placed, state: TreeState, supports: Sequence[Sequence[int]]) -> _Spin:
-        """Return how it moves at N samples."""
-        jacobian, column = placed.pose.jacobian, self.column
-        axis = jacobian[3:, column] if self.turning else jacobian[:3, column]
-        velocity, acceleration = placed.motions[self.frame]
-        v, a = state.v[:, column], state.a[:, column]
-        omega, turn = velocity[3:], np.array(acceleration[3:])
-        for each in supports[self.joint]:
-            turn += jacobian[3:, each] * state.a[:, each]
-        if self.turning:  # back from the link behind the joint to the one before it
-            omega, turn = omega - axis * v, turn - axis * a  # but for what is across the axis, and has no share in drag
-        drag = np.einsum("in,in->n", axis, turn)
-        return _Spin(self.load.gear * a + drag, axis * a + cross(omega, axis) * v, np.einsum("in,in->n", axis, omega))
+            in_joint = rate, rate_by_v, rate_by_a
+            for derivative, moment, turning in zip(derivatives, moments, in_joint, strict=True):
+                derivative += rotor.size * (changes.jacobian(rotor.parent)[3:].T @ moment)
+                derivative[rotor.column] += rotor.size * (rotor.axis @ turning)
+            by_a[rotor.column] += rotor.size * rotor.gear * own
+        for forces, joint in self._joints:
+            if joint.nv == 1:
+                own = (columns == joint.idx_v).astype(float)
+                by_q[joint.idx_v] += forces.stiffness * own
+                by_v[joint.idx_v] += forces.resistance_rate(v[joint.idx_v]) * own
+        return derivatives
 
 
-def _external(wrench: Wrench, value: Array, placed: _Placed) -> Array:
-    """Return (6, N) a wrench about the world origin, world axes."""
-    force, moment = np.split(np.ascontiguousarray(value.T), 2)
-    if wrench.reference == "local":
-        rotation = placed.pose.frame_rotation[wrench.frame]
-        force, moment = (np.einsum("ijn,jn->in", rotation, part) for part in (force, moment))
-    return np.concatenate([force, moment + cross(placed.point(wrench.frame, wrench.point), force)])
+class _Changes:
+    """How bodies move with the carriers, at one state: Pinocchio's kinematic derivatives, columns of the carriers."""
+
+    def __init__(self, model: pin.Model, data: pin.Data, state: TreeState, columns: IntArray) -> None:
+        self.model, self.data, self.columns = model, data, columns
+        pin.computeJointJacobians(model, data, state.q)
+        pin.computeForwardKinematicsDerivatives(model, data, state.q, state.v, state.a)
+
+    def jacobian(self, joint: int) -> Array:
+        """Return (6, nv) the body Jacobian in the joint frame; zero for the base."""
+        jacobian: Array = pin.getJointJacobian(self.model, self.data, joint, _LOCAL)
+        return jacobian if joint else np.zeros_like(jacobian)
+
+    def effort(self, point: _Point, force: Array, moment: Array | None = None) -> Array:
+        """Return (nv, k) Jᵀ w for forces and moments (3, k) at a point, in the joint frame."""
+        about_origin = np.cross(point.position, force.T).T + (0.0 if moment is None else moment)
+        effort: Array = self.jacobian(point.joint).T @ np.concatenate([force, about_origin])
+        return effort
+
+    def span(self, end_a: _Point, end_b: _Point) -> tuple[Array, Array]:
+        """Return (3, k) derivatives by s of d = p_b − p_a, equal to those of ḋ by ṡ, and of ḋ by s; world axes."""
+        (speed_a, place_a), (speed_b, place_b) = (
+            pin.getPointVelocityDerivatives(
+                self.model, self.data, end.joint, pin.SE3(np.eye(3), end.position), _ALIGNED
+            )
+            if end.joint
+            else np.zeros((2, 3, self.model.nv))
+            for end in (end_a, end_b)
+        )
+        return (place_b - place_a)[:, self.columns], (speed_b - speed_a)[:, self.columns]
+
+    def turning(self, joint: int) -> tuple[Array, Array, Array, Array]:
+        """Return (3, k) derivatives of ω by s, and of ω̇ by s, ṡ and s̈, in the joint frame."""
+        if not joint:
+            zero = np.zeros((3, len(self.columns)))
+            return zero, zero, zero, zero
+        by = pin.getJointAccelerationDerivatives(self.model, self.data, joint, _LOCAL)
+        spin, rate, rate_by_v, rate_by_a = (part[3:, self.columns] for part in by)
+        return spin, rate, rate_by_v, rate_by_a
 
 
-def _spring_wrench(spring: Spring, placed: _Placed) -> Array:
-    """Return (6, N) the wrench of a spring on its frame b, about the world origin."""
-    a, b = placed.point(spring.frame_a, spring.point_a), placed.point(spring.frame_b, spring.point_b)
-    line = b - a
-    length = np.linalg.norm(line, axis=0)
-    unit = np.divide(line, length, out=np.zeros_like(line), where=length > 0.0)
-    rate = np.einsum("in,in->n", unit, placed.velocity(spring.frame_b, b) - placed.velocity(spring.frame_a, a))
-    force = -(spring.stiffness * (length - spring.length) + spring.damping * rate) * unit
-    return np.concatenate([force, cross(b, force)])
+def _rotor(model: pin.Model, load: JointForces) -> _Rotor:
+    index = find_joint_index(model, load.joint)
+    joint = model.joints[index]
+    subspace = np.reshape(joint.createData().S, (6, 1))[:, 0]
+    axis = model.jointPlacements[index].rotation @ (subspace[:3] if slides(joint) else subspace[3:])
+    return _Rotor(load.rotor_inertia * load.gear, load.gear, int(joint.idx_v), int(model.parents[index]), axis)
+
+
+def _in_joint_frame(load: Wrench, point: _Point, value: Array, data: pin.Data) -> tuple[Array, Array]:
+    """Return force and moment (3,) of a wrench at its point, in the joint frame."""
+    rotation = point.rotation if load.reference == "local" else data.oMi[point.joint].rotation.T
+    return rotation @ value[:3], rotation @ value[3:]
+
+
+def _at_point(force: Array, moment: Array, point: _Point) -> pin.Force:
+    """Return the wrench at the joint's origin of a force and a moment at a point, in the joint frame."""
+    return pin.Force(force, moment + np.cross(point.position, force))
+
+
+def _span(data: pin.Data, end_a: _Point, end_b: _Point) -> tuple[Array, Array]:
+    """Return d = p_b − p_a and ḋ (3,), world axes, m and m/s."""
+    places, rates = [], []
+    for end in (end_a, end_b):
+        placement, twist = data.oMi[end.joint], data.v[end.joint]
+        places.append(placement.act(end.position))
+        rates.append(placement.rotation @ (twist.linear + np.cross(twist.angular, end.position)))
+    return places[1] - places[0], rates[1] - rates[0]
+
+
+def _spring(spring: Spring, d: Array, rate: Array) -> tuple[Array, Array, Array]:
+    """Return the force (3,) on the end b, and its derivatives (3, 3) by d and by ḋ, world axes.
+
+    F = −φ u with u = d / l and φ = k (l − l₀) + c u·ḋ; ∂u/∂d = P / l with P = 1 − u uᵀ. A spring without length has no
+    direction, and no force.
+    """
+    length = float(np.linalg.norm(d))
+    unit, inverse = (d / length, 1.0 / length) if length else (np.zeros(3), 0.0)
+    size = spring.stiffness * (length - spring.length) + spring.damping * float(unit @ rate)
+    across = inverse * (np.eye(3) - np.outer(unit, unit))
+    by_place = -np.outer(unit, spring.stiffness * unit + spring.damping * (across @ rate)) - size * across
+    return -size * unit, by_place, -spring.damping * np.outer(unit, unit)
+
+
+def _cross(columns: Array, vector: Array) -> Array:
+    """Return (3, k) the cross products of columns (3, k) with a vector (3,)."""
+    product: Array = np.cross(columns.T, vector).T
+    return product
 
 
 @lru_cache(maxsize=16)
 def tree_loads(robot: Robot) -> TreeLoads | None:
-    """Return the loads of a robot on its tree; None where payloads, which its bodies have, are all there is."""
+    """Return the loads of a robot on its tree; None without any but payloads, which the bodies of its model have."""
     return TreeLoads(robot) if any(not isinstance(load, Payload) for load in robot.loads) else None
+
+
+def tree_effort(robot: Robot, data: pin.Data, state: TreeState) -> Array:
+    """Return (nv,) generalised forces of the open tree at one state, loads included, N or N·m.
+
+    ``data`` is a workspace of the robot's model.
+    """
+    loads, forces = tree_loads(robot), []
+    if loads is not None:
+        forces.append(loads.body_forces(data, state))
+    effort: Array = pin.rnea(robot.model, data, state.q, state.v, state.a, *forces)
+    return effort if loads is None else effort + loads.joint_terms(data, state)
 
 
 def tree_equations(robot: Robot, data: pin.Data, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
     """Return (nv,) generalised forces of the tree at one state, wrenches left out, and its mass matrix.
 
-    Of the mass matrix (nv, nv) the upper triangle counts.
+    Only the upper triangle of the mass matrix (nv, nv) is filled.
+    """
+    loads, effort = tree_loads(robot), tree_effort(robot, data, TreeState(q, v, a))
+    mass: Array = pin.crba(robot.model, data, q)
+    return effort, mass if loads is None else mass + loads.rotor_mass(data, q)
+
+
+def tree_energy(robot: Robot, data: pin.Data, q: Array, v: Array) -> float:
+    """Return kinetic plus potential energy, J, at q (nq,), v (nv,), with armature, rotors and springs.
+
+    The kinetic energy is ½ vᵀ M v: ``pin.computeKineticEnergy`` leaves out the armature of joints about skew axes
+    (Pinocchio 4.1).
     """
     model, loads = robot.model, tree_loads(robot)
-    effort, mass = np.array(pin.rnea(model, data, q, v, a)), pin.crba(model, data, q)
-    if loads is not None:
-        state = TreeState(q[None], v[None], a[None])
-        effort += loads.efforts(state)[:, 0]
-        mass = mass + loads.rotor_mass(state) if loads.has_rotors else mass
-    return effort, mass
-
-
-def tree_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:
-    """Return kinetic plus potential energy, J, at q (nq,), v (nv,); armature in it.
-
-    The former is ½ vᵀ M v: ``computeKineticEnergy`` leaves out the armature of joints about skew axes (Pinocchio 4.1).
-    """
     mass = pin.crba(model, data, q)
     kinetic = v @ (np.triu(mass) @ v) - 0.5 * np.diagonal(mass) @ v**2
-    return float(kinetic + pin.computePotentialEnergy(model, data, q))
+    energy = float(kinetic + pin.computePotentialEnergy(model, data, q))
+    return energy if loads is None else energy + loads.energy(data, q, v)

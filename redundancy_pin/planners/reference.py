@@ -14,12 +14,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, positive, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
+from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
@@ -43,11 +42,10 @@ def inverse_dynamics(
     It forms f without a backend on purpose: the simulation judges the plans that a backend made.
     """
     tree = inverse_kinematics(robot, motion).with_carriers(carriers)
-    model, data, states = robot.model, robot.model.createData(), (tree.q, tree.v, tree.a)
-    effort = np.array([pin.rnea(model, data, *row) for row in zip(*states, strict=True)]).reshape(-1, model.nv)
-    loads = tree_loads(robot)
-    if loads is not None:
-        effort += loads.efforts(TreeState(*states, wrench_values(robot.loads, motion.t, motion.x, motion.xd))).T
+    data, effort = robot.model.createData(), np.empty(tree.v.shape)
+    wrenches = wrench_values(robot.loads, motion.t, motion.x, motion.xd)
+    for i, state in enumerate(zip(tree.q, tree.v, tree.a, strict=True)):
+        effort[i] = tree_effort(robot, data, TreeState(*state, [value[i] for value in wrenches]))
     reduced = ReducedDynamics(
         t=motion.t,
         f=read_only(np.einsum("nvi,nv->ni", tree.gamma, effort)),

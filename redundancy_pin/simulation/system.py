@@ -230,13 +230,12 @@ class Machine:
         if self._law is None:
             force[robot.carrier_velocity] = command[1]
         if of_kind(robot.loads, Wrench) and self._tree_loads is not None:  # other loads are in the equations
-            force += self._tree_loads.external(_tree_state(state))[:, 0]
+            force += self._tree_loads.external(self.chain.data, _tree_state(state))
         return force if self._external is None else force + self._external(state)
 
     def energy(self, state: State) -> float:
         """Return kinetic and potential energy with that of rotors and springs, J (zero height at the world origin)."""
-        energy = tree_energy(self.robot.model, self.chain.data, state.q, state.v)
-        return float(energy if self._tree_loads is None else energy + self._tree_loads.energy(_tree_state(state))[0])
+        return tree_energy(self.robot, self.chain.data, state.q, state.v)
 
     def _acceleration(self, state: State, force: Array, sheet: Sheet | None) -> Array:
         # beside a rank loss Pinocchio's solver, damped, gives an acceleration that belongs to no sheet
@@ -254,10 +253,8 @@ class Machine:
 
 
 def _tree_state(state: State) -> TreeState:
-    loads, wrenches = state.robot.loads, tuple[Array, ...]()
-    if of_kind(loads, Wrench):
-        wrenches = wrench_values(loads, np.array([state.t]), state.x[None], state.xd[None])
-    return TreeState(state.q[None], state.v[None], 0.0 * state.v[None], wrenches)
+    values = wrench_values(state.robot.loads, np.array([state.t]), state.x[None], state.xd[None])
+    return TreeState(state.q, state.v, 0.0 * state.v, [value[0] for value in values])
 
 
 def _constraint_dynamics(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics | None:

@@ -80,7 +80,7 @@ def assert_equal(got: np.ndarray, want: np.ndarray, what: str) -> None:
 
 
 def assert_same_dynamics(compiled: CompiledDynamics, motion: PlatformMotion, carriers: CarrierMotion) -> None:
-    mine, theirs = compiled.along(motion), RneaDynamics(compiled.robot, threads=1).along(motion)
+    mine, theirs = compiled.along(motion), RneaDynamics(compiled.robot).along(motion)
     got, want = mine.reduce(carriers), theirs.reduce(carriers)
     for name in ("f", "W", "carrier_force", "row_scale", "column_scale", "reachable"):
         assert_equal(getattr(got, name), getattr(want, name), name)

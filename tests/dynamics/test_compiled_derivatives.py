@@ -58,7 +58,7 @@ def motions_of(robot: Robot, seed: int, samples: int = 3) -> tuple[PlatformMotio
 
 
 def judged(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion, tau: Array | None = None) -> dict[str, Array]:
-    along = RneaDynamics(robot, threads=1).along(motion)
+    along = RneaDynamics(robot).along(motion)
     reduced = along.reduce(carriers)
     result = {name: getattr(reduced, name) for name in ("f", "W", "carrier_force")}
     result["tau"] = distribute(reduced).tau
@@ -100,7 +100,7 @@ def assert_derivative(got: Partials, part: str, i: int, want: Array, tolerance: 
 
 def assert_motion_derivatives(robot: Robot, seed: int, columns: int | None = None) -> None:
     motion, carriers = motions_of(robot, seed)
-    got = CompiledDynamics(robot, interpret=True, threads=1).along(motion).derivatives(carriers)
+    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers)
     chosen = np.random.default_rng(seed).permutation(robot.n)[:columns]
     exact = {-1: -0.5, 1: 0.5}
     for i in chosen:

@@ -6,7 +6,8 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.dynamics.contacts import closure_forces
-from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
+from redundancy_pin.dynamics.reactions import joint_reactions
+from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
 
 FORCE_TOLERANCE = 1e-9
@@ -55,8 +56,8 @@ def test_joint_axes_carry_the_actuator_efforts_and_nothing_else(case):
     reactions = joint_reactions(along, tau, carriers)
     data = robot.model.createData()
     q, _, _ = along.tree_motion(carriers)
-    for i in range(q.shape[1]):
-        pin.computeJointJacobians(robot.model, data, q[:, i])
+    for i in range(len(q)):
+        pin.computeJointJacobians(robot.model, data, q[i])
         for name, wrench in zip(reactions.joints, reactions.joint_wrench[i], strict=True):
             joint = robot.model.getJointId(name)
             subspace = pin.getJointJacobian(robot.model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
@@ -80,12 +81,12 @@ def test_each_body_obeys_newton_and_euler(case):
     i, step = 2, 1e-5
     rates = {}
     for sign in (1, -1):
-        shifted = pin.integrate(model, q[:, i], sign * step * v[:, i] + 0.5 * step**2 * a[:, i])
-        pin.forwardKinematics(model, data, shifted, v[:, i] + sign * step * a[:, i])
+        shifted = pin.integrate(model, q[i], sign * step * v[i] + 0.5 * step**2 * a[i])
+        pin.forwardKinematics(model, data, shifted, v[i] + sign * step * a[i])
         for body in range(1, model.njoints):
             momentum = data.oMi[body].act(model.inertias[body] * data.v[body])
             rates[body] = rates.get(body, 0.0) + sign * momentum.vector / (2 * step)
-    pin.forwardKinematics(model, data, q[:, i], v[:, i])
+    pin.forwardKinematics(model, data, q[i], v[i])
     net = {}
     for name, wrench in zip(reactions.joints, reactions.joint_wrench[i], strict=True):
         body = model.getJointId(name)

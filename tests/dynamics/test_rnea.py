@@ -18,11 +18,7 @@ from hypothesis import strategies as st
 from written import J, urdf_of, write_robot
 
 from redundancy_pin import CarrierMotion, PlatformMotion, load_robot, trajectory
-from redundancy_pin.arrays import blocks
-from redundancy_pin.dynamics import rnea as rnea_module
 from redundancy_pin.dynamics.rnea import RneaDynamics
-from redundancy_pin.kinematics import continuation as continuation_module
-from redundancy_pin.kinematics import inverse_kinematics as lift_module
 from redundancy_pin.robot import Robot
 
 MASSIVE = {
@@ -62,7 +58,7 @@ def assert_close(actual: np.ndarray, expected: np.ndarray, relative: float) -> N
 @given(name=st.sampled_from(ROBOTS), seed=st.integers(0, 2**16))
 def test_power_of_all_actuators_is_the_rate_of_energy(name: str, seed: int) -> None:
     robot = robot_of(name)
-    dynamics, motion = RneaDynamics(robot, threads=1), zoo.smooth_motion(robot, seed)
+    dynamics, motion = RneaDynamics(robot), zoo.smooth_motion(robot, seed)
     t = np.linspace(0.0, 1.0, 5)
     reduced = dynamics.reduce(motion.at(t), zoo.carriers_at(robot, t, seed))
     platform, carriers = motion.at(t), zoo.carriers_at(robot, t, seed)
@@ -75,7 +71,7 @@ def test_power_of_all_actuators_is_the_rate_of_energy(name: str, seed: int) -> N
 @pytest.mark.parametrize("name", ROBOTS)
 def test_force_at_rest_is_the_gradient_of_potential_energy(name: str) -> None:
     robot = robot_of(name)
-    dynamics, motion = RneaDynamics(robot, threads=1), zoo.smooth_motion(robot, 4)
+    dynamics, motion = RneaDynamics(robot), zoo.smooth_motion(robot, 4)
     t = np.linspace(0.0, 1.0, 4)
     moving = motion.at(t)
     zero = np.zeros_like(moving.xd)
@@ -93,7 +89,7 @@ def test_force_at_rest_is_the_gradient_of_potential_energy(name: str) -> None:
 def test_acceleration_meets_the_mass_matrix_of_kinetic_energy(name: str) -> None:
     """f(ẍ + e_j) − f(ẍ) is column j of M, and ½ ẋᵀ M ẋ the kinetic energy: symmetric, positive definite."""
     robot = robot_of(name)
-    dynamics, motion = RneaDynamics(robot, threads=1), zoo.smooth_motion(robot, 5).at(np.linspace(0.0, 1.0, 4))
+    dynamics, motion = RneaDynamics(robot), zoo.smooth_motion(robot, 5).at(np.linspace(0.0, 1.0, 4))
 
     def force(xdd: np.ndarray) -> np.ndarray:
         return dynamics.reduce(PlatformMotion(motion.t, motion.x, motion.xd, xdd)).f
@@ -118,15 +114,15 @@ def test_armature_about_a_skew_axis_is_in_the_energy() -> None:
     q, v, still = np.array([0.3, -0.4]), np.array([1.5, -0.7]), np.zeros(2)
     data = model.createData()
     effort = pin.rnea(model, data, q, still, v) - pin.rnea(model, data, q, still, still)
-    along = RneaDynamics(robot, threads=1).along(PlatformMotion([0.0], q[None], v[None], still[None]))
+    along = RneaDynamics(robot).along(PlatformMotion([0.0], q[None], v[None], still[None]))
     assert along.energy()[0] - pin.computePotentialEnergy(model, data, q) == pytest.approx(0.5 * v @ effort, rel=1e-12)
 
 
 def momentum(robot: Robot, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return (N, 6) total linear momentum and angular momentum about the world origin, body by body."""
-    data, result = robot.model.createData(), np.zeros((q.shape[1], 6))
-    for k in range(q.shape[1]):
-        pin.forwardKinematics(robot.model, data, q[:, k], v[:, k])
+    data, result = robot.model.createData(), np.zeros((len(q), 6))
+    for k in range(len(q)):
+        pin.forwardKinematics(robot.model, data, q[k], v[k])
         for joint in range(1, robot.model.njoints):
             result[k] += data.oMi[joint].act(robot.model.inertias[joint] * data.v[joint]).vector
     return result
@@ -135,7 +131,7 @@ def momentum(robot: Robot, q: np.ndarray, v: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_base_wrench_is_weight_less_the_rate_of_momentum(name: str) -> None:
     robot = robot_of(name)
-    dynamics, motion = RneaDynamics(robot, threads=1), zoo.smooth_motion(robot, 6)
+    dynamics, motion = RneaDynamics(robot), zoo.smooth_motion(robot, 6)
     t = np.linspace(0.0, 1.0, 4)
     wrench = dynamics.along(motion.at(t)).base_wrench(zoo.carriers_at(robot, t))
 
@@ -145,7 +141,7 @@ def test_base_wrench_is_weight_less_the_rate_of_momentum(name: str) -> None:
 
     q, _, _ = dynamics.along(motion.at(t)).tree_motion(zoo.carriers_at(robot, t))
     mass = sum(inertia.mass for inertia in list(robot.model.inertias)[1:])
-    centre = np.array([pin.centerOfMass(robot.model, robot.model.createData(), q[:, k]) for k in range(len(t))])
+    centre = np.array([pin.centerOfMass(robot.model, robot.model.createData(), q[k]) for k in range(len(t))])
     weight = np.concatenate(
         [np.tile(mass * robot.gravity, (len(t), 1)), np.cross(centre, mass * robot.gravity)], axis=1
     )
@@ -186,7 +182,7 @@ def forward(robot: Robot, q: np.ndarray, v: np.ndarray, effort: np.ndarray) -> n
 def test_forward_dynamics_under_the_computed_efforts_gives_the_motion_back(name: str, seed: int) -> None:
     robot = robot_of(name)
     t = np.linspace(0.0, 1.0, 6)
-    along = RneaDynamics(robot, threads=1).along(zoo.smooth_motion(robot, seed).at(t))
+    along = RneaDynamics(robot).along(zoo.smooth_motion(robot, seed).at(t))
     carriers = zoo.carriers_at(robot, t, seed)
     reduced = along.reduce(carriers)
     tau = np.linalg.solve(reduced.W, reduced.f[:, :, None])[:, :, 0]
@@ -196,7 +192,7 @@ def test_forward_dynamics_under_the_computed_efforts_gives_the_motion_back(name:
         effort[robot.actuated_velocity] = tau[k]
         effort[robot.carrier_velocity] = reduced.carrier_force[k]
         # accelerations of 1e1 to 1e3 through a mass matrix of condition 1e4: 1e-8 keeps four digits of reserve
-        assert_close(forward(robot, q[:, k], v[:, k], effort), a[:, k], 1e-8)
+        assert_close(forward(robot, q[k], v[k], effort), a[k], 1e-8)
 
 
 # --- structure in the carriers ---
@@ -252,7 +248,7 @@ def stacked_carriers(folder: Path) -> Robot:
 def test_forces_are_quadratic_in_the_carriers_and_affine_in_their_acceleration(name: str, seed: int) -> None:
     robot = robot_of(name)
     t = np.linspace(0.0, 1.0, 3)
-    along = RneaDynamics(robot, threads=1).along(zoo.smooth_motion(robot, 3).at(t))
+    along = RneaDynamics(robot).along(zoo.smooth_motion(robot, 3).at(t))
     base = zoo.carriers_at(robot, t, seed)
     rng = np.random.default_rng(seed)
     direction = rng.uniform(-1.0, 1.0, (3, robot.k))
@@ -309,23 +305,9 @@ def test_the_2rprs_force_is_the_rate_of_the_legs_angular_momentum() -> None:
     np.testing.assert_allclose(RneaDynamics(robot).reduce(motion, carriers).f, expected, atol=1e-12)
 
 
-@pytest.mark.long_for("1000", "4001")
-@pytest.mark.parametrize("size", [7, 1000, 4001])
-def test_blocks_do_not_change_a_bit(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kinematics and dynamics in blocks of any size, and in one: what a sample gets does not hang on the others."""
-    robot = load_robot("3rrr")
-    motion = trajectory.reference.corner(radius=0.025).sample(dt=2e-4 if size > 7 else 5e-3)
+def test_progress_of_a_long_motion_is_reported_up_to_its_end() -> None:
     calls: list[tuple[int, int]] = []
-    results = {}
-    for length in (size, 10**9):
-        for module in (lift_module, continuation_module, rnea_module):
-            monkeypatch.setattr(module, "blocks", lambda samples, _=0, length=length: blocks(samples, length))
-        monkeypatch.setattr(rnea_module, "SAMPLES_PER_BLOCK", length)
-        dynamics = RneaDynamics(robot, progress=lambda done, total: calls.append((done, total)))
-        along = dynamics.along(motion)
-        reduced = along.reduce()
-        parts = (reduced.f, reduced.W, reduced.carrier_force, reduced.gap, along.tree.q, along.tree.v, along.tree.a)
-        results[length] = [part.tobytes() for part in parts]
-    assert results[size] == results[10**9]
+    motion = trajectory.reference.corner(radius=0.025).sample(dt=5e-4)
+    RneaDynamics("3rrr", progress=lambda done, total: calls.append((done, total))).along(motion)
     assert calls[-1] == (len(motion), len(motion))
-    assert len(calls) == -(-len(motion) // size) + 1
+    assert calls == sorted(calls)

@@ -41,17 +41,6 @@ def test_one_solution_of_the_kinematics_serves_many_carrier_motions() -> None:
     assert not along.tree.q[:, robot.carrier_position].any()
 
 
-@pytest.mark.long_for("gough")
-@pytest.mark.parametrize("name", ["3rrr", "gough"])
-def test_threads_do_not_change_the_numbers(name: str) -> None:
-    robot = zoo.robot_of(name)
-    t = np.linspace(0.0, 2.0, 1500)
-    motion, carriers = zoo.smooth_motion(robot, 12).at(t), zoo.carriers_at(robot, t)
-    one, two = (RneaDynamics(robot, threads=threads).along(motion) for threads in (1, 2))
-    np.testing.assert_array_equal(one.reduce(carriers).f, two.reduce(carriers).f)
-    np.testing.assert_array_equal(one.base_wrench(carriers), two.base_wrench(carriers))
-
-
 def test_a_single_sample_equals_that_sample_of_many(shipped: Robot) -> None:
     t = np.linspace(0.0, 1.0, 5)
     motion, carriers = zoo.smooth_motion(shipped, 13).at(t), zoo.carriers_at(shipped, t)

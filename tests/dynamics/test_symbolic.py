@@ -46,7 +46,7 @@ def test_they_say_what_rnea_says(name: str) -> None:
     state = zoo.system_of(robot).evaluate(tree.q)
     r, n = state.Jc.shape[1], robot.n
     for k in range(len(t)):
-        q, v, a = (part[:, k] for part in along.tree_motion(carriers))
+        q, v, a = (part[k] for part in along.tree_motion(carriers))
         still = np.zeros(r + n)
         assert_equal(functions.closure(q), np.zeros(r), "closure")
         assert_equal(functions.coordinates(q), motion.x[k], "coordinates")
@@ -57,7 +57,7 @@ def test_they_say_what_rnea_says(name: str) -> None:
         assert_equal(functions.Jx(q), state.Jx[k], "Jx")
         assert_equal(functions.K(q), state.K[k], "K")
         assert_equal(functions.gamma(q), tree.gamma[k], "gamma")
-        assert_equal(functions.rnea(q, v, a), rnea[:, k], "rnea")
+        assert_equal(functions.rnea(q, v, a), rnea[k], "rnea")
         assert_equal(functions.f(q, v, a), reduced.f[k], "f")
         assert_equal(functions.W(q), reduced.W[k], "W")
         assert_equal(functions.carrier_force(q, v, a), reduced.carrier_force[k], "carrier force")

@@ -13,7 +13,8 @@ from folding import folding_four_bar, joint, rocker_angle, rocker_motion
 
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
+from redundancy_pin.dynamics.reactions import joint_reactions
+from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics import inverse_kinematics as lifting
 from redundancy_pin.kinematics.assembly import assemble

@@ -197,7 +197,7 @@ def test_an_open_chain_is_the_closed_chain_without_closures(tmp_path: Path) -> N
 
     motion = PlatformMotion([0.0], [[0.3, 0.6]], [[0.1, -0.2]], [[0.5, 1.0]])
     reduced = RneaDynamics(robot).reduce(motion)
-    q, v, a = (part[:, 0] for part in RneaDynamics(robot).along(motion).tree_motion())
+    q, v, a = (part[0] for part in RneaDynamics(robot).along(motion).tree_motion())
     tau = np.linalg.solve(reduced.W[0], reduced.f[0])
     np.testing.assert_allclose(tau, pin.rnea(robot.model, robot.model.createData(), q, v, a), atol=1e-12)
 

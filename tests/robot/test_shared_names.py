@@ -17,7 +17,7 @@ from plan_cases import LINE
 from zoo import robot_of
 
 import redundancy_pin as rp
-from redundancy_pin.dynamics.rnea import joint_reactions
+from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.lookup import find_link, link_names
 from redundancy_pin.robot.urdf import declaration_path, shipped_robots

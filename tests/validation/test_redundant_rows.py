@@ -87,8 +87,8 @@ def test_reactions_of_redundant_rows_are_of_least_norm(bennett, turn):
     rows, (q, v, a) = ClosedForward(replace(bennett, closures=bennett.all_closures)), turn.tree_motion()
     data = bennett.model.createData()
     for k in range(0, len(tau), 10):
-        J, _ = rows.rows(q[:, k], v[:, k])
-        effort = pin.rnea(bennett.model, data, q[:, k], v[:, k], a[:, k]) - np.append(tau[k], np.zeros(3))
+        J, _ = rows.rows(q[k], v[k])
+        effort = pin.rnea(bennett.model, data, q[k], v[k], a[k]) - np.append(tau[k], np.zeros(3))
         least = scale * (np.linalg.pinv((scale[:, None] * J).T, rcond=1e-9) @ effort)
         np.testing.assert_allclose(reactions.closure_force[k], least, atol=1e-8)
 
