@@ -77,8 +77,10 @@ class ResultStatus(Enum):
     """Complete: efforts are finite and every limit holds on the continuous motion, to 0.1 % (``LIMIT_TOLERANCE``);
     a simulation reached its end."""
     LIMIT_VIOLATED = "limit_violated"
-    """A limit is exceeded somewhere on the continuous motion, or the range of a joint is left. For a cell of a
-    feasibility map: the planner shows that no plan keeps every limit, or its plan violates one."""
+    """A limit is exceeded somewhere on the continuous motion, or the range of a joint is left."""
+    INFEASIBLE = "infeasible"
+    """The planner reports that no plan keeps every limit: an ``InfeasiblePlanError``, where studies record it as data.
+    For a cell of a feasibility map also: its plan violates a limit or has no finite efforts."""
     UNBOUNDED = "unbounded"
     """No finite efforts, or none within given bounds, exist at some sample or at a singularity between two."""
     UNRESOLVED = "unresolved"

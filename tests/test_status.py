@@ -31,7 +31,7 @@ def test_codes_of_samples_are_what_files_and_controllers_hold() -> None:
 @pytest.mark.parametrize(
     ("kind", "spellings"),
     [
-        (ResultStatus, ["ok", "limit_violated", "unbounded", "unresolved", "not_converged", "stopped"]),
+        (ResultStatus, ["ok", "limit_violated", "infeasible", "unbounded", "unresolved", "not_converged", "stopped"]),
         (UpdateStatus, ["ok", "time_scaled", "relaxed", "fallback", "refused"]),
     ],
 )

@@ -271,7 +271,7 @@ class Follower:
         """
         start, whole = here.x, self.difference(x, here.x)
         length = float(np.linalg.norm(whole / self._unit)) / LONGEST_STEP
-        if not math.isfinite(length):
+        if not (math.isfinite(length) and np.isfinite(here.gamma).all()):
             return None
         pieces = min(max(math.ceil(length), 1), _MOST_STEPS)
         longest = size = 1.0 / pieces

@@ -18,7 +18,7 @@ from redundancy_pin.studies.planned import Chapter, Tell
 from redundancy_pin.studies.statements import claim, counted, ratios, verdict
 from redundancy_pin.studies.table import Record, Table, grouped, table, text
 
-INFEASIBLE = "infeasible"
+INFEASIBLE = ResultStatus.INFEASIBLE.value
 """Status of a record whose planner has no plan."""
 
 BETWEEN = 1.05

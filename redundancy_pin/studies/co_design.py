@@ -46,6 +46,7 @@ from redundancy_pin.planners.whole_trajectory.problem import Task
 from redundancy_pin.planners.whole_trajectory.sensitivity import MOVED, DesignSlopes, Moved, design_gradient
 from redundancy_pin.planners.whole_trajectory.transcription import objective_values
 from redundancy_pin.robot import Robot
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.measures import numbers
 from redundancy_pin.studies.table import Record
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
@@ -108,7 +109,7 @@ class CoDesign(Frozen):
         before: (tasks,) the same of the machine to begin with.
         gradient: (tasks, d) derivatives of ``values`` by the parameters.
         at_bounds: parameters that lie on a bound which the cost presses on.
-        optimal: whether no small change within the bounds makes the machine better; else the method stopped early.
+        optimal: whether no small change within the bounds makes the machine better; else the method did not converge.
         history: one record an accepted machine: cost (1 to begin with), and parameters.
         rejected: how many machines were tried that a task has no plan for.
     """
@@ -432,7 +433,8 @@ def compare_machines(
     Returns:
         A record for each machine and task: ``machine``, ``task``, ``parameters``, ``mass`` of all that moves, kg,
         ``value`` of what is minimised, ``peak``, energies, ``carrier_force``, ``stroke``, ``status``, and ``reason``
-        where there is no plan; ``optimal`` and, in words, ``search`` of the machine, None of the one to begin with.
+        where there is no plan; ``optimal`` and ``search``, the status of the search for the machine: None of the
+        one to begin with.
     """
     first = _tasks(list(tasks.values()))[0].dynamics.robot
     _bounds(first, design)
@@ -448,13 +450,15 @@ def compare_machines(
             if names
             else None
         )
+        ended = ResultStatus.OK if made and made.optimal else ResultStatus.NOT_CONVERGED
+        search = ended.value if made else None
         parameters = dict(made.parameters) if made else {name: float(first.parameters[name]) for name in design}
         for name, task in tasks.items():
             robot = _with(task.dynamics.robot, parameters)
             record: Record = {"machine": machine, "task": name, **parameters, "mass": pin.computeTotalMass(robot.model),
-                              "value": None, "status": "no plan", "reason": None,
+                              "value": None, "status": ResultStatus.INFEASIBLE.value, "reason": None,
                               "optimal": made and made.optimal,
-                              "search": made and ("ended" if made.optimal else "stopped early")}  # fmt: skip
+                              "search": search}  # fmt: skip
             if made and name in names:
                 plan, value = made.plans[names.index(name)], float(made.values[names.index(name)])
             else:

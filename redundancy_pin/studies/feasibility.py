@@ -135,7 +135,7 @@ class FeasibilityMap:
 
     def in_the_way(self, planner: str) -> dict[str, int]:
         """Return for how many infeasible cells each limit is the first in the way."""
-        first = Counter(cell.limits[0] for cell in self.of(planner) if cell.verdict is ResultStatus.LIMIT_VIOLATED)
+        first = Counter(cell.limits[0] for cell in self.of(planner) if cell.verdict is ResultStatus.INFEASIBLE)
         return dict(first.most_common())
 
     def csv(self) -> str:
@@ -336,7 +336,7 @@ def tiles(result: FeasibilityMap, planner: str) -> tuple[Tile, ...]:
     for cells, sides in zip(lines.values(), pairwise(across.edges(list(lines))), strict=True):
         for cell, ends in zip(cells, pairwise(along.edges([result.place(cell)[0] for cell in cells])), strict=True):
             x, y = (ends, sides) if result.along == "x" else (sides, ends)
-            letter = LETTERS.get(cell.limits[0], _OTHER)[0] if cell.verdict is ResultStatus.LIMIT_VIOLATED else ""
+            letter = LETTERS.get(cell.limits[0], _OTHER)[0] if cell.verdict is ResultStatus.INFEASIBLE else ""
             made.append(Tile(*x, *y, cell.verdict, cell.peak_effort, letter))
     return tuple(made)
 

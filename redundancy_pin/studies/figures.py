@@ -16,6 +16,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.replay import Replay
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies import cases, future
 from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK, Case, Plans
 from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
@@ -344,7 +345,7 @@ def trade_figure(results: Results) -> Figure:
     """Return effort against acceleration, with other plans as marks."""
     trades = []
     for task, trade in zip(cases.TRADED, results.chapters["beyond"]["trade_off"], strict=True):
-        points = [point for point in trade["points"] if point["status"] != "infeasible"]
+        points = [point for point in trade["points"] if point["status"] != ResultStatus.INFEASIBLE.value]
         marks = {
             method: (rms_acceleration(plan), float(np.linalg.norm(plan.rms_effort)))
             for method, plan in _existing(results, task).items()

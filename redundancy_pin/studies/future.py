@@ -15,6 +15,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
 from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.simulation.replay import replay
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import Case, Plans, options
 from redundancy_pin.studies.cases import Extent
 from redundancy_pin.studies.measures import numbers
@@ -156,7 +157,7 @@ def least_time(task: str, method: str, case: Case) -> Record:
 def task_record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePlanError) -> Record:
     """Return one row of the table: a method's plan of a task, or why there is none."""
     if isinstance(outcome, InfeasiblePlanError):
-        return {"task": task, "way": method, "status": f"no plan: {outcome.message}"}
+        return {"task": task, "way": method, "status": f"{ResultStatus.INFEASIBLE.value}: {outcome.message}"}
     dynamics, carriers = case.dynamics(), outcome.carriers
     robot, point = dynamics.robot, np.array(CENTRE if case.robot == "3rrr" else (0.0, 0.0, 0.0))
     push = outcome.base_wrench(dynamics, point) - load_at_rest(dynamics, outcome.motion, carriers.s[0], point)

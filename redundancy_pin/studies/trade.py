@@ -18,6 +18,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError, optional
 from redundancy_pin.planners.base_wrench import load_at_rest
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
+from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import at_speed
 from redundancy_pin.studies.measures import numbers
@@ -182,7 +183,14 @@ def _value(plan: Plan, name: str) -> float:
 
 def trade_record(case: Case, outcome: Plan | InfeasiblePlanError, x: str, y: str, bound: float, backend: str) -> Record:
     """Return one point of a front: the plan within a bound of ``x``, or why there is none."""
-    record: Record = {"bound": bound, "x": bound, "y": None, "reason": None, "dominated": False, "status": "no plan"}
+    record: Record = {
+        "bound": bound,
+        "x": bound,
+        "y": None,
+        "reason": None,
+        "dominated": False,
+        "status": ResultStatus.INFEASIBLE.value,
+    }
     if isinstance(outcome, InfeasiblePlanError):
         return {**record, "reason": outcome.message}
     dynamics, carriers = case.dynamics(backend), outcome.carriers

@@ -23,7 +23,7 @@ Key = tuple[str, float, float]
 """Planner, value on the x axis, value on the y axis."""
 
 
-VERDICTS = (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED, ResultStatus.LIMIT_VIOLATED)
+VERDICTS = (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED, ResultStatus.INFEASIBLE)
 """The statuses of a cell, in the order of precedence among several attempts: a plan comes first; after a failed attempt
 it is not shown that there is no plan."""
 
@@ -76,7 +76,7 @@ class Cell:
         """Whether the machine can do it; None where nothing is known."""
         if self.verdict is ResultStatus.UNRESOLVED:
             return None
-        return self.verdict is not ResultStatus.LIMIT_VIOLATED
+        return self.verdict is not ResultStatus.INFEASIBLE
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON; None for NaN and infinity."""
@@ -119,7 +119,7 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
     cell = replace(cell, dense_ratio=ratio, status=plan.status.value)
     if plan.status is ResultStatus.UNBOUNDED:
         return replace(
-            cell, verdict=ResultStatus.LIMIT_VIOLATED, limits=("effort",), message="No finite main efforts exist."
+            cell, verdict=ResultStatus.INFEASIBLE, limits=("effort",), message="No finite main efforts exist."
         )
     between = float(plan.peak_effort.max(initial=0.0))
     cell = replace(cell, peak_effort=between)
@@ -129,7 +129,7 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
         names = tuple(dict.fromkeys(name for _, name, *_ in broken))
         shown = "; ".join(f"{name} of {whose} by {by:.4g} at {t:.4g} s" for _, name, whose, t, by in broken[:4])
         message = f"The plan violates limits: {shown}."
-        verdict = ResultStatus.LIMIT_VIOLATED
+        verdict = ResultStatus.INFEASIBLE
         return replace(cell, verdict=verdict, limits=names, carrier=carrier, time=worst, amount=amount, message=message)
     if effort is not None and between > effort * (1.0 + LIMIT_TOLERANCE):
         message = f"Between the nodes the efforts reach {between:.4g}: not resolved."
@@ -154,7 +154,7 @@ def judge_error(cell: Cell, error: Exception) -> Cell:
     """
     cell = replace(cell, message=f"{type(error).__name__}: {' '.join(str(error).split())}")
     if isinstance(error, (UnreachablePoseError, SingularPoseError, WorkingModeError)):
-        return replace(cell, verdict=ResultStatus.LIMIT_VIOLATED, limits=("workspace",))
+        return replace(cell, verdict=ResultStatus.INFEASIBLE, limits=("workspace",))
     details: Mapping[str, Any] = error.details if isinstance(error, InfeasiblePlanError) else {}
     constraint = str(details.get("constraint", ""))
     if constraint in UNDECIDED:
@@ -164,7 +164,7 @@ def judge_error(cell: Cell, error: Exception) -> Cell:
     known: dict[str, Any] = {name: float(value) for name, value in when.items() if value is not None}
     known |= {"carrier": str(details["carrier"])} if details.get("carrier") is not None else {}
     return replace(
-        cell, verdict=ResultStatus.LIMIT_VIOLATED, limits=tuple(dict.fromkeys(relaxed or (constraint,))), **known
+        cell, verdict=ResultStatus.INFEASIBLE, limits=tuple(dict.fromkeys(relaxed or (constraint,))), **known
     )
 
 

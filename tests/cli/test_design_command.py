@@ -25,9 +25,9 @@ def test_files_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert made["energy"] == pytest.approx(0.9 * first["energy"], rel=1e-3)
     assert (first["mass"], made["mass"]) == (pytest.approx(2.0), pytest.approx(1.8))
     # one step is not enough to see that no other is better
-    assert [(each["optimal"], each["search"]) for each in (first, made)] == [(None, None), (False, "stopped early")]
+    assert [(each["optimal"], each["search"]) for each in (first, made)] == [(None, None), (False, "not_converged")]
     folder = tmp_path / "design-2rpr"
-    assert "stopped early" in (folder / "design.md").read_text()
+    assert "not_converged" in (folder / "design.md").read_text()
     assert {path.name for path in folder.iterdir()} == {"design.md", "design.csv", "design.json"}
     assert json.loads((folder / "design.json").read_text())["records"] == [first, made]
 

@@ -37,7 +37,7 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float]]:
     def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
         keys.append((planner, x, y))
         possible = planner == WHOLE or x < 0.25
-        verdict, limits = (ResultStatus.OK, ("track",)) if possible else (ResultStatus.LIMIT_VIOLATED, ("effort",))
+        verdict, limits = (ResultStatus.OK, ("track",)) if possible else (ResultStatus.INFEASIBLE, ("effort",))
         return Cell(planner, x, y, verdict, limits, peak_effort=x if possible else None)
 
     monkeypatch.setattr(feasibility, "compute", compute)

@@ -44,7 +44,7 @@ def corner(**changes: Any) -> MapProblem:
 def quick(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
     """A cell that is possible on one side of a slanting border, at once."""
     possible = x <= 0.1 + 0.2 * y
-    verdict, limits = (ResultStatus.OK, ()) if possible else (ResultStatus.LIMIT_VIOLATED, ("track",))
+    verdict, limits = (ResultStatus.OK, ()) if possible else (ResultStatus.INFEASIBLE, ("track",))
     return Cell(planner, x, y, verdict, limits, peak_effort=x if possible else None)
 
 

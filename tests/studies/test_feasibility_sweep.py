@@ -113,7 +113,7 @@ def test_a_cell_without_meaning_is_damage(tmp_path: Path, computed: list[Key]) -
     store = tmp_path / "store"
     feasibility_map(corner(), store, jobs=1)
     with sqlite3.connect(store) as raw:
-        raw.execute("""UPDATE record SET record = replace(record, '"limit_violated"', '"perhaps"')""")
+        raw.execute("""UPDATE record SET record = replace(record, '"infeasible"', '"perhaps"')""")
     raw.close()
     with pytest.raises(OutputError, match="damaged"):
         feasibility_map(corner(), store, jobs=1)
@@ -121,7 +121,7 @@ def test_a_cell_without_meaning_is_damage(tmp_path: Path, computed: list[Key]) -
 
 def test_cells_survive_the_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = (
-        ResultStatus.LIMIT_VIOLATED,
+        ResultStatus.INFEASIBLE,
         ("track", "end"),
         "c",
         0.1,
@@ -151,7 +151,7 @@ def test_a_cell_that_fails_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(Case, "plan", plan)
     result = feasibility_map(corner(), jobs=1)
-    assert result.counts(WHOLE) == {"ok": 0, "not_converged": 0, "unresolved": 3, "limit_violated": 6}
+    assert result.counts(WHOLE) == {"ok": 0, "not_converged": 0, "unresolved": 3, "infeasible": 6}
     assert all("by chance" in cell.message for cell in result.cells if cell.verdict is ResultStatus.UNRESOLVED)
     # failed cells have no border with infeasible ones
     assert result.border(WHOLE) == ()

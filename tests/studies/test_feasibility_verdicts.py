@@ -65,7 +65,7 @@ def _require_cells_of_the_planner(result: FeasibilityMap, dynamics: Any, make: C
     effort, nodes = result.problem.limits.get("max_effort"), result.problem.parameters[WHOLE]
     for cell in result.of(WHOLE):
         plan = _whole(dynamics, make(cell.x), track=[-0.5 * cell.y, 0.5 * cell.y], effort=effort, **nodes)
-        expected = ResultStatus.LIMIT_VIOLATED if plan is None else ResultStatus.OK
+        expected = ResultStatus.INFEASIBLE if plan is None else ResultStatus.OK
         assert cell.verdict is expected, cell
         if plan is not None:
             assert plan.status is ResultStatus.OK
@@ -90,7 +90,7 @@ def test_switch_off_cells_are_those_of_the_planner(circle: FeasibilityMap) -> No
     """The stroke goes in as an argument of the model here: the limits come from its URDF."""
     for cell in circle.of(SWITCH_OFF):
         plan = _switched_off(cell, 20.0, "shortest")
-        assert cell.verdict is (ResultStatus.OK if plan else ResultStatus.LIMIT_VIOLATED), cell
+        assert cell.verdict is (ResultStatus.OK if plan else ResultStatus.INFEASIBLE), cell
         if plan is not None:
             assert cell.peak_effort == pytest.approx(plan.peak_effort.max(), rel=SOLVER)
 
@@ -126,7 +126,7 @@ def test_stepwise_cells_are_those_of_the_planner(bend: FeasibilityMap) -> None:
             dynamics, reference.corner(speed=cell.x), dt=5e-3, track=[-0.5 * cell.y, 0.5 * cell.y], between=3
         )
         kept = plan.status is ResultStatus.OK and plan.peak_effort_at_samples.max() <= 5.0
-        assert cell.verdict is (ResultStatus.OK if kept else ResultStatus.LIMIT_VIOLATED), cell
+        assert cell.verdict is (ResultStatus.OK if kept else ResultStatus.INFEASIBLE), cell
         if not kept:
             assert cell.limits[0] == "effort"
             assert set(cell.limits) <= {"effort", "track"}  # a stop by steps may pass the end between two of them
@@ -136,7 +136,7 @@ def test_stepwise_cells_are_those_of_the_planner(bend: FeasibilityMap) -> None:
 def _require_both_verdicts(result: FeasibilityMap) -> None:
     """Else the tests above would say little."""
     for planner in result.problem.planners:
-        assert {cell.verdict for cell in result.of(planner)} == {ResultStatus.OK, ResultStatus.LIMIT_VIOLATED}
+        assert {cell.verdict for cell in result.of(planner)} == {ResultStatus.OK, ResultStatus.INFEASIBLE}
 
 
 def test_both_verdicts_occur_on_a_crossing(circle: FeasibilityMap) -> None:
@@ -202,10 +202,10 @@ def _cell_where(planner_does: Any, monkeypatch: pytest.MonkeyPatch) -> Cell:
         (InfeasiblePlanError("It does not say why."), ResultStatus.UNRESOLVED, ()),
         (
             InfeasiblePlanError("Too far.", constraint="track", time=0.5, amount=0.1),
-            ResultStatus.LIMIT_VIOLATED,
+            ResultStatus.INFEASIBLE,
             ("track",),
         ),
-        (UnreachablePoseError("Too far away."), ResultStatus.LIMIT_VIOLATED, ("workspace",)),
+        (UnreachablePoseError("Too far away."), ResultStatus.INFEASIBLE, ("workspace",)),
         (
             InfeasiblePlanError(
                 "Both.",
@@ -213,7 +213,7 @@ def _cell_where(planner_does: Any, monkeypatch: pytest.MonkeyPatch) -> Cell:
                 together=True,
                 relaxations=({"constraint": "track"}, {"constraint": "effort"}),
             ),
-            ResultStatus.LIMIT_VIOLATED,
+            ResultStatus.INFEASIBLE,
             ("track", "effort"),
         ),
     ],
@@ -259,7 +259,7 @@ def test_a_plan_that_stopped_early_is_told_apart(planned: Plan) -> None:
 
 def test_a_plan_without_finite_efforts_is_none(planned: Plan) -> None:
     cell = _judged(replace(planned, status=ResultStatus.UNBOUNDED))
-    assert (cell.verdict, cell.limits) == (ResultStatus.LIMIT_VIOLATED, ("effort",))
+    assert (cell.verdict, cell.limits) == (ResultStatus.INFEASIBLE, ("effort",))
 
 
 def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
@@ -267,7 +267,7 @@ def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
     plan = crossing().case(SWITCH_OFF, 0.5, 0.4, {"threshold": 5.0}).plan()
     assert plan.status is ResultStatus.LIMIT_VIOLATED
     cell = _judged(plan, np.inf, SWITCH_OFF)
-    assert cell.verdict is ResultStatus.LIMIT_VIOLATED
+    assert cell.verdict is ResultStatus.INFEASIBLE
     assert set(cell.limits) == {event.quantity for event in plan.limits.violated} == {"track", "acceleration"}
     worst = max(plan.limits.violated, key=lambda event: abs(event.value / event.limit))
     assert (cell.limits[0], cell.carrier, cell.time) == (worst.quantity, worst.carrier, worst.worst)
@@ -278,7 +278,7 @@ def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
 def test_a_plan_beyond_the_effort_limit_is_none(planned: Plan) -> None:
     peak = float(planned.peak_effort_at_samples.max())
     cell = _judged(planned, 0.9 * peak)
-    assert (cell.verdict, cell.limits) == (ResultStatus.LIMIT_VIOLATED, ("effort",))
+    assert (cell.verdict, cell.limits) == (ResultStatus.INFEASIBLE, ("effort",))
     assert cell.amount == pytest.approx(0.1 * peak)
     i = int(np.argmin(np.abs(planned.t - cell.time)))
     assert np.abs(planned.tau[i]).max() == pytest.approx(peak)
@@ -313,7 +313,7 @@ def test_a_peak_between_the_samples_is_what_the_limit_is_compared_with(planned: 
     beyond = judge(Cell(WHOLE, 0.1, 2.0, ResultStatus.OK), plan, {"max_effort": 0.9 * peak})
     assert beyond.verdict is ResultStatus.UNRESOLVED
     without = replace(plan, status=ResultStatus.UNBOUNDED, between=replace(between, peak=between.peak * np.inf))
-    assert judge(Cell(WHOLE, 0.1, 2.0, ResultStatus.OK), without, limits).verdict is ResultStatus.LIMIT_VIOLATED
+    assert judge(Cell(WHOLE, 0.1, 2.0, ResultStatus.OK), without, limits).verdict is ResultStatus.INFEASIBLE
 
 
 def test_a_carrier_mass_of_the_robot_is_an_axis() -> None:
@@ -361,6 +361,6 @@ def test_a_map_of_a_motion_between_poses() -> None:
     )
     problem.require_names()
     light, heavy = (compute(problem, WHOLE, 1.0, mass) for mass in (0.5, 2.0))
-    assert light.verdict is ResultStatus.LIMIT_VIOLATED
+    assert light.verdict is ResultStatus.INFEASIBLE
     assert "acceleration" in light.limits
     assert heavy.verdict is ResultStatus.OK

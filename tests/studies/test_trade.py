@@ -78,7 +78,7 @@ def test_shorter_tracks_and_slower_motions() -> None:
 def test_points_without_a_plan_say_why() -> None:
     bounded = trade_off(CASE, "carrier_force", "effort", points=2, between=(0.6, 100.0))
     assert "carrier_force at most" in bounded.points[0]["reason"]
-    assert bounded.points[0]["status"] == "no plan"
+    assert bounded.points[0]["status"] == "infeasible"
     assert len(bounded.front) == 1
     with pytest.raises(InfeasiblePlanError):
         trade_off(CASE, "carrier_force", "effort", points=2, between=(0.5, 0.6))

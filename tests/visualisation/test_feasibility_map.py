@@ -27,10 +27,10 @@ from redundancy_pin.visualisation.figures.feasibility_map import Tile, border_of
 
 pytest.importorskip("matplotlib")
 
-OK, NOT_CONVERGED, VIOLATED, UNRESOLVED = (
+OK, NOT_CONVERGED, INFEASIBLE, UNRESOLVED = (
     ResultStatus.OK,
     ResultStatus.NOT_CONVERGED,
-    ResultStatus.LIMIT_VIOLATED,
+    ResultStatus.INFEASIBLE,
     ResultStatus.UNRESOLVED,
 )
 
@@ -50,8 +50,8 @@ def _lengths(segments: np.ndarray) -> float:
 def test_the_border_runs_between_possible_and_infeasible() -> None:
     """A possible square in a corner of four: two sides of length one are border, the outer edges are not."""
     border = border_of([
-        Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, VIOLATED, mark="T"),
-        Tile(0, 1, 1, 2, VIOLATED, mark="T"), Tile(1, 2, 1, 2, VIOLATED, mark="T"),
+        Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, INFEASIBLE, mark="T"),
+        Tile(0, 1, 1, 2, INFEASIBLE, mark="T"), Tile(1, 2, 1, 2, INFEASIBLE, mark="T"),
     ])  # fmt: skip
     assert {tuple(map(tuple, segment)) for segment in border.tolist()} == {((1, 0), (1, 1)), ((0, 1), (1, 1))}
 
@@ -59,7 +59,7 @@ def test_the_border_runs_between_possible_and_infeasible() -> None:
 def test_tiles_of_different_height_share_part_of_an_edge() -> None:
     border = border_of([
         Tile(0, 1, 0, 3, NOT_CONVERGED, 1.0),
-        Tile(1, 2, 0, 1, OK, 1.0), Tile(1, 2, 1, 1.5, VIOLATED, mark="T"), Tile(1, 2, 1.5, 3, UNRESOLVED),
+        Tile(1, 2, 0, 1, OK, 1.0), Tile(1, 2, 1, 1.5, INFEASIBLE, mark="T"), Tile(1, 2, 1.5, 3, UNRESOLVED),
     ])  # fmt: skip
     # possible beside infeasible from 1 to 1.5, possible below infeasible over a width of 1; nothing at the failed one
     assert {tuple(map(tuple, segment)) for segment in border.tolist()} == {((1, 1), (1, 1.5)), ((1, 1), (2, 1))}
@@ -71,7 +71,7 @@ def test_where_all_is_alike_there_is_no_border() -> None:
         2,
         2,
     )
-    assert border_of([Tile(0, 1, 0, 1, VIOLATED, mark="T")]).shape == (0, 2, 2)
+    assert border_of([Tile(0, 1, 0, 1, INFEASIBLE, mark="T")]).shape == (0, 2, 2)
 
 
 # ------------------------------------------------------------------------------------------------------------ tiles
@@ -86,7 +86,7 @@ def _map(along: str, extra: tuple[Cell, ...] = ()) -> FeasibilityMap:
         for x in problem.x.values:
             for y in problem.y.values:
                 good = x < 0.25 and y > 0.7
-                verdict = OK if good else VIOLATED
+                verdict = OK if good else INFEASIBLE
                 limits = () if good else ("track",) if y < 0.7 else ("fancy",)
                 cells.append(Cell(planner, x, y, verdict, limits, peak_effort=x if good else None))
     return FeasibilityMap(problem, (*cells, *extra), along)  # type: ignore[arg-type]
@@ -96,7 +96,7 @@ def _map(along: str, extra: tuple[Cell, ...] = ()) -> FeasibilityMap:
 def test_tiles_cover_the_map_without_overlap(along: str) -> None:
     """Refined lines have tiles of their own sizes; each cell lies inside its tile, and the areas add up."""
     extra = (
-        Cell(WHOLE, 0.25, 1.0, VIOLATED, ("track",)),
+        Cell(WHOLE, 0.25, 1.0, INFEASIBLE, ("track",)),
         Cell(WHOLE, 0.225, 1.0, OK, peak_effort=1.0),
     )
     border_map = _map(along, extra if along == "x" else ())
@@ -113,7 +113,7 @@ def test_tiles_cover_the_map_without_overlap(along: str) -> None:
 
 def test_a_refined_border_lies_where_it_was_found() -> None:
     extra = (
-        Cell(WHOLE, 0.25, 1.0, VIOLATED, ("track",)),
+        Cell(WHOLE, 0.25, 1.0, INFEASIBLE, ("track",)),
         Cell(WHOLE, 0.225, 1.0, OK, peak_effort=1.0),
     )
     segments = border_of(tiles(_map("x", extra), WHOLE))
@@ -151,15 +151,15 @@ def _texts(panel: Sequence[Tile]) -> list[str]:
 
 def test_letters_tell_what_is_in_the_way_and_a_question_mark_what_is_not_known() -> None:
     panel = (
-        Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, VIOLATED, mark="T"),
-        Tile(0, 1, 1, 2, VIOLATED, mark="E"), Tile(1, 2, 1, 2, UNRESOLVED),
+        Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, INFEASIBLE, mark="T"),
+        Tile(0, 1, 1, 2, INFEASIBLE, mark="E"), Tile(1, 2, 1, 2, UNRESOLVED),
     )  # fmt: skip
     assert sorted(_texts(panel)) == ["?", "E", "T"]
 
 
 @pytest.mark.long
 def test_the_legend_tells_only_what_there_is() -> None:
-    one = (Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, VIOLATED, mark="T"))
+    one = (Tile(0, 1, 0, 1, OK, 1.0), Tile(1, 2, 0, 1, INFEASIBLE, mark="T"))
     two = (Tile(0, 1, 0, 1, NOT_CONVERGED, 1.0), Tile(1, 2, 0, 1, UNRESOLVED))
 
     def said(*panels: Sequence[Tile]) -> str:
@@ -178,9 +178,9 @@ def test_kinds_of_cells_differ_without_colour() -> None:
     """In grey: a possible cell is even, the others are patterned on white, each in its own way."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    kinds = (OK, NOT_CONVERGED, VIOLATED, UNRESOLVED)
+    kinds = (OK, NOT_CONVERGED, INFEASIBLE, UNRESOLVED)
     row = tuple(
-        Tile(i, i + 1, 0, 1, kind, 1.0 if i < 2 else None, "T" if kind == VIOLATED else "")
+        Tile(i, i + 1, 0, 1, kind, 1.0 if i < 2 else None, "T" if kind == INFEASIBLE else "")
         for i, kind in enumerate(kinds)
     )  # type: ignore[arg-type]
     drawn = _drawn(row)
@@ -233,5 +233,5 @@ def test_units_of_axes() -> None:
 
 
 def test_a_map_without_any_plan_can_be_drawn() -> None:
-    _drawn((Tile(0, 1, 0, 1, VIOLATED, mark="T"), Tile(1, 2, 0, 1, UNRESOLVED)))
+    _drawn((Tile(0, 1, 0, 1, INFEASIBLE, mark="T"), Tile(1, 2, 0, 1, UNRESOLVED)))
     _drawn((Tile(0.1, 1, 1, 2, OK, 0.0),), x_scale="log", y_scale="log")

@@ -42,7 +42,7 @@ def corner() -> Plan:
 
 
 def _map() -> Figure:
-    kinds = (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.LIMIT_VIOLATED, ResultStatus.UNRESOLVED)
+    kinds = (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.INFEASIBLE, ResultStatus.UNRESOLVED)
     tiles = tuple(
         Tile(i, i + 1, j, j + 1, kinds[(i + j) % 4], 1.0 + i, "T" if (i + j) % 4 == 2 else "")  # type: ignore[arg-type]
         for i in range(4)

@@ -23,7 +23,7 @@ Scale = Literal["linear", "log"]
 _COLORS = "cividis"  # lightness rises evenly, so that it reads in grey too
 _DECADES = 30.0  # largest over smallest effort from which on colours are logarithmic
 _HATCHES: Mapping[ResultStatus, tuple[str, str]] = {
-    ResultStatus.LIMIT_VIOLATED: ("////", "#BDBDBD"),
+    ResultStatus.INFEASIBLE: ("////", "#BDBDBD"),
     ResultStatus.UNRESOLVED: ("....", "#8C8C8C"),
 }
 _RING: dict[str, Any] = {
@@ -111,7 +111,7 @@ def border_of(tiles: Sequence[Tile]) -> Array:
     Tiles do not overlap, and neighbours share their edges exactly.
     """
     one = [tile for tile in tiles if tile.possible]
-    other = [tile for tile in tiles if tile.kind == ResultStatus.LIMIT_VIOLATED]
+    other = [tile for tile in tiles if tile.kind == ResultStatus.INFEASIBLE]
     if not (one and other):
         return np.empty((0, 2, 2))
     ax0, ax1, ay0, ay1 = (np.array([getattr(tile, name) for tile in one]) for name in ("x0", "x1", "y0", "y1"))
@@ -147,7 +147,7 @@ def _draw_tiles(axes: Axes, tiles: Sequence[Tile], norm: Normalize | None) -> No
     from matplotlib.collections import PolyCollection
 
     colors = matplotlib.colormaps[_COLORS]
-    for kind in (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.LIMIT_VIOLATED, ResultStatus.UNRESOLVED):
+    for kind in (ResultStatus.OK, ResultStatus.NOT_CONVERGED, ResultStatus.INFEASIBLE, ResultStatus.UNRESOLVED):
         chosen = [tile for tile in tiles if tile.kind == kind]
         if not chosen:
             continue
@@ -179,11 +179,7 @@ def _draw_border(axes: Axes, segments: Array, *, own: bool) -> None:
 def _draw_marks(axes: Axes, tiles: Sequence[Tile]) -> None:
     for tile in tiles:
         text = (
-            "?"
-            if tile.kind == ResultStatus.UNRESOLVED
-            else tile.mark
-            if tile.kind == ResultStatus.LIMIT_VIOLATED
-            else ""
+            "?" if tile.kind == ResultStatus.UNRESOLVED else tile.mark if tile.kind == ResultStatus.INFEASIBLE else ""
         )
         corners = axes.transData.transform([(tile.x0, tile.y0), (tile.x1, tile.y1)])
         size = min(0.62 * float(np.abs(corners[1] - corners[0]).min()) * 72.0 / axes.figure.dpi, _LARGEST)
@@ -205,7 +201,7 @@ def _legend(drawn: Figure, panels: Sequence[Sequence[Tile]], marks: Mapping[str,
 
     tiles = [tile for panel in panels for tile in panel]
     present = {tile.kind for tile in tiles}
-    used = sorted({tile.mark for tile in tiles if tile.kind == ResultStatus.LIMIT_VIOLATED})
+    used = sorted({tile.mark for tile in tiles if tile.kind == ResultStatus.INFEASIBLE})
     limits = ", ".join(f"{mark} {marks[mark]}" for mark in used)
     handles: list[Any] = []
     if bordered:
@@ -216,7 +212,7 @@ def _legend(drawn: Figure, panels: Sequence[Sequence[Tile]], marks: Mapping[str,
     if ResultStatus.NOT_CONVERGED in present:
         handles.append(Line2D([], [], label="possible, optimiser did not converge", **_RING))
     for kind, label in (
-        (ResultStatus.LIMIT_VIOLATED, f"not possible; in the way: {limits}"),
+        (ResultStatus.INFEASIBLE, f"not possible; in the way: {limits}"),
         (ResultStatus.UNRESOLVED, "? not known (numerical failure)"),
     ):
         if kind in present:
