@@ -140,9 +140,11 @@ def test_failures_are_statuses_and_the_next_sample_is_as_before(backend: Backend
         after = dynamics.torque(home, zero, zero + 1.0)
         assert after.status is SampleStatus.OK
         np.testing.assert_allclose(after.tau, before.tau, rtol=1e-12)
-    off_track = dynamics.torque(home, zero, zero, s=1.5)
-    assert off_track.status is SampleStatus.OUT_OF_RANGE
-    assert np.isfinite(off_track.tau).all()
+    for end in (-1.0, 1.0):
+        off_track = dynamics.torque(home, zero, zero, s=1.001 * end)
+        assert off_track.status is SampleStatus.OUT_OF_RANGE
+        assert np.isfinite(off_track.tau).all()
+        assert dynamics.torque(home, zero, zero, s=end).status is SampleStatus.OK
 
 
 def test_torques_follow_the_branch_of_the_sample_before_or_of_start() -> None:
@@ -365,10 +367,11 @@ def test_motors_without_a_pose_have_a_status() -> None:
     robot, dynamics, still = robot_of("2rpr"), dynamics_of("2rpr"), np.zeros((1, 2))
     at = actuated_positions(robot)
     apart = dynamics.joint_state([0.05, 0.05])  # legs too short to meet, half a metre apart
-    assert apart.status in (SampleStatus.BRANCH_LOST, SampleStatus.TYPE_II)
+    assert apart.status is SampleStatus.BRANCH_LOST
     assert np.isnan(np.concatenate([apart.q, apart.v, apart.x, apart.xd, [apart.margin]])).all()
     flat = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 0.0]], still, still)).q[0]
-    assert dynamics.joint_state(flat[at], start=flat).status is SampleStatus.TYPE_II
+    for step in (0.0, 1e-3):
+        assert dynamics.joint_state(flat[at] + step, start=flat).status is SampleStatus.TYPE_II
     near = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.2, 1e-4]], still, still)).q[0]
     assert dynamics.joint_state(near[at], start=near).status is SampleStatus.NEAR_SINGULAR
     assert dynamics.joint_state(np.array([np.nan, 0.3])).status is SampleStatus.NOT_FINITE
