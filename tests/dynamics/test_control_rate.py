@@ -147,6 +147,21 @@ def test_failures_are_statuses_and_the_next_sample_is_as_before(backend: Backend
         assert dynamics.torque(home, zero, zero, s=end).status is SampleStatus.OK
 
 
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+def test_ranges_of_passive_joints_may_be_counted_from_another_turn(backend: Backend) -> None:
+    """The first leg of the 2-RPR swings between 11 and 80 degrees, written a whole turn further."""
+    turn = 2.0 * np.pi
+    dynamics = backend(zoo.robot_of("2rpr").with_limits({"swivel_1": {"lower": 0.2 + turn, "upper": 1.4 + turn}}))
+    for angle, status in (
+        (0.1, SampleStatus.OUT_OF_RANGE),
+        (0.3, SampleStatus.OK),
+        (1.3, SampleStatus.OK),
+        (1.5, SampleStatus.OUT_OF_RANGE),
+    ):
+        x = 0.3 * np.array([np.cos(angle), np.sin(angle)])  # the hinge is the origin
+        assert dynamics.torque(x, [0.1, 0.0], [0.0, 1.0]).status is status
+
+
 def test_torques_follow_the_branch_of_the_sample_before_or_of_start() -> None:
     """The elbow of the 2-RPR's legs: above the line of its base from one start, below it from the other."""
     dynamics, zero = dynamics_of("3rrr"), np.zeros(3)
