@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from point_mass_oracle import derivative
 
-from redundancy_pin.dynamics.virtual_work.mechanism import Body, LinkFrames, PlanarFrame
+from redundancy_pin.dynamics.virtual_work.mechanism import Body, PlanarFrame
 
 ORIGIN, TURN = np.array([[0.3, -0.2], [0.7, 1.1], [-0.4, 0.9]]), np.array([0.5, 1.3, -0.8])
 ALONG, ACROSS = np.array([0.6, -0.9, 1.7]), np.array([-0.4, 0.8, 0.5])
@@ -24,9 +24,9 @@ def position(t):
 
 
 def test_a_point_carried_by_a_moving_link_moves_as_its_positions_say():
-    origin = (np.array([[complex(*value)]]) for value in ORIGIN)
-    frame = LinkFrames(*origin, np.exp([[1j * TURN[0]]]), np.array([[TURN[1]]]), np.array([[TURN[2]]]))
-    point = frame.frame(0, *(ALONG + 1j * ACROSS))
+    origin = (np.array([complex(*value)]) for value in ORIGIN)
+    turned = np.exp([1j * TURN[0]]), np.array([TURN[1]]), np.array([TURN[2]])
+    point = PlanarFrame(*origin, *turned, *np.zeros((2, 1, 1))).point(*(ALONG + 1j * ACROSS))
     velocity = derivative(position)
     acceleration = derivative(lambda h: derivative(lambda k: position(h + k)))
     assert point.place[0] == pytest.approx(complex(*position(0.0)), abs=1e-14)
@@ -36,7 +36,7 @@ def test_a_point_carried_by_a_moving_link_moves_as_its_positions_say():
 
 def one_body(x, y, vx, vy, ax, ay, spin, spin_rate):
     values = (complex(x, y), complex(vx, vy), complex(ax, ay), 1.0 + 0.0j, spin, spin_rate)
-    return PlanarFrame(*(np.array([value]) for value in values))
+    return PlanarFrame(*(np.array([value]) for value in values), *np.zeros((2, 1, 1)))
 
 
 BODY = Body("link", 2.0, 0.0, 0.5)
