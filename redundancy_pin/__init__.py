@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from redundancy_pin.singularities.crossings import find_crossings
     from redundancy_pin.singularities.locus import singular_locus
     from redundancy_pin.singularities.performance import performance, platform_play, platform_stiffness
-    from redundancy_pin.singularities.workspace_map import workspace
+    from redundancy_pin.singularities.workspace import workspace
     from redundancy_pin.studies.co_design import co_design
     from redundancy_pin.view import show
     from redundancy_pin.visualisation.figures import plots as plot
@@ -76,7 +76,7 @@ _PLACES = {
         "singularities.crossings": "find_crossings",
         "singularities.locus": "singular_locus",
         "singularities.performance": "performance platform_play platform_stiffness",
-        "singularities.workspace_map": "workspace",
+        "singularities.workspace": "workspace",
         "studies.co_design": "co_design",
         "view": "show",
     }.items()

@@ -3,14 +3,14 @@
 Type I (serial): the platform velocity does not determine the joint velocities; K loses rank, and there is a platform
 twist that cannot be produced. Type II (parallel): with locked actuators a motion remains; T loses rank, and so does W.
 
-Robots with m ≠ n. With fewer actuators than freedoms (m < n) n − m independent platform motions are uncontrolled
-everywhere; with more (m > n) internal forces exist everywhere. Type II means the rank *below* that: rank W < min(n, m).
+Robots with m ≠ n. With fewer actuators than DOF (m < n) n − m independent platform motions are uncontrolled everywhere;
+with more (m > n) internal forces exist everywhere. Type II means a rank *below* that: rank W < min(n, m).
 
 The matrices whose rank decides, with J_c the constraint Jacobian, J_x the rows of the independent velocities and S the
 selection of the main actuators, all without the carrier columns:
 
 - K = [J_c; J_x] maps joint velocities to platform velocities and loses rank at a type I singularity;
-- T = [J_c; S] is what is left to move with locked actuators and loses rank at a type II singularity;
+- T = [J_c; S] maps joint velocities to closure and actuator rates and loses rank at a type II singularity;
 - W = Γᵀ Sᵀ maps actuator efforts to platform forces. Where K is regular T K⁻¹ = [I 0; * Wᵀ]: W lacks as much rank as T.
 
 Lengths are made comparable by one number, the robot's characteristic length L: every rotation (of a joint, of the
@@ -59,10 +59,10 @@ def locked_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
 
 
 def _below_closures(system: ConstraintSystem, state: ConstraintState, rows: Array, scale: Array) -> Array:
-    """Return rows (N, b, p), scaled, below those of the closures.
+    """Return the closure rows above rows (N, b, p), all scaled.
 
-    Where redundant rows were left out these are an orthonormal basis of all rows times these, the one nearest to the
-    rows that count: which rows say all may change along the motion.
+    If dependent closure rows were dropped, a basis of all rows replaces the independent ones, the nearest to them:
+    which rows are independent may change along a motion.
     """
     robot, r, speed = system.robot, len(system.rows), velocity_scale(system.robot)[system.pose_columns]
     closures = state.K[:, :r] * (system.closure_scale[:, None] / speed)
@@ -77,12 +77,7 @@ def _below_closures(system: ConstraintSystem, state: ConstraintState, rows: Arra
 
 
 def actuation_matrix(system: ConstraintSystem, serial: Array) -> Array:
-    """Return (N, n, m) the scaled actuation matrix D_x⁻¹ W D_a; NaN where K is exactly singular.
-
-    Args:
-        system: closures and platform rows.
-        serial: (N, p, p) from ``serial_matrix``.
-    """
+    """Return (N, n, m) the scaled actuation matrix D_x⁻¹ W D_a from K (N, p, p); NaN where K is exactly singular."""
     actuated = np.searchsorted(system.pose_columns, system.robot.actuated_velocity)
     gamma = inverses(serial)[:, :, len(system.rows) :]
     by_row: Array = gamma[:, actuated].transpose(0, 2, 1)
@@ -92,8 +87,7 @@ def actuation_matrix(system: ConstraintSystem, serial: Array) -> Array:
 def signed_margin(W: Array) -> Array:
     """Return (N,) the smallest singular value of W with the sign of its determinant.
 
-    Unlike the margin itself it changes sign where a type II singularity is crossed, and smoothly. Where W is not
-    square (m ≠ n) there is no determinant and the sign is +1.
+    It is smooth and changes sign where a type II singularity is crossed. Where W is not square (m ≠ n) the sign is +1.
 
     Args:
         W: (N, n, m) scaled actuation matrices; NaN gives NaN.
@@ -107,7 +101,7 @@ def signed_margin(W: Array) -> Array:
 
 
 class Margins(NamedTuple):
-    """Margins at N configurations.
+    """Singularity margins at N configurations.
 
     Attributes:
         parallel: (N,) signed margin to type II, see ``signed_margin``; NaN exactly at type I.
@@ -125,7 +119,7 @@ def margins_of(system: ConstraintSystem, state: ConstraintState) -> Margins:
 
 
 class SingularityKind(Labelled):
-    """What a configuration is; a combined singularity is of type I and of type II."""
+    """Kind of a configuration; a combined singularity is of type I and of type II."""
 
     UNREACHABLE = -1
     REGULAR = 0
@@ -136,10 +130,10 @@ class SingularityKind(Labelled):
 
 @dataclass(frozen=True, eq=False)
 class Singularities(Frozen):
-    """The singularities of N configurations; made by ``classify`` and ``classify_motion``.
+    """The singularities of N configurations; returned by ``classify`` and ``classify_motion``.
 
     A direction is a twist ẋ (m/s, rad/s, base frame) of length 1 m/s in the scaled metric, in which a rotation counts
-    with the characteristic length; its largest scaled component is positive. Everything is NaN where ``kind`` is
+    with the characteristic length; its largest scaled component is positive. All values are NaN where ``kind`` is
     ``UNREACHABLE``.
 
     Attributes:
@@ -159,9 +153,8 @@ class Singularities(Frozen):
             without the platform's.
         least_controlled: (N, n) the platform motion that the actuators resist least, at every configuration; for m < n
             the least controlled of those that are controlled at all.
-        least_producible: (N, n) the platform motion that asks most of the joints, at every configuration.
-        passive_motion: (N,) true where joints can move with actuators and platform at rest (then both K and T lose
-            rank).
+        least_producible: (N, n) the platform motion that needs the fastest joints, at every configuration.
+        passive_motion: (N,) whether joints can move with actuators and platform at rest; then K and T lose rank.
     """
 
     kind: NDArray[np.int8]
@@ -197,75 +190,26 @@ class Singularities(Frozen):
 
 
 def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
-    """Classify closed configurations, exact type I singularities included (where ``inverse_kinematics`` has to refuse).
+    """Classify closed configurations; type I singularities, which ``inverse_kinematics`` refuses, are included.
 
     Args:
         robot: the robot, or its name or path.
         q: (N, nq) or (nq,) configurations of the tree, closed; carriers do not matter.
         tolerance: singular values below this fraction of the largest (of W also below this) count as zero. A type I
-            configuration that comes from a position (rather than from a joint angle) is only exact to the square root
-            of rounding: ask for 1e-7 there.
+            configuration that was solved from a position (not from a joint angle) is exact to the square root of
+            rounding only: pass 1e-7 there.
 
     Raises:
         InputError: wrong shape, values that are not finite, a configuration that is not closed, or a tolerance
             outside (0, 1).
+
+    Example:
+        >>> classify("3rrr", load_robot("3rrr").q_reference).kind
     """
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
     robot = as_robot(robot)
     system, state = closed_state(robot, q)
-    return _classified(system, state, tolerance)
-
-
-def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, ConstraintState]:
-    """Return closures and Jacobians at configurations (N, nq) or (nq,) that somebody passed.
-
-    Raises:
-        InputError: wrong shape, values that are not finite, or a configuration that is not closed.
-    """
-    configurations = rows_of(q, "q", ("N", robot.model.nq))
-    system = constraint_system(robot)
-    state = system.evaluate(configurations)
-    gap = system.gap(state.phi)
-    bad = np.flatnonzero(gap > closure_tolerance(system.robot))
-    if len(bad):
-        k = int(bad[0])
-        raise InputError(
-            f"Configuration {k} is not closed: its largest closure row is {gap[k]:.3g} ({len(bad)} of {len(gap)} are "
-            "open).",
-            remedy="Close the chains first, with inverse_kinematics or assemble.",
-            sample=k,
-            gap=float(gap[k]),
-        )
-    return system, state
-
-
-def classify_motion(motion: JointTrajectory, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
-    """Classify the samples of a lifted motion; unreachable ones are marked.
-
-    Args:
-        motion: N samples, from ``inverse_kinematics``.
-        tolerance: see ``classify``.
-
-    Raises:
-        InputError: a tolerance outside (0, 1).
-    """
-    require_type(motion, JointTrajectory, "A lifted motion", "Pass what inverse_kinematics(robot, motion) returns.")
-    good = motion.reachable
-    part = vars(classify(motion.robot, motion.q[good], tolerance=tolerance))
-    if good.all():
-        return Singularities(**part)
-    spread = {}
-    for name, values in part.items():
-        # 0 as a truth value is False: no passive motion
-        nothing = np.nan if values.dtype.kind == "f" else SingularityKind.UNREACHABLE if name == "kind" else 0
-        spread[name] = np.full((len(good), *values.shape[1:]), nothing, dtype=values.dtype)
-        spread[name][good] = values
-        read_only(spread[name])
-    return Singularities(**spread)
-
-
-def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: float) -> Singularities:
     rows = row_scale(system.robot)
     K, T = serial_matrix(system, state), locked_matrix(system, state)
     serial, locked = np.linalg.svd(K), np.linalg.svd(T)
@@ -275,6 +219,9 @@ def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: flo
     spectrum = spectrum_of(W)
     unscaled = spectrum_of(W * (rows[:, None] / column_scale(system.robot)))
     type_ii = np.where(type_i, _lacks_rank(locked.S, tolerance), spectrum.rank(tolerance) < min(W.shape[1:]))
+    # a motion in the null space of all rows: closures, platform and actuators are at rest
+    everything = np.concatenate([K, T[:, len(system.rows) :]], axis=1)
+    passive = type_i & type_ii & _lacks_rank(np.linalg.svd(everything, compute_uv=False), tolerance)
 
     twists = K[:, len(system.rows) :] @ locked.Vh.transpose(0, 2, 1)
     least_controlled = _least_controlled(W, twists[:, :, locked.S.shape[1] - 1], type_i)
@@ -288,18 +235,59 @@ def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: flo
         serial_margin=read_only(serial.S[:, -1].copy()),
         parallel_margin=spectrum.margin,
         locked_margin=read_only(locked.S[:, -1].copy()),
-        condition=_condition(spectrum.condition, type_i | type_ii),
-        condition_unscaled=_condition(unscaled.condition, type_i | type_ii),
+        # rounding turns an infinite condition number into any large number
+        condition=read_only(np.where(type_i | type_ii, np.inf, spectrum.condition)),
+        condition_unscaled=read_only(np.where(type_i | type_ii, np.inf, unscaled.condition)),
         uncontrolled_twist=read_only(oriented(uncontrolled) / rows),
         lost_direction=read_only(oriented(lost) / rows),
         least_controlled=read_only(oriented(least_controlled) / rows),
         least_producible=read_only(oriented(_unit(covectors[:, :, -1])) / rows),
-        passive_motion=_passive(np.concatenate([K, T[:, len(system.rows) :]], axis=1), type_i & type_ii, tolerance),
+        passive_motion=read_only(passive),
     )
 
 
+def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, ConstraintState]:
+    """Return closures and Jacobians at configurations (N, nq) or (nq,) from a user.
+
+    Raises:
+        InputError: wrong shape, values that are not finite, or a configuration that is not closed.
+    """
+    configurations = rows_of(q, "q", ("N", robot.model.nq))
+    system = constraint_system(robot)
+    state = system.evaluate(configurations)
+    residual = system.gap(state.phi)
+    bad = np.flatnonzero(residual > closure_tolerance(system.robot))
+    if len(bad):
+        k = int(bad[0])
+        raise InputError(
+            f"Configuration {k} is not closed: its closure residual is {residual[k]:.3g} m ({len(bad)} of "
+            f"{len(residual)} are not closed).",
+            remedy="Close the chains first, with inverse_kinematics or assemble.",
+            sample=k,
+            gap=float(residual[k]),
+        )
+    return system, state
+
+
+def classify_motion(motion: JointTrajectory, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
+    """Classify the samples of a joint trajectory from ``inverse_kinematics``; unreachable ones are marked.
+
+    Raises:
+        InputError: a tolerance outside (0, 1), see ``classify``.
+    """
+    require_type(motion, JointTrajectory, "A joint trajectory", "Pass what inverse_kinematics(robot, motion) returns.")
+    good, spread = motion.reachable, {}
+    for name, values in vars(classify(motion.robot, motion.q[good], tolerance=tolerance)).items():
+        # 0 as a truth value is False: no passive motion
+        nothing = np.nan if values.dtype.kind == "f" else SingularityKind.UNREACHABLE if name == "kind" else 0
+        spread[name] = np.full((len(good), *values.shape[1:]), nothing, dtype=values.dtype)
+        spread[name][good] = values
+        read_only(spread[name])
+    return Singularities(**spread)
+
+
 def _lacks_rank(values: Array, tolerance: float) -> BoolArray:
-    """Return (N,) whether the smallest singular value counts as zero; values (N, c), largest first, NaN gives no."""
+    """Return (N,) whether the smallest singular value counts as zero; values (N, c), largest first; NaN does not."""
     result: BoolArray = values[:, -1] <= tolerance * values[:, 0]
     return result
 
@@ -313,31 +301,18 @@ def _least_controlled(W: Array, locked: Array, type_i: BoolArray) -> Array:
 
 
 def _widest(vectors: Array, values: Array, tolerance: float) -> Array:
-    """Return (N, n) the unit vector along which the vectors of a null space reach farthest, NaN where all are zero.
+    """Return (N, n) the unit vector along which vectors of a null space extend farthest, NaN where all are zero.
 
     Args:
         vectors: (N, n, p) the platform's part of each singular vector.
-        values: (N, c) its singular value, c ≤ p; vectors without one belong to no loss of rank.
+        values: (N, c) its singular value, c ≤ p; vectors without a value belong to no loss of rank.
         tolerance: singular values below this fraction of the largest count as zero.
     """
     null = values <= tolerance * values[:, :1]
     u, size, _ = np.linalg.svd(vectors[:, :, : values.shape[1]] * null[:, None, :], full_matrices=False)
-    # null vectors are exact to about the tolerance; a platform part below its root is none
+    # null vectors are exact to about the tolerance: a platform part below its root is rounding
     result: Array = np.where(size[:, :1] > np.sqrt(tolerance), u[:, :, 0], np.nan)
     return result
-
-
-def _passive(everything: Array, candidates: BoolArray, tolerance: float) -> BoolArray:
-    """Return (N,) whether a joint motion exists that neither closures nor platform nor actuators see."""
-    result = np.zeros(len(everything), dtype=bool)
-    if candidates.any():
-        result[candidates] = _lacks_rank(spectrum_of(everything[candidates]).singular_values, tolerance)
-    return read_only(result)
-
-
-def _condition(condition: Array, singular: BoolArray) -> Array:
-    # what rounding makes of an infinite condition number is any large number
-    return read_only(np.where(singular, np.inf, condition))
 
 
 def _unit(vectors: Array) -> Array:

@@ -63,6 +63,15 @@ def test_carriers_take_over_where_the_matrix_loses_rank(second):
     assert allocation.deviation == pytest.approx([-2.0 * 0.5 / 0.26, -2.0 * 0.1 / 0.26], rel=1e-2)
 
 
+def test_too_few_actuators_are_told_apart_from_a_singular_pose():
+    """One motor and no carrier for two directions: W has all the rank that a column can have."""
+    one = {"effort_scale": np.ones(1), "carrier_scale": np.ones(0)}
+    allocation = shared([[1.0], [0.0]], np.zeros((2, 0)), [1.0, 0.25], (0.0,), **one)
+    assert allocation.status is SampleStatus.UNDERACTUATED
+    assert allocation.residual == pytest.approx(0.25)
+    assert not allocation.balanced
+
+
 def test_a_direction_that_nobody_reaches_is_reported_with_what_is_missing():
     allocation = shared([[1.0, 1.0], [0.0, 0.0]], [[0.3, 0.0], [0.0, 0.0]], [1.0, 0.25])
     assert allocation.status is SampleStatus.SINGULAR_INCONSISTENT
@@ -86,6 +95,7 @@ def test_what_a_limit_cuts_off_is_left_to_the_carriers():
 def test_beyond_all_limits_the_missing_force_is_the_residual():
     allocation = shared(np.eye(2), np.zeros((2, 2)), [3.0, 0.5], effort_limit=np.array([1.0, 1.0]))
     assert allocation.status is SampleStatus.BOUND_INFEASIBLE
+    assert allocation.balanced  # every direction has an effect: it is the limits that fall short
     assert allocation.residual == pytest.approx(2.0)
     assert np.abs(allocation.tau).max() == 1.0
 
@@ -193,6 +203,7 @@ def test_carriers_and_efforts_at_their_limits_miss_least():
     coupling, force = np.array([[-1.0, 0.0], [0.0, -1.0]]), np.array([3.0, 0.0])
     allocation = shared(np.eye(2), coupling, force, **settings)
     assert allocation.status is SampleStatus.BOUND_INFEASIBLE
+    assert allocation.balanced  # every direction has an effect: it is the limits that fall short
     best = minimize(
         lambda u: float(np.sum((force - u[:2] - u[2:]) ** 2)),
         np.zeros(4),

@@ -155,7 +155,7 @@ def test_refusals() -> None:
     from dataclasses import replace
 
     weak = replace(robot, actuated=robot.actuated[:1], actuated_velocity=robot.actuated_velocity[:1])
-    with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
+    with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 DOF"):
         rp.performance(weak, q)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, require_type
 from redundancy_pin.kinematics.coordinates import mode_name
-from redundancy_pin.singularities.workspace_map import Workspace
+from redundancy_pin.singularities.workspace import Workspace
 from redundancy_pin.visualisation.figures.paths import draw_mechanism, label_plane, projection
 from redundancy_pin.visualisation.figures.shading import COLORS, brightest, hatched, shade
 from redundancy_pin.visualisation.figures.style import figure, legend_below

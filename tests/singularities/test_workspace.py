@@ -14,8 +14,8 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.singularities.workspace import default_axes, slice_of
-from redundancy_pin.singularities.workspace_map import Workspace
+from redundancy_pin.singularities.grid import default_axes, slice_through
+from redundancy_pin.singularities.workspace import Workspace
 
 BASE = 0.5  # m, between the hinges of the shipped five-bar
 AROUND = [(-0.6, 1.1), (-1.0, 1.0)]
@@ -76,8 +76,7 @@ def test_margins_are_those_of_the_legs_directions(five_bar: Workspace) -> None:
 
 def test_the_default_grid_ends_beyond_the_workspace() -> None:
     robot = zoo.robot_of("five_bar")
-    system = zoo.system_of(robot)
-    x, y = default_axes(system, slice_of(system, None), 9)
+    x, y = default_axes(slice_through(robot, ("x", "y")), 9)
     tip = np.sqrt(1.0 - (BASE / 2.0) ** 2)  # 0.968: where the discs' borders meet
     assert y[0] < -tip
     assert y[-1] > tip

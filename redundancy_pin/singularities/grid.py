@@ -1,0 +1,358 @@
+"""Configurations over a grid of platform coordinates, on one solution branch: the basis of loci and workspaces.
+
+The grid is flooded from one closed configuration: every solved node is where Newton's method starts for its neighbours.
+``_Flood._attempt`` is the only place that solves for configurations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, frozen, read_only
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.continuation import follows
+from redundancy_pin.kinematics.coordinates import coordinates, difference
+from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.joint_ranges import out_of_range
+from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.scales import is_revolute, turning_velocities, velocity_unit
+from redundancy_pin.singularities.classify import Margins, margins_of
+
+_FARTHEST = 1e9
+"""Largest bounds, characteristic lengths: squares of larger numbers lose the robot in rounding."""
+
+_REACH = 4.0
+"""Half width of the search for the workspace, characteristic lengths; twice that if the workspace goes on beyond it."""
+
+_COARSE, _COARSE_IN_SPACE = 61, 15
+"""Nodes along each axis of the search grid, in the plane and in space."""
+
+_BORDER = 0.03
+"""Room left around the workspace, as a fraction of its size."""
+
+_NEWTON = 10
+"""Newton iterations per node: a neighbour in reach needs three to six."""
+
+_SHORTEST_STEP = 2.0**-3
+"""Fraction of a Newton step below which a node is left to a nearer neighbour."""
+
+_LONGEST_STEP = 2.0
+"""Largest change of a joint between neighbours, rad or characteristic lengths. A leg near its base hinge turns by up to
+π/2; a leg that Newton's method moved to another turn turns by more."""
+
+_TRIED, _STARTS, _SEED = 60, 6, 20141
+"""Nodes at which islands are searched, random starts at each, and a fixed seed of the random numbers."""
+
+_SLIDE = 0.6
+"""Largest change of a sliding joint at random starts, characteristic lengths."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slice(Frozen):
+    """The part of a workspace that a grid covers: some coordinates vary, the others are fixed.
+
+    Attributes:
+        system: closures and platform rows of the robot, in the working mode of the slice.
+        names: names of the coordinates that vary.
+        units: of each, "m" or "rad".
+        free: columns of x that vary; of a pose the rows of its translation.
+        x: (n,) coordinates or a pose (4, 4) of the start, base frame, m and rad.
+        q: (nq,) the configuration there.
+    """
+
+    system: ConstraintSystem
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    free: tuple[int, ...]
+    x: Array
+    q: Array
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceGrid:
+    """Configurations over a rectangular grid of one or two platform coordinates, the others fixed.
+
+    Attributes:
+        axes: the grid's coordinates along each of them, increasing, m or rad.
+        x: (G, n) platform coordinates of all nodes, the last axis running fastest.
+        q: (G, nq) configurations, NaN where not reachable.
+        part: (G,) 0 for nodes connected to the start; 1, 2, ... for islands, which are not connected to it within the
+            slice; −1 for nodes without a closed configuration in the working mode.
+    """
+
+    axes: tuple[Array, ...]
+    x: Array
+    q: Array
+    part: IntArray
+
+    @property
+    def reachable(self) -> BoolArray:
+        """(G,) whether a closed configuration in the working mode was found."""
+        return read_only(self.part >= 0)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of nodes along each axis."""
+        return tuple(len(axis) for axis in self.axes)
+
+
+def slice_through(robot: Robot, names: tuple[str, ...], x: Array | None = None) -> Slice:
+    """Return the slice through a position; through that of the reference configuration when left out.
+
+    Args:
+        robot: the robot.
+        names: the coordinates that vary, translations of the platform or independent joints.
+        x: (n,) coordinates or a pose (4, 4), base frame, m and rad.
+
+    Raises:
+        UnreachablePoseError, SingularPoseError, WorkingModeError: the robot cannot be there.
+    """
+    known = robot.platform.axes if robot.platform else robot.independent_joints
+    columns = tuple("xyz".index(name) if is_pose(robot) else known.index(name) for name in names)
+    turning = [robot.platform is None and is_revolute(robot, name) for name in names]
+    system, q = ConstraintSystem(robot), np.array(robot.q_reference)
+    if x is None:
+        x = coordinates(robot, system.evaluate(q[None]))[0]
+    else:
+        q = point_on_branch(system, x).q
+    return Slice(system, names, tuple("rad" if turns else "m" for turns in turning), columns, frozen(x), frozen(q))
+
+
+def bounded_axes(robot: Robot, names: tuple[str, ...], bounds: ArrayLike, resolution: int) -> tuple[Array, ...]:
+    """Return the axes of a grid between bounds (f, 2), m and rad.
+
+    Raises:
+        InputError: not one increasing pair per coordinate, or bounds far beyond the robot.
+    """
+    ends = checked(bounds, "bounds", (len(names), 2))
+    if np.abs(ends).max() > _FARTHEST * robot.characteristic_length:
+        raise InputError(
+            f"bounds are up to {np.abs(ends).max():g}, {robot.name} has a size of {robot.characteristic_length:g} m.",
+            remedy=f"Stay within {_FARTHEST:g} times that.",
+        )
+    if not (ends[:, 0] < ends[:, 1]).all():
+        raise InputError(
+            f"bounds are {bounds!r}; the grid runs over {', '.join(names)}.",
+            remedy="Pass one (lower, upper) pair for each of them.",
+        )
+    return axes_between(ends, resolution)
+
+
+def axes_between(ends: Array, resolution: int) -> tuple[Array, ...]:
+    """Return axes with evenly spaced nodes between ends (f, 2)."""
+    return tuple(np.linspace(low, high, resolution) for low, high in ends.tolist())
+
+
+def default_axes(place: Slice, resolution: int, *, within_ranges: bool = False) -> tuple[Array, ...]:
+    """Return the axes of a grid that covers the workspace around the start of a slice.
+
+    A coarse grid over four characteristic lengths to each side finds how far the workspace extends; over eight, if it
+    extends beyond four and ends within eight. A joint that turns is taken once round.
+
+    Args:
+        place: the slice.
+        resolution: nodes along each axis.
+        within_ranges: cover only nodes with all joints within their ranges, islands included.
+    """
+    robot, middle = place.system.robot, positions(place.x[None], place.free)[0]
+    half = _REACH * robot.characteristic_length
+    if robot.platform is None:
+        far = np.array([np.pi if unit == "rad" else half for unit in place.units])
+        return axes_between(np.stack([middle - far, middle + far], axis=1), resolution)
+    coarse = _COARSE if len(place.free) < 3 else _COARSE_IN_SPACE
+
+    def extent(ends: Array) -> tuple[Array, bool]:
+        """Return (f, 2) the range of reached nodes within ``ends`` (f, 2), a cell wider; whether it ends there."""
+        grid = solve_grid(place, axes_between(ends, coarse), islands=within_ranges)
+        inside = grid.reachable & ~out_of_range(robot, grid.q, motion=False)
+        reached = positions(grid.x[inside if within_ranges and inside.any() else grid.reachable], place.free)
+        limits, cell = np.stack([reached.min(axis=0), reached.max(axis=0)], axis=1), np.ptp(ends, axis=1) / (coarse - 1)
+        return limits + cell[:, None] * [-1.0, 1.0], bool((np.abs(limits - ends) > 0.5 * cell[:, None]).all())
+
+    outer = middle[:, None] + half * np.array([-1.0, 1.0])
+    found, ends_inside = extent(outer)
+    if not ends_inside:
+        farther = middle[:, None] + 2.0 * half * np.array([-1.0, 1.0])
+        wider, ends_inside = extent(farther)
+        outer, found = (farther, wider) if ends_inside else (outer, found)
+    if within_ranges and len(place.free) == 2:
+        # a horn that is narrower than a cell extends beyond the last node in it
+        cell = np.ptp(outer, axis=1, keepdims=True) / (coarse - 1)
+        closer, _ = extent(_clip(found + 2.0 * cell * [-1.0, 1.0], outer))
+        found = np.stack([np.minimum(found, closer)[:, 0], np.maximum(found, closer)[:, 1]], axis=1)
+    room = _BORDER * np.ptp(found, axis=1, keepdims=True)
+    return axes_between(_clip(found + room * [-1.0, 1.0], outer), resolution)
+
+
+def _clip(ends: Array, outer: Array) -> Array:
+    """Return ends (f, 2) within those of another range (f, 2)."""
+    clipped: Array = np.clip(ends, outer[:, :1], outer[:, 1:])
+    return clipped
+
+
+def positions(x: Array, free: tuple[int, ...]) -> Array:
+    """Return (N, f) the free coordinates of (N, n) coordinates, or translations of (N, 4, 4) poses."""
+    return x[:, list(free), 3] if x.ndim == 3 else x[:, list(free)]
+
+
+def solve_grid(place: Slice, axes: tuple[Array, ...], *, islands: bool = False) -> WorkspaceGrid:
+    """Return the configurations over a grid, flooded from the start of a slice.
+
+    Only the part of the workspace that is connected to the start within the slice is found; with ``islands`` also nodes
+    connected by the corner of a cell only, and parts that random starts meet.
+    """
+    mesh = np.meshgrid(*axes, indexing="ij")
+    nodes = np.repeat(place.x[None], mesh[0].size, axis=0)
+    for column, values in zip(place.free, mesh, strict=True):
+        nodes[(slice(None), column, 3) if nodes.ndim == 3 else (slice(None), column)] = values.ravel()
+    flood = _Flood(place.system, nodes, mesh[0].shape, across_corners=islands and len(axes) > 1)
+    flood.run(place.x, place.q)
+    if islands:
+        flood.look_for_islands(place, axes)
+    grid_axes = tuple(read_only(np.array(axis)) for axis in axes)
+    return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.part)))
+
+
+def grid_margins(place: Slice, grid: WorkspaceGrid) -> Margins:
+    """Return the singularity margins (G,) at the nodes of a grid, NaN where not reachable."""
+    system, values = place.system, np.full((2, len(grid.q)), np.nan)
+    reached = np.flatnonzero(grid.reachable)
+    for part in blocks(len(reached)):
+        values[:, reached[part]] = margins_of(system, system.evaluate(grid.q[reached[part]]))
+    return Margins(*values)
+
+
+class _Flood:
+    """State of the flooding; used up by one run."""
+
+    def __init__(self, system: ConstraintSystem, nodes: Array, shape: tuple[int, ...], *, across_corners: bool) -> None:
+        self.system, self.nodes, self.shape, self.across_corners = system, nodes, shape, across_corners
+        self.q = np.full((len(nodes), system.robot.model.nq), np.nan)
+        self.gamma = np.zeros((len(nodes), system.robot.model.nv, system.robot.n))
+        self.solved = np.zeros(len(nodes), dtype=bool)
+        self.part = np.full(len(nodes), -1)
+
+    def run(self, x: Array, q: Array) -> None:
+        """Solve the nodes nearest to the start, then outward in waves until no new node closes."""
+        gamma = project(self.system, self.system.evaluate(q[None])).gamma
+        distance = np.abs(difference(self.system.robot, self.nodes, np.repeat(x[None], len(self.nodes), axis=0)))
+        nearest = np.argsort(distance.max(axis=1), kind="stable")[: 4 ** len(self.shape)]
+        start = (part.repeat(len(nearest), axis=0) for part in (x[None], q[None], gamma))
+        self._spread(self._reach(nearest, *start))
+        self.part[self.solved] = 0
+
+    def look_for_islands(self, place: Slice, axes: tuple[Array, ...]) -> None:
+        """Search islands from random starts, at some nodes not reached, and spread from the nodes that close.
+
+        A random start is closed by itself first: it meets a small island more often than a node of the grid does.
+        """
+        robot, columns = self.system.robot, self.system.pose_columns
+        unsolved = np.flatnonzero(~self.solved)
+        targets = np.repeat(unsolved[:: max(1, len(unsolved) // _TRIED)], _STARTS)
+        spread = np.where(turning_velocities(robot)[columns], np.pi, _SLIDE) * self.system.step_unit
+        steps = np.zeros((len(targets), robot.model.nv))
+        steps[:, columns] = np.random.default_rng(_SEED).uniform(-1.0, 1.0, (len(targets), len(columns))) * spread
+        guess = integrate(robot.model, np.repeat(place.q[None], len(targets), axis=0), steps)
+        closed = assemble(self.system, guess)
+        x = positions(coordinates(robot, closed.state), place.free)
+        origin, cell = np.array([axis[:2] for axis in axes]).T
+        near = np.rint((x - origin) / (cell - origin))
+        inside = ((near >= 0) & (near < self.shape)).all(axis=1) & closed.closed
+        hit = np.ravel_multi_index(tuple(near[inside].astype(int).T), self.shape)
+        targets, guess = np.append(targets, hit), np.concatenate([guess, closed.q[inside]])
+        targets, guess = targets[~self.solved[targets]], guess[~self.solved[targets]]
+        found = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
+        for k in np.flatnonzero(found.usable):
+            if not self.solved[targets[k]]:
+                self.q[targets[k]], self.gamma[targets[k]] = found.q[k], found.gamma[k]
+                earlier = self.solved.copy()
+                self.solved[targets[k]] = True
+                self._spread(targets[k : k + 1])
+                self._number(np.flatnonzero(self.solved & ~earlier))
+        self.part = np.unique(np.append(self.part, [-1, 0]), return_inverse=True)[1][:-2] - 1  # without gaps
+        self.q[self.part < 0] = np.nan
+
+    def _number(self, new: IntArray) -> None:
+        """Number new nodes. An island that touches another part belongs to it, if working modes tell branches apart.
+
+        Without working modes it is another branch. The larger part stays: a start near a stretched leg may lead to a
+        node or two of the other branch, and no further.
+        """
+        touched = np.unique(self.part[self._beside(new, corners=True)[0]])
+        touched = touched[touched >= 0]
+        others = np.isin(self.part, touched)
+        if self.system.robot.working_modes is None and len(touched):
+            if touched[0] == 0 or len(new) <= others.sum():
+                return
+            self.part[others] = -1
+            touched = touched[:0]
+        self.part[new] = self.part[others] = touched[0] if len(touched) else self.part.max() + 1
+
+    def _spread(self, front: IntArray) -> None:
+        """Solve the neighbours of solved nodes, outward in waves until no new node closes.
+
+        Neighbours across corners are tried last, if at all: a strip may be narrower than a cell.
+        """
+        fresh = [front]
+        while len(front):
+            front = self._wave(front, corners=False)
+            fresh.append(front)
+            if not len(front) and self.across_corners:
+                front = self._wave(np.concatenate(fresh), corners=True)
+                fresh = [front]
+
+    def _wave(self, front: IntArray, *, corners: bool) -> IntArray:
+        """Solve the unsolved neighbours of nodes, each from one of them; return those that closed."""
+        targets, sources = self._beside(front, corners=corners)
+        unsolved = ~self.solved[targets]
+        targets, first = np.unique(targets[unsolved], return_index=True)
+        sources = sources[unsolved][first]
+        return self._reach(targets, self.nodes[sources], self.q[sources], self.gamma[sources])
+
+    def _beside(self, front: IntArray, *, corners: bool) -> tuple[IntArray, IntArray]:
+        """Return the neighbours of nodes along each axis, or at corners too, and the node each is a neighbour of."""
+        targets, sources = [], []
+        index = np.stack(np.unravel_index(front, self.shape))
+        for step in product((-1, 0, 1), repeat=len(self.shape)):
+            if any(step) and (corners or sum(map(abs, step)) == 1):
+                moved = index + np.array(step)[:, None]
+                inside = ((moved >= 0) & (moved < np.array(self.shape)[:, None])).all(axis=0)
+                targets.append(np.ravel_multi_index(tuple(moved[:, inside]), self.shape))
+                sources.append(front[inside])
+        return np.concatenate(targets), np.concatenate(sources)
+
+    def _reach(self, targets: IntArray, x: Array, q: Array, gamma: Array) -> IntArray:
+        """Solve nodes from configurations nearby, with a predicted step and, where that fails, without."""
+        increment = difference(self.system.robot, self.nodes[targets], x)
+        step = np.einsum("nvi,ni->nv", gamma, increment)
+        size = np.abs(step / velocity_unit(self.system.robot)).max(axis=1, initial=0.0)
+        step *= np.minimum(1.0, 0.5 * _LONGEST_STEP / np.maximum(size, np.finfo(float).tiny))[:, None]
+        for part in (step, np.zeros_like(step)):
+            again = np.flatnonzero(~self.solved[targets])
+            if len(again):
+                self._attempt(targets[again], q[again], part[again], gamma[again], increment[again])
+        return targets[self.solved[targets]]
+
+    def _attempt(self, targets: IntArray, q: Array, step: Array, gamma: Array, increment: Array) -> None:
+        """Solve nodes from guesses q ⊕ step, and keep the configurations on the branch of q."""
+        robot, model = self.system.robot, self.system.robot.model
+        guess = integrate(model, q, step)
+        solution = assemble(
+            self.system, guess, self.nodes[targets], max_iterations=_NEWTON, shortest_step=_SHORTEST_STEP
+        )
+        change = configuration_difference(model, q, solution.q)
+        if robot.working_modes is None:
+            # nothing but continuity tells the branches apart
+            same = follows(self.system, change, gamma, solution.gamma, increment)
+        else:
+            same = solution.in_mode & (np.abs(change / velocity_unit(robot)).max(axis=1) < _LONGEST_STEP)
+        good = solution.regular & same
+        chosen = targets[good]
+        self.q[chosen], self.gamma[chosen], self.solved[chosen] = solution.q[good], solution.gamma[good], True
