@@ -111,13 +111,13 @@ def test_efforts_obey_lagrange(case):
 
 
 def test_energy_is_that_of_the_point_masses(case):
-    got = case.along.energy(case.carriers)
+    got = case.along.efforts(case.carriers).energy
     want = [case.oracle.energy(q, qd, case.gravity) for q, qd, _ in case.states()]
     assert_close(got, np.array(want), 1e-12)  # both exact but for rounding
 
 
 def test_base_wrench_is_weight_less_rate_of_momentum(case):
-    got = case.along.base_wrench(case.carriers)
+    got = case.along.efforts(case.carriers).ground
     for k, state in enumerate(case.states()):
         assert_close(got[k], case.oracle.base_wrench(*state, case.gravity))
 
@@ -132,7 +132,7 @@ def test_power_is_the_rate_of_energy(case):
             case.mechanism, case.oracle, case.gravity, case.n,
             case.q + case.qd * t + 0.5 * case.qdd * t**2, case.qd + case.qdd * t, case.qdd,
         )  # fmt: skip
-        return moved.along.energy(moved.carriers)
+        return moved.along.efforts(moved.carriers).energy
 
     assert_close(power, derivative(energy_at))
 

@@ -16,7 +16,7 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.virtual_work.loads import LoadEffects, add_loads, require_known
+from redundancy_pin.dynamics.virtual_work.loads import add_loads, require_known
 from redundancy_pin.dynamics.virtual_work.mechanism import Carriers, Efforts
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
@@ -123,7 +123,7 @@ class VirtualWorkAlongMotion(Frozen):
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
         moved, k = self._leg_major(carriers), self._robot.k
-        efforts = self._efforts(moved)[0]
+        efforts = self._efforts(moved)
         return ReducedDynamics(
             t=self._motion.t,
             f=self._result(np.ascontiguousarray(efforts.f.T)),
@@ -151,7 +151,7 @@ class VirtualWorkAlongMotion(Frozen):
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
         """Return the exact derivatives of f and carrier forces by s, ṡ, s̈."""
-        k, efforts = self._robot.k, self._efforts(self._leg_major(carriers), derivatives=True)[0]
+        k, efforts = self._robot.k, self._efforts(self._leg_major(carriers), derivatives=True)
         of_f = [self._result(part[:, :k].transpose(2, 0, 1).copy()) for part in efforts.by_f]
         of_force = [self._result(part[:k, :k].transpose(2, 0, 1).copy()) for part in efforts.by_force]
         return CarrierDerivatives(*of_f, *of_force)
@@ -162,13 +162,11 @@ class VirtualWorkAlongMotion(Frozen):
         Shaking force, N, and moment about the world origin, N·m, world axes. Gravity out of the plane enters here,
         and here alone.
         """
-        moved = self._leg_major(carriers)
-        return self._result(self._dynamics.base_wrench(moved) + self._efforts(moved)[1].ground)
+        return self._result(self._efforts(self._leg_major(carriers)).ground)
 
     def energy(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
-        moved = self._leg_major(carriers)
-        return self._result(self._dynamics.energy(moved) + self._efforts(moved)[1].energy)
+        return self._result(self._efforts(self._leg_major(carriers)).energy)
 
     def closure_margin(self) -> Array:
         """Return (N,) ones, NaN where unreachable: in one working mode the closed form has no branches that meet."""
@@ -178,21 +176,18 @@ class VirtualWorkAlongMotion(Frozen):
     def _wrenches(self) -> tuple[Array, ...]:
         return wrench_values(self._robot.loads, self._motion.t, self._motion.x, self._motion.xd)
 
-    def _efforts(self, carriers: Carriers, *, derivatives: bool = False) -> tuple[Efforts, LoadEffects]:
-        """Return what links, carriers and loads require, and what else the loads do."""
+    def _efforts(self, carriers: Carriers, *, derivatives: bool = False) -> Efforts:
+        """Return what links, carriers and loads require."""
         efforts = self._dynamics.efforts(carriers, derivatives=derivatives)
-        return efforts, add_loads(efforts, self._robot, self._wrenches, self._dynamics, carriers)
+        add_loads(efforts, self._robot, self._wrenches, self._dynamics, carriers)
+        return efforts
 
     def _leg_major(self, carriers: CarrierMotion | None) -> Carriers:
         """Return s, ṡ, s̈ as (legs, N); zero where the robot has no carriers."""
-        samples = len(self._motion)
-        if carriers is not None:
-            require_matching_carriers(self._robot, carriers, samples)
-        if carriers is None or self._robot.k == 0:
-            zero = np.zeros((self._robot.m, samples))
-            return zero, zero, zero
-        s, sd, sdd = (np.ascontiguousarray(part.T) for part in (carriers.s, carriers.sd, carriers.sdd))
-        return s, sd, sdd
+        matched = require_matching_carriers(self._robot, carriers, len(self._motion))
+        if self._robot.k == 0:
+            return (np.zeros((self._robot.m, len(self._motion))),) * 3
+        return matched.s.T.copy(), matched.sd.T.copy(), matched.sdd.T.copy()
 
     def _result(self, array: Array) -> Array:
         if not self._all_reachable:

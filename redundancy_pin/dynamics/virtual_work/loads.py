@@ -9,7 +9,6 @@ the base alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,13 +27,6 @@ from redundancy_pin.robot import JointForces, Load, Payload, Robot, Spring, Wren
 from redundancy_pin.robot.loads import of_kind
 
 
-class LoadEffects(NamedTuple):
-    """What of the loads reaches the base (N, 6), N and N·m, and their energy (N,), J."""
-
-    ground: Array
-    energy: Array
-
-
 def require_known(robot: Robot, frames: Sequence[str], joints: Sequence[str]) -> None:
     """Check that the closed form has the links and joints of the robot's loads.
 
@@ -42,9 +34,9 @@ def require_known(robot: Robot, frames: Sequence[str], joints: Sequence[str]) ->
         UnsupportedRobotError: it has not.
     """
     for load in robot.loads:
-        named = (load.joint,) if isinstance(load, JointForces) else _frames_of(load)
-        for name in named:
-            if name not in (joints if isinstance(load, JointForces) else frames):
+        known = joints if isinstance(load, JointForces) else frames
+        for name in _names(load):
+            if name not in known:
                 raise UnsupportedRobotError(
                     f"The closed form of {robot.name} does not cover {load!r}.",
                     remedy=f"It has the links {', '.join(frames)} and the joints {', '.join(joints)}; RneaDynamics has "
@@ -53,15 +45,15 @@ def require_known(robot: Robot, frames: Sequence[str], joints: Sequence[str]) ->
                 )
 
 
-def _frames_of(load: Load) -> tuple[str, ...]:
-    if isinstance(load, Spring):
-        return load.frame_a, load.frame_b
-    return () if isinstance(load, JointForces) else (load.frame,)
+def _names(load: Load) -> tuple[str, ...]:
+    if isinstance(load, JointForces):
+        return (load.joint,)
+    return (load.frame_a, load.frame_b) if isinstance(load, Spring) else (load.frame,)
 
 
 def add_loads(
     efforts: Efforts, robot: Robot, wrenches: Sequence[Array], dynamics: PlanarDynamics, carriers: Carriers
-) -> LoadEffects:
+) -> None:
     """Add to the efforts what the loads of a robot require at N samples.
 
     Args:
@@ -71,8 +63,6 @@ def add_loads(
         dynamics: dynamics along the motion, which place links and joints.
         carriers: s, ṡ, s̈, (legs, N) each.
     """
-    samples = carriers[0].shape[1]
-    ground, energy = np.zeros((samples, 6)), np.zeros(samples)
     for wrench, value in zip(of_kind(robot.loads, Wrench), wrenches, strict=True):
         here = dynamics.frame(wrench.frame, carriers)
         axis = here.axis if wrench.reference == "local" else 1.0
@@ -80,16 +70,12 @@ def add_loads(
         point, height = here.point(complex(wrench.point[0], wrench.point[1])), float(wrench.point[2])
         efforts.resist(point, push, value[:, 5])
         if here.moves:
-            ground += wrench_on_ground(point.place, height, push, value[:, 2], tilt, value[:, 5])
+            efforts.ground += wrench_on_ground(point.place, height, push, value[:, 2], tilt, value[:, 5])
 
     for load in of_kind(robot.loads, Payload):
         (x, y, z), inertia = load.centre, load.inertia
         body = Body(load.frame, load.mass, complex(x, y), inertia[2, 2], z, complex(inertia[0, 2], inertia[1, 2]))
-        here = dynamics.frame(load.frame, carriers)
-        body.add_to(efforts, here, robot.gravity)
-        if here.moves:
-            ground += body.on_ground(here, robot.gravity)
-            energy += body.energy(here, robot.gravity)
+        body.add_to(efforts, dynamics.frame(load.frame, carriers), robot.gravity)
 
     for spring in of_kind(robot.loads, Spring):
         ends = [
@@ -99,7 +85,7 @@ def add_loads(
         pull, changes, stored = _spring(spring, *ends)
         efforts.resist(ends[0], pull, changes=changes)
         efforts.resist(ends[1], -pull, changes={i: [-part for part in parts] for i, parts in changes.items()})
-        energy += stored
+        efforts.energy += stored
 
     for forces in of_kind(robot.loads, JointForces):
         joint = dynamics.joint(forces.joint, carriers)
@@ -108,21 +94,20 @@ def add_loads(
         turning = joint.link_spin_rate if revolute else 0.0
         effort = forces.resistance(position, joint.rate) + momentum * (forces.gear * joint.acceleration + turning)
         efforts.f += effort * joint.unit_rate
-        energy += 0.5 * forces.stiffness * (position - forces.rest) ** 2
-        energy += 0.5 * momentum * forces.gear * joint.rate**2
+        efforts.energy += 0.5 * forces.stiffness * (position - forces.rest) ** 2
+        efforts.energy += 0.5 * momentum * forces.gear * joint.rate**2
         if joint.carrier is not None:
             efforts.add_to_carrier(
                 joint.carrier, effort, forces.stiffness, forces.resistance_rate(joint.rate), momentum * forces.gear
             )
         if joint.axis is None:
             efforts.f += momentum * joint.acceleration * joint.unit_link_spin
-            energy += momentum * joint.rate * joint.link_spin
-            ground[:, 5] -= momentum * joint.acceleration
+            efforts.energy += momentum * joint.rate * joint.link_spin
+            efforts.ground[:, 5] -= momentum * joint.acceleration
         else:  # it spins about an axis in the plane, and the link turns it
             rate = momentum * (joint.acceleration + 1j * joint.link_spin * joint.rate) * joint.axis
-            ground[:, 3] -= rate.real
-            ground[:, 4] -= rate.imag
-    return LoadEffects(ground, energy)
+            efforts.ground[:, 3] -= rate.real
+            efforts.ground[:, 4] -= rate.imag
 
 
 def _spring(

@@ -138,12 +138,15 @@ class Efforts:
     Attributes:
         f: (n, N) generalised force, N and N·m.
         force: (legs, N) force of each carrier's actuator, N.
+        ground: (N, 6) force and moment on the base about the world origin, world axes, N and N·m.
+        energy: (N,) kinetic plus potential energy, J; that of weight is zero at the world origin.
         by_f: (3, n, legs, N) derivatives of f by s, ṡ, s̈ of each carrier.
         by_force: (3, legs, legs, N) derivatives of each carrier's force likewise.
     """
 
     def __init__(self, n: int, legs: int, samples: int, *, derivatives: bool = False) -> None:
         self.f, self.force, self._derivatives = np.zeros((n, samples)), np.zeros((legs, samples)), derivatives
+        self.ground, self.energy = np.zeros((samples, 6)), np.zeros(samples)
         self.by_f = np.zeros((3, n, legs, samples if derivatives else 0))
         self.by_force = np.zeros((3, legs, legs, samples if derivatives else 0))
 
@@ -212,38 +215,26 @@ class Body(NamedTuple):
     height: float = 0.0
     products: complex = 0.0
 
-    def load(self, centre: PlanarFrame, gravity: Sequence[float] | Array) -> tuple[ComplexArray, Array]:
-        """Return (N,) weight less mass times acceleration of the centre, N, and the moment −I ω̇, N·m."""
-        push = self.mass * (complex(gravity[0], gravity[1]) - centre.acceleration)
-        return push, -self.inertia * centre.spin_rate
-
     def add_to(self, efforts: Efforts, here: PlanarFrame, gravity: Sequence[float] | Array) -> None:
-        """Add what moves the body, whose link has the frame ``here``, to the efforts."""
-        centre, changes = here.point(self.centre), {}
-        if here.track is not None and here.carrier is not None:
-            per_unit = (here.curl, 2j * here.spin, 1.0)  # of the acceleration along the track
-            changes[here.carrier] = [-self.mass * part * here.track for part in per_unit]
-        efforts.resist(centre, *self.load(centre, gravity), changes)
+        """Add what moves the body, whose link has the frame ``here``, to the efforts.
 
-    def on_ground(self, here: PlanarFrame, gravity: Sequence[float] | Array) -> Array:
-        """Return (N, 6) force and moment on the base about the world origin: weight less rate of momentum.
-
-        The centre stays at one height, and the inertia is turned about z: of the products with z the rates are moments
-        about x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
+        On the base act weight less rate of momentum. The centre stays at one height, and the inertia is turned about z:
+        of the products with z the rates are moments about x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
         """
-        centre = here.point(self.centre)
-        push, moment = self.load(centre, gravity)
-        tilt = -self.products * here.axis * (here.spin_rate + 1j * here.spin**2)
-        weight = np.full(len(push), self.mass * gravity[2])
-        return wrench_on_ground(centre.place, self.height, push, weight, tilt, moment)
-
-    def energy(self, here: PlanarFrame, gravity: Sequence[float] | Array) -> Array:
-        """Return (N,) kinetic plus potential energy, J; the potential energy -m g·r is zero at the world origin."""
-        centre = here.point(self.centre)
-        kinetic = 0.5 * self.mass * np.abs(centre.velocity) ** 2 + 0.5 * self.inertia * here.spin**2
-        lifted = (complex(gravity[0], -gravity[1]) * centre.place).real + gravity[2] * self.height
-        energy: Array = kinetic - self.mass * lifted
-        return energy
+        centre, g = here.point(self.centre), complex(gravity[0], gravity[1])
+        push, moment = self.mass * (g - centre.acceleration), -self.inertia * centre.spin_rate
+        changes = {}
+        if here.track is not None and here.carrier is not None:
+            per_unit = (here.curl, 2j * here.spin, 1.0)  # of the acceleration along the track, by s, ṡ, s̈
+            changes[here.carrier] = [-self.mass * part * here.track for part in per_unit]
+        efforts.resist(centre, push, moment, changes)
+        if here.moves:
+            tilt = -self.products * here.axis * (here.spin_rate + 1j * here.spin**2)
+            weight = np.full(len(push), self.mass * gravity[2])
+            efforts.ground += wrench_on_ground(centre.place, self.height, push, weight, tilt, moment)
+            lifted = (np.conj(g) * centre.place).real + gravity[2] * self.height
+            kinetic = 0.5 * self.mass * np.abs(centre.velocity) ** 2 + 0.5 * self.inertia * here.spin**2
+            efforts.energy += kinetic - self.mass * lifted
 
 
 class PlanarDynamics(ABC):
@@ -265,30 +256,22 @@ class PlanarDynamics(ABC):
         """Return a joint's motion."""
 
     @cached_property
-    def _without_carriers(self) -> Array:
-        """(n, N) f of all bodies that are on no carrier."""
+    def _without_carriers(self) -> Efforts:
+        """What all bodies require that are on no carrier."""
         efforts, parked = Efforts(*self.shape), (np.zeros(self.shape[1:]),) * 3
         for body in self.bodies:
             here = self.frame(body.frame, parked)
             if here.carrier is None:
                 body.add_to(efforts, here, self.gravity)
-        return efforts.f
+        return efforts
 
     def efforts(self, carriers: Carriers, *, derivatives: bool = False) -> Efforts:
         """Return what the links and carriers require (Parsa 2014, eqs. 2.17 and 2.53, with gravity)."""
-        efforts = Efforts(*self.shape, derivatives=derivatives)
-        efforts.f += self._without_carriers
+        efforts, others = Efforts(*self.shape, derivatives=derivatives), self._without_carriers
+        efforts.f += others.f
+        efforts.ground += others.ground
+        efforts.energy += others.energy
         for body in self.bodies:
             if body.frame.startswith("mass_"):
                 body.add_to(efforts, self.frame(body.frame, carriers), self.gravity)
         return efforts
-
-    def base_wrench(self, carriers: Carriers) -> Array:
-        """Return (N, 6) force and moment of the links on the base: their weight less the rate of their momentum."""
-        wrenches = [body.on_ground(self.frame(body.frame, carriers), self.gravity) for body in self.bodies]
-        return np.asarray(np.sum(wrenches, axis=0))
-
-    def energy(self, carriers: Carriers) -> Array:
-        """Return (N,) kinetic plus potential energy of the links, J."""
-        energies = [body.energy(self.frame(body.frame, carriers), self.gravity) for body in self.bodies]
-        return np.asarray(np.sum(energies, axis=0))
