@@ -89,9 +89,7 @@ def objects() -> dict[str, Any]:
         "trade-off": TradeOff(SINGULAR[0], "effort", "energy", ()),
         "symbolic": rp.symbolic(small),
         "legs": three_rrr.inverse_displacement(three_rrr.ThreeRrrGeometry.from_parameters(robot.parameters), motion.x),
-        "two legs": two_rpr.inverse_displacement(
-            two_rpr.TwoRprGeometry.from_parameters(small.parameters), circle.sample(dt=0.1).x
-        ),
+        "two legs": two_rpr.inverse_displacement(small.parameters["base_distance"], circle.sample(dt=0.1).x),
         "reduced": reduced,
         "derivatives": along.carrier_derivatives(carriers),
         "one sample": dynamics.sample(motion.x[0], motion.xd[0], motion.xdd[0]),

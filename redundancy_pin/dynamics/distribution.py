@@ -176,34 +176,27 @@ def distribute(
         raise InputError(
             f"distribute was given {type(reduced).__name__}.", remedy="Pass the result of a backend's reduce."
         )
-    _check_tolerances(
-        near_singular=near_singular,
-        rank_tolerance=rank_tolerance,
-        consistency_tolerance=consistency_tolerance,
-        force_tolerance=force_tolerance,
-    )
-    problem = _with_rows(_problem(reduced, weights, lower, upper), rows, reduced.column_scale)
-    start, force = None, problem.g
-    if preferred is not None:  # efforts are counted from there
-        start = _bound(preferred, "preferred", math.inf, *problem.A.shape[::2])
+    tolerances = {
+        "near_singular": near_singular,
+        "rank_tolerance": rank_tolerance,
+        "consistency_tolerance": consistency_tolerance,
+        "force_tolerance": force_tolerance,
+    }
+    _check_tolerances(tolerances)
+    problem = _problem(reduced, weights, lower, upper, rows)
+    samples, _, m = problem.A.shape
+    force, start = problem.g, np.zeros((samples, m))
+    if preferred is not None:
+        start = _bound(preferred, "preferred", math.inf, samples, m)
         if not np.isfinite(start).all():
             raise InputError(
                 "preferred has values that are not finite.", remedy="Pass efforts, 0 where none is preferred."
             )
         start = start / reduced.column_scale
-        problem = replace(
-            problem,
-            g=problem.g - np.einsum("Nij,Nj->Ni", problem.A, start),
-            lower=problem.lower - start,
-            upper=problem.upper - start,
-            row_lower=problem.row_lower - np.einsum("Ncj,Nj->Nc", problem.rows, start),
-            row_upper=problem.row_upper - np.einsum("Ncj,Nj->Nc", problem.rows, start),
-        )
-    exponent = np.frexp(np.maximum(np.abs(force), np.abs(problem.g)).max(axis=1))[1]
-    exponent[np.abs(exponent) < _ORDINARY] = 0
-    extreme = exponent.any()
-    if extreme:
-        problem, force = problem.brought_down(exponent), _times_power(force, -exponent)
+        problem = problem.counted_from(start)
+    # no square over- or underflows: the forces of each sample are divided by a power of two, which rounds nothing
+    exponent: IntArray = np.frexp(np.maximum(np.abs(force), np.abs(problem.g)).max(axis=1))[1]
+    problem, force = problem.divided_by_power(exponent), _times_power(force, -exponent)
     size = np.linalg.norm(force, axis=1)
     spectrum = spectrum_of(problem.A)
     rank = spectrum.rank(rank_tolerance)
@@ -232,31 +225,21 @@ def distribute(
     ).astype(np.intp)
     free_direction, uncontrolled = _directions(problem, rank, status)
     residual = _residual(problem, u, outside, infeasible)
-    if extreme:
-        u, unbalanced = _times_power(u, exponent), _times_power(residual, exponent)
-        with np.errstate(over="ignore"):
-            beyond = np.isinf(u * reduced.column_scale).any(axis=1) | (np.isinf(unbalanced) & np.isfinite(residual))
-        if beyond.any():  # no double holds the answer: as where none holds f
-            return distribute(
-                replace(reduced, f=np.where(beyond[:, np.newaxis], np.nan, reduced.f)),
-                weights=weights,
-                lower=lower,
-                upper=upper,
-                preferred=preferred,
-                rows=rows,
-                near_singular=near_singular,
-                rank_tolerance=rank_tolerance,
-                consistency_tolerance=consistency_tolerance,
-                force_tolerance=force_tolerance,
-            )
-        residual = unbalanced
+    u, unbalanced = _times_power(u, exponent), _times_power(residual, exponent)
+    with np.errstate(over="ignore"):
+        beyond = np.isinf(u * reduced.column_scale).any(axis=1) | (np.isinf(unbalanced) & np.isfinite(residual))
+    if beyond.any():  # no double holds the answer: treated as an f that is not finite
+        finite = replace(reduced, f=np.where(beyond[:, np.newaxis], np.nan, reduced.f))
+        return distribute(
+            finite, weights=weights, lower=lower, upper=upper, preferred=preferred, rows=rows, **tolerances
+        )
     if reduced.out_of_range is not None:
         status[solved_status(status) & reduced.out_of_range] = SampleStatus.OUT_OF_RANGE
     return Distribution(
-        tau=read_only((u if start is None else u + start) * reduced.column_scale),
+        tau=read_only((u + start) * reduced.column_scale),
         status=read_only(status),
         rank=rank,
-        residual=read_only(residual),
+        residual=read_only(unbalanced),
         margin=spectrum.margin,
         condition=spectrum.condition,
         free_direction=read_only(free_direction * reduced.column_scale),
@@ -294,44 +277,43 @@ LARGEST_WEIGHT_RATIO = 1e12
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Minimise Σ cost_j u_j² over A u = g, lower ≤ u ≤ upper, with u = D_a⁻¹ τ: moments and torques as forces.
+    """Minimise Σ cost_j u_j² over A u = g, lower ≤ rows u ≤ upper, with u = D_a⁻¹ τ: moments and torques as forces.
 
     Attributes:
         A: (N, n, m) D_x⁻¹ W D_a; NaN where not solvable.
         g: (N, n) D_x⁻¹ f, N; NaN where not solvable.
         cost: (m,) positive, the largest is 1.
-        lower, upper: (N, m) bounds of u, N, infinite where there is none.
+        rows: (N, m + c, m) unit rows; the first m are those of the identity.
+        lower, upper: (N, m + c) bounds, N, infinite where there is none.
         solvable: (N,) the sample is reachable, and its W and f are finite.
-        rows: (N, c, m) unit rows with row_lower ≤ rows u ≤ row_upper, (N, c) each, N.
     """
 
     A: Array
     g: Array
     cost: Array
+    rows: Array
     lower: Array
     upper: Array
     solvable: BoolArray
-    rows: Array
-    row_lower: Array
-    row_upper: Array
 
-    def brought_down(self, exponent: IntArray) -> _Problem:
-        """Return the problem with all forces, u among them, divided by 2**exponent, (N,), which rounds nothing."""
-        forces = (self.g, self.lower, self.upper, self.row_lower, self.row_upper)
-        g, lower, upper, row_lower, row_upper = (_times_power(force, -exponent) for force in forces)
-        return replace(self, g=g, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper)
+    def counted_from(self, start: Array) -> _Problem:
+        """Return the problem of u − start, (N, m)."""
+        moved = np.einsum("Ncj,Nj->Nc", self.rows, start)
+        g = self.g - np.einsum("Nij,Nj->Ni", self.A, start)
+        return replace(self, g=g, lower=self.lower - moved, upper=self.upper - moved)
 
-    def fitting(self, at: BoolArray) -> tuple[Array, Array, Array]:
-        """Return lower and upper bounds of some samples and their rows, the unknowns' own bounds first."""
-        count, m = int(at.sum()), self.A.shape[2]
-        own = np.broadcast_to(np.eye(m), (count, m, m))
-        sides = ((self.lower, self.row_lower), (self.upper, self.row_upper))
-        low, high = (np.concatenate([one[at], other[at]], axis=1) for one, other in sides)
-        return low, high, np.concatenate([own, self.rows[at]], axis=1)
+    def divided_by_power(self, exponent: IntArray) -> _Problem:
+        """Return the problem with all forces, u among them, divided by 2**exponent, (N,)."""
+        g, lower, upper = (_times_power(force, -exponent) for force in (self.g, self.lower, self.upper))
+        return replace(self, g=g, lower=lower, upper=upper)
 
 
 def _problem(
-    reduced: ReducedDynamics, weights: ArrayLike | None, lower: ArrayLike | None, upper: ArrayLike | None
+    reduced: ReducedDynamics,
+    weights: ArrayLike | None,
+    lower: ArrayLike | None,
+    upper: ArrayLike | None,
+    rows: Sequence[EffortRows],
 ) -> _Problem:
     """Check the arguments of ``distribute`` and return them without units."""
     shapes = W, f, reachable = np.shape(reduced.W), np.shape(reduced.f), np.shape(reduced.reachable)
@@ -341,6 +323,9 @@ def _problem(
             remedy="Pass the result of a backend's reduce, or arrays of those shapes with n and m at least 1.",
             **dict(zip(("W", "f", "reachable"), shapes, strict=True)),
         )
+    if rows is None or isinstance(rows, EffortRows):
+        what = "rows is None" if rows is None else "rows is one EffortRows"
+        raise InputError(f"{what}.", remedy="Pass a list of EffortRows, rows=[squeeze], an empty one for none.")
     samples, n, m = reduced.W.shape
     row_scale = _positive(reduced.row_scale, "row_scale", n)
     column_scale = _positive(reduced.column_scale, "column_scale", m)
@@ -359,52 +344,39 @@ def _problem(
             sample=k,
             actuator=j,
         )
-    bounds, none = (low / column_scale, high / column_scale), np.zeros((samples, 0))
-    return _Problem(A, g, _cost(weights, column_scale), *bounds, solvable, np.zeros((samples, 0, m)), none, none)
+    parts = [(np.broadcast_to(np.eye(m), (samples, m, m)), low / column_scale, high / column_scale)]
+    parts += [_unit_rows(one, solvable, column_scale) for one in rows]
+    matrix, low, high = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    return _Problem(A, g, _cost(weights, column_scale), matrix, low, high, solvable)
 
 
-def _with_rows(problem: _Problem, rows: Sequence[EffortRows], column_scale: Array) -> _Problem:
-    """Return the problem with further rows, made unit rows of scaled efforts."""
-    samples, _, m = problem.A.shape
-    if rows is None or isinstance(rows, EffortRows):
-        what = "rows is None" if rows is None else "rows is one EffortRows"
-        raise InputError(f"{what}.", remedy="Pass a list of EffortRows, rows=[squeeze], an empty one for none.")
-    for one in rows:
-        require_type(one, EffortRows, "Rows of efforts", "Pass EffortRows, or what dynamics.contacts makes.")
-        try:
-            given = np.asarray(one.matrix, dtype=np.float64)
-        except (TypeError, ValueError):
-            given = checked(one.matrix, "matrix", ("N", "c", m))  # raises, and says why
-        given = np.tile(given, (samples, 1, 1)) if given.ndim == 2 else given.copy()
-        c = given.shape[1] if given.ndim == 3 else 0
-        if len(given) == samples:
-            given[~problem.solvable] = 0.0  # closures of samples that are not reachable have no forces
-        matrix = checked(given, "matrix", (samples, c, m)) * column_scale
-        size = np.linalg.norm(matrix, axis=2)
-        size = np.where(size > 0.0, size, 1.0)  # a row that no effort moves holds or does not
-        bounds = [
-            _bound(np.where(~problem.solvable[:, None], absent, values), name, absent, samples, c) / size
-            for values, name, absent in ((one.lower, "lower", -math.inf), (one.upper, "upper", math.inf))
-        ]
-        for k, row in np.argwhere(bounds[0] > bounds[1])[:1].tolist():
-            raise InputError(
-                f"lower is above upper in row {row} of the rows of efforts (first at sample {k}).",
-                remedy="Swap or widen them.",
-                sample=k,
-                row=row,
-            )
-        problem = replace(
-            problem,
-            rows=np.concatenate([problem.rows, matrix / size[:, :, None]], axis=1),
-            row_lower=np.concatenate([problem.row_lower, bounds[0]], axis=1),
-            row_upper=np.concatenate([problem.row_upper, bounds[1]], axis=1),
+def _unit_rows(rows: EffortRows, solvable: BoolArray, column_scale: Array) -> tuple[Array, Array, Array]:
+    """Return rows (N, c, m) of scaled efforts, of length one, with their bounds (N, c)."""
+    require_type(rows, EffortRows, "Rows of efforts", "Pass EffortRows, or what dynamics.contacts makes.")
+    samples, m = len(solvable), len(column_scale)
+    try:
+        given = np.asarray(rows.matrix, dtype=np.float64)
+    except (TypeError, ValueError):
+        given = checked(rows.matrix, "matrix", ("N", "c", m))  # raises, with the reason
+    given = np.tile(given, (samples, 1, 1)) if given.ndim == 2 else given.copy()
+    c = given.shape[1] if given.ndim == 3 else 0
+    if len(given) == samples:
+        given[~solvable] = 0.0  # closures of samples that are not reachable have no forces
+    matrix = checked(given, "matrix", (samples, c, m)) * column_scale
+    size = np.linalg.norm(matrix, axis=2)
+    size = np.where(size > 0.0, size, 1.0)  # a row that no effort moves holds or does not
+    low, high = (
+        _bound(np.where(~solvable[:, None], absent, values), name, absent, samples, c) / size
+        for values, name, absent in ((rows.lower, "lower", -math.inf), (rows.upper, "upper", math.inf))
+    )
+    for k, row in np.argwhere(low > high)[:1].tolist():
+        raise InputError(
+            f"lower is above upper in row {row} of the rows of efforts (first at sample {k}).",
+            remedy="Swap or widen them.",
+            sample=k,
+            row=row,
         )
-    return problem
-
-
-_ORDINARY = 400
-"""Exponent of two of forces and of their inverses up to which squares are far from overflow, and from nothing: those
-of efforts too, which may be 1e14 times as large. What lies beyond is brought to a size of one before it is squared."""
+    return matrix / size[:, :, None], low, high
 
 
 def _times_power(values: Array, exponent: IntArray) -> Array:
@@ -453,7 +425,7 @@ def _bound(values: ArrayLike | None, name: str, absent: float, samples: int, m: 
     return np.broadcast_to(array, (samples, m))
 
 
-def _check_tolerances(**tolerances: float) -> None:
+def _check_tolerances(tolerances: dict[str, float]) -> None:
     for name, value in tolerances.items():
         least = SMALLEST_RANK_TOLERANCE if name == "rank_tolerance" else 0.0
         if not (math.isfinite(value) and value >= least):
@@ -467,14 +439,12 @@ def _check_tolerances(**tolerances: float) -> None:
 
 def _within_bounds(problem: _Problem, efforts: Array, rank: IntArray) -> tuple[Array, BoolArray]:
     """Return (N, m) efforts within the bounds, and (N,) where there are none although there are efforts."""
-    bounded = np.clip(efforts, problem.lower, problem.upper)
-    row_values = np.einsum("Ncj,Nj->Nc", problem.rows, efforts)
-    both = (np.concatenate(pair, axis=1) for pair in (
-        (efforts, row_values), (problem.lower, problem.row_lower), (problem.upper, problem.row_upper)
-    ))  # fmt: skip
-    at = leaves_bounds(*both)
+    m = efforts.shape[1]
+    bounded = np.clip(efforts, problem.lower[:, :m], problem.upper[:, :m])
+    at = leaves_bounds(np.einsum("Ncj,Nj->Nc", problem.rows, efforts), problem.lower, problem.upper)
     if at.any():
-        bounded[at] = fit_into_bounds(problem.A[at], efforts[at], rank[at], problem.cost, *problem.fitting(at))
+        limits = problem.lower[at], problem.upper[at], problem.rows[at]
+        bounded[at] = fit_into_bounds(problem.A[at], efforts[at], rank[at], problem.cost, *limits)
     return bounded, at & np.isnan(bounded).any(axis=1)
 
 
@@ -483,9 +453,8 @@ def _residual(problem: _Problem, efforts: Array, outside: Array, infeasible: Boo
     unbalanced = np.einsum("Nij,Nj->Ni", problem.A, efforts) - problem.g
     residual: Array = np.where(solved, np.linalg.norm(unbalanced, axis=1), outside)
     if infeasible.any():
-        residual[infeasible] = least_residual(
-            problem.A[infeasible], problem.g[infeasible], *problem.fitting(infeasible)
-        )
+        parts = problem.A, problem.g, problem.lower, problem.upper, problem.rows
+        residual[infeasible] = least_residual(*(part[infeasible] for part in parts))
     return residual
 
 

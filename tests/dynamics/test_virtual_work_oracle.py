@@ -103,26 +103,28 @@ def assert_close(got, want, tolerance=AGREEMENT):
 
 @pytest.mark.long_for(*(f"{name}-{seed}" for name in ("two_rpr", "three_rrr") for seed in range(2, 8)))
 def test_efforts_obey_lagrange(case):
-    f, force = case.along.efforts(*case.carriers)
+    efforts = case.along.efforts(case.carriers)
+    f, force = efforts.f, efforts.force
     for k, state in enumerate(case.states()):
         want = case.oracle.generalised_force(*state, case.gravity)
         assert_close(np.concatenate([f[:, k], force[:, k]]), want)
 
 
 def test_energy_is_that_of_the_point_masses(case):
-    got = case.along.energy(*case.carriers)
+    got = case.along.efforts(case.carriers).energy
     want = [case.oracle.energy(q, qd, case.gravity) for q, qd, _ in case.states()]
     assert_close(got, np.array(want), 1e-12)  # both exact but for rounding
 
 
 def test_base_wrench_is_weight_less_rate_of_momentum(case):
-    got = case.along.base_wrench(*case.carriers)
+    got = case.along.efforts(case.carriers).ground
     for k, state in enumerate(case.states()):
         assert_close(got[k], case.oracle.base_wrench(*state, case.gravity))
 
 
 def test_power_is_the_rate_of_energy(case):
-    f, force = case.along.efforts(*case.carriers)
+    efforts = case.along.efforts(case.carriers)
+    f, force = efforts.f, efforts.force
     power = (f.T * case.qd[:, : case.n]).sum(axis=1) + (force.T * case.qd[:, case.n :]).sum(axis=1)
 
     def energy_at(t):
@@ -130,7 +132,7 @@ def test_power_is_the_rate_of_energy(case):
             case.mechanism, case.oracle, case.gravity, case.n,
             case.q + case.qd * t + 0.5 * case.qdd * t**2, case.qd + case.qdd * t, case.qdd,
         )  # fmt: skip
-        return moved.along.energy(*moved.carriers)
+        return moved.along.efforts(moved.carriers).energy
 
     assert_close(power, derivative(energy_at))
 
@@ -138,19 +140,18 @@ def test_power_is_the_rate_of_energy(case):
 def test_derivatives_by_the_carriers(case):
     """f is quadratic in (s, ṡ) and affine in s̈, as are the forces: central differences are exact for any step."""
     along, carriers = case.along, case.carriers
-    for which, (by_f, by_force) in enumerate(zip(*along.effort_derivatives(*carriers), strict=True)):
+    exact = along.efforts(carriers, derivatives=True)
+    for which, (by_f, by_force) in enumerate(zip(exact.by_f, exact.by_force, strict=True)):
         for leg in range(len(carriers[0])):
 
             def efforts_at(step, which=which, leg=leg):
                 moved = [value.copy() for value in carriers]
                 moved[which][leg] += step
-                return along.efforts(*moved)
+                return along.efforts(tuple(moved))
 
-            (f_up, force_up), (f_down, force_down) = efforts_at(0.5), efforts_at(-0.5)
-            assert_close(by_f[:, leg], f_up - f_down, 1e-12)
-            want = np.zeros_like(force_up)
-            want[leg] = by_force[leg]
-            assert_close(want, force_up - force_down, 1e-12)
+            up, down = efforts_at(0.5), efforts_at(-0.5)
+            assert_close(by_f[:, leg], up.f - down.f, 1e-12)
+            assert_close(by_force[:, leg], up.force - down.force, 1e-12)
 
 
 def test_jacobian_is_the_derivative_of_the_actuated_joints(case):
@@ -181,7 +182,7 @@ def test_leg_angular_momentum_gives_the_two_rpr_its_force():
     mechanism = TwoRprMechanism(parameters, (0.0, 0.0, 0.0), (1, 1))
     x, v, a = np.array([[0.1, 0.4]]), rng.normal(size=(1, 2)), rng.normal(size=(1, 2))
     s, sd, sdd = rng.normal(size=(3, 2, 1))
-    f, _ = mechanism.along(mechanism.legs(x), x, v, a).efforts(s, sd, sdd)
+    f = mechanism.along(mechanism.legs(x), x, v, a).efforts((s, sd, sdd)).f
     want = np.zeros(2)
     for leg, (side, A) in enumerate([(1, np.array([0.0, 0.0])), (-1, np.array([0.5, 0.0]))]):
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from point_mass_oracle import derivative
 
-from redundancy_pin.dynamics.virtual_work.mechanism import Body, LinkFrames, PlanarFrame
+from redundancy_pin.dynamics.virtual_work.mechanism import Body, Efforts, PlanarFrame
 
 ORIGIN, TURN = np.array([[0.3, -0.2], [0.7, 1.1], [-0.4, 0.9]]), np.array([0.5, 1.3, -0.8])
 ALONG, ACROSS = np.array([0.6, -0.9, 1.7]), np.array([-0.4, 0.8, 0.5])
@@ -24,9 +24,9 @@ def position(t):
 
 
 def test_a_point_carried_by_a_moving_link_moves_as_its_positions_say():
-    origin = (np.array([[complex(*value)]]) for value in ORIGIN)
-    frame = LinkFrames(*origin, np.exp([[1j * TURN[0]]]), np.array([[TURN[1]]]), np.array([[TURN[2]]]))
-    point = frame.frame(0, *(ALONG + 1j * ACROSS))
+    origin = (np.array([complex(*value)]) for value in ORIGIN)
+    turned = np.exp([1j * TURN[0]]), np.array([TURN[1]]), np.array([TURN[2]])
+    point = PlanarFrame(*origin, *turned, *np.zeros((2, 1, 1))).point(*(ALONG + 1j * ACROSS))
     velocity = derivative(position)
     acceleration = derivative(lambda h: derivative(lambda k: position(h + k)))
     assert point.place[0] == pytest.approx(complex(*position(0.0)), abs=1e-14)
@@ -36,16 +36,20 @@ def test_a_point_carried_by_a_moving_link_moves_as_its_positions_say():
 
 def one_body(x, y, vx, vy, ax, ay, spin, spin_rate):
     values = (complex(x, y), complex(vx, vy), complex(ax, ay), 1.0 + 0.0j, spin, spin_rate)
-    return PlanarFrame(*(np.array([value]) for value in values))
+    return PlanarFrame(*(np.array([value]) for value in values), *np.zeros((2, 1, 1)))
 
 
-BODY = Body("link", 2.0, 0.0, 0.5)
+def of_body(frame, gravity):
+    """What a body of 2 kg and 0.5 kg·m² requires: its ground wrench (1, 6) and its energy (1,)."""
+    efforts = Efforts(1, 1, 1)
+    Body("link", 2.0, 0.0, 0.5).add_to(efforts, frame, gravity)
+    return efforts
 
 
 def test_a_body_in_free_fall_puts_nothing_on_the_base():
     gravity = np.array([1.0, -9.0, 0.0])
     falling = one_body(0.4, 0.7, 3.0, 1.0, 1.0, -9.0, 5.0, 0.0)
-    np.testing.assert_allclose(BODY.on_ground(falling, gravity), np.zeros((1, 6)), atol=1e-14)
+    np.testing.assert_allclose(of_body(falling, gravity).ground, np.zeros((1, 6)), atol=1e-14)
 
 
 def test_a_body_at_rest_puts_its_weight_on_the_base():
@@ -53,11 +57,11 @@ def test_a_body_at_rest_puts_its_weight_on_the_base():
     resting = one_body(0.4, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     weight = 2.0 * gravity
     expected = np.concatenate([weight, np.cross([0.4, 0.7, 0.0], weight)])
-    np.testing.assert_allclose(BODY.on_ground(resting, gravity), expected[None], atol=1e-14)
-    np.testing.assert_allclose(BODY.energy(resting, gravity), -weight @ [0.4, 0.7, 0.0])
+    np.testing.assert_allclose(of_body(resting, gravity).ground, expected[None], atol=1e-14)
+    np.testing.assert_allclose(of_body(resting, gravity).energy, -weight @ [0.4, 0.7, 0.0])
 
 
 def test_a_body_that_spins_up_turns_the_base_the_other_way():
     spinning = one_body(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0, 7.0)
-    np.testing.assert_allclose(BODY.on_ground(spinning, np.zeros(3)), [[0, 0, 0, 0, 0, -3.5]])
-    np.testing.assert_allclose(BODY.energy(spinning, np.zeros(3)), 0.5 * 0.5 * 3.0**2)
+    np.testing.assert_allclose(of_body(spinning, np.zeros(3)).ground, [[0, 0, 0, 0, 0, -3.5]])
+    np.testing.assert_allclose(of_body(spinning, np.zeros(3)).energy, 0.5 * 0.5 * 3.0**2)

@@ -19,7 +19,8 @@ from redundancy_pin.dynamics.base import (
     require_matching_carriers,
 )
 from redundancy_pin.dynamics.one_sample import solve_batch_of_one
-from redundancy_pin.dynamics.virtual_work.loads import LoadEfforts, load_derivatives, load_efforts, require_known
+from redundancy_pin.dynamics.virtual_work.loads import add_loads, require_known
+from redundancy_pin.dynamics.virtual_work.mechanism import Carriers, Efforts
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, UnsupportedRobotError, millimetres
@@ -125,7 +126,6 @@ class VirtualWorkAlongMotion(Frozen):
         self._all_reachable = bool(reachable.all())
         self._gap = read_only(gap)
         self._dynamics = mechanism.along(legs, motion.x, motion.xd, motion.xdd)
-        self._legs, self._mechanism = legs, mechanism
         self._W = read_only(legs.jacobian.transpose(0, 2, 1))
         length = robot.characteristic_length
         self._row_scale = read_only(np.where(mechanism.angular_rows, length, 1.0))
@@ -144,15 +144,12 @@ class VirtualWorkAlongMotion(Frozen):
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
         moved, k = self._leg_major(carriers), self._robot.k
-        f, force = self._dynamics.efforts(*moved)
-        if self._robot.loads:
-            loads = self._loads(moved)
-            f, force = f + loads.f, force + loads.force
+        efforts = self._efforts(moved)
         return ReducedDynamics(
             t=self._motion.t,
-            f=self._result(np.ascontiguousarray(f.T)),
+            f=self._result(np.ascontiguousarray(efforts.f.T)),
             W=self._W,
-            carrier_force=self._result(np.ascontiguousarray(force[:k].T)),
+            carrier_force=self._result(np.ascontiguousarray(efforts.force[:k].T)),
             reachable=self._reachable,
             gap=self._gap,
             row_scale=self._row_scale,
@@ -165,26 +162,20 @@ class VirtualWorkAlongMotion(Frozen):
 
     @cached_property
     def _out_of_range(self) -> BoolArray:
-        still = np.zeros((self._robot.k, len(self._motion)))
+        still = self._leg_major(None)
         beyond = np.zeros(len(self._motion), dtype=bool)
         for joint in joint_ranges(self._robot):
-            value = self._dynamics.joint(joint.name, still, still, still).position[self._reachable]
+            value = self._dynamics.joint(joint.name, still).position[self._reachable]
             value = np.unwrap(value) if joint.turns else value  # a closed form has angles in (−π, π]
             beyond[self._reachable] |= joint.is_left(value, True)
         return read_only(beyond)
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
         """Return the exact derivatives of f and carrier forces by s, ṡ, s̈."""
-        k = self._robot.k
-        by_f, by_force = self._dynamics.effort_derivatives(*self._leg_major(carriers))
-        f = (self._result(np.moveaxis(part[:, :k], 2, 0).copy()) for part in by_f)
-        force = (self._result(part[:k].T[:, :, None] * np.eye(k)) for part in by_force)
-        if not self._robot.loads:
-            return CarrierDerivatives(*f, *force)
-        more = load_derivatives(self._robot, self._wrenches, self._dynamics, self._units, self._leg_major(carriers))
-        f, force = ((part + added for part, added in zip(of, by, strict=True))
-                    for of, by in zip((f, force), zip(*more, strict=True), strict=True))  # fmt: skip
-        return CarrierDerivatives(*map(read_only, f), *map(read_only, force))
+        k, efforts = self._robot.k, self._efforts(self._leg_major(carriers), derivatives=True)
+        of_f = [self._result(part[:, :k].transpose(2, 0, 1).copy()) for part in efforts.by_f]
+        of_force = [self._result(part[:k, :k].transpose(2, 0, 1).copy()) for part in efforts.by_force]
+        return CarrierDerivatives(*of_f, *of_force)
 
     def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N, 6) the wrench of the robot on its base: weight less the rate of momentum.
@@ -192,43 +183,32 @@ class VirtualWorkAlongMotion(Frozen):
         Shaking force, N, and moment about the world origin, N·m, world axes. Gravity out of the plane enters here,
         and here alone.
         """
-        moved = self._leg_major(carriers)
-        wrench = self._dynamics.base_wrench(*moved)
-        return self._result(wrench + self._loads(moved).ground if self._robot.loads else wrench)
+        return self._result(self._efforts(self._leg_major(carriers)).ground)
 
     def energy(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
-        moved = self._leg_major(carriers)
-        total = self._dynamics.energy(*moved)
-        return self._result(total + self._loads(moved).energy if self._robot.loads else total)
+        return self._result(self._efforts(self._leg_major(carriers)).energy)
 
     def closure_margin(self) -> Array:
         """Return (N,) ones, NaN where unreachable: in one working mode the closed form has no branches that meet."""
         return read_only(np.where(self._reachable, 1.0, np.nan))
 
     @cached_property
-    def _units(self) -> list[Any]:
-        """The dynamics along ẋ = e_j, through the same poses."""
-        x, still = self._motion.x, np.zeros_like(self._motion.xd)
-        return [self._mechanism.along(self._legs, x, still + unit, still) for unit in np.eye(x.shape[1])]
-
-    @cached_property
     def _wrenches(self) -> tuple[Array, ...]:
         return wrench_values(self._robot.loads, self._motion.t, self._motion.x, self._motion.xd)
 
-    def _loads(self, carriers: tuple[Array, Array, Array]) -> LoadEfforts:
-        return load_efforts(self._robot, self._wrenches, self._dynamics, self._units, carriers)
+    def _efforts(self, carriers: Carriers, *, derivatives: bool = False) -> Efforts:
+        """Return what links, carriers and loads require."""
+        efforts = self._dynamics.efforts(carriers, derivatives=derivatives)
+        add_loads(efforts, self._robot, self._wrenches, self._dynamics, carriers)
+        return efforts
 
-    def _leg_major(self, carriers: CarrierMotion | None) -> tuple[Array, Array, Array]:
+    def _leg_major(self, carriers: CarrierMotion | None) -> Carriers:
         """Return s, ṡ, s̈ as (legs, N); zero where the robot has no carriers."""
-        samples = len(self._motion)
-        if carriers is not None:
-            require_matching_carriers(self._robot, carriers, samples)
-        if carriers is None or self._robot.k == 0:
-            zero = np.zeros((self._robot.m, samples))
-            return zero, zero, zero
-        s, sd, sdd = (np.ascontiguousarray(part.T) for part in (carriers.s, carriers.sd, carriers.sdd))
-        return s, sd, sdd
+        matched = require_matching_carriers(self._robot, carriers, len(self._motion))
+        if self._robot.k == 0:
+            return (np.zeros((self._robot.m, len(self._motion))),) * 3
+        return matched.s.T.copy(), matched.sd.T.copy(), matched.sdd.T.copy()
 
     def _result(self, array: Array) -> Array:
         if not self._all_reachable:

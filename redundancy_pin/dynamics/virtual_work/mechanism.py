@@ -1,20 +1,27 @@
-"""What virtual work asks of a mechanism, and sums over its bodies, which move in the plane z = 0.
+"""Virtual work of planar mechanisms (Parsa 2014, eqs. 2.39 to 2.53): inertia forces times velocities per unit rate.
 
-Arrays are leg-major, (legs, N): one row a leg (or a platform coordinate), one column a sample.
+A body with centre C resists with the force m (g − a_C) and the moment −I ω̇ (eqs. 2.45 to 2.52). With the link Jacobians
+H_j, the velocity of a point per unit of the platform rate ẋ_j, and G_j, the spin of the link per unit of it, their
+virtual power must vanish together with that of the actuators (eq. 2.53):
+
+    f_j = Σ Re(conj(m (a_C − g)) H_j) + I ω̇ G_j,      carrier force = Re(conj(m (a_C − g)) t),
+
+where t is the direction of the carrier's track. Vectors of the plane are complex, x + iy in the base frame; u̇ = iω u.
+Arrays of all legs are leg-major, (legs, N): one row per leg, one column per sample.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError
 
 Parameters = Mapping[str, float | bool | str]
 """The parameters of a shipped model."""
@@ -22,43 +29,8 @@ Parameters = Mapping[str, float | bool | str]
 ComplexArray = NDArray[np.complex128]
 Complex = ComplexArray | Array | complex
 
-Partials = tuple[Array, Array, Array]
-"""Derivatives by s, ṡ, s̈."""
-
-_Lengths = TypeVar("_Lengths", bound="Lengths")
-
-
-@dataclass(frozen=True)
-class Lengths:
-    """Lengths that fix the kinematics of a mechanism, m.
-
-    Raises:
-        InputError: a length is not positive and finite.
-    """
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            length = getattr(self, field.name)
-            if not (np.isfinite(length) and length > 0.0):
-                raise InputError(
-                    f"{field.name} is {length}.", remedy="Pass a positive length in metres.", name=field.name
-                )
-
-    @classmethod
-    def from_parameters(cls: type[_Lengths], parameters: Parameters) -> _Lengths:
-        """Read the lengths off the parameters of the shipped model."""
-        return cls(**{field.name: float(parameters[field.name]) for field in fields(cls)})
-
-
-def signs(mode: Sequence[int], legs: int) -> Array:
-    """Return (legs, 1) the signs of a working mode.
-
-    Raises:
-        InputError: not one sign, 1 or -1, for each leg.
-    """
-    if len(mode) != legs or any(sign not in (1, -1) for sign in mode):
-        raise InputError(f"mode is {tuple(mode)}.", remedy=f"Pass one sign, 1 or -1, for each of the {legs} legs.")
-    return np.array(mode, dtype=float)[:, None]
+Carriers = tuple[Array, Array, Array]
+"""s, ṡ, s̈ of the carriers, (legs, N) each, m and s."""
 
 
 def planar(vectors: Array) -> ComplexArray:
@@ -73,14 +45,16 @@ def components(vectors: ComplexArray, *others: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PlanarFrame:
-    """A link's frame at N samples, (N,) each; vectors are complex, x + iy in the base frame.
+    """A frame on a link, or on that link of every leg, at N samples; arrays (N,) or (legs, N).
 
     Attributes:
         place, velocity, acceleration: of its origin, m, m/s, m/s².
-        axis: unit vector along its x axis.
-        spin, spin_rate: rad/s and rad/s².
-        moves: false of what is fixed to the base.
-        carrier: index of the carrier that it is, or None; it moves along ``track`` (unit vector) then.
+        axis: unit vector u along its x axis.
+        spin, spin_rate: ω and ω̇, rad/s and rad/s².
+        H: (n, ...) velocity of the origin per unit of each platform rate; complex.
+        G: (n, ...) spin per unit of each platform rate.
+        carrier: index of the carrier that it is on, or None; ``track`` is the unit vector along which it moves.
+        moves: false if it is fixed to the base.
     """
 
     place: ComplexArray
@@ -89,23 +63,62 @@ class PlanarFrame:
     axis: ComplexArray
     spin: Array
     spin_rate: Array
-    moves: bool = True
+    H: ComplexArray
+    G: Array
     carrier: int | None = None
     track: ComplexArray | None = None
+    moves: bool = True
 
-    def point(self, offset: complex) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return place, velocity and acceleration of a point that is fixed in the frame, ``offset`` in its axes."""
-        arm = self.axis * offset
-        velocity = self.velocity + 1j * self.spin * arm
-        return self.place + arm, velocity, self.acceleration + (1j * self.spin_rate - self.spin**2) * arm
+    @property
+    def curl(self) -> ComplexArray:
+        """(N,) iω̇ − ω²: acceleration of a point of the link per unit of its distance."""
+        return np.asarray(1j * self.spin_rate - self.spin**2, dtype=np.complex128)
+
+    def point(
+        self, zeta: Complex, rate: Complex = 0.0, second_rate: Complex = 0.0, unit_rate: Complex = 0.0
+    ) -> PlanarFrame:
+        """Return the parallel frame at ζ = (along) + i (across) the link; ζ may move, by ∂ζ̇/∂ẋ_j = ``unit_rate``.
+
+        z = z_O + ζ u, v = v_O + (ζ̇ + iω ζ) u, a = a_O + (ζ̈ + 2iω ζ̇ + (iω̇ − ω²) ζ) u.
+        """
+        u, turn = self.axis, 1j * self.spin
+        return replace(
+            self,
+            place=self.place + zeta * u,
+            velocity=self.velocity + (rate + turn * zeta) * u,
+            acceleration=self.acceleration + (second_rate + 2.0 * turn * rate + self.curl * zeta) * u,
+            H=self.H + (unit_rate + 1j * self.G * zeta) * u,
+        )
+
+    def of(self, leg: int) -> PlanarFrame:
+        """Return the frame of one leg."""
+        parts = self.place, self.velocity, self.acceleration, self.axis, self.spin, self.spin_rate
+        place, velocity, acceleration, axis, spin, spin_rate = (part[leg] for part in parts)
+        return PlanarFrame(place, velocity, acceleration, axis, spin, spin_rate, self.H[:, leg], self.G[:, leg])
+
+    def carried(self, leg: int, direction: complex, carriers: Carriers) -> PlanarFrame:
+        """Return the frame of the carrier of one leg, whose track begins here and runs along ``direction`` u."""
+        s, sd, sdd = (direction * part[leg] for part in carriers)
+        return replace(self.of(leg).point(s, sd, sdd), carrier=leg, track=direction * self.axis[leg])
+
+
+def fixed_frame(place: ComplexArray, axis: Complex, n: int, *, moves: bool = False) -> PlanarFrame:
+    """Return a frame that does not move, (...,) its origin, for n platform rates."""
+    still = np.zeros(place.shape, dtype=np.complex128)
+    zero = np.zeros((n, *place.shape))
+    return PlanarFrame(place, still, still, still + axis, still.real, still.real, zero + 0j, zero, moves=moves)
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarJoint:
-    """A joint at N samples, (N,) each: position, rate and its rate; and those of the link that carries it.
+    """A joint at N samples, (N,) each.
 
-    ``carrier``: its index where it is a carrier's; ``axis``: unit vector along a prismatic one, None of a revolute one,
-    whose position is known up to full turns.
+    Attributes:
+        position, rate, acceleration: m or rad, and s; the position of a revolute joint is known up to full turns.
+        link_spin, link_spin_rate: of the link that carries it.
+        unit_rate, unit_link_spin: (n, N) its rate, and the spin of that link, per unit of each platform rate.
+        carrier: index of the carrier that it moves, or None.
+        axis: unit vector along a prismatic joint; None for a revolute one.
     """
 
     position: Array
@@ -113,51 +126,70 @@ class PlanarJoint:
     acceleration: Array
     link_spin: Array
     link_spin_rate: Array
+    unit_rate: Array
+    unit_link_spin: Array
     carrier: int | None = None
     axis: ComplexArray | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class LinkFrames:
-    """Frames that move with the links of the legs; vectors are complex, x + iy in the base frame, (legs, N) each.
+class Efforts:
+    """Sum of what bodies and loads require, with its exact derivatives by the carriers where they are wanted.
 
     Attributes:
-        origin, velocity, acceleration: of the frame's origin, m, m/s, m/s².
-        u: unit vector along the link; iu points across it.
-        spin, spin_rate: angular velocity and acceleration, rad/s and rad/s².
+        f: (n, N) generalised force, N and N·m.
+        force: (legs, N) force of each carrier's actuator, N.
+        ground: (N, 6) force and moment on the base about the world origin, world axes, N and N·m.
+        energy: (N,) kinetic plus potential energy, J; that of weight is zero at the world origin.
+        by_f: (3, n, legs, N) derivatives of f by s, ṡ, s̈ of each carrier.
+        by_force: (3, legs, legs, N) derivatives of each carrier's force likewise.
     """
 
-    origin: ComplexArray
-    velocity: ComplexArray
-    acceleration: ComplexArray
-    u: ComplexArray
-    spin: Array
-    spin_rate: Array
+    def __init__(self, n: int, legs: int, samples: int, *, derivatives: bool = False) -> None:
+        self.f, self.force, self._derivatives = np.zeros((n, samples)), np.zeros((legs, samples)), derivatives
+        self.ground, self.energy = np.zeros((samples, 6)), np.zeros(samples)
+        self.by_f = np.zeros((3, n, legs, samples if derivatives else 0))
+        self.by_force = np.zeros((3, legs, legs, samples if derivatives else 0))
 
-    def frame(
-        self, leg: int, zeta: Complex = 0.0, rate: Complex = 0.0, second_rate: Complex = 0.0, **carried: Any
-    ) -> PlanarFrame:
-        """Return a frame on the link of one leg, turned like it, its origin at ζ = (along) + i (across) the link.
+    def resist(
+        self,
+        point: PlanarFrame,
+        push: ComplexArray,
+        moment: Array | float = 0.0,
+        changes: Mapping[int, Sequence[ComplexArray]] | None = None,
+    ) -> None:
+        """Balance a force and a moment that act on a link at a point.
 
-        With u̇ = iω u: z = z_O + ζ u, v = v_O + (ζ̇ + iω ζ) u, a = a_O + (ζ̈ + 2iω ζ̇ + (iω̇ - ω²) ζ) u.
+        Args:
+            point: a frame of the link, its origin at the point.
+            push: (N,) the force, N.
+            moment: (N,) N·m.
+            changes: by carrier the derivatives of the force by its s, ṡ, s̈.
         """
-        u, spin, spin_rate = self.u[leg], self.spin[leg], self.spin_rate[leg]
-        turn, curl = 1j * spin, 1j * spin_rate - spin**2
-        return PlanarFrame(
-            self.origin[leg] + zeta * u,
-            self.velocity[leg] + (rate + turn * zeta) * u,
-            self.acceleration[leg] + (second_rate + 2.0 * turn * rate + curl * zeta) * u,
-            u,
-            spin,
-            spin_rate,
-            **carried,
-        )
+        self.f -= (np.conj(push) * point.H).real + moment * point.G
+        track, own = point.track, point.carrier
+        if track is not None and own is not None:
+            self.force[own] -= (np.conj(push) * track).real
+        if not self._derivatives:
+            return
+        for carrier, parts in (changes or {}).items():
+            for order, part in enumerate(parts):
+                self.by_f[order, :, carrier] -= (np.conj(part) * point.H).real
+                if track is not None and own is not None:
+                    self.by_force[order, own, carrier] -= (np.conj(part) * track).real
+        if track is not None and own is not None:
+            self.by_f[0, :, own] -= (np.conj(push) * 1j * point.G * track).real  # H moves with the carrier
+
+    def add_to_carrier(self, carrier: int, effort: Array, *derivatives: Array | float) -> None:
+        """Add to the force of one carrier's actuator, (N,), with its derivatives by its own s, ṡ, s̈."""
+        self.force[carrier] += effort
+        if self._derivatives:
+            for order, part in enumerate(derivatives):
+                self.by_force[order, carrier, carrier] += part
 
 
-def fixed_frame(samples: int) -> PlanarFrame:
-    """Return the frame of the base."""
-    still = np.zeros(samples, dtype=np.complex128)
-    return PlanarFrame(still, still, still, still + 1.0, still.real, still.real, moves=False)
+def difference(one: tuple[Array, Array, Array], other: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Return position, rate and acceleration (N,) of one less those of the other."""
+    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
 
 
 def wrench_on_ground(
@@ -172,8 +204,8 @@ def wrench_on_ground(
 class Body(NamedTuple):
     """A rigid body on a link, its centre of mass in a plane that is parallel to that of the motion.
 
-    ``frame``: of the link; ``mass``, kg; ``centre`` in the axes of the frame, x + iy, m; ``inertia`` about the centre
-    and the z axis, kg·m²; ``height`` of the centre, m; ``products`` of inertia about it, xz + i yz, kg·m².
+    ``frame``: name of the link; ``mass``, kg; ``centre`` in the axes of the frame, x + iy, m; ``inertia`` about the
+    centre and the z axis, kg·m²; ``height`` of the centre, m; ``products`` of inertia about it, xz + i yz, kg·m².
     """
 
     frame: str
@@ -183,54 +215,63 @@ class Body(NamedTuple):
     height: float = 0.0
     products: complex = 0.0
 
-    def load(self, here: PlanarFrame, gravity: Sequence[float] | Array) -> tuple[ComplexArray, ComplexArray, Array]:
-        """Return (N,) place of the centre, m, weight less mass times acceleration there, N, and moment, N·m."""
-        place, _, acceleration = here.point(self.centre)
-        return place, self.mass * (complex(gravity[0], gravity[1]) - acceleration), -self.inertia * here.spin_rate
+    def add_to(self, efforts: Efforts, here: PlanarFrame, gravity: Sequence[float] | Array) -> None:
+        """Add what moves the body, whose link has the frame ``here``, to the efforts.
 
-    def on_ground(self, here: PlanarFrame, gravity: Sequence[float] | Array) -> Array:
-        """Return (N, 6) force and moment on the base about the world origin: weight less rate of momentum.
-
-        The centre stays at one height, and the inertia is turned about z: of the products with z the rates are moments
-        about x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
+        On the base act weight less rate of momentum. The centre stays at one height, and the inertia is turned about z:
+        of the products with z the rates are moments about x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
         """
-        place, push, moment = self.load(here, gravity)
-        tilt = -self.products * here.axis * (here.spin_rate + 1j * here.spin**2)
-        weight = np.full(len(push), self.mass * gravity[2])
-        return wrench_on_ground(place, self.height, push, weight, tilt, moment)
-
-    def energy(self, here: PlanarFrame, gravity: Sequence[float] | Array) -> Array:
-        """Return (N,) kinetic plus potential energy, J; the potential energy -m g·r is zero at the world origin."""
-        place, velocity, _ = here.point(self.centre)
-        kinetic = 0.5 * self.mass * np.abs(velocity) ** 2 + 0.5 * self.inertia * here.spin**2
-        lifted = (complex(gravity[0], -gravity[1]) * place).real + gravity[2] * self.height
-        energy: Array = kinetic - self.mass * lifted
-        return energy
+        centre, g = here.point(self.centre), complex(gravity[0], gravity[1])
+        push, moment = self.mass * (g - centre.acceleration), -self.inertia * centre.spin_rate
+        changes = {}
+        if here.track is not None and here.carrier is not None:
+            per_unit = (here.curl, 2j * here.spin, 1.0)  # of the acceleration along the track, by s, ṡ, s̈
+            changes[here.carrier] = [-self.mass * part * here.track for part in per_unit]
+        efforts.resist(centre, push, moment, changes)
+        if here.moves:
+            tilt = -self.products * here.axis * (here.spin_rate + 1j * here.spin**2)
+            weight = np.full(len(push), self.mass * gravity[2])
+            efforts.ground += wrench_on_ground(centre.place, self.height, push, weight, tilt, moment)
+            lifted = (np.conj(g) * centre.place).real + gravity[2] * self.height
+            kinetic = 0.5 * self.mass * np.abs(centre.velocity) ** 2 + 0.5 * self.inertia * here.spin**2
+            efforts.energy += kinetic - self.mass * lifted
 
 
 class PlanarDynamics(ABC):
-    """Dynamics of a mechanism along one motion: what loads and sums over bodies need of it.
+    """Dynamics of a mechanism along one motion of N samples, with carriers (legs, N): sums over its bodies.
 
-    ``bodies``: of all links; ``gravity`` (3,) m/s².
+    ``bodies``: of all links; ``gravity`` (3,) m/s²; ``shape``: n platform rates, legs and N.
     """
 
     bodies: Sequence[Body]
     gravity: Sequence[float] | Array
+    shape: tuple[int, int, int]
 
     @abstractmethod
-    def frame(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarFrame:
-        """Return a link's frame; carriers (legs, N)."""
+    def frame(self, name: str, carriers: Carriers) -> PlanarFrame:
+        """Return a link's frame."""
 
     @abstractmethod
-    def joint(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarJoint:
-        """Return a joint's motion; carriers (legs, N)."""
+    def joint(self, name: str, carriers: Carriers) -> PlanarJoint:
+        """Return a joint's motion."""
 
-    def base_wrench(self, *carriers: Array) -> Array:
-        """Return (N, 6) force and moment of the links on the base: their weight less the rate of their momentum."""
-        wrenches = [body.on_ground(self.frame(body.frame, *carriers), self.gravity) for body in self.bodies]
-        return np.asarray(np.sum(wrenches, axis=0))
+    @cached_property
+    def _without_carriers(self) -> Efforts:
+        """What all bodies require that are on no carrier."""
+        efforts, parked = Efforts(*self.shape), (np.zeros(self.shape[1:]),) * 3
+        for body in self.bodies:
+            here = self.frame(body.frame, parked)
+            if here.carrier is None:
+                body.add_to(efforts, here, self.gravity)
+        return efforts
 
-    def energy(self, *carriers: Array) -> Array:
-        """Return (N,) kinetic plus potential energy of the links, J."""
-        energies = [body.energy(self.frame(body.frame, *carriers), self.gravity) for body in self.bodies]
-        return np.asarray(np.sum(energies, axis=0))
+    def efforts(self, carriers: Carriers, *, derivatives: bool = False) -> Efforts:
+        """Return what the links and carriers require (Parsa 2014, eqs. 2.17 and 2.53, with gravity)."""
+        efforts, others = Efforts(*self.shape, derivatives=derivatives), self._without_carriers
+        efforts.f += others.f
+        efforts.ground += others.ground
+        efforts.energy += others.energy
+        for body in self.bodies:
+            if body.frame.startswith("mass_"):
+                body.add_to(efforts, self.frame(body.frame, carriers), self.gravity)
+        return efforts

@@ -6,20 +6,8 @@ The working mode of a leg is the sign in θ = γ ± ψ, γ the direction of A fr
 G B A. The links are kept as vectors b = l1 u(θ) and e = l2 u(β), x + iy, found by rotating A - G within its triangle,
 so that the cosine and sine of α are the only trigonometric functions.
 
-With ω = θ̇, Ω = β̇, the sums m = m2 + m_s, S = m2 r_a + m_s s (first moment about the elbow B) and
-I = I2 + m2 r_a² + m_s s², an acceleration a_B of the elbow less gravity, and u, n along and across the distal link, leg
-i resists with
-
-    T_θ = m1 l1²/3 θ̈ - m1 g·b⊥/2 + b⊥·F,    F = m a_B + S (β̈ n - Ω² u) + m_s (s̈ u + 2 ṡ Ω n),
-    T_β = I β̈ + S n·a_B + 2 m_s s ṡ Ω,
-
-moments about the base hinge and about the elbow (eq. 2.45-2.50 with the opposite sign). Since θ̇ = -e·v_A/c and
-l2² β̇ = e⊥·v_A - θ̇ e·b (v_A the velocity of the platform's corner), their virtual power is R·v_A with
-
-    R = -(T_θ - (e·b/l2²) T_β) e/c + T_β e⊥/l2²:
-
-the force the platform has to put on the corner. The generalised force is Σ R, its moment Σ (A - P) x R, and the
-platform's own inertia (eq. 2.51-2.53). The products with 3 x 3 link Jacobians never need to be formed.
+The corner moves with v_A = v + α̇ (A - P)⊥, so that θ̇ = -e·v_A/c and l2² β̇ = e⊥·(v_A - θ̇ b⊥). Read per unit of each
+platform rate they are the link Jacobians G of eqs. 2.39 to 2.44; H of the elbow is b⊥ times that of θ.
 
 Arrays that differ from leg to leg are leg-major, (3, N).
 """
@@ -27,30 +15,26 @@ Arrays that differ from leg to leg are leg-major, (3, N).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, read_only
 from redundancy_pin.dynamics.virtual_work.mechanism import (
     Body,
+    Carriers,
     ComplexArray,
-    Lengths,
-    LinkFrames,
     Parameters,
-    Partials,
     PlanarDynamics,
     PlanarFrame,
     PlanarJoint,
     components,
+    difference,
     fixed_frame,
     planar,
-    signs,
 )
-from redundancy_pin.errors import InputError
 
 CORNER_ANGLES = (np.pi / 6.0, 5.0 * np.pi / 6.0, -np.pi / 2.0)
 """φ - α of each leg, rad (Parsa 2014, eq. 2.20)."""
@@ -61,7 +45,7 @@ exactly so when its end moves by the closure tolerance (relative to the links), 
 
 
 @dataclass(frozen=True)
-class ThreeRrrGeometry(Lengths):
+class ThreeRrrGeometry:
     """Lengths that fix the kinematics of the 3-RRR, m.
 
     Attributes:
@@ -69,15 +53,17 @@ class ThreeRrrGeometry(Lengths):
         platform_radius: l3, from the platform's centre to its corners.
         proximal_length: l1.
         distal_length: l2.
-
-    Raises:
-        InputError: a length is not positive and finite.
     """
 
     base_radius: float
     platform_radius: float
     proximal_length: float
     distal_length: float
+
+    @classmethod
+    def from_parameters(cls, parameters: Parameters) -> ThreeRrrGeometry:
+        """Read the lengths off the parameters of the shipped model."""
+        return cls(*(float(parameters[field.name]) for field in fields(cls)))
 
     @property
     def tolerance(self) -> float:
@@ -102,7 +88,6 @@ class ThreeRrrLegs(Frozen):
 
     Attributes:
         geometry: the lengths.
-        mode: sign of each leg in θ = γ ± ψ.
         arm: from the platform's centre to its corner, A - P = -l3 u(φ), m.
         b: proximal link B - G, m; NaN out of reach.
         e: distal link A - B, m; NaN out of reach.
@@ -113,7 +98,6 @@ class ThreeRrrLegs(Frozen):
     """
 
     geometry: ThreeRrrGeometry
-    mode: tuple[int, int, int]
     arm: ComplexArray
     b: ComplexArray
     e: ComplexArray
@@ -147,11 +131,6 @@ class ThreeRrrLegs(Frozen):
             rows = -self.e / self.c
         return read_only(components(rows, (np.conj(self.arm) * rows).imag))
 
-    @property
-    def platform_matrix(self) -> Array:
-        """(N, 3, 3) matrix of rows (a, b, d), m, m and m²; singular at a type II singularity (eq. 2.38)."""
-        return read_only(components(self.e, (np.conj(self.arm) * self.e).imag))
-
 
 class ThreeRrrRates(NamedTuple):
     """Rates, (3, N) each, of the angles of the proximal and of the distal links, rad/s and rad/s²."""
@@ -173,16 +152,8 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
         geometry: the lengths.
         pose: (N, 3) platform centre and orientation (x, y, α) in the base frame, m and rad. NaN passes through.
         mode: sign of each leg.
-
-    Raises:
-        InputError: ``pose`` is not (N, 3) or ``mode`` not three signs.
     """
-    sign = signs(mode, 3)
-    x = np.asarray(pose, dtype=float)
-    if x.ndim != 2 or x.shape[1] != 3:
-        raise InputError(
-            f"pose has shape {x.shape}, expected (N, 3).", remedy="Rows are samples, columns are x, y and α."
-        )
+    sign, x = np.array(mode, dtype=float)[:, None], np.asarray(pose, dtype=float)
     l1, l2 = geometry.proximal_length, geometry.distal_length
     corners = -geometry.platform_radius * np.exp(1j * np.array(CORNER_ANGLES))
     arm = corners[:, None] * np.exp(1j * x[:, 2])
@@ -201,11 +172,10 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
     e = span - b
     # fmax: the shortage where there is no e
     gap = np.fmax(np.abs(np.sqrt(e.real**2 + e.imag**2) - l2), shortage)
-    label = (int(sign[0, 0]), int(sign[1, 0]), int(sign[2, 0]))
-    return ThreeRrrLegs(geometry, label, *map(read_only, (arm, b, e, c, gap)))
+    return ThreeRrrLegs(geometry, *map(read_only, (arm, b, e, c, gap)))
 
 
-def leg_rates(legs: ThreeRrrLegs, velocity: ArrayLike, acceleration: ArrayLike) -> ThreeRrrRates:
+def leg_rates(legs: ThreeRrrLegs, velocity: Array, acceleration: Array) -> ThreeRrrRates:
     """Return the rates of the link angles (Parsa 2014, eq. 2.28-2.38).
 
     The corner moves with v_A = v + α̇ (A - P)⊥ and a_A = a + α̈ (A - P)⊥ - α̇² (A - P). Since |A - B| = l2:
@@ -213,13 +183,8 @@ def leg_rates(legs: ThreeRrrLegs, velocity: ArrayLike, acceleration: ArrayLike) 
     Across the distal link, l2² β̇ = e⊥·(v_A - v_B) and l2² β̈ = e⊥·(a_A - a_B).
 
     Velocity and acceleration are (N, 3), those of the platform's coordinates in the base frame.
-
-    Raises:
-        InputError: wrong shapes.
     """
-    samples = legs.c.shape[1]
-    v = checked(velocity, "velocity", (samples, 3))
-    a = checked(acceleration, "acceleration", (samples, 3))
+    v, a = velocity, acceleration
     b, across, over_length = legs.b, np.conj(legs.e), 1.0 / legs.geometry.distal_length**2
     corner_v = planar(v) + 1j * v[:, 2] * legs.arm
     corner_a = planar(a) + (1j * a[:, 2] - v[:, 2] ** 2) * legs.arm
@@ -263,23 +228,20 @@ class ThreeRrrMechanism:
         self.tolerance = geometry.tolerance
         self.gravity, self.mode = gravity, mode
         carriers, given = bool(parameters["carriers"]), parameters["platform_inertia"]
+        l1, l2 = geometry.proximal_length, geometry.distal_length
         tail = float(parameters["tail_length"]) if carriers else 0.0
-        self.proximal_mass = float(parameters["proximal_mass"])
-        self.distal_mass = float(parameters["distal_mass"])
-        self.distal_centre = 0.5 * (geometry.distal_length - tail)  # r_a, from the elbow towards the platform
-        self.distal_inertia = self.distal_mass * (geometry.distal_length + tail) ** 2 / 12.0
-        self.platform_mass = float(parameters["platform_mass"])
-        disc = 0.5 * self.platform_mass * geometry.platform_radius**2
-        self.platform_inertia = disc if given == "auto" else float(given)
-        self.carrier_mass = float(parameters["carrier_mass"]) if carriers else 0.0
-        length = geometry.proximal_length
-        of_legs = (
-            ("proximal", self.proximal_mass, 0.5 * length, self.proximal_mass * length**2 / 12.0),
-            ("distal", self.distal_mass, self.distal_centre, self.distal_inertia),
-            ("mass", self.carrier_mass, 0.0, 0.0),
+        proximal, distal, platform, carrier = (
+            float(parameters[f"{kind}_mass"]) for kind in ("proximal", "distal", "platform", "carrier")
         )
+        of_legs = (
+            ("proximal", proximal, 0.5 * l1, proximal * l1**2 / 12.0),
+            ("distal", distal, 0.5 * (l2 - tail), distal * (l2 + tail) ** 2 / 12.0),  # r_a from the elbow
+            ("mass", carrier if carriers else 0.0, 0.0, 0.0),
+        )
+        disc = 0.5 * platform * geometry.platform_radius**2
+        inertia = disc if given == "auto" else float(given)
         self.bodies = tuple(Body(f"{kind}_{leg}", *values) for kind, *values in of_legs for leg in (1, 2, 3))
-        self.bodies += (Body("platform", self.platform_mass, 0.0, self.platform_inertia),)
+        self.bodies += (Body("platform", platform, 0.0, inertia),)
 
     def legs(self, x: Array) -> ThreeRrrLegs:
         """Solve the inverse displacement at (N, 3) platform poses (x, y, α), m and rad."""
@@ -291,114 +253,68 @@ class ThreeRrrMechanism:
 
 
 class ThreeRrrAlongMotion(PlanarDynamics):
-    """Dynamics of the 3-RRR along one motion; what does not depend on the carriers is computed once."""
+    """Dynamics of the 3-RRR along one motion."""
 
     def __init__(
         self, mechanism: ThreeRrrMechanism, legs: ThreeRrrLegs, pose: Array, velocity: Array, acceleration: Array
     ) -> None:
-        self._p = p = mechanism
-        self.bodies, self.gravity = p.bodies, p.gravity
-        self._legs = legs
-        self._motion = pose, velocity, acceleration
+        self.bodies, self.gravity, geometry = mechanism.bodies, mechanism.gravity, mechanism.geometry
+        self.shape = 3, *legs.c.shape
+        self._legs, self._geometry = legs, geometry
+        self._alpha = pose[:, 2], velocity[:, 2], acceleration[:, 2]
         self._rates = rates = leg_rates(legs, velocity, acceleration)
-        g = complex(p.gravity[0], p.gravity[1])
-        l1, l2 = p.geometry.proximal_length, p.geometry.distal_length
-        b, e, c = legs.b, legs.e, legs.c
-        w_squared, wd = rates.theta_rate * rates.theta_rate, rates.theta_acceleration
-        W, Wd = rates.beta_rate, rates.beta_acceleration
-        # acceleration of the elbow less gravity, θ̈ b⊥ - θ̇² b - g, along and across the distal link
-        elbow = np.conj(e) * ((1j * wd - w_squared) * b - g) / l2
-        self._a_along, self._a_across = elbow.real, elbow.imag
-        # b⊥ along and across the distal link: b⊥·e = -c, b⊥·e⊥ = b·e
-        b_dot_e = (np.conj(b) * e).real
-        self._along, self._across = c * (-1.0 / l2), b_dot_e * (1.0 / l2)
-        self._W, self._Wd, self._W_squared = W, Wd, W * W
-        # b⊥·(β̈ n - Ω² u), per unit of first moment
-        self._swing = self._across * Wd - self._along * self._W_squared
-        m = p.distal_mass + p.carrier_mass
-        # b⊥·a_B = l1² θ̈ - g·b⊥, so the moment of the proximal rod's own weight is folded in here
-        self._T_theta_fixed = (l1 * l1 * (p.proximal_mass / 3.0 + m)) * wd
-        self._T_theta_fixed += (0.5 * p.proximal_mass + m) * (np.conj(g) * b).imag
-        # R = -(T_θ - κ T_β) e/c + T_β e⊥/l2²
-        self._kappa = b_dot_e * (1.0 / l2**2)
-        self._pull, self._turn = e * (-1.0 / c), e * (1j / l2**2)
+        b, e, unit = legs.b, legs.e, np.ones(legs.c.shape)
+        # per unit of ẋ, ẏ, α̇: velocity of the corner (E_A of eq. 2.43), θ̇ (eq. 2.39) and β̇ (eq. 2.44)
+        corner = np.stack([unit, 1j * unit, 1j * legs.arm])
+        self._unit_theta = -(np.conj(e) * corner).real / legs.c
+        self._unit_beta = (np.conj(e) * (corner - 1j * self._unit_theta * b)).imag / geometry.distal_length**2
+        w, wd = rates.theta_rate, rates.theta_acceleration
+        hinge = fixed_frame(geometry.hinges + 0j * legs.c, 1.0, 3, moves=True)
+        self._proximal = replace(hinge, axis=b / geometry.proximal_length, spin=w, spin_rate=wd, G=self._unit_theta)
+        elbow = self._proximal.point(geometry.proximal_length)
+        self._distal = replace(
+            elbow, axis=e / geometry.distal_length, spin=rates.beta_rate, spin_rate=rates.beta_acceleration,
+            G=self._unit_beta,
+        )  # fmt: skip
+        still = np.zeros(len(pose), dtype=np.complex128)
+        H = np.stack([still + 1.0, still + 1j, still])
+        G = np.stack([still.real, still.real, still.real + 1.0])
+        centre = planar(pose), planar(velocity), planar(acceleration)
+        self._platform = PlanarFrame(*centre, np.exp(1j * pose[:, 2]), velocity[:, 2], acceleration[:, 2], H, G)
 
-    def efforts(self, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
-        """Return f, (3, N), N and N·m, and the carrier forces, (3, N), N.
-
-        The carrier's actuator gives m_s (s̈ - s Ω² + u·a_B).
-        """
-        p = self._p
-        ms = p.carrier_mass
-        first_moment = ms * s + p.distal_mass * p.distal_centre
-        inertia = (ms * s) * s + (p.distal_inertia + p.distal_mass * p.distal_centre**2)
-        coriolis = (2.0 * ms) * (sd * self._W)
-        T_theta = self._T_theta_fixed + first_moment * self._swing
-        T_theta += (ms * sdd) * self._along + coriolis * self._across
-        T_beta = inertia * self._Wd + first_moment * self._a_across + s * coriolis
-        force = ms * (sdd - s * self._W_squared + self._a_along)
-        f = self._of_each_leg(T_theta, T_beta).sum(axis=1)
-        f[:2] += p.platform_mass * (self._motion[2][:, :2] - p.gravity[:2]).T
-        f[2] += p.platform_inertia * self._motion[2][:, 2]
-        return f, force
-
-    def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> tuple[Partials, Partials]:
-        """Return the derivatives of ``efforts``: f is quadratic in (s, ṡ) and affine in s̈."""
-        ms = self._p.carrier_mass
-        rate = (2.0 * ms) * self._W
-        by_s = self._of_each_leg(ms * self._swing, ms * (2.0 * s * self._Wd + self._a_across) + rate * sd)
-        by_sd = self._of_each_leg(rate * self._across, rate * s)
-        by_sdd = self._of_each_leg(ms * self._along, np.zeros_like(s))
-        return (by_s, by_sd, by_sdd), (-ms * self._W_squared, np.zeros_like(s), np.full_like(s, ms))
-
-    def frame(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarFrame:
-        """Return a link's frame; carriers (3, N)."""
-        kind, _, number = name.rpartition("_")
-        proximal, distal = self._links
+    def frame(self, name: str, carriers: Carriers) -> PlanarFrame:
+        """Return a link's frame."""
         if name == "base":
-            return fixed_frame(self._legs.c.shape[1])
-        if kind in ("proximal", "distal", "tip", "mass"):
-            leg = int(number) - 1
-            if kind == "mass":
-                return distal.frame(leg, s[leg], sd[leg], sdd[leg], carrier=leg, track=distal.u[leg])
-            ahead = self._p.geometry.distal_length if kind == "tip" else 0.0
-            return (proximal if kind == "proximal" else distal).frame(leg, ahead)
-        x, v, a = self._motion
-        centre = PlanarFrame(planar(x), planar(v), planar(a), np.exp(1j * x[:, 2]), v[:, 2], a[:, 2])
+            return fixed_frame(np.zeros(self.shape[2], dtype=np.complex128), 1.0, 3)
         if name == "platform":
-            return centre
-        corner = {"platform_arm": 0, "corner_2": 1, "corner_3": 2}[name]
-        arm = -self._p.geometry.platform_radius * np.exp(1j * CORNER_ANGLES[corner])
-        return PlanarFrame(*centre.point(complex(arm)), centre.axis, centre.spin, centre.spin_rate)
+            return self._platform
+        corners = {"platform_arm": 0, "corner_2": 1, "corner_3": 2}
+        if name in corners:
+            arm = -self._geometry.platform_radius * np.exp(1j * CORNER_ANGLES[corners[name]])
+            return self._platform.point(complex(arm))
+        kind, _, number = name.rpartition("_")
+        leg = int(number) - 1
+        if kind == "mass":
+            return self._distal.carried(leg, 1.0, carriers)
+        if kind == "proximal":
+            return self._proximal.of(leg)
+        distal = self._distal.of(leg)
+        return distal if kind == "distal" else distal.point(self._geometry.distal_length)
 
-    def joint(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarJoint:
-        """Return a joint's motion; carriers (3, N)."""
+    def joint(self, name: str, carriers: Carriers) -> PlanarJoint:
+        """Return a joint's motion."""
         kind, _, number = name.rpartition("_")
         leg, legs, rates = int(number) - 1, self._legs, self._rates
         theta = legs.theta[leg], rates.theta_rate[leg], rates.theta_acceleration[leg]
         beta = legs.beta[leg], rates.beta_rate[leg], rates.beta_acceleration[leg]
-        still = np.zeros(len(theta[0]))
+        of_theta, of_beta = self._unit_theta[:, leg], self._unit_beta[:, leg]
+        still, none = np.zeros(len(theta[0])), np.zeros_like(of_beta)
         if kind == "base":
-            return PlanarJoint(*theta, still, still)
+            return PlanarJoint(*theta, still, still, of_theta, none)
         if kind == "elbow":
-            angle, rate, acceleration = (after - before for before, after in zip(theta, beta, strict=True))
-            return PlanarJoint(angle, rate, acceleration, *theta[1:])
+            return PlanarJoint(*difference(beta, theta), *theta[1:], of_beta - of_theta, of_theta)
         if kind == "carrier":
-            return PlanarJoint(s[leg], sd[leg], sdd[leg], *beta[1:], carrier=leg, axis=self._links[1].u[leg])
-        alpha = (part[:, 2] for part in self._motion)
-        angle, rate, acceleration = (after - before for before, after in zip(beta, alpha, strict=True))
-        return PlanarJoint(angle, rate, acceleration, *beta[1:])
-
-    def _of_each_leg(self, T_theta: Array, T_beta: Array) -> Array:
-        """Return (3, legs, N) what the moments of each leg contribute to f, by R, the force that balances them."""
-        R = (T_theta - self._kappa * T_beta) * self._pull + T_beta * self._turn
-        return np.stack([R.real, R.imag, (np.conj(self._legs.arm) * R).imag])
-
-    @cached_property
-    def _links(self) -> tuple[LinkFrames, LinkFrames]:
-        """The proximal links, their origins at the base hinges, and the distal links, theirs at the elbows."""
-        legs, (w, wd, W, Wd), geometry = self._legs, self._rates, self._p.geometry
-        still = np.zeros(legs.c.shape, dtype=np.complex128)
-        proximal = LinkFrames(geometry.hinges + still, still, still, legs.b / geometry.proximal_length, w, wd)
-        elbow = geometry.hinges + legs.b, 1j * w * legs.b, (1j * wd - w**2) * legs.b
-        return proximal, LinkFrames(*elbow, legs.e / geometry.distal_length, W, Wd)
+            s, sd, sdd = carriers
+            axis = self._distal.axis[leg]
+            return PlanarJoint(s[leg], sd[leg], sdd[leg], *beta[1:], none, of_beta, carrier=leg, axis=axis)
+        return PlanarJoint(*difference(self._alpha, beta), *beta[1:], self._platform.G - of_beta, of_beta)
