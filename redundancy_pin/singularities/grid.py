@@ -215,7 +215,7 @@ def solve_grid(place: Slice, axes: tuple[Array, ...], *, islands: bool = False) 
     flood = _Flood(place.system, nodes, mesh[0].shape, across_corners=islands and len(axes) > 1)
     flood.run(place.x, place.q)
     if islands:
-        flood.look_for_islands(place, axes)
+        flood.find_islands(place, axes)
     grid_axes = tuple(read_only(np.array(axis)) for axis in axes)
     return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.part)))
 
@@ -248,7 +248,7 @@ class _Flood:
         self._spread(self._reach(nearest, *start))
         self.part[self.solved] = 0
 
-    def look_for_islands(self, place: Slice, axes: tuple[Array, ...]) -> None:
+    def find_islands(self, place: Slice, axes: tuple[Array, ...]) -> None:
         """Search islands from random starts, at some nodes not reached, and spread from the nodes that close.
 
         A random start is closed by itself first: it meets a small island more often than a node of the grid does.
@@ -285,7 +285,7 @@ class _Flood:
         Without working modes it is another branch. The larger part stays: a start near a stretched leg may lead to a
         node or two of the other branch, and no further.
         """
-        touched = np.unique(self.part[self._beside(new, corners=True)[0]])
+        touched = np.unique(self.part[self._neighbours(new, corners=True)[0]])
         touched = touched[touched >= 0]
         others = np.isin(self.part, touched)
         if self.system.robot.working_modes is None and len(touched):
@@ -310,13 +310,13 @@ class _Flood:
 
     def _wave(self, front: IntArray, *, corners: bool) -> IntArray:
         """Solve the unsolved neighbours of nodes, each from one of them; return those that closed."""
-        targets, sources = self._beside(front, corners=corners)
+        targets, sources = self._neighbours(front, corners=corners)
         unsolved = ~self.solved[targets]
         targets, first = np.unique(targets[unsolved], return_index=True)
         sources = sources[unsolved][first]
         return self._reach(targets, self.nodes[sources], self.q[sources], self.gamma[sources])
 
-    def _beside(self, front: IntArray, *, corners: bool) -> tuple[IntArray, IntArray]:
+    def _neighbours(self, front: IntArray, *, corners: bool) -> tuple[IntArray, IntArray]:
         """Return the neighbours of nodes along each axis, or at corners too, and the node each is a neighbour of."""
         targets, sources = [], []
         index = np.stack(np.unravel_index(front, self.shape))

@@ -1,8 +1,8 @@
 """Zeros, touches and minima of a function of time: the one finder of singular instants and of windows around them.
 
-A function here takes (N,) increasing times, s, and returns (N,) values; it is continuous, and the times at which it is
-sampled are so dense that between two of them it has one dip at most, which then shows in the samples beside it. A value
-that is not finite belongs to no step. Sign changes are found by Brent's method; zeros of even multiplicity, and pairs
+A function here takes (N,) increasing times, s, and returns (N,) values. It is continuous, and sampled so densely that
+it has at most one dip between two samples, which shows in the samples next to it. Steps with a value that is not finite
+are not searched. Sign changes are found by Brent's method; zeros of even multiplicity, and pairs
 of zeros within one step, by the minimum of the function's size.
 """
 
@@ -19,10 +19,10 @@ from redundancy_pin.arrays import Array, BoolArray
 Function = Callable[[Array], Array]
 
 _ZOOM = 32
-"""Subdivisions of a bracket in the search of a minimum; each round narrows it sixteenfold, in one call."""
+"""Subdivisions of a bracket in the search of a minimum: each iteration narrows it sixteenfold, in one call."""
 
 _SAME = 1e-9
-"""Minima nearer than this, relative to all time, are one, found from two samples of equal value."""
+"""Distance of two zeros, relative to the duration, below which they are one (found from two samples of equal value)."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Zero:
     """A zero of a function.
 
     Attributes:
-        t: time, s: to rounding where the sign changes, to its square root where the function only touches zero.
+        t: time, s: to machine precision where the sign changes, to its square root where the function touches zero.
         until: equal to ``t``, or the time until which the function stays at zero.
         crosses: whether the sign changes.
     """
@@ -46,7 +46,7 @@ class Interval:
 
     Attributes:
         start, end: s.
-        open_start, open_end: whether the function is below zero already at the start, or still at the end, of all time.
+        open_start, open_end: whether the function is below zero at the first, or at the last sampled time.
     """
 
     start: float
@@ -59,8 +59,8 @@ def zeros(function: Function, times: Array, tolerance: float) -> list[Zero]:
     """Return the zeros of a function in order of time: crossed, touched, or stayed at.
 
     Args:
-        function: see the module; with a sign where its zeros are to be told apart from touches.
-        times: (N,) increasing times that sample it densely.
+        function: see the module; signed, so that crossed zeros are distinguished from touched ones.
+        times: (N,) increasing times, the samples.
         tolerance: size at which a minimum, or a sample, counts as zero.
     """
     value = function(times)
@@ -84,12 +84,12 @@ def zeros(function: Function, times: Array, tolerance: float) -> list[Zero]:
 def minima(function: Function, times: Array, interesting: float) -> list[tuple[float, float]]:
     """Return (time, value) of the local minima of a function that may fall below ``interesting``.
 
-    A dip whose samples lie so far above it that the slopes beside it cannot reach it is left alone. A minimum is exact
-    to rounding also where it is sharp, as of a singular value at zero.
+    A dip is skipped if the slopes next to it cannot reach that value. A minimum is exact to machine precision, also if
+    it is sharp, as that of a singular value at zero.
 
     Args:
         function: see the module.
-        times: (N,) increasing times that sample it densely.
+        times: (N,) increasing times, the samples.
         interesting: minima above this value are not needed.
     """
     value = function(times)
@@ -106,7 +106,7 @@ def below_zero(function: Function, times: Array) -> list[Interval]:
 
     Args:
         function: see the module.
-        times: (N,) increasing times that sample it densely.
+        times: (N,) increasing times, the samples.
     """
     dips = np.array([t for t, value in minima(function, times, 0.0) if value < 0.0])
     grid = np.union1d(times, dips)
@@ -120,7 +120,7 @@ def below_zero(function: Function, times: Array) -> list[Interval]:
 
 
 def root(function: Function, a: float, b: float) -> float:
-    """Return the time between ``a`` and ``b`` at which a function changes sign, to rounding."""
+    """Return the time between ``a`` and ``b`` at which a function changes sign, to machine precision."""
     return float(brentq(lambda t: float(function(np.array([t]))[0]), a, b, xtol=1e-15 * (b - a), rtol=1e-15))
 
 
@@ -166,7 +166,7 @@ def _brackets(value: Array, joined: BoolArray, interesting: float) -> Iterator[t
         joined: (N − 1,) whether the step between two samples may be searched.
         interesting: see ``minima``.
     """
-    # beside a sign change there is no dip to search for: the function goes on falling through zero
+    # next to a sign change there is no dip: the function continues to fall through zero
     left = np.append(np.inf, np.where(joined | np.isinf(value[:-1]), value[:-1], -np.inf))
     right = np.append(np.where(joined | np.isinf(value[1:]), value[1:], -np.inf), np.inf)
     for i in np.flatnonzero(np.isfinite(value) & (value <= left) & (value <= right)).tolist():
@@ -183,7 +183,7 @@ def _brackets(value: Array, joined: BoolArray, interesting: float) -> Iterator[t
 def _minimum(function: Function, a: float, b: float, sign: float = 1.0) -> tuple[float, float]:
     """Return time and value of the minimum of ``sign`` times a function, by zooming in on the lowest of many samples.
 
-    (Parabolic searches stop at the square root of rounding, which is right for smooth minima only.)
+    Parabolic searches stop at the square root of machine precision, which suits smooth minima only.
     """
     best = (a, np.inf)
     while True:
@@ -205,7 +205,7 @@ def _runs(flags: BoolArray) -> list[tuple[int, int]]:
 
 
 def _distinct(ordered: list[Zero], apart: float) -> list[Zero]:
-    """Return zeros without the touches that repeat the one before."""
+    """Return zeros without touches that repeat the previous one."""
     return [
         one
         for k, one in enumerate(ordered)
