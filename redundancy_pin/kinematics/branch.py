@@ -8,8 +8,9 @@ Where the closure rows lose rank (a flat four-bar whose sides add up in pairs, a
 cross. K is singular there, but q and Γ are smooth along each branch, and the branch continues with the tangent it came
 with: ``Follower.pass_through`` interpolates along it between regular states on both sides.
 
-Where closure rows depend on one another all of them are kept. Uᵀ of the singular vectors that belong to the r largest
-singular values of J_c replaces them by r independent ones at each state; r is the rank at the reference configuration.
+Where closure rows depend on one another, r of them are independent at the reference configuration (``robot.closures``)
+and serve everywhere but where they lose rank and all rows together (``robot.all_closures``) keep it: there Uᵀ, of the
+singular vectors that belong to the r largest singular values of J_c, makes r independent rows of all.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, read_only
 from redundancy_pin.kinematics.assembly import (
     SETTLED_STEP,
     SINGULAR_MARGIN,
@@ -36,7 +37,7 @@ from redundancy_pin.kinematics.assembly import (
     inverses,
 )
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import OPEN, ConstraintSystem, PlacedRows, constraint_system, with_all_rows
+from redundancy_pin.kinematics.closure import OPEN, ConstraintSystem, constraint_system, with_all_rows
 from redundancy_pin.kinematics.coordinates import angle_columns, difference, mode_indicators, pose_rows
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link_index
@@ -74,6 +75,9 @@ _SLOPE_STEP = 1e-4
 SAME_CONFIGURATION = 1e-6
 """Closed configurations of one pose nearer than this (rad, characteristic lengths) are the same, computed twice."""
 
+_HELPED = 3.0
+"""Ratio of margins beyond which dependent rows take the place of independent ones that lose rank."""
+
 _NEWTON_STEPS = 10
 _CONVERGED = 1e-13
 """A Newton step, or ten times a residual, this small (rad or characteristic lengths) is rounding."""
@@ -91,7 +95,7 @@ _SAMPLES, _SPREAD = 8, 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedState:
+class ClosedState(Frozen):
     """A configuration on a solution branch, closed to the closure tolerance, with the inverse of K.
 
     Attributes:
@@ -103,7 +107,7 @@ class ClosedState:
         margin: lower bound of the smallest singular value of K without units, within √p of it; 0 below
             ``SINGULAR_MARGIN``.
         blocks: rows and columns of the diagonal blocks of K, see ``loop_blocks``.
-        basis: (R, r) U, orthonormal, where closure rows depend on one another; None where all are independent.
+        basis: (R, r) U, orthonormal, where all closure rows take the place of independent ones; otherwise None.
     """
 
     x: Array
@@ -145,12 +149,14 @@ class Follower:
     def __init__(self, robot: Robot) -> None:
         self.robot, self._model = robot, robot.model
         self.system = constraint_system(robot)
-        self.chain = chain = ClosedChain(with_all_rows(robot))
+        self.chain = chain = ClosedChain(robot)
+        self._rows, self._rank = self.system.all_rows, len(self.system.rows)
         self._redundant = bool(robot.all_closures)
-        self._rows, self._all, self._rank = chain.system.all_rows, chain.rows, len(self.system.rows)
+        every = constraint_system(with_all_rows(robot))
+        self._every, self._count, self._every_unit = every.all_rows, len(every.rows), every.equation_unit
         self._columns, self._nv = chain.pose_columns, robot.model.nv
         self._flat = robot.model.nq == robot.model.nv
-        self._row_unit, self._step_unit = chain.system.equation_unit, chain.system.step_unit
+        self._row_unit, self._step_unit = self.system.equation_unit, self.system.step_unit
         self._scale = self._step_unit / self._row_unit[:, None]
         self._unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
@@ -171,6 +177,11 @@ class Follower:
         return near_rank_loss(self.system)
 
     @cached_property
+    def _ample(self) -> float:
+        """The singularity margin above which the independent rows are kept: at 1e-3 accelerations lose eight digits."""
+        return min(0.1, 0.3 * typical_margin(self.system))
+
+    @cached_property
     def home(self) -> ClosedState:
         """The reference configuration, whose Γ is NaN where it is singular."""
         q = np.array(self.robot.q_reference)
@@ -178,14 +189,14 @@ class Follower:
         x = self.chain.coordinates(q)
         closed = self.close(q, x)
         if closed is not None and closed.margin > 0.0:
-            return replace(closed, q=q)
+            return replace(closed, x=read_only(x), q=read_only(q))
         gamma = np.full((self._nv, self.robot.n), np.nan)
         return ClosedState(x, q, gamma, np.zeros((0, 0)), 0.0, 0.0, self.blocks)
 
     # --- one state ---------------------------------------------------------------------------------------------------
 
-    def _matrix(self, q: Array, basis: Array | None) -> tuple[Array, Array, Array | None, PlacedRows]:
-        """Return K and the closure residuals without units at q, the basis, and the placed rows."""
+    def _matrix(self, q: Array, basis: Array | None) -> tuple[Array, Array]:
+        """Return K (p, p) and the closure residuals (r,) at q, without units."""
         chain = self.chain
         chain.place(q)
         placed = self._rows.place(chain.vectors, q)
@@ -193,14 +204,35 @@ class Follower:
         if self._fixed is not None:
             K = np.concatenate([K, self._fixed])
         K *= self._scale
-        phi = placed.residual()[: self._all] / self._row_unit[: self._all]
-        if not self._redundant:
-            return K, phi, None, placed
-        U = np.linalg.svd(K[: self._all], full_matrices=False)[0][:, : self._rank]
-        if basis is not None:  # the orientation of the basis follows that of the state before
-            left, _, right = np.linalg.svd(U.T @ basis)
-            U = U @ (left @ right)
-        return np.concatenate([U.T @ K[: self._all], K[self._all :]]), phi, U, placed
+        if basis is None:
+            return K, placed.residual()[: self._rank] / self._row_unit[: self._rank]
+        rows, phi = self._every_row(q)
+        K[: self._rank] = basis.T @ rows
+        return K, phi.dot(basis)
+
+    def _every_row(self, q: Array) -> tuple[Array, Array]:
+        """Return the Jacobian (R, p) and residuals (R,) of all closure rows, without units, where q is placed."""
+        placed = self._every.place(self.chain.vectors, q)
+        unit = self._every_unit[: self._count]
+        rows = placed.jacobian(self.chain.J).take(self._columns, 1)[: self._count]
+        return rows * (self._step_unit / unit[:, None]), placed.residual()[: self._count] / unit
+
+    def _independent(self, q: Array, basis: Array | None, inverse: Array) -> tuple[Array | None, Array]:
+        """Return the basis that serves at a closed configuration, and K⁻¹ with it.
+
+        Independent rows serve while their margin is ample: rows of rounded numbers contradict each other, and singular
+        values of the contradiction may exceed those of short levers.
+        """
+        plain = inverse if basis is None else inverses(self._matrix(q, None)[0][None])[0]
+        size = float(np.nan_to_num(np.linalg.norm(plain), nan=np.inf))  # NaN where K is exactly singular
+        if size * self._ample < 1.0:
+            return None, plain
+        self.chain.place(q)
+        own = np.linalg.svd(self._every_row(q)[0], full_matrices=False)[0][:, : self._rank]
+        other = inverses(self._matrix(q, own)[0][None])[0]
+        if not float(np.linalg.norm(other)) < size / _HELPED:
+            return None, plain
+        return own, other
 
     def close(self, guess: Array, x: Array, basis: Array | None = None) -> ClosedState | None:
         """Return the closed state at coordinates by Newton's method from a guess nearby; None where that fails.
@@ -213,8 +245,8 @@ class Follower:
         q, size, step = guess, math.inf, np.zeros(self._nv)
         rest = np.zeros(len(self._columns))
         for _ in range(_NEWTON_STEPS):
-            K, phi, basis, _ = self._matrix(q, basis)
-            rest[: self._rank] = -phi if basis is None else -phi.dot(basis)
+            K, phi = self._matrix(q, basis)
+            rest[: self._rank] = -phi
             rest[self._rank :] = self.difference(x, self.chain.coordinates(q)) / self._unit
             before, size = size, math.sqrt(rest.dot(rest))
             factored, pivots, change, failed = _lapack().dgesv(K, rest)
@@ -227,16 +259,21 @@ class Follower:
             q = self._integrate(q, step)
             settled = size < 0.1 * _CONVERGED or longest < _CONVERGED
             if settled or (size >= before and longest < SETTLED_STEP):
-                return self._closed(x, q, _lapack().dgetri(factored, pivots)[0], _largest(rest), phi, basis)
+                inverse = _lapack().dgetri(factored, pivots)[0]
+                open_row = 0.0
+                if self._redundant:
+                    basis, inverse = self._independent(q, basis, inverse)
+                    open_row = _largest(self._every_row(q)[1])
+                return self._closed(x, q, inverse, _largest(rest), open_row, basis)
         return None
 
     def _closed(
-        self, x: Array, q: Array, inverse: Array, residual: float, phi: Array, basis: Array | None
+        self, x: Array, q: Array, inverse: Array, residual: float, open_row: float, basis: Array | None
     ) -> ClosedState | None:
         vectors = self.chain.vectors  # axes that must coincide do, and are not turned over
         if not all(float(vectors[a : a + 3].dot(vectors[b : b + 3])) > _COS_TURNED_OVER for a, b in self._aligned):
             return None
-        if not residual < CLOSURE_TOLERANCE or (basis is not None and not _largest(phi) < OPEN):
+        if not (residual < CLOSURE_TOLERANCE and open_row < OPEN):
             return None
         size = math.sqrt(inverse.ravel().dot(inverse.ravel()))
         gamma = np.zeros((self._nv, self.robot.n))
@@ -255,8 +292,11 @@ class Follower:
         bias = np.zeros(len(self._row_unit))
         bias[: self._rows.size] = self._rows.bias_at(placed, chain.J, chain.dJ, v)
         bias /= self._row_unit
-        closures = bias[: self._all] if state.basis is None else bias[: self._all].dot(state.basis)
-        rest = np.concatenate([-closures, xdd / self._unit - bias[self._all :]])
+        if state.basis is not None:
+            every = self._every.bias_at(self._every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
+            bias[: self._rank] = (every[: self._count] / self._every_unit[: self._count]).dot(state.basis)
+        rest = -bias
+        rest[self._rank :] += xdd / self._unit
         a = np.zeros(self._nv)
         a[self._columns] = state.inverse.dot(rest) * self._step_unit
         return Rates(state, v, a)
@@ -315,7 +355,8 @@ class Follower:
         same_side = self._same_sides(here.q, new.q)
         if _largest(moved * self._radians) < new.margin:
             return new if same_side else None
-        if not here.interpolated and (here.determinants[0] * new.determinants[0] < 0.0).any():
+        plain = not here.interpolated and here.basis is None and new.basis is None
+        if plain and (here.determinants[0] * new.determinants[0] < 0.0).any():
             return new if self.crosses(here, new) else None
         bend = _largest((new.gamma - here.gamma).dot(increment) * self._radians)
         if same_side and (here.interpolated or bend <= SAME_TANGENT * length):
@@ -480,9 +521,8 @@ class Follower:
         gamma = sum(w * each.state.gamma for w, each in zip(weights, rated, strict=True))
         v = sum(w * each.v for w, each in zip(weights, rated, strict=True))
         a = sum(w * each.a for w, each in zip(weights, rated, strict=True))
-        K, phi, basis, _ = self._matrix(q, base.basis)
-        closures = phi if basis is None else phi.dot(basis)
-        off = np.append(closures, self.difference(x, self.chain.coordinates(q)) / self._unit)
+        K, phi = self._matrix(q, base.basis)
+        off = np.append(phi, self.difference(x, self.chain.coordinates(q)) / self._unit)
         relative = gamma[self._columns] * (self._unit / self._step_unit[:, None])
         product = K.dot(relative)
         product[self._rank :] -= np.eye(self.robot.n)
@@ -490,7 +530,7 @@ class Follower:
         if residual > CLOSURE_TOLERANCE or np.abs(product).max() > _PASSED * (1.0 + np.abs(relative).max()):
             return None
         residual *= self.robot.characteristic_length
-        return Rates(ClosedState(x, q, gamma, np.zeros((0, 0)), residual, 0.0, self.blocks, basis), v, a)
+        return Rates(ClosedState(x, q, gamma, np.zeros((0, 0)), residual, 0.0, self.blocks, base.basis), v, a)
 
     # --- coordinates and configurations ------------------------------------------------------------------------------
 
@@ -507,13 +547,12 @@ class Follower:
     def displace(self, start: Array, increment: Array) -> Array:
         """Return the coordinates reached from others by an increment (n,)."""
         if not self._is_pose:
-            result: Array = start + increment
-            return result
+            return read_only(start + increment)
         full, pose = np.zeros(6), start.copy()
         full[self._pose_rows] = increment
         pose[:3, 3] += full[:3]
         pose[:3, :3] = pin.exp3(full[3:]).dot(start[:3, :3])
-        return pose
+        return read_only(pose)
 
     def _integrate(self, q: Array, step: Array) -> Array:
         result: Array = q + step if self._flat else pin.integrate(self._model, q, step)
