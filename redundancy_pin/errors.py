@@ -161,6 +161,10 @@ class UnsupportedRobotError(RedundancyPinError):
     """A backend or closed form does not cover this robot."""
 
 
+class CompilerError(RedundancyPinError):
+    """Generated code cannot be compiled: no C compiler, or one that fails; carries the reason."""
+
+
 class InfeasiblePlanError(RedundancyPinError):
     """No plan exists; names the constraint, the time and the amount."""
 

@@ -13,6 +13,7 @@ import contextlib
 import ctypes
 import hashlib
 import importlib.resources
+import importlib.util
 import itertools
 import logging
 import os
@@ -63,8 +64,19 @@ class Compiler:
     identity: str
 
 
+NO_COMPILER = "there is no C compiler (cc, gcc or clang; $CC names another)"
+"""Why nothing can be compiled on a system without a compiler."""
+
+REMEDY = "Install a C compiler, or one that pip brings: `pip install 'redundancy_pin[compiler]'`."
+"""What to do without a compiler."""
+
+
 def find_compiler() -> Compiler | None:
-    """Return the compiler that ``$CC`` names, with its arguments, or the first of cc, gcc and clang; None without."""
+    """Return the C compiler of this system; None without one.
+
+    The first of these that exists: what ``$CC`` names, with its arguments; cc, gcc, clang on the path; the Zig compiler
+    of the package ziglang (extra ``compiler``), which compiles C as clang does.
+    """
     for named in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         try:
             program, *arguments = [named] if shutil.which(named) else shlex.split(named)
@@ -72,9 +84,25 @@ def find_compiler() -> Compiler | None:
             continue
         path = shutil.which(program)
         if path is not None:
-            file = os.stat(path)
-            return Compiler((path, *arguments), " ".join([path, *arguments, str(file.st_size), str(file.st_mtime_ns)]))
+            return _identified(path, *arguments)
+    return _find_ziglang()
+
+
+def _find_ziglang() -> Compiler | None:
+    """Return the C compiler of the package ziglang, where that is installed."""
+    package = importlib.util.find_spec("ziglang")
+    for folder in package.submodule_search_locations or () if package is not None else ():
+        program = shutil.which("zig", path=folder)
+        if program is not None:
+            # Zig compiles for this processor unless told otherwise, and the cache may be shared with other machines; a
+            # later -march=native (``NATIVE``) overrides the option
+            return _identified(program, "cc", "-mcpu=baseline")
     return None
+
+
+def _identified(path: str, *arguments: str) -> Compiler:
+    file = os.stat(path)
+    return Compiler((path, *arguments), " ".join([path, *arguments, str(file.st_size), str(file.st_mtime_ns)]))
 
 
 def processor() -> str:
@@ -107,7 +135,7 @@ def built(
     """
     compiler = find_compiler()
     if compiler is None:
-        return None, "there is no C compiler (cc, gcc or clang; $CC names another)"
+        return None, NO_COMPILER
     own = digest_of(compiler.identity)
     name = f"{own}.so"
     folder = cache_folder()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import shlex
+import sys
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -92,3 +93,11 @@ def compiled_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
         if compiler := find_compiler():
             patch.setenv("CC", shlex.join(["sh", "-c", 'exec "$0" "$@" -O1', *compiler.command]))
         yield folder
+
+
+@pytest.fixture
+def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A system without a C compiler, that of pip included."""
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setitem(sys.modules, "ziglang", None)

@@ -32,7 +32,7 @@ def plan(robot: Robot) -> Plan:
 
 def compiled(robot: Any) -> Any:
     pytest.importorskip("casadi")
-    return rp.CompiledDynamics(robot, interpret=True)
+    return rp.CompiledDynamics(robot)
 
 
 def symbolic(robot: Any) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import shlex
 import shutil
 import signal
 import stat
@@ -120,6 +121,53 @@ def test_a_compiler_may_be_named_with_its_arguments(tmp_path: Path, monkeypatch:
         monkeypatch.setenv("CC", unusable)
         assert (other := machine_code.find_compiler()) is not None
         assert len(other.command) == 1
+
+
+def test_the_compiler_that_pip_brings_is_the_last_choice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package ziglang whose zig is the compiler of this system, and writes down what it is told."""
+    compiler, package, told = machine_code.find_compiler(), tmp_path / "ziglang", tmp_path / "told"
+    assert compiler is not None
+    package.mkdir()
+    (package / "__init__.py").touch()
+    own = shlex.join(compiler.command)
+    zig = Path(script(tmp_path, f'echo "$@" > {told}; shift 2; exec {own} "$@"')).rename(package / "zig")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv(machine_code.CACHE, "")
+    assert machine_code.find_compiler() == compiler
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(machine_code.shutil, "which", shutil_without("cc", "gcc", "clang"))
+    found = machine_code.find_compiler()
+    assert found is not None
+    # any processor of this kind may run what is kept, unless a later option says otherwise
+    assert found.command == (str(zig), "cc", "-mcpu=baseline")
+    assert works()
+    assert told.read_text().startswith("cc -mcpu=baseline -std=c99 -O3")
+    zig.unlink()
+    assert machine_code.find_compiler() is None
+    assert answer() == (None, machine_code.NO_COMPILER)
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_without_a_compiler_nothing_is_built() -> None:
+    assert machine_code.find_compiler() is None
+    assert answer() == (None, machine_code.NO_COMPILER)
+
+
+def test_ziglang_compiles_what_others_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ziglang", reason="pip install 'redundancy_pin[compiler]'")
+    monkeypatch.setenv(machine_code.CACHE, "")
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(machine_code.shutil, "which", shutil_without("cc", "gcc", "clang"))
+    found = machine_code.find_compiler()
+    assert found is not None
+    assert found.command[1] == "cc"
+    assert works()
+
+
+def shutil_without(*names: str) -> Callable[..., str | None]:
+    """``shutil.which`` on a system without some programs."""
+    which = shutil.which
+    return lambda program, **where: None if program in names else which(program, **where)
 
 
 def test_two_processes_build_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -341,7 +341,7 @@ def test_lengths_in_millimetres_are_guessed_where_they_are_refused(tmp_path: Pat
     motion = rp.PlatformMotion([0.0, 1.0], [[250.0, 700.0]] * 2, np.zeros((2, 2)), np.zeros((2, 2)))
     for ask in (
         lambda m: rp.RneaDynamics(five).reduce(m),
-        lambda m: rp.CompiledDynamics(five, interpret=True).reduce(m),
+        lambda m: rp.CompiledDynamics(five).reduce(m),
     ):
         with pytest.raises(UnreachablePoseError, match=MILLIMETRES):
             ask(motion)
@@ -352,11 +352,10 @@ def test_lengths_in_millimetres_are_guessed_where_they_are_refused(tmp_path: Pat
     assert "millimetres" not in str(caught.value)  # merely too far
 
 
-@pytest.mark.long  # generated code that is interpreted takes seconds to look everywhere
 def test_generated_code_and_crossings_guess_too() -> None:
     motion = rp.PlatformMotion([0.0, 1.0], [[250.0, 700.0]] * 2, np.zeros((2, 2)), np.zeros((2, 2)))
     with pytest.raises(UnreachablePoseError, match=MILLIMETRES):
-        rp.CompiledDynamics("five_bar", interpret=True).reduce(motion)
+        rp.CompiledDynamics("five_bar").reduce(motion)
     with pytest.raises(UnreachablePoseError, match=MILLIMETRES):
         rp.find_crossings("five_bar", motion)
 

@@ -35,16 +35,12 @@ COLORS = 32
 
 def crossing() -> rp.Plan:
     """The 2-RPR on the thesis's circle, through two singularities with its main actuators off."""
-    return rp.plan_switch_off(
-        rp.VirtualWork(rp.load_robot("2rpr")), rp.trajectory.reference.circle(speed=0.5), threshold=7.0
-    )
+    return rp.plan_switch_off(rp.load_robot("2rpr"), rp.trajectory.reference.circle(speed=0.5), threshold=7.0)
 
 
 def corner() -> rp.Plan:
     """The 3-RRR around the thesis's corner, its carriers moving for least torque."""
-    return rp.plan_stepwise(
-        rp.RneaDynamics(rp.load_robot("3rrr")), rp.trajectory.reference.corner(radius=0.025), lam=0.0
-    )
+    return rp.plan_stepwise(rp.load_robot("3rrr"), rp.trajectory.reference.corner(radius=0.025), lam=0.0)
 
 
 def animate(scene: Scene, path: Path, *, title: str) -> None:
@@ -138,7 +134,7 @@ def delta_crossing() -> Figure:
     robot = rp.load_robot("delta", rod_length=0.35, rod_carriers=True)
     line = rp.trajectory.Line((-0.04, 0.02, -0.25), (0.05, 0.0, -0.05))
     motion = rp.trajectory.Trajectory(line, rp.trajectory.RestToRest(line.length, 0.5, "4-5-6-7"))
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion, objective="peak", dt=0.01)
+    plan = rp.plan_whole_trajectory(robot, motion, objective="peak", dt=0.01)
     (singular,) = plan.diagnostics["singular_instants"]
     with figure(9.0, 2.2) as drawn:
         for panel, t in enumerate((singular - 0.1, singular, singular + 0.1), 1):

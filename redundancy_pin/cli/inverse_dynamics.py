@@ -25,7 +25,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.status import ResultStatus
-from redundancy_pin.studies.case import BACKENDS, RNEA
+from redundancy_pin.studies.case import backend_of
 from redundancy_pin.trajectory.csv_file import csv_rows, effort_columns, motion_columns
 
 STEP = 1e-3  # between samples of a trajectory, s
@@ -43,7 +43,7 @@ def _numbers(name: str) -> Any:
 
 @click.command("inverse-dynamics")
 @options.robot_options()
-@options.backend_option(RNEA)
+@options.backend_option()
 @options.motion_options(f"Motion to follow: {options.MOTION_CSV}", "Trajectory to follow instead, carriers parked")
 @click.option("--dt", type=float, metavar="SECONDS", help=f"Between samples of the trajectory.  [default: {STEP:g}]")
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
@@ -64,7 +64,7 @@ def _numbers(name: str) -> Any:
 @options.json_option
 def inverse_dynamics(
     robot: options.RobotOptions,
-    backend: str,
+    backend: str | None,
     motion: options.MotionOptions,
     dt: float | None,
     out: str,
@@ -116,6 +116,8 @@ def inverse_dynamics(
             )
         loaded = robot.load()
         loaded = loaded.loaded(*loads) if loads else loaded
+        dynamics = options.dynamics_of(loaded, backend)
+        used = backend_of(dynamics)
         wanted = {"upper": upper, "lower": -upper if lower is None and upper is not None else lower}
         advance(0, 1, "reading")
         followed = motion.follow("Inverse dynamics", loaded, dt=dt)
@@ -127,9 +129,7 @@ def inverse_dynamics(
         pairs = [(samples[part], carriers[part]) for part in blocks(len(samples), BLOCK)]
 
         def texts() -> Iterator[str]:
-            parts = inverse_dynamics_in_blocks(
-                BACKENDS[backend](loaded), pairs, unreachable=unreachable, preferred=preferred, **wanted
-            )
+            parts = inverse_dynamics_in_blocks(dynamics, pairs, unreachable=unreachable, preferred=preferred, **wanted)
             for pair, part in zip(pairs, parts, strict=True):
                 yield csv_rows(_columns(loaded, *pair, part), first=not result.samples)
                 result.add(part)
@@ -139,7 +139,7 @@ def inverse_dynamics(
     _warn(result)
     facts: dict[str, Any] = {
         "robot": loaded.name,
-        "backend": backend,
+        "backend": used,
         "motion": motion.described,
         "ends": getattr(followed, "ends", None),
     }
@@ -154,7 +154,7 @@ def inverse_dynamics(
     if result.instants:
         rows.append(("singular at t [s]", output.row(one.t for one in result.instants)))
     rows.append(("written to", out))
-    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {backend}: {result.samples} samples", (), rows))
+    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {used}: {result.samples} samples", (), rows))
     return EXIT_CODES[result.status]
 
 

@@ -32,7 +32,7 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command("map")
 @options.robot_flags
-@options.backend_option(None, "How to compute; virtual-work where it can.")
+@options.backend_option(default="virtual-work where it can, otherwise rnea")
 @options.trajectory_option("Motion")
 @click.option("--x", "x_text", metavar="AXIS", help="NAME=LOW:HIGH:COUNT, with :log at its end for a logarithmic one.")
 @click.option("--y", "y_text", metavar="AXIS", help="The same, or NAME=V,V,...: values one by one.")

@@ -15,14 +15,13 @@ from redundancy_pin.cli.plan_problem import flags_of, number, numbers, parameter
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.receding_horizon import RecedingHorizon, run_online
 from redundancy_pin.status import UpdateStatus
-from redundancy_pin.studies.case import BACKENDS, COMPILED
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer.page import require_html, require_meshcat
 
 
 @click.command()
 @options.robot_options()
-@options.backend_option(COMPILED)
+@options.backend_option()
 @options.trajectory_options
 @planner_options("online")
 @click.option("--tick", metavar="SECONDS", help="Between plans.  [default: a step]")
@@ -34,7 +33,7 @@ from redundancy_pin.visualisation.viewer.page import require_html, require_meshc
 @options.json_option
 def online(
     robot: options.RobotOptions,
-    backend: str,
+    backend: str | None,
     motion: options.MotionOptions,
     tick: str | None,
     start: str,
@@ -72,7 +71,7 @@ def online(
         between, at = None if tick is None else number("--tick", tick), numbers("--start", start)
         loaded = robot.load()
         followed = motion.follow("On-line planning", loaded)
-        planner = RecedingHorizon(BACKENDS[backend](loaded), **parameters)
+        planner = RecedingHorizon(options.dynamics_of(loaded, backend), **parameters)
         advance(1, 3, "ticks")
         run = run_online(planner, followed, tick=between, start=at)
         advance(2, 3, "writing")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
@@ -12,10 +13,12 @@ from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 import click
 
 from redundancy_pin.arrays import LARGEST, checked, decimal
+from redundancy_pin.cli import output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, did_you_mean, shown
 
 if TYPE_CHECKING:
+    from redundancy_pin.dynamics.base import Dynamics
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.robot import Robot
     from redundancy_pin.robot.loads import Load
@@ -173,13 +176,28 @@ def json_option(command: _Command) -> _Command:
     return option(command)
 
 
-def backend_option(default: str | None, text: str = "How to compute.") -> Callable[[_Command], _Command]:
-    """Return the option ``--backend``; the command chooses where neither the user nor ``default`` names one."""
+DEFAULT_BACKEND = "compiled; rnea without a C compiler"
+"""What the default of ``--backend`` is; see ``dynamics.default``."""
+
+
+def backend_option(text: str = "How to compute.", default: str = DEFAULT_BACKEND) -> Callable[[_Command], _Command]:
+    """Return the option ``--backend``, None where the user names none; ``default`` is what the help says of that."""
     from redundancy_pin.studies.case import BACKENDS
 
-    return click.option(
-        "--backend", type=click.Choice(list(BACKENDS)), default=default, show_default=default is not None, help=text
-    )
+    return click.option("--backend", type=click.Choice(list(BACKENDS)), show_default=default, help=text)
+
+
+def dynamics_of(robot: Robot, backend: str | None) -> Dynamics:
+    """Return the dynamics that ``--backend`` names, the default ones for None; what they warn of goes to stderr."""
+    from redundancy_pin.dynamics.default import default_dynamics
+    from redundancy_pin.studies.case import BACKENDS
+
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        dynamics = default_dynamics(robot) if backend is None else BACKENDS[backend](robot)
+    for note in notes:
+        output.warning(str(note.message))
+    return dynamics
 
 
 def jobs_option(default: int) -> Callable[[_Command], _Command]:

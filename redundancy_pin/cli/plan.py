@@ -199,7 +199,7 @@ def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    return options.robot_options()(options.backend_option(RNEA)(options.trajectory_options(_output_options(command))))
+    return options.robot_options()(options.backend_option()(options.trajectory_options(_output_options(command))))
 
 
 @click.group(invoke_without_command=True)

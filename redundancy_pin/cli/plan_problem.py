@@ -26,7 +26,7 @@ from redundancy_pin.planners.time_optimal import plan_time_optimal
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import source_in
-from redundancy_pin.studies.case import BACKENDS, RNEA
+from redundancy_pin.studies.case import BACKENDS
 from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.trajectory.trajectory import Ends
@@ -316,7 +316,7 @@ class PlanProblem:
 def problem(
     planner: str,
     robot: Robot,
-    backend: str,
+    backend: str | None,
     motion: PlatformMotion | Trajectory,
     parameters: Mapping[str, object],
     *,
@@ -329,7 +329,8 @@ def problem(
     stepwise plan along a trajectory, s.
     """
     values = read_parameters(planner, parameters)
-    make = BACKENDS[options.require_choice(backend, tuple(BACKENDS), "the backend")]
+    if backend is not None:
+        options.require_choice(backend, tuple(BACKENDS), "the backend")
     for name, given, takers in (("baseline", baseline, WITH_BASELINE), ("step", step, ("stepwise",))):
         if given is not None and planner not in takers:
             only = f"Only {' and '.join(takers)} {'does' if len(takers) == 1 else 'do'}."
@@ -347,8 +348,8 @@ def problem(
         raise InputError("A motion from a file has its own steps.", remedy="Leave the step out, or resample the file.")
     if baseline is not None:
         with _about(_BASELINE):
-            values["baseline"] = make(baseline.load())
-    return PlanProblem(planner, make(robot), motion, values, ends=ends)
+            values["baseline"] = options.dynamics_of(baseline.load(), backend)
+    return PlanProblem(planner, options.dynamics_of(robot, backend), motion, values, ends=ends)
 
 
 _ROBOT_KEYS = ("robot", "set", "mode", "gravity")
@@ -416,7 +417,7 @@ def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> PlanProblem:
     task = problem(
         planner,
         loaded,
-        word("backend", data.get("backend", RNEA)),
+        None if data.get("backend") is None else word("backend", data["backend"]),
         motion,
         parameters,
         baseline=baseline,

@@ -10,13 +10,13 @@ import click
 import numpy as np
 
 from redundancy_pin.cli.errors import FAILED_CHECK, OPTIONS, in_words
-from redundancy_pin.cli.options import backend_option, json_option, recorded_robot_options
+from redundancy_pin.cli.options import backend_option, dynamics_of, json_option, recorded_robot_options
 from redundancy_pin.cli.output import TextTable, number, report, row, same_file
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.export import write_csv, write_json, write_mat, write_ros
 from redundancy_pin.planners.plan import load_plan, load_robot_of
-from redundancy_pin.studies.case import BACKENDS, RNEA
+from redundancy_pin.studies.case import backend_of
 
 WRITERS = {".csv": write_csv, ".json": write_json, ".mat": write_mat, ".yaml": write_ros, ".yml": write_ros}
 """What is written, by the suffix of the file."""
@@ -24,10 +24,10 @@ WRITERS = {".csv": write_csv, ".json": write_json, ".mat": write_mat, ".yaml": w
 
 @click.command()
 @click.argument("path", metavar="NPZ")
-@backend_option(RNEA, "What judges the plan.")
+@backend_option("What judges the plan.")
 @recorded_robot_options
 @json_option
-def check(path: str, source: str | None, backend: str, trust: bool, as_json: bool) -> int:
+def check(path: str, source: str | None, backend: str | None, trust: bool, as_json: bool) -> int:
     r"""Judge a saved plan anew.
 
     Its motion goes through the dynamics of its robot again: W τ = f at the samples, limits, efforts between the
@@ -44,10 +44,12 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
     from redundancy_pin.planners.check import check_plan
 
     plan = load_plan(path)
-    result = check_plan(plan, BACKENDS[backend](load_robot_of(plan, source, trust=trust)))
+    dynamics = dynamics_of(load_robot_of(plan, source, trust=trust), backend)
+    result = check_plan(plan, dynamics)
+    used = backend_of(dynamics)
     facts = {
         "plan": path,
-        "backend": backend,
+        "backend": used,
         "passed": result.passed,
         "status": result.status.value,
         "saved_status": plan.status.value,
@@ -65,7 +67,7 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
         *(("wider limit", note) for note in result.wider_limits),
         *(("closures lose rank", _where(loss)) for loss in result.closure_rank),
     ]
-    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {backend}"
+    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {used}"
     report(as_json, facts, TextTable(title, (), rows))
     for deviation in result.deviations:
         click.echo(f"error: {deviation.message}", err=True)

@@ -17,7 +17,7 @@ from redundancy_pin.cli.output import drawn, progress, report, resumable
 from redundancy_pin.cli.plan_problem import PARAMETERS, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
-from redundancy_pin.studies.case import BACKENDS, RNEA, VIRTUAL_WORK, WHOLE, Case, load
+from redundancy_pin.studies.case import VIRTUAL_WORK, WHOLE, Case, load
 from redundancy_pin.studies.case import options as as_options
 from redundancy_pin.studies.co_design import DesignTask, compare_machines
 from redundancy_pin.studies.reproduce import reproduce as run_job
@@ -108,7 +108,7 @@ def _machine(text: str) -> Callable[[_Command], _Command]:
     """Return the options of commands that plan over the whole trajectory; ``text`` is the help of --parameter."""
     repeated: Any = {"multiple": True, "metavar": "NAME=VALUE"}
     parameter = click.option("--parameter", "parameters", **repeated, help=f"Of `plan whole-trajectory`, {text}.")
-    backend = options.backend_option(None, "How to compute; the robot's closed form where it has one.")
+    backend = options.backend_option(default="virtual-work where it can; otherwise as plan")
     return lambda command: options.robot_flags(backend(parameter(command)))
 
 
@@ -206,7 +206,7 @@ def design(**given: Any) -> None:
     parameters = _planner_parameters(given["parameters"])
     folder = expanded(given["out"] or f"design-{Path(given['robot']).stem}")
     robot = load(given["robot"], given["mode"] or (), as_options(**given["settings"]), given["gravity"], given["trust"])
-    dynamics = BACKENDS[given["backend"] or (VIRTUAL_WORK if robot.closed_form else RNEA)](robot)
+    dynamics = options.dynamics_of(robot, given["backend"] or (VIRTUAL_WORK if robot.closed_form else None))
     kinds = [text.partition(":")[0] for text in given["tasks"]]
     named = {kind if kinds.count(kind) == 1 else text: text for kind, text in zip(kinds, given["tasks"], strict=True)}
     tasks = {

@@ -3,7 +3,7 @@
 
 /* --- states -------------------------------------------------------------------------------------------------------- */
 
-static int pose_of(const robot_state *state, Pose *pose, double *x) { return pose_at(state->q, state->sign, pose, x); }
+static int pose_of(const robot_state *state, Pose *pose, double *x) { return pose_at(NUMBERS, state->q, state->sign, pose, x); }
 
 static void store(const Pose *pose, robot_state *state) {
   copy(state->q, pose->q, NQ);
@@ -28,8 +28,8 @@ int robot_go_to(robot_state *state, const double x[ROBOT_NX]) {
   if (!finite(x, NX)) return ROBOT_NOT_FINITE;
   int status = pose_of(state, &pose, here);
   if (status) return status;
-  if (!go_far(&pose, here, x)) return ROBOT_UNREACHABLE;
-  if (!in_mode(&pose)) return ROBOT_BRANCH_LOST;
+  if (!go_far(NUMBERS, &pose, here, x)) return ROBOT_UNREACHABLE;
+  if (!in_mode(NUMBERS, &pose)) return ROBOT_BRANCH_LOST;
   store(&pose, state);
   return ROBOT_OK;
 }
@@ -50,11 +50,11 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
   copy(from, state->q, NQ);
   from[NQ] = state->sign;
   if (!finite(in, NX + 2 * N + 3 * NK) || !finite(from, NQ + 1)) return ROBOT_NOT_FINITE;
-  int closed = rp_sample(from, in, out);
+  int closed = rp_sample(NUMBERS, from, in, out);
   if (closed != CLOSED) return status_of(closed);
   if (!finite(out, N * M + N + NK + 2)) return ROBOT_NOT_FINITE; /* rates so large that forces overflow */
   Efforts found;
-  int status = distribute(W, f, force_size_of(in), &found);
+  int status = distribute(NUMBERS, W, f, force_size_of(NUMBERS, in), &found);
   if (status == ROBOT_NOT_FINITE) return status;
   copy(efforts->tau, found.tau, M);
   efforts->residual = found.residual;
@@ -83,7 +83,7 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
   if (!finite(given->position, M) || !finite(given->velocity, M)) return ROBOT_NOT_FINITE;
   int status = pose_of(state, &pose, x);
   if (status) return status;
-  status = platform_of(&pose, given->position, given->velocity, &found);
+  status = platform_of(NUMBERS, &pose, given->position, given->velocity, &found);
   if (status != ROBOT_OK && status != ROBOT_NEAR_SINGULAR) return status;
   store(&pose, state);
   copy(platform->x, found.x, NX);
@@ -104,10 +104,11 @@ int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
   int status = pose_of(state, &pose, x);
   if (status) return status;
   clear(none, N);
-  if (!(rates(&pose, none, none, v, a, gamma, W) >= LEAST_MARGIN)) return ROBOT_TYPE_I;
+  if (!(rates(NUMBERS, &pose, none, none, v, a, gamma, W) >= LEAST_MARGIN)) return ROBOT_TYPE_I;
 #if R
+  const double *const numbers = NUMBERS; /* by which the macros of units read */
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
-  rows(pose.q, pose.trig, x, residual, K, alignment);
+  rows(NUMBERS, pose.q, pose.trig, x, residual, K, alignment);
   clear(&out->closure[0][0], R * NV);
   for (int i = 0; i < R; ++i)
     for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[i + j * NP] * (EQUATION_UNIT[i] / STEP_UNIT[j]);
@@ -124,8 +125,8 @@ int robot_margins_at(const robot_state *state, robot_margins *out) {
   int status = pose_of(state, &pose, x);
   if (status) return status;
   clear(none, N);
-  double margin = rates(&pose, none, none, v, a, gamma, W);
-  spectrum_of(W, &s);
+  double margin = rates(NUMBERS, &pose, none, none, v, a, gamma, W);
+  spectrum_of(NUMBERS, W, &s);
   if (!(margin >= LEAST_MARGIN)) return ROBOT_TYPE_I;
   out->type_I = margin;
   out->type_II = s.margin;

@@ -570,16 +570,3 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
             time=float(t[k]),
             amount=float(outside[k, i]),
         )
-
-
-def require_dynamics(dynamics: object) -> None:
-    """Check that what should be a backend is one.
-
-    Raises:
-        InputError: it is something else, as a robot or its name.
-    """
-    if not (hasattr(dynamics, "along") and hasattr(dynamics, "robot")):
-        raise InputError(
-            f"{type(dynamics).__name__} was given for the dynamics.",
-            remedy="Pass a backend of the robot: RneaDynamics(robot) or VirtualWork(robot).",
-        )

@@ -14,10 +14,10 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
-    require_dynamics,
     require_matching_carriers,
     require_on_track,
 )
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
 from redundancy_pin.kinematics.continuation import Point
@@ -113,7 +113,7 @@ class InverseDynamics(Frozen):
 
 
 def inverse_dynamics(
-    dynamics: Dynamics,
+    dynamics: DynamicsLike,
     motion: PlatformMotion,
     carriers: CarrierMotion | None = None,
     *,
@@ -130,7 +130,7 @@ def inverse_dynamics(
     a single instant have nothing in between.
 
     Args:
-        dynamics: any backend.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: N samples of the platform coordinates.
         carriers: N samples of the carriers; parked at s = 0 when left out.
         unreachable: as in ``Dynamics.along``.
@@ -143,7 +143,7 @@ def inverse_dynamics(
         CarrierLimitError, InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in
             ``Dynamics.reduce``.
     """
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     dynamics = dynamics.with_external(*external) if external else dynamics
     require_sampled(motion)
     require_matching_carriers(dynamics.robot, carriers, len(motion))
@@ -153,7 +153,7 @@ def inverse_dynamics(
 
 
 def inverse_dynamics_in_blocks(
-    dynamics: Dynamics,
+    dynamics: DynamicsLike,
     blocks: Iterable[tuple[PlatformMotion, CarrierMotion | None]],
     *,
     unreachable: OnUnreachable = "raise",
@@ -168,7 +168,8 @@ def inverse_dynamics_in_blocks(
     compared with positions here: ``require_consistent`` does that for the whole.
 
     Args:
-        dynamics: any backend; loads sampled in time do not go in blocks.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend. Loads
+            sampled in time do not go in blocks.
         blocks: samples of platform and carriers, each block following the one before.
         unreachable: as in ``inverse_dynamics``.
         lower: smallest efforts, scalar or (m,), as in ``distribute``.
@@ -180,7 +181,7 @@ def inverse_dynamics_in_blocks(
         CarrierLimitError, UnreachablePoseError, SingularPoseError, WorkingModeError: as ``inverse_dynamics``; samples
             are numbered from the beginning of the motion.
     """
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     if any(_is_sampled(load) for load in dynamics.robot.loads):
         raise InputError(
             "A wrench sampled in time does not go with blocks of samples.",

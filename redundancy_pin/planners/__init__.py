@@ -1,1 +1,1 @@
-"""Planners: carrier motion and efforts for a given platform motion, through the protocol of either backend."""
+"""Planners: carrier motion and efforts for a given platform motion, through the protocol of the backends."""

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only, require_type
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics, require_dynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -334,7 +335,7 @@ class PlanCheck:
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
-def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
+def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
     """Judge a plan anew from its motion: W τ = f, limits, efforts between the samples, and the status that follows.
 
     What the plan says of itself (efforts, forces, rates, margins, limits, peaks, status) is compared with what the
@@ -343,21 +344,22 @@ def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
 
     Args:
         plan: the plan.
-        dynamics: either backend of its robot, such as ``RneaDynamics(load_robot_of(plan))``.
+        dynamics: the robot of the plan (``load_robot_of(plan)``), for generated code (``as_dynamics``); or a backend.
 
     Returns:
         What they say, and where the plan deviates from it.
 
     Raises:
-        InputError: no backend, or one of another robot.
+        InputError: neither a robot nor a backend, or of another robot.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
     require_type(plan, Plan, "A plan", "Pass load_plan(...).")
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     other = record_difference(plan.robot, robot_record(dynamics.robot))
     if other:
         raise InputError(
-            f"The plan is for another robot than the dynamics: {other}", remedy="Pass a backend of load_robot_of(plan)."
+            f"The plan is for another robot than the dynamics: {other}",
+            remedy="Pass load_robot_of(plan), or a backend of it.",
         )
     along = dynamics.along(plan.motion)
     left, size = imbalance(along.reduce(plan.carriers), plan.tau)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, require_type
-from redundancy_pin.dynamics.base import Dynamics, require_dynamics
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.io.schema import record_of
@@ -136,31 +136,33 @@ class Plan(Frozen):
         """Return the carrier motion at (N,) times, s; ``side`` decides where s̈ jumps."""
         return self.functions_of_time.carriers_at(np.asarray(times, dtype=np.float64), side)
 
-    def efforts_at(self, times: ArrayLike, dynamics: Dynamics) -> Array:
+    def efforts_at(self, times: ArrayLike, dynamics: DynamicsLike) -> Array:
         """Return main efforts (N, m) at (N,) times, N or N·m: prescribed by the planner, or τ = W⁻¹ f of the motion.
 
         Args:
             times: (N,) increasing times, s.
-            dynamics: either backend, for the robot of the plan.
+            dynamics: the robot of the plan, or its name or path, for generated code (``as_dynamics``); or a
+                backend of it.
 
         Returns:
             Efforts; NaN on a type II singularity that is no interval without efforts: see ``tau`` there.
         """
-        require_dynamics(dynamics)
+        dynamics = as_dynamics(dynamics)
         instants = np.asarray(times, dtype=np.float64)
         reduced = dynamics.along(self.platform_at(instants)).reduce(self.carriers_at(instants))
         return self.functions_of_time.efforts(reduced)
 
-    def base_wrench(self, dynamics: Dynamics, point: ArrayLike | None = None) -> Array:
+    def base_wrench(self, dynamics: DynamicsLike, point: ArrayLike | None = None) -> Array:
         """Return (N, 6) force, N, and moment, N·m, of the robot on its base at the samples, world axes.
 
         Args:
-            dynamics: either backend, for the robot of the plan.
+            dynamics: the robot of the plan, or its name or path, for generated code (``as_dynamics``); or a
+                backend of it.
             point: (3,) point about which the moment is taken, m; the world origin when left out.
         """
         from redundancy_pin.planners.base_wrench import about, point_of
 
-        require_dynamics(dynamics)
+        dynamics = as_dynamics(dynamics)
         return about(dynamics.along(self.motion).base_wrench(self.carriers), point_of(point))
 
     @property

@@ -140,7 +140,7 @@ def inverse_derivatives(
     if loads:
         raise UnsupportedRobotError(
             f"Derivatives of {loads[0]!r} are not known here.",
-            remedy="Pass dynamics=CompiledDynamics(robot), or linearise without loads; wrenches have none at all.",
+            remedy="Pass dynamics=robot, or linearise without loads; wrenches have none at all.",
         )
     chain = ClosedChain(robot)
     model, data = chain.model, chain.data

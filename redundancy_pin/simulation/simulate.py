@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
@@ -75,7 +75,7 @@ def simulate(
     restart_at: Literal["breaks", "jumps"] = "breaks",
     method: Method = "projected",
     way: Method | None = None,
-    dynamics: Dynamics | None = None,
+    dynamics: DynamicsLike | None = None,
 ) -> Simulation:
     """Simulate a closed-chain robot under given efforts.
 
@@ -109,9 +109,9 @@ def simulate(
             which pays where tolerances are loose. At tight ones the step control grinds at the kinks.
         method: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
         way: the name of ``method`` in version 0.1.0; deprecated.
-        dynamics: a backend of this robot whose forward dynamics are machine code (``CompiledDynamics``), which then
-            takes the ordinary steps of explicit integrators: many times as fast, the same to the tolerances. Others
-            make no difference.
+        dynamics: this robot again, or its name or path, for generated code (``as_dynamics``); or a backend of it.
+            Generated code then takes the ordinary steps of explicit integrators: many times as fast, the same to the
+            tolerances. Backends without forward dynamics make no difference.
 
     Returns:
         A ``Simulation``. Its status tells what went wrong on the way: an event at which it stopped, or a failure
@@ -200,7 +200,7 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
     return controller
 
 
-def _kernel(robot: Robot, dynamics: Dynamics | None, method: str) -> ForwardKernel | None:
+def _kernel(robot: Robot, dynamics: DynamicsLike | None, method: str) -> ForwardKernel | None:
     kernel = kernel_of(robot, dynamics)
     if kernel is not None and method != "projected":
         raise InputError(

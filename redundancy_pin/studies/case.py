@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
@@ -38,12 +37,10 @@ BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {
 """Dynamics of a robot, by the name the command line uses."""
 
 
-def machine_code(robot: Robot) -> CompiledDynamics | None:
-    """Return a robot's dynamics as machine code, for long simulations; None where there is no compiler."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of simulations without them only the time is another
-        dynamics = CompiledDynamics(robot)
-    return dynamics if dynamics.compiled else None
+def backend_of(dynamics: Dynamics) -> str:
+    """Return the name of a backend in ``BACKENDS``, of its class where it is none of them."""
+    own = type(dynamics)
+    return next((name for name, kind in BACKENDS.items() if kind is own), own.__name__)
 
 
 Mode: TypeAlias = tuple[int, ...]

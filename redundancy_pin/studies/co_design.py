@@ -23,8 +23,9 @@ import pinocchio as pin
 from scipy.optimize import minimize
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, positive, require_type, whole
-from redundancy_pin.dynamics.base import Dynamics, require_dynamics
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import (
     DeclarationError,
     InfeasiblePlanError,
@@ -79,7 +80,8 @@ class DesignTask(Frozen):
     """A task of a machine.
 
     Attributes:
-        dynamics: a backend of the machine to begin with.
+        dynamics: a backend of the machine to begin with; made by ``as_dynamics`` where a robot, its name or its path is
+            given.
         motion: of the platform, as for ``plan_whole_trajectory``.
         options: its keywords.
         weight: of its least cost, over what that is for the machine to begin with.
@@ -89,6 +91,10 @@ class DesignTask(Frozen):
     motion: PlatformMotion | TimedTrajectory
     options: Mapping[str, Any] = field(default_factory=dict)
     weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Choose the backend of a robot."""
+        object.__setattr__(self, "dynamics", as_dynamics(self.dynamics))
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,8 +258,7 @@ class _Machine:
         for given, task, (_, outcome) in zip(self.search.tasks, self.tasks, self.solved, strict=True):
             robot = task.dynamics.robot
             if id(robot) not in kernels:
-                # nothing is compiled for a machine that is soon another
-                kernels[id(robot)] = CompiledDynamics(robot, interpret=True)
+                kernels[id(robot)] = CompiledDynamics(robot)
                 moved[id(robot)] = [_with(robot, {name: float(robot.parameters[name]) + MOVED}) for name in names]
             machines = [
                 Moved(_planning_task(given, one).settings.limits, one.characteristic_length) for one in moved[id(robot)]
@@ -309,7 +314,7 @@ def _keys(kind: type) -> set[str]:
 
 
 def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, ...]:
-    remedy = "Pass [(dynamics, trajectory, {...})]."
+    remedy = "Pass [(robot, trajectory, {...})]."
     require_type(given, Sequence, "A sequence of tasks", remedy)
     for one in given:
         require_type(one, (DesignTask, tuple, list), "A task", remedy)
@@ -321,7 +326,6 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
     grouped = {"dynamics", "motion", "limits", "mesh", "solver"}
     known = set(inspect.signature(plan_whole_trajectory).parameters) - grouped
     for task in tasks:
-        require_dynamics(task.dynamics)
         require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
         for name in task.options:

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from redundancy_pin.dynamics.default import default_dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.base_wrench import load_at_rest
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
 from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.simulation.replay import replay
-from redundancy_pin.studies.case import Case, Plans, machine_code, options
+from redundancy_pin.studies.case import Case, Plans, options
 from redundancy_pin.studies.cases import Extent
 from redundancy_pin.studies.measures import numbers
 from redundancy_pin.studies.planned import Chapter, Tell
@@ -170,7 +171,7 @@ def task_record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePl
         "peak": float(outcome.peak_effort.max()),
         "stroke": float(np.ptp(carriers.s, axis=0).max(initial=0.0)),
         "base_force": float(np.linalg.norm(push[:, :3], axis=1).max()),
-        "replay": replay(outcome, backend=machine_code).largest,
+        "replay": replay(outcome, backend=default_dynamics).largest,
         "base_moment": float(np.linalg.norm(push[:, 3:], axis=1).max()),
         "singular_instants": list(outcome.diagnostics.get("singular_instants", ())),  # type: ignore[call-overload]
     }

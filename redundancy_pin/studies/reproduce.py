@@ -26,6 +26,7 @@ from markdown_it.token import Token
 import redundancy_pin
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.dynamics.default import default_dynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.planners.plan import Plan
@@ -33,7 +34,7 @@ from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.simulation.replay import Drive, Replay, replay
 from redundancy_pin.studies import beyond, cases, future, planned
-from redundancy_pin.studies.case import Case, Plans, machine_code
+from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.figures import THESIS, Results, pictures
 from redundancy_pin.studies.measures import CSV_DIGITS, MotionRun, run
 from redundancy_pin.studies.statements import compare_motions, environment, thesis
@@ -237,7 +238,7 @@ def run_replays(plans: Plans, extent: cases.Extent, tell: Callable[[str], None])
 
 
 def _replay(replayed: cases.Replayed, plan: Plan, drive: Drive) -> Replay:
-    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory(), backend=machine_code)
+    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory(), backend=default_dynamics)
 
 
 # --- files ---------------------------------------------------------------------------------------------------------

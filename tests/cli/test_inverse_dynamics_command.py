@@ -89,7 +89,7 @@ def test_carrier_columns_may_be_left_out(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "largest |tau| [N·m]" in result.stdout
     assert "largest |carrier force| [N]" in result.stdout
-    parked = distribute(RneaDynamics(load_robot("3rrr")).reduce(from_csv(motion)))
+    parked = distribute(CompiledDynamics(load_robot("3rrr")).reduce(from_csv(motion)))
     np.testing.assert_array_equal(_columns(out)["tau:base_3"], parked.tau[:, 2])
 
 

@@ -73,10 +73,10 @@ def test_stepwise_is_that_of_the_python_api(tmp_path: Path) -> None:
     assert result.exit_code == 4, result.stderr  # steps of 20 ms do not show the efforts between them
     assert "between the samples" in result.stderr
     expected = plan_stepwise(
-        rp.RneaDynamics(rp.load_robot("3rrr", working_mode=(1, 1, 1))),
+        rp.load_robot("3rrr", working_mode=(1, 1, 1)),
         reference.corner(radius=0.03).sample(0.02),
         lam=0.5,
-        baseline=rp.RneaDynamics(rp.load_robot("3rrr", working_mode=(1, 1, 1), carriers=False)),
+        baseline=rp.CompiledDynamics(rp.load_robot("3rrr", working_mode=(1, 1, 1), carriers=False)),
         speed=0.8,
         acceleration=[6.0, 7.0, 8.0],
         track=[-0.9, 0.9],
@@ -90,7 +90,7 @@ def test_a_motion_from_a_file(tmp_path: Path) -> None:
     motion, out = write_motion(tmp_path / "motion.csv", reference.corner(), 0.02), tmp_path / "plan.npz"
     result = call("plan", "stepwise", "--robot", "3rrr", "--motion", motion, "--out", out)
     assert result.exit_code == 0, result.stderr
-    same(rp.load_plan(out), plan_stepwise(rp.RneaDynamics(rp.load_robot("3rrr")), from_csv(motion)))
+    same(rp.load_plan(out), plan_stepwise("3rrr", from_csv(motion)))
 
 
 def test_flags_and_keys_of_a_trajectory_are_thesame(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_the_table_has_what_the_plan_says(tmp_path: Path) -> None:
     out = tmp_path / "plan.npz"
     lines = call(*CORNER, "--out", out).stdout.splitlines()
     plan = rp.load_plan(out)
-    assert lines[0].strip() == "3rrr, stepwise, rnea"  # the backend as --backend names it
+    assert lines[0].strip() == "3rrr, stepwise, compiled"  # the backend as --backend names it
     # a limit of the size: the carrier meets it in its negative sense
     assert plan.limits.binding[0].limit == -1.0
     assert any("speed of carrier_2 at its limit 1 m/s" in line for line in lines)

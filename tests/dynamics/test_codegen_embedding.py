@@ -22,6 +22,7 @@ from generated_c import ACTUATED, COMPILERS, NOTHING_WRITTEN, Code, actuated_by,
 import redundancy_pin as rp
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.compiled.forward import forward_of
+from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE, find_compiler
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import shipped_robots
@@ -187,8 +188,8 @@ def test_the_package_does_not_compile_its_own_with_finite_math(monkeypatch: pyte
     assert compiler is not None
     monkeypatch.setenv("CC", shlex.join([*compiler.command, "-ffast-math"]))
     monkeypatch.setenv(CACHE, "")
-    with pytest.warns(RuntimeWarning, match="statuses need NaN and infinity"):
-        assert not rp.CompiledDynamics(robot_of("four_bar")).compiled
+    with pytest.raises(CompilerError, match="statuses need NaN and infinity"):
+        rp.CompiledDynamics(robot_of("four_bar"))
     assert "statuses need NaN and infinity" in forward_of(robot_of("four_bar"))[1]
 
 

@@ -100,7 +100,7 @@ def assert_derivative(got: Partials, part: str, i: int, want: Array, tolerance: 
 
 def assert_motion_derivatives(robot: Robot, seed: int, columns: int | None = None) -> None:
     motion, carriers = motions_of(robot, seed)
-    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers)
+    got = CompiledDynamics(robot).along(motion).derivatives(carriers)
     chosen = np.random.default_rng(seed).permutation(robot.n)[:columns]
     exact = {-1: -0.5, 1: 0.5}
     for i in chosen:
@@ -145,7 +145,7 @@ def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> Non
 def test_the_rest_is_what_the_other_derivatives_say() -> None:
     robot = robot_of("3rrr")
     motion, carriers = motions_of(robot, 4)
-    along = CompiledDynamics(robot, interpret=True).along(motion)
+    along = CompiledDynamics(robot).along(motion)
     got, known = along.derivatives(carriers), RneaDynamics(robot).along(motion).carrier_derivatives(carriers)
     for part in ("s", "sd", "sdd"):
         np.testing.assert_allclose(getattr(got.f, part), getattr(known, f"f_{part}"), atol=1e-11)
@@ -155,7 +155,7 @@ def test_the_rest_is_what_the_other_derivatives_say() -> None:
 def test_type_two_poses_are_as_good_as_others() -> None:
     robot = robot_of("2rpr")
     at = PlatformMotion([0.0], [[0.2, 0.0]], [[0.3, -0.7]], [[1.0, 2.0]])  # on the line of the base: W has rank one
-    got = CompiledDynamics(robot, interpret=True).along(at).derivatives()
+    got = CompiledDynamics(robot).along(at).derivatives()
     parked = CarrierMotion.parked(1, robot.k)
     assert abs(np.linalg.det(RneaDynamics(robot).reduce(at).W[0])) < 1e-12
     for i in range(2):
@@ -164,7 +164,7 @@ def test_type_two_poses_are_as_good_as_others() -> None:
             assert_derivative(getattr(got, name), "x", i, want[name], 10 * EQUAL, name)
     # the efforts have a pole there: a status, and no number that looks like a derivative
     nothing = 0.0 * at.xd
-    rest = CompiledDynamics(load_robot("2rpr"), interpret=True).along(PlatformMotion([0.0], at.x, nothing, nothing))
+    rest = CompiledDynamics(load_robot("2rpr")).along(PlatformMotion([0.0], at.x, nothing, nothing))
     for one, label in ((got, "singular_inconsistent"), (rest.derivatives(), "singular_consistent")):
         assert one.efforts.status_labels[0] == label
         assert all(np.isnan(getattr(one.tau, field.name)).all() for field in dataclasses.fields(Partials))
@@ -193,7 +193,7 @@ def test_fewer_actuators_have_derivatives_along_what_they_can_balance() -> None:
     f, W = (getattr(dynamics.reduce(with_xdd(0.0 * motion.xdd)), name) for name in ("f", "W"))
     mass = np.stack([dynamics.reduce(with_xdd(0.0 * motion.xdd + unit)).f - f for unit in np.eye(2)], axis=-1)
     xdd = np.linalg.solve(mass, (2.0 * W[..., 0] - f)[..., None])[..., 0]
-    got = CompiledDynamics(robot, interpret=True).along(with_xdd(xdd)).derivatives()
+    got = CompiledDynamics(robot).along(with_xdd(xdd)).derivatives()
     np.testing.assert_allclose(got.efforts.tau, 2.0, rtol=1e-9)
     assert np.isnan(got.tau.xdd).all()
     # by all of f in proportion, which the motor can: the accelerations and its effort
@@ -216,7 +216,7 @@ def test_closure_forces(name: str) -> None:
     """Of efforts that go on producing the motion: otherwise there are none to compare with."""
     robot = robot_of(name)
     motion, carriers = motions_of(robot, 3, samples=2)
-    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers)
+    got = CompiledDynamics(robot).along(motion).derivatives(carriers)
     tau = got.efforts.tau
     result = got.closure_force(tau, got.tau)
 
@@ -251,7 +251,7 @@ def test_closure_forces(name: str) -> None:
 def test_by_numbers_of_the_xacro_file(name: str, parameters: tuple[str, ...]) -> None:
     robot = robot_of(name)
     motion, carriers = motions_of(robot, 5, samples=2)
-    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers, parameters)
+    got = CompiledDynamics(robot).along(motion).derivatives(carriers, parameters)
     assert got.parameters == parameters
 
     @functools.cache
@@ -271,7 +271,7 @@ def test_by_numbers_of_the_xacro_file(name: str, parameters: tuple[str, ...]) ->
 def test_a_parameter_at_zero_is_differentiated_to_one_side() -> None:
     robot = load_robot("2rpr", gravity=(0.0, -9.81, 0.0))
     motion, carriers = motions_of(robot, 6)
-    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers, ["end_effector_mass"])
+    got = CompiledDynamics(robot).along(motion).derivatives(carriers, ["end_effector_mass"])
     heavier = load_robot("2rpr", gravity=(0.0, -9.81, 0.0), end_effector_mass=1.0)
     want = judged(heavier, motion, carriers)["f"] - judged(robot, motion, carriers)["f"]  # linear in the mass
     np.testing.assert_allclose(got.f.parameters[..., 0], want, atol=1e-9)
@@ -333,7 +333,7 @@ def test_by_numbers_of_the_tree(name: str, alone: str) -> None:
     }
     changes = {parameter: change for parameter, change in changes.items() if parameter.endswith(alone)}
     motion, carriers = motions_of(robot, 7, samples=1 if alone else 2)
-    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers, list(changes))
+    got = CompiledDynamics(robot).along(motion).derivatives(carriers, list(changes))
     for i, (parameter, change) in enumerate(changes.items()):
         want = difference(
             lambda by, c=change: judged(remade(robot, lambda model: c(model, by)), motion, carriers), STEP, WEIGHTS
@@ -351,7 +351,7 @@ def test_a_four_bar_in_complex_numbers() -> None:
     sizes = {name: complex(float(robot.parameters[name])) for name in names}
     t = np.linspace(0.0, 1.0, 4)
     motion = zoo.smooth_motion(robot, 8).at(t)
-    along = CompiledDynamics(robot, interpret=True).along(motion)
+    along = CompiledDynamics(robot).along(motion)
     got, reduced = along.derivatives(parameters=names), along.reduce()
     # the crank drives itself: W = 1, τ = f
     follows = Partials(*(getattr(got.f, field.name) for field in dataclasses.fields(Partials)))
@@ -391,7 +391,7 @@ def test_unreachable_samples_are_nan() -> None:
     robot = robot_of("five_bar")
     x = zoo.home_of(robot) + np.array([[0.0, 0.0], [0.0, 5.0], [0.01, 0.0]])
     motion = PlatformMotion([0.0, 0.1, 0.2], x, np.ones((3, 2)), np.ones((3, 2)))
-    along = CompiledDynamics(robot, interpret=True).along(motion, unreachable="mark")
+    along = CompiledDynamics(robot).along(motion, unreachable="mark")
     got: MotionDerivatives = along.derivatives()
     assert np.isnan(got.f.x[1]).all()
     assert np.isfinite(got.W.x[[0, 2]]).all()

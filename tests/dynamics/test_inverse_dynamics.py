@@ -294,8 +294,8 @@ def test_wrenches_given_at_samples_are_known_between_them(name: str) -> None:
 
 @pytest.mark.parametrize("ask", [rp.inverse_dynamics, lambda *given: list(rp.inverse_dynamics_in_blocks(*given))])
 def test_what_is_no_backend_is_refused(ask: Callable[..., object]) -> None:
-    with pytest.raises(InputError, match="str was given for the dynamics"):
-        ask("2rpr", [])
+    with pytest.raises(InputError, match="list was given for the dynamics"):
+        ask([], [])
 
 
 def test_bounds_and_preference_are_those_of_distribute() -> None:

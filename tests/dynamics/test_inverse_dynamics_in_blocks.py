@@ -20,7 +20,7 @@ from folding import folding_four_bar, rocker_motion
 
 import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion
-from redundancy_pin.dynamics import compiled
+from redundancy_pin.dynamics.compiled import build as compiled
 from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics, edge_of
 from redundancy_pin.motion import require_consistent
 from redundancy_pin.status import SampleStatus
@@ -244,7 +244,7 @@ def test_blocks_compile_nothing_again(tmp_path: Path, monkeypatch: pytest.Monkey
     made, build = [], compiled.define
     monkeypatch.setattr(compiled, "define", lambda robot: (made.append(robot), build(robot))[1])
     motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0], ends="rest").sample(0.05)
-    dynamics = rp.CompiledDynamics("four_bar", interpret=True)
+    dynamics = rp.CompiledDynamics("four_bar")
     blocks = list(rp.inverse_dynamics_in_blocks(dynamics, cut(motion, 5)))
     assert len(made) == 1
     whole = rp.distribute(rp.RneaDynamics("four_bar").reduce(motion)).tau

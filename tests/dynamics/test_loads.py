@@ -108,7 +108,7 @@ def test_backends_agree_on_loads_of_every_kind(name: str, mode: tuple[int, ...])
     unloaded = RneaDynamics(robot).reduce(motion, carriers)
     first = RneaDynamics(robot).with_external(*loads).along(motion)
     assert np.abs(first.reduce(carriers).f - unloaded.f).max(axis=0).min() > 1.0
-    for other in (VirtualWork(robot), CompiledDynamics(robot, interpret=True)):
+    for other in (VirtualWork(robot), CompiledDynamics(robot)):
         second = other.with_external(*loads).along(motion)
         one, two = first.reduce(carriers), second.reduce(carriers)
         assert_alike(one.f, two.f)
@@ -129,7 +129,7 @@ def test_a_spring_in_a_joint_is_wound_up_by_whole_turns_of_the_reference() -> No
     wound = replace(robot, q_reference=frozen(q))
     motion, carriers = moving(robot)
     spring = JointForces(joint, stiffness=stiffness)
-    for backend in (RneaDynamics, VirtualWork, functools.partial(CompiledDynamics, interpret=True)):
+    for backend in (RneaDynamics, VirtualWork, CompiledDynamics):
         before, after = (backend(one).reduce(motion, carriers, external=[spring]) for one in (robot, wound))
         more = np.linalg.solve(before.W, (after.f - before.f)[..., None])[..., 0]
         assert_alike(more, np.tile([2.0 * np.pi * turns * stiffness, 0.0, 0.0], (len(motion), 1)), 1e-10)
@@ -147,7 +147,7 @@ def test_machines_without_closed_form(name: str) -> None:
     loads += [JointForces(joint, 0.2, 0.3, 0.1, rotor_inertia=0.01, gear=-5.0) for joint in simple]
     loads += [Spring(links[0], links[-1], 10.0, 2.0, 0.2, 0.1 * rng.normal(size=3))]
     one = RneaDynamics(robot).with_external(*loads).along(motion)
-    two = CompiledDynamics(robot, interpret=True).with_external(*loads).along(motion)
+    two = CompiledDynamics(robot).with_external(*loads).along(motion)
     assert_alike(one.reduce(carriers).f, two.reduce(carriers).f)
     assert_alike(one.base_wrench(carriers), two.base_wrench(carriers))
     assert_alike(one.energy(carriers), two.energy(carriers))
@@ -160,7 +160,7 @@ def test_a_wrench_on_the_platform_is_what_f_falls_by() -> None:
     wrench = np.random.default_rng(1).normal(size=(len(motion), 6))
     angle, unloaded = motion.x[:, 2], RneaDynamics(robot).reduce(motion, carriers).f
     rows = wrench[:, [0, 1, 5]]
-    for dynamics in (RneaDynamics(robot), VirtualWork(robot), CompiledDynamics(robot, interpret=True)):
+    for dynamics in (RneaDynamics(robot), VirtualWork(robot), CompiledDynamics(robot)):
         world = dynamics.reduce(motion, carriers, external=[Wrench("platform", wrench)]).f
         assert_alike(unloaded - world, rows)
         local = dynamics.reduce(motion, carriers, external=[Wrench("platform", wrench, "local", (0.2, 0.0, 0.0))]).f
@@ -260,7 +260,7 @@ def test_process_forces_are_functions_of_time_and_pose() -> None:
 
     law = Wrench("platform", spring_of_the_wall)
     values = Wrench("platform", spring_of_the_wall(motion.t, motion.x, motion.xd))
-    for dynamics in (RneaDynamics(robot), VirtualWork(robot), CompiledDynamics(robot, interpret=True)):
+    for dynamics in (RneaDynamics(robot), VirtualWork(robot), CompiledDynamics(robot)):
         expected = dynamics.reduce(motion, carriers, external=[values])
         assert_alike(dynamics.reduce(motion, carriers, external=[law]).f, expected.f)
         one = dynamics.with_external(law).sample(
@@ -297,8 +297,7 @@ def test_what_cannot_be_said_is_refused_by_name() -> None:
 
 def test_backends_keep_their_settings_under_other_loads() -> None:
     robot, weight = machine("2rpr"), Payload("end_effector", 1.0)
-    own = CompiledDynamics(robot, interpret=True, threads=3).with_external(weight)
-    assert not own.compiled
+    own = CompiledDynamics(robot, threads=3).with_external(weight)
     assert own.threads == 3
     assert own.robot.loads[-1] is weight
 
@@ -307,7 +306,7 @@ def test_damping_of_balls_is_the_same_in_both_backends(tmp_path: Path) -> None:
     robot = rp.load_robot(write(tmp_path, RSSR))
     assert {load.joint for load in robot.loads if isinstance(load, JointForces)} == {"ball", "second"}
     motion, _ = moving(robot, 6)
-    one, two = RneaDynamics(robot).along(motion), CompiledDynamics(robot, interpret=True).along(motion)
+    one, two = RneaDynamics(robot).along(motion), CompiledDynamics(robot).along(motion)
     assert_alike(one.reduce().f, two.reduce().f)
     assert_alike(one.base_wrench(), two.base_wrench())
     assert_alike(one.energy(), two.energy())
@@ -319,7 +318,7 @@ def test_damping_of_balls_is_the_same_in_both_backends(tmp_path: Path) -> None:
 def test_backends_of_other_dimensions_are_those_of_the_other_machine() -> None:
     """Co-design goes from one to the next."""
     motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0], ends="rest").sample(0.2)
-    for own in (CompiledDynamics("four_bar", interpret=True), RneaDynamics("four_bar")):
+    for own in (CompiledDynamics("four_bar"), RneaDynamics("four_bar")):
         for length in (0.1, 0.12):
             robot = rp.load_robot("four_bar", crank_length=length)
             expected = RneaDynamics(robot).reduce(motion).f
@@ -346,7 +345,7 @@ def test_derivatives_of_compiled_dynamics_are_those_of_loads_too() -> None:
         Spring("base", "platform", 40.0, 3.0, 0.2, (0.1, 0.0, 0.0)),
     )
     motion, carriers = moving(robot, 4)
-    exact = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers)
+    exact = CompiledDynamics(robot).along(motion).derivatives(carriers)
     h = 1e-4
     for name, by in (("x", exact.f.x), ("xd", exact.f.xd), ("xdd", exact.f.xdd)):
         for j in range(3):

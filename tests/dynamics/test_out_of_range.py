@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,13 +35,11 @@ def robot() -> rp.Robot:
 
 @pytest.mark.parametrize("backend", ["RneaDynamics", "VirtualWork", "CompiledDynamics"])
 def test_passive_joints_beyond_their_range_are_a_status_in_every_backend(robot: rp.Robot, backend: str) -> None:
-    more: dict[str, Any] = {}
     if backend == "CompiledDynamics":
         pytest.importorskip("casadi")
-        more = {"interpret": True}
     make = getattr(rp, backend)
-    unlimited = rp.distribute(make(zoo.robot_of("2rpr"), **more).reduce(LINE))
-    distribution = rp.distribute(make(robot, **more).reduce(LINE))
+    unlimited = rp.distribute(make(zoo.robot_of("2rpr")).reduce(LINE))
+    distribution = rp.distribute(make(robot).reduce(LINE))
     out = beyond(LINE) & unlimited.solved
     assert out.any()
     assert (~beyond(LINE)).any()

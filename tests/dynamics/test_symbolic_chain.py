@@ -14,6 +14,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled import design
 from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, parts_of, waypoints
+from redundancy_pin.dynamics.compiled.parameters import numbers_of, parameter_vector
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.kinematics.assembly import project
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
@@ -32,8 +33,9 @@ def values(chain: SymbolicChain, expressions, *, q, v=None, a=None, x=None):
     names = [chain.q, chain.v, chain.a, chain.x, chain.trig]
     zero = np.zeros(chain.model.nv)
     given = [q, zero if v is None else v, zero if a is None else a, np.zeros(chain.x.shape[0]) if x is None else x]
-    function = ca.Function("f", [*names, chain.external], list(expressions))
-    found = function.call([*given, chain.trig_at(q[None])[0], np.zeros(chain.external.shape[0])])
+    function = ca.Function("f", [*names, chain.external, chain.parameters], list(expressions))
+    nothing, numbers = np.zeros(chain.external.shape[0]), parameter_vector(chain.robot)
+    found = function.call([*given, chain.trig_at(q[None])[0], nothing, numbers])
     return [np.asarray(part) for part in found]
 
 
@@ -147,10 +149,11 @@ def test_columns_of_masses_are_what_pinocchios_inertias_change_by(name: str) -> 
             change[i, j] = change[j, i] = 1.0
             changes[f"{joint}.inertia.{axis}{'xyz'[j]}"] = lambda d, c=change: (mass, centre, inertia + d * c)
     for parameter, changed in changes.items():
-        placements, inertias = design.by_tree(robot, parameter)
-        assert not placements
+        column, places = design.by_model(robot, parameter), numbers_of(robot).places
         expected = (moments(*changed(h)) - moments(*changed(-h))) / (2.0 * h)
-        np.testing.assert_allclose(inertias[joint], expected, atol=1e-8)
+        at = [places["joint", robot.model.getJointId(joint), part] for part in ("mass", "moment", "inertia")]
+        np.testing.assert_allclose(np.concatenate([column[part] for part in at]), expected, atol=1e-8)
+        assert np.count_nonzero(column) == sum(np.count_nonzero(column[part]) for part in at)
 
 
 def test_frames_of_all_corners_are_the_other_backends() -> None:
@@ -182,7 +185,7 @@ def test_expressions_of_the_carriers_motion_have_the_values_of_rnea(shipped: rp.
     """Of many samples at once, each with its own influence matrix."""
     t = np.linspace(0.0, 1.0, 4)
     motion, carriers = zoo.smooth_motion(shipped, 5).at(t), zoo.carriers_at(shipped, t)
-    along = rp.CompiledDynamics(shipped, interpret=True).along(motion)
+    along = rp.CompiledDynamics(shipped).along(motion)
     f, force = along.expressions(*(ca.DM(part.T) for part in (carriers.s, carriers.sd, carriers.sdd)))
     wanted = rp.RneaDynamics(shipped).reduce(motion, carriers)
     for got, want in ((f, wanted.f), (force, wanted.carrier_force)):

@@ -25,7 +25,6 @@ HERE = 1.3
 BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {
     "rnea": rp.RneaDynamics,
     "compiled": CompiledDynamics,
-    "interpreted": lambda robot: CompiledDynamics(robot, interpret=True),
 }
 STIFFNESS = 0.02
 GRAVITY = 9.81

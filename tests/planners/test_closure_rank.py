@@ -86,6 +86,6 @@ def test_the_shipped_robots_have_none_and_the_command_says_so(tmp_path) -> None:
 
 
 def test_a_backend_that_does_not_know_says_nothing() -> None:
-    dynamics = rp.CompiledDynamics(zoo.robot_of("3rrr"), interpret=True)
+    dynamics = rp.CompiledDynamics(zoo.robot_of("3rrr"))
     assert np.isnan(dynamics.along(reference.corner().sample(0.1)).closure_margin()).all()
     assert rp.plan_stepwise(dynamics, reference.corner(), dt=0.1).diagnostics["closure_rank"] == []

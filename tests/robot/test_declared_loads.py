@@ -130,13 +130,22 @@ def test_wrong_friction_of_a_urdf_is_refused_with_its_line(tmp_path: Path, dynam
     assert caught.value.details["line"]
 
 
-def test_friction_that_follows_a_parameter_is_not_differentiated_silently(tmp_path: Path) -> None:
-    pytest.importorskip("casadi")
-    from redundancy_pin.dynamics.compiled import design_of
+def test_friction_that_follows_a_parameter_is_differentiated_unless_the_robot_was_given_other_loads(
+    tmp_path: Path,
+) -> None:
+    path = four_bar(tmp_path, declared="\njoint_forces: [{joint: crank, damping: crank_length}]\n")
+    robot, t = rp.load_robot(path), np.linspace(0.0, 1.0, 5)
+    length = float(robot.parameters["crank_length"])
+    motion = rp.PlatformMotion(t, robot.q_reference[0] + 0.1 * t[:, None], np.full((5, 1), 0.1), np.zeros((5, 1)))
 
-    robot = rp.load_robot(four_bar(tmp_path, declared="\njoint_forces: [{joint: crank, damping: crank_length}]\n"))
-    with pytest.raises(UnsupportedRobotError, match="friction"):
-        design_of(robot, ["crank_length"])
+    def force(change: float) -> np.ndarray:
+        return rp.RneaDynamics(rp.load_robot(path, crank_length=length + change)).reduce(motion).f
+
+    got = rp.CompiledDynamics(robot).along(motion).derivatives(parameters=["crank_length"]).f.parameters[:, :, 0]
+    np.testing.assert_allclose(got, (force(1e-6) - force(-1e-6)) / 2e-6, rtol=1e-7, atol=1e-7)
+    loaded = robot.loaded(rp.JointForces("rocker", damping=1.0))
+    with pytest.raises(UnsupportedRobotError, match="other loads"):
+        rp.CompiledDynamics(loaded).along(motion).derivatives(parameters=["crank_length"])
 
 
 def test_info_shows_limits_of_all_joints_and_what_is_outside(tmp_path: Path) -> None:

@@ -179,7 +179,7 @@ def test_machines_that_cannot_are_passed_over() -> None:
         (lambda: [crossing()], {"carrier_mass": (2.0, 0.5)}, "range of carrier_mass"),
         (lambda: [crossing()], {"carrier_mass": (2.0, 3.0)}, "has 1"),
         (lambda: [crossing(objectiv="peak")], {"carrier_mass": (0.5, 2.0)}, "objectiv"),
-        (partial(list, [("2rpr", None)]), {"carrier_mass": (0.5, 2.0)}, "str"),
+        (partial(list, [([], None)]), {"carrier_mass": (0.5, 2.0)}, "list was given"),
         (partial(list, [("2rpr",)]), {"carrier_mass": (0.5, 2.0)}, "1 entries"),
         (lambda: [crossing().dynamics], {"carrier_mass": (0.5, 2.0)}, "A task was expected"),
         (lambda: [(crossing().dynamics, circle(), None)], {"carrier_mass": (0.5, 2.0)}, "task's options"),

@@ -60,5 +60,5 @@ def test_radau_takes_steps_that_dampers_do_not_bind() -> None:
 def test_radau_is_the_same_where_other_integrators_are_compiled() -> None:
     robot = models.governor()
     given = {"start": closed_state(robot, *START), "duration": 0.05, "dt": 0.01, **LOOSE}
-    interpreted, fast = (rp.simulate(robot, dynamics=made, **given) for made in (None, rp.CompiledDynamics(robot)))
-    assert np.abs(interpreted.q - fast.q).max() < 1e-9
+    plain, fast = (rp.simulate(robot, dynamics=made, **given) for made in (None, rp.CompiledDynamics(robot)))
+    assert np.abs(plain.q - fast.q).max() < 1e-9

@@ -1,14 +1,12 @@
-"""The third backend: closed-chain dynamics of any declared robot as machine code, or interpreted without a compiler.
+"""The third backend: closed-chain dynamics of any declared robot as machine code.
 
 The equations are those of ``dynamics.rnea``, written a second time and from the model alone: symbols (``symbols.py``),
 C from them and its cache (``build.py``), and a driver that closes the loops by Newton's method along a motion
-(``closing.py``, ``driver.c``; ``interpreted.py`` is the same in Python). A planner on line asks for a few instants at a
-time (``carrier_terms.py``).
+(``closing.py``, ``driver.c``). A planner on line asks for a few instants at a time (``carrier_terms.py``).
 """
 
 from __future__ import annotations
 
-import ctypes
 import os
 import threading
 import warnings
@@ -33,15 +31,16 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.compiled.build import Library, build_library, define, key
+from redundancy_pin.dynamics.compiled.build import Library, bind, build_library, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
 from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
 from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, TorqueCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
-from redundancy_pin.dynamics.compiled.interpreted import Interpreter
-from redundancy_pin.errors import InputError, SingularPoseError, UnsupportedRobotError
+from redundancy_pin.dynamics.compiled.parameters import topology_of
+from redundancy_pin.errors import CompilerError, InputError, SingularPoseError, UnsupportedRobotError
+from redundancy_pin.machine_code import REMEDY
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
@@ -58,39 +57,33 @@ class CompiledDynamics(Dynamics):
     """Closed-chain dynamics as compiled code, for any declared robot.
 
     The code is made and compiled when the object is made (under a second for a 3-RRR) and kept on disk, in the folder
-    that ``$REDUNDANCY_PIN_CACHE`` names, or in ``~/.cache/redundancy_pin``. Without a C compiler casadi interprets it,
-    which is warned of: the same numbers, ``compiled`` false, ten to fifty times as long.
+    that ``$REDUNDANCY_PIN_CACHE`` names, or in ``~/.cache/redundancy_pin``. The compiler is what ``$CC`` names, or cc,
+    gcc, clang, or what ``pip install 'redundancy_pin[compiler]'`` brings.
 
     Args:
         robot: the robot, or its name or path.
         threads: threads for many samples; as many as there are processors when left out.
-        interpret: do not compile.
 
     Raises:
         RedundancyPinError: casadi is not installed.
+        CompilerError: there is no C compiler, or it fails.
         UnsupportedRobotError: a joint of a type that is not covered.
     """
 
-    def __init__(self, robot: RobotLike, *, threads: int | None = None, interpret: bool = False) -> None:
+    def __init__(self, robot: RobotLike, *, threads: int | None = None) -> None:
         self._robot = as_robot(robot)
         self.threads = threads or os.cpu_count() or 1
-        self._interpret = interpret
         self._local = threading.local()
-        self._kernels: dict[str, Library | Interpreter] = {}
+        self._kernels: dict[str, Library] = {}
         self.kernel = self._kernel_of(self._robot)
-
-    @property
-    def compiled(self) -> bool:
-        """Whether this runs machine code."""
-        return isinstance(self.kernel, Library)
 
     def __reduce__(self) -> tuple[Callable[..., CompiledDynamics], tuple[Any, ...]]:
         """Build it again, from the cache, where it is copied or sent to."""
-        return _again, (self._robot, self.threads, self._interpret)
+        return _again, (self._robot, self.threads)
 
     def __repr__(self) -> str:
-        """Return the robot, and whether it is compiled."""
-        return f"CompiledDynamics({self._robot!r}, {'compiled' if self.compiled else 'interpreted'})"
+        """Return the robot."""
+        return f"CompiledDynamics({self._robot!r})"
 
     @property
     def robot(self) -> Robot:
@@ -116,26 +109,23 @@ class CompiledDynamics(Dynamics):
     def for_robot(self, robot: Robot) -> CompiledDynamics:
         """Return this backend, with its settings, for another robot.
 
-        What is compiled once serves all values of wrenches and all reference configurations in a working mode.
+        A library serves all robots that differ in numbers: lengths, masses, loads, working modes. A robot of another
+        topology is compiled.
         """
         other = object.__new__(CompiledDynamics)
-        other.threads, other._interpret, other._kernels = self.threads, self._interpret, self._kernels
+        other.threads, other._kernels = self.threads, self._kernels
         other._robot, other._local, other.kernel = robot, threading.local(), self._kernel_of(robot)
         return other
 
-    def _kernel_of(self, robot: Robot) -> Library | Interpreter:
+    def _kernel_of(self, robot: Robot) -> Library:
         """Return what evaluates a robot, new where none has been made for one alike."""
-        alike = key(robot, "")
+        alike = topology_of(robot).text
         if alike not in self._kernels:
-            library, reason = (None, "") if self._interpret else build_library(robot)
-            if reason:
-                warnings.warn(
-                    f"The dynamics of {robot.name} are interpreted, not compiled: {reason}.",
-                    RuntimeWarning,
-                    stacklevel=3,
-                )
-            self._kernels[alike] = Interpreter(define(robot)) if library is None else library
-        return self._kernels[alike]
+            library, reason = build_library(robot)
+            if library is None:
+                raise CompilerError(f"Generated code cannot be compiled: {reason}.", remedy=REMEDY)
+            self._kernels[alike] = library
+        return self._kernels[alike].for_robot(robot)
 
     def sample(
         self,
@@ -175,7 +165,7 @@ class CompiledDynamics(Dynamics):
         try:
             call: TorqueCall = self._local.torque
         except AttributeError:
-            call = self._local.torque = TorqueCall(self._robot, self._code, self._find)
+            call = self._local.torque = TorqueCall(self._robot, self.kernel, self._find)
         return call(x, xd, xdd, s, sd, sdd, t, start)
 
     def acceleration(
@@ -201,15 +191,8 @@ class CompiledDynamics(Dynamics):
         try:
             call: JointStateCall = self._local.joint_state
         except AttributeError:
-            call = self._local.joint_state = JointStateCall(self._robot, self._code)
+            call = self._local.joint_state = JointStateCall(self._robot, self.kernel)
         return call(position, velocity, s, sd, start)
-
-    @property
-    def _code(self) -> ctypes.CDLL:
-        """The compiled library."""
-        if not isinstance(self.kernel, Library):
-            raise self._is_not_compiled()
-        return self.kernel.library
 
     def _require_forward(self) -> CompiledForward:
         forward = self.forward()
@@ -238,8 +221,8 @@ class CompiledDynamics(Dynamics):
         return continued(t, x, xd, xdd)
 
     def forward(self) -> CompiledForward | None:
-        """Return forward dynamics, compiled when they are first asked for; None where this is interpreted."""
-        return self._forward if self.compiled else None
+        """Return forward dynamics, compiled when they are first asked for; None where that fails, with a warning."""
+        return self._forward
 
     @cached_property
     def _forward(self) -> CompiledForward | None:
@@ -253,7 +236,7 @@ class CompiledDynamics(Dynamics):
     @cached_property
     def projection(self) -> Any:
         """One sample as a function of casadi: from q, trig, v, a, Γ and the carriers' motion to f and their forces."""
-        return define(self._robot).functions["rp_project"]
+        return bind(define(self._robot).functions["rp_project"], self._robot)
 
     @cached_property
     def reference(self) -> tuple[Array, Array]:
@@ -278,8 +261,8 @@ class CompiledDynamics(Dynamics):
         return by_row, by_column
 
 
-def _again(robot: Robot, threads: int, interpret: bool) -> CompiledDynamics:
-    return CompiledDynamics(robot, threads=threads, interpret=interpret)
+def _again(robot: Robot, threads: int) -> CompiledDynamics:
+    return CompiledDynamics(robot, threads=threads)
 
 
 class _OneSample:
@@ -417,7 +400,7 @@ class CompiledAlongMotion(Frozen):
     ) -> MotionDerivatives:
         """Return exact derivatives of f, W, τ, carrier forces, base wrench and closure forces, by all they depend on.
 
-        By automatic and implicit differentiation; interpreted by casadi, on this thread. The first call for a robot and
+        By automatic and implicit differentiation; evaluated by casadi, on this thread. The first call for a robot and
         its parameters writes the expressions (under a second for a 3-RRR), later ones find them.
 
         Args:

@@ -4,13 +4,13 @@ const int rp_alignments = NALIGN, rp_turnings = NT;
 
 /* A motion of `samples` samples from the configuration q0, closed at x0; returns how many were done before one failed,
    with its status in status[]. */
-int rp_lift(int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
+int rp_lift(const double *numbers, int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
             const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W,
             double *gap, double *margin, int *status) {
   Pose pose, next;
   double guess[NQ], step[NP + 1], before = 0.0;
   int known = 0; /* samples before this one, at most two, from which its configuration can be extrapolated */
-  if (!start_at(&pose, q0, x0)) return 0;
+  if (!start_at(numbers, &pose, q0, x0)) return 0;
   for (int k = 0; k < samples; ++k) {
     const double *xk = x + (long)k * NX;
     double *vk = v + (long)k * NV, *ak = a + (long)k * NV, dt = k ? t[k] - t[k - 1] : 0.0;
@@ -24,20 +24,20 @@ int rp_lift(int samples, const double *t, const double *x, const double *xd, con
         step[i] = dt * (vk[c - NV] + dt * bend);
       }
       move(guess, step);
-      closed = newton(guess, xk, 0, &next) && next.sign == pose.sign;
+      closed = newton(numbers, guess, xk, 0, &next) && next.sign == pose.sign;
     }
     if (closed)
       pose = next;
     else
-      closed = follow(&pose, xk);
+      closed = follow(numbers, &pose, xk);
     status[k] = closed ? CLOSED : LOST;
     gap[k] = closed ? pose.gap * LENGTH : NAN;
     if (closed) {
-      margin[k] = rates(&pose, xd + (long)k * N, xdd + (long)k * N, vk, ak, gamma + (long)k * NV * N,
+      margin[k] = rates(numbers, &pose, xd + (long)k * N, xdd + (long)k * N, vk, ak, gamma + (long)k * NV * N,
                         W + (long)k * N * M);
       if (margin[k] < LEAST_MARGIN)
         status[k] = SINGULAR;
-      else if (!in_mode(&pose))
+      else if (!in_mode(numbers, &pose))
         status[k] = OTHER_MODE;
       copy(q + (long)k * NQ, pose.q, NQ);
       copy(trig + (long)k * 2 * NT, pose.trig, 2 * NT);
@@ -56,7 +56,7 @@ static double distance(const double *a, const double *b, int size) {
 }
 
 /* The largest rate of the pose columns, rad or characteristic lengths per unit of time. */
-static double largest_rate(const double *v) {
+static double largest_rate(const double *numbers, const double *v) {
   double result = 0.0;
   for (int i = 0; i < NP; ++i) result = fmax(result, fabs(v[COLUMNS[i]]) / STEP_UNIT[i]);
   return result;
@@ -65,13 +65,13 @@ static double largest_rate(const double *v) {
 /* f and forces as terms of the carriers' motion, at a configuration and motion of the tree: constant (N + NK) with the
    carriers at rest at s = 0, and terms (NK, 5, N + NK), what a carrier adds by unit of s, s^2, sd, s sd and sdd. These
    are read off the derivatives by s, sd and sdd at rest, and at s = sd = 1. */
-static void terms_of(const Pose *pose, const double *v, const double *a, const double *gamma, const double *wrenches,
+static void terms_of(const double *numbers, const Pose *pose, const double *v, const double *a, const double *gamma, const double *wrenches,
                      double *constant, double *terms) {
   enum { OF_F = N * NK + 1, OF_FORCE = NK * NK + 1 };
   double rest[NK + 1] = {0.0}, one[NK + 1], force[NK + 1], of_f[6][OF_F], of_force[6][OF_FORCE];
   for (int c = 0; c < NK; ++c) one[c] = 1.0;
-  const double *const at_rest[] = {pose->q, pose->trig, v, a, gamma, rest, rest, rest, wrenches};
-  const double *const at_one[] = {pose->q, pose->trig, v, a, gamma, one, one, rest, wrenches};
+  const double *const at_rest[] = {pose->q, pose->trig, v, a, gamma, rest, rest, rest, wrenches, numbers};
+  const double *const at_one[] = {pose->q, pose->trig, v, a, gamma, one, one, rest, wrenches, numbers};
   double *const value[] = {constant, force};
   double *const first[] = {of_f[0], of_f[1], of_f[2], of_force[0], of_force[1], of_force[2]};
   double *const second[] = {of_f[3], of_f[4], of_f[5], of_force[3], of_force[4], of_force[5]};
@@ -101,7 +101,7 @@ static void terms_of(const Pose *pose, const double *v, const double *a, const d
    sample of memory. Afterwards near[] holds the first and the last sample. */
 enum { NEIGHBOURS = 8 }; /* as in carrier_terms.py */
 
-int rp_terms(int samples, const double *in, int width, double *near, double *out, double *sizes) {
+int rp_terms(const double *numbers, int samples, const double *in, int width, double *near, double *out, double *sizes) {
   enum { SUM = N + NK };
   double *W = out, *constant = W + (long)samples * N * M, *terms = constant + (long)samples * SUM;
   double v[NV], a[NV], gamma[NV * N + 1], ends[2][NQ + NX], step[NP + 1], guess[NQ], usual = 0.0;
@@ -112,7 +112,7 @@ int rp_terms(int samples, const double *in, int width, double *near, double *out
     if (isnan(other[0])) continue; /* none yet */
     if (isnan(start[0]) || distance(other + NQ, x0, NX) < distance(start + NQ, x0, NX)) start = other;
   }
-  if (isnan(start[0]) || !start_at(&pose, start, start + NQ)) return LOST;
+  if (isnan(start[0]) || !start_at(numbers, &pose, start, start + NQ)) return LOST;
   for (long k = 0; k < samples; ++k) {
     const double *at = in + k * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
     double dt = k ? at[0] - at[-width] : 0.0, fastest, squared;
@@ -122,18 +122,18 @@ int rp_terms(int samples, const double *in, int width, double *near, double *out
       for (int i = 0; i < NP; ++i) step[i] = dt * (v[COLUMNS[i]] + 0.5 * dt * a[COLUMNS[i]]);
       move(guess, step);
     }
-    if (!newton(guess, x, 0, &next) || next.sign != pose.sign) {
-      if (!k || !newton(pose.q, x, 0, &next) || next.sign != pose.sign) return LOST;
+    if (!newton(numbers, guess, x, 0, &next) || next.sign != pose.sign) {
+      if (!k || !newton(numbers, pose.q, x, 0, &next) || next.sign != pose.sign) return LOST;
     }
     pose = next;
-    double margin = rates(&pose, xd, xdd, v, a, gamma, W + k * N * M);
+    double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W + k * N * M);
     if (margin < LEAST_MARGIN) return SINGULAR;
-    if (!in_mode(&pose)) return OTHER_MODE;
-    terms_of(&pose, v, a, gamma, xdd + N, constant + k * SUM, terms + k * NK * 5 * SUM);
-    fastest = largest_rate(v);
+    if (!in_mode(numbers, &pose)) return OTHER_MODE;
+    terms_of(numbers, &pose, v, a, gamma, xdd + N, constant + k * SUM, terms + k * NK * 5 * SUM);
+    fastest = largest_rate(numbers, v);
     squared = fastest * fastest;
     sizes[3 * k] = margin;
-    sizes[3 * k + 1] = fmax(largest_rate(a), squared);
+    sizes[3 * k + 1] = fmax(largest_rate(numbers, a), squared);
     sizes[3 * k + 2] = squared;
     if (isfinite(margin)) usual = fmax(usual, margin);
     if (!k || k == samples - 1) {
@@ -155,19 +155,19 @@ int rp_terms(int samples, const double *in, int width, double *near, double *out
 }
 
 /* From one configuration to other coordinates; q is replaced. */
-int rp_follow(double *q, const double *x0, const double *x) {
+int rp_follow(const double *numbers, double *q, const double *x0, const double *x) {
   Pose pose;
-  if (!start_at(&pose, q, x0) || !go_far(&pose, x0, x)) return LOST;
+  if (!start_at(numbers, &pose, q, x0) || !go_far(numbers, &pose, x0, x)) return LOST;
   copy(q, pose.q, NQ);
-  return in_mode(&pose) ? CLOSED : OTHER_MODE;
+  return in_mode(numbers, &pose) ? CLOSED : OTHER_MODE;
 }
 
 /* The configuration near q that misses x least (Levenberg and Marquardt); returns the largest residual left, m, of
    angles times the characteristic length. */
-double rp_assemble(double *q, const double *x) {
+double rp_assemble(const double *numbers, double *q, const double *x) {
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], trial[NQ], trig[2 * NT + 1], damping = 1e-3, size = 0.0;
   turns_of(q, trig);
-  rows(q, trig, x, residual, K, alignment);
+  rows(numbers, q, trig, x, residual, K, alignment);
   for (int i = 0; i < NP; ++i) size += residual[i] * residual[i];
   for (int iteration = 0; iteration < 200 && size > 0.0; ++iteration) {
     double H[NP * NP + 1], step[NP + 1], scaled[NP + 1], new_residual[NP + 1], new_K[NP * NP + 1], new_size = 0.0;
@@ -188,7 +188,7 @@ double rp_assemble(double *q, const double *x) {
     copy(trial, q, NQ);
     move(trial, scaled);
     turns_of(trial, trig);
-    rows(trial, trig, x, new_residual, new_K, alignment);
+    rows(numbers, trial, trig, x, new_residual, new_K, alignment);
     for (int i = 0; i < NP; ++i) new_size += new_residual[i] * new_residual[i];
     if (new_size < size) {
       copy(q, trial, NQ);
@@ -204,7 +204,7 @@ double rp_assemble(double *q, const double *x) {
     }
   }
   turns_of(q, trig);
-  rows(q, trig, x, residual, K, alignment);
+  rows(numbers, q, trig, x, residual, K, alignment);
   double gap = largest(residual, NP);
   for (int i = 0; i < NALIGN; ++i)
     if (!(alignment[i] > 0.0)) gap = fmax(gap, acos(fmax(-1.0, alignment[i])));
@@ -214,12 +214,13 @@ double rp_assemble(double *q, const double *x) {
 /* Many samples of one generated function, its arguments and results one after the other in memory. */
 typedef void (*Generated)(const double *const *, double *const *);
 
-void rp_map(Generated function, long samples, int inputs, const double **in, const long *in_size, int outputs,
+void rp_map(const double *numbers, Generated function, long samples, int inputs, const double **in, const long *in_size, int outputs,
             double **out, const long *out_size) {
   const double *arg[16];
   double *res[16];
   for (long k = 0; k < samples; ++k) {
     for (int i = 0; i < inputs; ++i) arg[i] = in[i] + k * in_size[i];
+    arg[inputs] = numbers;
     for (int i = 0; i < outputs; ++i) res[i] = out[i] + k * out_size[i];
     function(arg, res);
   }

@@ -1,13 +1,13 @@
 """From a robot to machine code: C by casadi and the driver beside it, compiled and kept by ``machine_code``.
 
-A library's name is a hash of all that goes into it: the tree, closures and roles of the robot, the versions of casadi,
-Pinocchio and this package, the compiler and its flags.
-
-Where there is no C compiler, or it fails, casadi interprets the same functions (``interpreted``).
+A library's name is a hash of all that goes into it: the topology of the robot, the versions of casadi and Pinocchio,
+the texts of this package, the compiler and its flags. Numbers of the robot are no part of it: they are arguments
+(``parameters``), and robots that differ in them share a library.
 """
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import functools
 import importlib.metadata
@@ -22,13 +22,12 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.compiled.emit import c_functions
-from redundancy_pin.dynamics.compiled.load_symbols import shape_of
+from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
 from redundancy_pin.machine_code import FLAGS, built, digest, loaded
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.robot.scales import force_terms, position_unit, velocity_unit
 from redundancy_pin.robot.whole_turns import counted_turns
 from redundancy_pin.status import SampleStatus
 
@@ -41,11 +40,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Definition:
-    """Functions of one robot, as casadi has them: by name the arguments and results.
+    """Functions of the robots of one topology, as casadi has them: by name the arguments and results.
 
     Attributes:
         chain: the expressions.
-        functions: casadi Functions; names start with ``rp_``.
+        functions: casadi Functions; names start with ``rp_``. Those that depend on numbers of the robot take its
+            ``parameters.parameter_vector`` as their last argument.
     """
 
     chain: SymbolicChain
@@ -61,14 +61,14 @@ class Definition:
 
 
 def define(robot: Robot) -> Definition:
-    """Write the functions of a robot. Matrices are laid out row by row, but for K, which LAPACK's way suits."""
+    """Write the functions of a robot's topology. Matrices are laid out row by row, except K, column by column."""
     casadi()  # says so where it is missing, whatever was written before
-    return _defined(robot)
+    return _defined(topology_of(robot))
 
 
 @functools.lru_cache(maxsize=8)
-def _defined(robot: Robot) -> Definition:
-    ca = casadi()
+def _defined(topology: Topology) -> Definition:
+    ca, robot = casadi(), topology.robot
     chain = SymbolicChain(robot)
     carriers = [ca.SX.sym(name, robot.k) for name in ("s", "sd", "sdd")]
     columns = robot.carrier_velocity.tolist()
@@ -82,8 +82,8 @@ def _defined(robot: Robot) -> Definition:
     pose, tree = [chain.q, chain.trig], [chain.q, chain.trig, chain.v, chain.a]
 
     def at_carriers(*expressions: Any) -> list[Any]:
-        function = ca.Function("inner", [*tree, chain.external], list(expressions))
-        results = function.call([q, chain.trig, v, a, chain.external])
+        function = ca.Function("inner", [*tree, chain.external, chain.parameters], list(expressions))
+        results = function.call([q, chain.trig, v, a, chain.external, chain.parameters])
         return list(results)
 
     everything, ground, energy = at_carriers(efforts, base, chain.energy)
@@ -92,7 +92,7 @@ def _defined(robot: Robot) -> Definition:
     projected = [*tree, gamma, *carriers, chain.external]
     derivatives = [ca.vec(ca.jacobian(part, by).T) for part in reduced for by in carriers]
     missing = ca.vertcat(-chain.closure_rows, chain.missing) / chain.equation_unit
-    K = chain.K * (chain.step_unit / chain.equation_unit[:, None])
+    K = ca.diag(1.0 / chain.equation_unit) @ chain.K @ ca.diag(chain.step_unit)
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
         "rows": ([*pose, chain.x], [missing, ca.vec(K), chain.alignment]),  # without units
         "bias": ([*pose, chain.v], [chain.bias]),
@@ -109,9 +109,26 @@ def _defined(robot: Robot) -> Definition:
     }
     functions = {}
     for name, (inputs, outputs) in definitions.items():
-        dense = [ca.densify(part) for part in ca.cse(outputs)]
-        functions[f"rp_{name}"] = ca.Function(f"rp_{name}", inputs, dense)
+        functions[f"rp_{name}"] = function_of(chain, f"rp_{name}", inputs, outputs)
     return Definition(chain, functions)
+
+
+def function_of(chain: SymbolicChain, name: str, inputs: list[Any], outputs: list[Any]) -> Any:
+    """Return a casadi Function with dense results; numbers of the robot, where it needs any, are its last argument."""
+    ca = casadi()
+    dense = [ca.densify(part) for part in ca.cse(outputs)]
+    depends = ca.depends_on(ca.veccat(*dense), chain.parameters)
+    return ca.Function(name, [*inputs, chain.parameters] if depends else inputs, dense)
+
+
+def bind(function: Any, robot: Robot) -> Any:
+    """Return a function of a definition with the numbers of a robot in it, which are no arguments any more."""
+    ca, vector = casadi(), parameter_vector(robot)
+    count = function.n_in() - 1
+    if function.numel_in(count) != len(vector) or not function.name_in(count):
+        return function
+    inputs = [ca.SX.sym(f"i{i}", function.size1_in(i), function.size2_in(i)) for i in range(count)]
+    return ca.Function(function.name(), inputs, function.call([*inputs, ca.SX(vector)]))
 
 
 def _missed(chain: SymbolicChain, positions: Any) -> Any:
@@ -136,7 +153,7 @@ def source(definition: Definition) -> str:
         [
             driver_source(definition, definition.functions.values()),
             f"const int rp_turning[] = {{{turning}}};",
-            sample_source(definition),
+            sample_source(),
             _table("static const int CARRIERS", chain.robot.carrier_velocity),
             _table("static const int CARRIED", chain.robot.carrier_position),
             text_of("calls.c"),
@@ -150,7 +167,8 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
 
     With ``storage`` "static" nothing of it is seen from other files; who stands behind it calls all of it.
     """
-    turns = counted_turns(definition.chain.robot)
+    chain = definition.chain
+    turns = counted_turns(chain.robot)
     listed = ", ".join(map(str, turns.coordinates.tolist()))
     counted = [
         f"#define TURNS {len(turns.coordinates)}",
@@ -159,32 +177,20 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
     if len(turns.coordinates):
         angles = ", ".join(map(str, (turns.angles.astype(int) + turns.kept).tolist()))
         counted.append(f"static const int ANGLE[] = {{{angles}}};")
-    return "\n".join([*tables(definition.chain, functions, storage), *counted, text_of("driver.c")])
+    return "\n".join([*tables(chain, functions, storage), *counted, text_of("driver.c")])
 
 
-def sample_source(definition: Definition) -> str:
-    """Return the C of one sample, ``sample.c``, with its tables; it follows ``driver_source``."""
-    chain = definition.chain
-    robot, terms = chain.robot, force_terms(chain.robot)
+def sample_source() -> str:
+    """Return the C of one sample, ``sample.c``, with its constants; it follows ``driver_source``."""
     constants = {
         "RANK_TOLERANCE": RANK_TOLERANCE,
         "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
         "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
         "FORCE_TOLERANCE": FORCE_TOLERANCE,
-        "MASS": terms.mass,
-        "GRAVITY": terms.gravity,
-        "VISCOUS": terms.viscous,
-        "STATIC": terms.static,
-    }
-    tables = {
-        "ROW_SCALE": chain.row_scale,
-        "COLUMN_SCALE": chain.column_scale,
-        "CARRIER_UNIT": velocity_unit(robot)[robot.carrier_velocity],
     }
     statuses = ", ".join(f"STATUS_{status.name} = {int(status)}" for status in SampleStatus)
     text = [f"enum {{ {statuses} }};"]
     text += [f"#define {name} {value!r}" for name, value in constants.items()]
-    text += [_table(f"static const double {name}", values) for name, values in tables.items()]
     return "\n".join([*text, text_of("sample.c")])
 
 
@@ -203,24 +209,21 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
         "N": robot.n,
         "M": robot.m,
         "NK": robot.k,
-        "R": len(chain.closure_scale),
+        "R": chain.rows,
         "NT": len(chain.turning),
         "NX": chain.x.numel(),
         "LEGS": chain.mode_indicators.numel(),
         "NALIGN": chain.alignment.numel(),
-        "LENGTH": float(robot.characteristic_length),
         "TOLERANCE": CLOSURE_TOLERANCE,
         "LEAST_MARGIN": LEAST_MARGIN,
     }
     tables = {
         "static const int COLUMNS": chain.pose_columns,
         "static const int ACTUATED": robot.actuated_velocity,
-        "static const double STEP_UNIT": chain.step_unit,
-        "static const double EQUATION_UNIT": chain.equation_unit,
-        "static const double POSITION_UNIT": position_unit(robot),
     }
     text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
     text += [f"#define {name} {value!r}" for name, value in sizes.items()]
+    text += chain.layout.macros
     return [*text, *(_table(name, values) for name, values in tables.items())]
 
 
@@ -229,52 +232,40 @@ def text_of(name: str) -> str:
     return importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "driver.c", "sample.c", "calls.c", "batch.c")
+_WRITTEN = (
+    "symbols.py",
+    "load_symbols.py",
+    "parameters.py",
+    "build.py",
+    "emit.py",
+    "driver.c",
+    "sample.c",
+    "calls.c",
+    "batch.c",
+)
 """Files that decide what is compiled: who changes one gets a new library."""
 
 
 def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Sequence[str] = FLAGS) -> str:
-    """Return what tells one library from another: a hash of all that goes into it. The reference does not."""
-    model = robot.model
-    roles = [
-        robot.closures,
-        robot.couplings,
-        robot.platform,
-        robot.independent_joints,
-        robot.actuated,
-        robot.carriers,
-        robot.working_modes,
-    ]
+    """Return what tells one library from another: a hash of all that goes into it. Numbers of the robot do not."""
     try:
         version = importlib.metadata.version("casadi")  # without the time that an import takes
     except importlib.metadata.PackageNotFoundError:
         version = str(casadi().__version__)  # installed by other means than pip, or not at all
-    versions = [version, str(pin.__version__)]
-    written = [*files, *(text_of(name) for name in files)]
-    parts = [
-        model.saveToString(),
-        repr(roles),
-        shape_of(robot),
-        repr((robot.working_mode, robot.characteristic_length, robot.gravity.tolist())),
-        *versions,
-        repr(CLOSURE_TOLERANCE),
-        *written,
-        compiler,
-        *flags,
-    ]
-    return digest(parts)
+    constants = repr((CLOSURE_TOLERANCE, RANK_TOLERANCE, NEAR_SINGULAR_MARGIN, CONSISTENCY_TOLERANCE, FORCE_TOLERANCE))
+    texts = (text_of(name) for name in files)
+    return digest([topology_of(robot).text, version, str(pin.__version__), constants, *files, *texts, compiler, *flags])
 
 
 class Library:
-    """A compiled robot: functions called with arrays.
+    """A compiled topology with the numbers of one robot: functions called with arrays.
 
     Args:
         path: the shared library.
+        robot: the robot.
     """
 
-    compiled = True
-
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, robot: Robot) -> None:
         self.path = path
         self.library = loaded(path)
         for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project", "rp_terms"):
@@ -285,6 +276,17 @@ class Library:
         )
         self.trigs = 2 * turning
         self._turning = list((ctypes.c_int * turning).in_dll(self.library, "rp_turning"))
+        self._set_numbers(robot)
+
+    def _set_numbers(self, robot: Robot) -> None:
+        self._numbers = parameter_vector(robot)
+        self.numbers = ctypes.c_void_p(self._numbers.ctypes.data)
+
+    def for_robot(self, robot: Robot) -> Library:
+        """Return the same functions with the numbers of another robot of the topology; nothing is compiled."""
+        other = copy.copy(self)
+        other._set_numbers(robot)
+        return other
 
     def trig_at(self, q: Array) -> Array:
         """Return (N, T) the cosines and sines at configurations (N, nq) that the functions take."""
@@ -293,11 +295,11 @@ class Library:
 
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the driver with arrays and integers."""
-        return int(getattr(self.library, name)(*(_as_c(value) for value in arguments)))
+        return int(getattr(self.library, name)(self.numbers, *(_as_c(value) for value in arguments)))
 
     def assemble(self, q: Array, x: Array) -> float:
         """Bring q (nq), in place, to where it misses x least; return what is left."""
-        return float(self.library.rp_assemble(_as_c(q), _as_c(x)))
+        return float(self.library.rp_assemble(self.numbers, _as_c(q), _as_c(x)))
 
     def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate a generated function for many samples, the first axis of all arrays; outputs are written to."""
@@ -307,16 +309,17 @@ class Library:
             (ctypes.c_long * max(len(arrays), 1))(*(array[0].size if array.strides[0] else 0 for array in arrays))
             for arrays in (inputs, outputs)
         ]
+        count = ctypes.c_long(samples)
         self.library.rp_map(
-            pointer, ctypes.c_long(samples), len(inputs), packed[0], sizes[0], len(outputs), packed[1], sizes[1]
+            self.numbers, pointer, count, len(inputs), packed[0], sizes[0], len(outputs), packed[1], sizes[1]
         )
 
     def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
         """Return a function that evaluates one sample from and into fixed arrays: addresses are looked up once."""
         function = self.library.rp_sample
-        arguments = tuple(_as_c(array) for array in (state, given, result))
+        arguments = (self.numbers, *(_as_c(array) for array in (state, given, result)))
 
-        def sample(_alive: tuple[Array, ...] = (state, given, result)) -> int:
+        def sample(_alive: tuple[Array, ...] = (self._numbers, state, given, result)) -> int:
             status: int = function(*arguments)
             return status
 
@@ -333,7 +336,7 @@ def _pointers(arrays: Sequence[Array]) -> Any:
 
 def build_library(robot: Robot) -> tuple[Library | None, str]:
     """Return the compiled robot, from disk or new; or None and the reason why there is none."""
-    return built_for(robot, _WRITTEN, lambda: source(define(robot)), Library)
+    return built_for(robot, _WRITTEN, lambda: source(define(robot)), lambda path: Library(path, robot))
 
 
 def built_for(

@@ -23,15 +23,15 @@ static int in_ranges(const double *q, const Range *ranges, int count) {
 
 #if M
 /* Torques of one sample. in: as rp_sample; out: as rp_sample, then tau (M), residual, margin, condition. */
-int rp_torque(double *state, const double *in, const Range *ranges, int count, double *out) {
+int rp_torque(const double *numbers, double *state, const double *in, const Range *ranges, int count, double *out) {
   double from[NQ + 1], *const f = out + N * M, *const tau = f + N + NK + 2;
   Efforts efforts;
   copy(from, state, NQ + 1);
-  int closed = rp_sample(from, in, out);
+  int closed = rp_sample(numbers, from, in, out);
   if (closed == LOST) return finite(in, NX) ? STATUS_BRANCH_LOST : STATUS_NOT_FINITE;
   if (closed != CLOSED) return status_of(closed);
   if (!finite(out, N * M + N + NK + 2)) return STATUS_NOT_FINITE;
-  int status = distribute(out, f, force_size_of(in), &efforts);
+  int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
   if (status == STATUS_NOT_FINITE) return status;
   copy(state, from, NQ + 1);
   copy(tau, efforts.tau, M);
@@ -47,14 +47,14 @@ int rp_torque(double *state, const double *in, const Range *ranges, int count, d
 #if M && M >= N
 /* Moves a pose to where its actuators are at the given positions, on the straight way of the actuators, in as many steps as
    Newton's method needs to contract. Returns a status. */
-static int follow_drives(Pose *pose, const double *position) {
+static int follow_drives(const double *numbers, Pose *pose, const double *position) {
   double left[M], target[M], off[M], done = 0.0, share = 1.0;
   drives(pose->q, position, left);
   while (done < 1.0) {
     Pose next = *pose;
     double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
     for (int j = 0; j < M; ++j) target[j] = position[j] - ahead * left[j];
-    int status = forward(&next, target, off);
+    int status = forward(numbers, &next, target, off);
     if (status == STATUS_OK) {
       *pose = next;
       done += share;
@@ -69,7 +69,7 @@ static int follow_drives(Pose *pose, const double *position) {
 
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
    q (NQ), v (NV), x (NX), xd (N), singularity margin, closure residual, mismatch of the actuators (M > N). */
-int rp_joint_state(double *state, const double *in, const Range *ranges, int count, double *out) {
+int rp_joint_state(const double *numbers, double *state, const double *in, const Range *ranges, int count, double *out) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
   double x[NX], *q = out, *v = q + NQ, *last = v + NV + NX + N;
   Pose pose;
@@ -78,15 +78,15 @@ int rp_joint_state(double *state, const double *in, const Range *ranges, int cou
   copy(pose.q, state, NQ);
   turns_of(pose.q, pose.trig);
   pose.sign = state[NQ];
-  int status = pose.sign == 0.0 ? pose_at(state, 0.0, &pose, x) : STATUS_OK; /* its sign is known once it was closed */
+  int status = pose.sign == 0.0 ? pose_at(numbers, state, 0.0, &pose, x) : STATUS_OK; /* its sign is known once it was closed */
   if (status) return status;
   Pose start = pose;
-  status = platform_of(&pose, position, velocity, &platform);
+  status = platform_of(numbers, &pose, position, velocity, &platform);
   if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
     pose = start;
-    status = follow_drives(&pose, position);
+    status = follow_drives(numbers, &pose, position);
     if (status) return status;
-    status = platform_of(&pose, position, velocity, &platform);
+    status = platform_of(numbers, &pose, position, velocity, &platform);
   }
   if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) return status;
   copy(q, pose.q, NQ);

@@ -14,7 +14,6 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import CarrierTerms, terms_along
-from redundancy_pin.dynamics.compiled.build import Library
 from redundancy_pin.dynamics.compiled.closing import CLOSED
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Wrench
@@ -43,8 +42,7 @@ class Continued:
         self._width = 1 + self._places + 2 * robot.n + 6 * len(self._loads)
         # first and last configurations of the batches before, each with its coordinates
         self._near = np.full((NEIGHBOURS, self._nq + self._places), np.nan)
-        kernel = dynamics.kernel
-        self._function = kernel.library.rp_terms if isinstance(kernel, Library) else None
+        self._function, self._numbers = dynamics.kernel.library.rp_terms, dynamics.kernel.numbers
         self._make_room(8)
 
     def _make_room(self, samples: int) -> None:
@@ -60,7 +58,7 @@ class Continued:
         """Return W, f and forces by terms; arguments as of ``Dynamics.carrier_terms``."""
         n, m, k, samples = self._n, self._m, self._k, len(t)
         fits = samples and x.shape[1:] == self._x and x.shape[0] == samples and xd.shape == xdd.shape == (samples, n)
-        if self._function is None or not fits:
+        if not fits:
             return self._followed(t, x, xd, xdd)
         if samples > self._room:
             self._make_room(2 * samples)
@@ -70,7 +68,7 @@ class Continued:
         a = samples * n * m
         b = a + samples * (n + k)
         given, near, result, sizes = self._addresses
-        if self._function(samples, given, self._width, near, result, sizes) != CLOSED:
+        if self._function(self._numbers, samples, given, self._width, near, result, sizes) != CLOSED:
             return self._followed(t, x, xd, xdd)
         out = self._out[: b + samples * k * TERMS * (n + k)].copy()
         return CarrierTerms(

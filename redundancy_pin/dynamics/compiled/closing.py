@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.compiled.build import Library
-from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.errors import (
     RedundancyPinError,
     SingularPoseError,
@@ -51,7 +50,7 @@ class Loops:
     """What closes the loops of a robot, and threads for many samples."""
 
     robot: Robot
-    kernel: Library | Interpreter
+    kernel: Library
     threads: int
 
     @cached_property
@@ -261,7 +260,7 @@ def _nearest(loops: Loops, x: Array, q: Array, k: int) -> tuple[Array, float]:
     return nearest, loops.kernel.assemble(nearest, x)
 
 
-def _is_singular(kernel: Library | Interpreter, q: Array, x: Array, size: int) -> bool:
+def _is_singular(kernel: Library, q: Array, x: Array, size: int) -> bool:
     """Return whether K is singular at a configuration, to the square root of rounding."""
     residual, K, alignment = np.empty((1, size)), np.empty((1, size, size)), np.empty((1, kernel.alignments))
     kernel.map("rp_rows", 1, [q[None], kernel.trig_at(q[None]), x[None]], [residual, K, alignment])

@@ -12,7 +12,7 @@ import ctypes
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -93,11 +93,18 @@ class _Arguments:
             part[:] = given.ravel()
 
 
-def _caller(library: ctypes.CDLL, name: str, *arguments: Any) -> Callable[[], int]:
+class Code(Protocol):
+    """A compiled topology and the address of the numbers of one robot."""
+
+    library: ctypes.CDLL
+    numbers: ctypes.c_void_p
+
+
+def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
     """Return a function of a library with its arguments, that holds the interpreter's lock; arrays give addresses."""
-    function = ctypes.PyDLL(library._name, handle=library._handle)[name]
+    function = ctypes.PyDLL(code.library._name, handle=code.library._handle)[name]
     given = [ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value for value in arguments]
-    return partial(function, *given)
+    return partial(function, code.numbers, *given)
 
 
 class TorqueCall:
@@ -105,16 +112,17 @@ class TorqueCall:
 
     Args:
         robot: the robot.
-        library: its compiled dynamics.
+        code: its compiled dynamics.
         find: returns a configuration (nq,) that is closed at a motion of one sample, or raises what is wrong with it.
             It is called where Newton's method does not get there from the sample before.
     """
 
-    def __init__(self, robot: Robot, library: ctypes.CDLL, find: Callable[[PlatformMotion], Array]) -> None:
+    def __init__(self, robot: Robot, code: Code, find: Callable[[PlatformMotion], Array]) -> None:
         n, m, k, wrenches = robot.n, robot.m, robot.k, 6 * len(of_kind(robot.loads, Wrench))
         if not m:
             raise InputError(f"{robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
         self._robot, self._find, self._loaded = robot, find, bool(wrenches)
+        self._code = code  # which keeps its numbers
         self._carriers, self._none = bool(k), np.zeros(k)
         self._pose, self._shape = is_pose(robot), (4, 4) if is_pose(robot) else (n,)
         sizes = (self._shape, (n,), (n,), (k,), (k,), (k,), (wrenches,))
@@ -126,7 +134,7 @@ class TorqueCall:
         self._margin = partial(self._results.item, tau + m + 1)
         self._state, self._ranges = np.append(robot.q_reference, 0.0), range_table(robot)
         given = self._state, self._arguments.memory, self._ranges, len(self._ranges), self._results
-        self._call = _caller(library, "rp_torque", *given)
+        self._call = _caller(code, "rp_torque", *given)
 
     def __call__(
         self,
@@ -187,13 +195,13 @@ class JointStateCall:
 
     Args:
         robot: the robot.
-        library: its compiled dynamics.
+        code: its compiled dynamics.
 
     Raises:
         UnsupportedRobotError: fewer main actuators than degrees of freedom.
     """
 
-    def __init__(self, robot: Robot, library: ctypes.CDLL) -> None:
+    def __init__(self, robot: Robot, code: Code) -> None:
         few = too_few_motors(robot)
         if few:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
@@ -206,7 +214,8 @@ class JointStateCall:
         self._results = np.zeros(self._ends[-1] + 3)
         self._state, self._ranges = np.append(robot.q_reference, 0.0), range_table(robot)
         given = self._state, self._arguments.memory, self._ranges, len(self._ranges), self._results
-        self._call = _caller(library, "rp_joint_state", *given)
+        self._call = _caller(code, "rp_joint_state", *given)
+        self._code = code  # which keeps its numbers
 
     def __call__(self, position: Any, velocity: Any, s: Any, sd: Any, start: ArrayLike | None) -> JointStateSample:
         """Return joints and platform; see ``Dynamics.joint_state``."""
@@ -244,7 +253,8 @@ class AccelerationCall:
         self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
         self._read = forward.reader() if wrenches else None
         self._a = np.zeros(model.nv)
-        self._call = _caller(forward.library, "rp_acceleration", self._arguments.memory, *forward.tolerances, self._a)
+        self._call = _caller(forward, "rp_acceleration", self._arguments.memory, *forward.tolerances, self._a)
+        self._code = forward  # which keeps its numbers
 
     def __call__(self, q: Any, v: Any, tau: Any, carrier_force: Any, t: float) -> AccelerationSample:
         """Return the accelerations; see ``Dynamics.acceleration``."""

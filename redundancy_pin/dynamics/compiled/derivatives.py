@@ -7,7 +7,8 @@ At a sample the tree's motion (q, v, a) and the multipliers μ solve
 where K stacks the closures' Jacobian and that of the platform. Then f is the lower part of μ, and with Kᵀ N = Sᵀ the
 lower part of N is W; the upper parts are what the closures transmit, λ = μ − N τ. Differentiated with respect to
 anything, each line is a solve with K or Kᵀ, in this order. What stands beside K is differentiated by casadi;
-differences are taken of the numbers of a xacro file only (``design``).
+differences are taken of the numbers of a xacro file only (``design``). The expressions are those of a topology: robots
+that differ in numbers share them.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.compiled.design import Design
-from redundancy_pin.dynamics.compiled.symbols import SX, SymbolicChain, casadi
+from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, Distribution, distribute
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
@@ -143,72 +144,51 @@ class MotionDerivatives(Frozen):
 # --- the symbols ------------------------------------------------------------------------------------------------------
 
 
-class DesignChain(SymbolicChain):
-    """Expressions of a robot whose tree depends, to first order, on design parameters.
-
-    Args:
-        robot: the robot.
-        design: the derivatives of its numbers.
-
-    Attributes:
-        change: (d) the parameters less their values.
-    """
-
-    def __init__(self, robot: Robot, design: Design) -> None:
-        self.design = design
-        self.change = casadi().SX.sym("change", len(design.names))
-        super().__init__(robot)
-
-    def joint_placement(self, index: int) -> tuple[SX, SX]:
-        """Return rotation and origin of a joint's frame, moved by the parameters."""
-        return self._displaced(str(self.model.names[index]), *super().joint_placement(index))
-
-    def frame_placement(self, frame: pin.Frame) -> tuple[SX, SX]:
-        """Return rotation and origin of a link's frame, moved by the parameters."""
-        return self._displaced(str(frame.name), *super().frame_placement(frame))
-
-    def _displaced(self, name: str, rotation: SX, origin: SX) -> tuple[SX, SX]:
-        ca, columns = casadi(), self.design.placements.get(name)
-        if columns is None:
-            return rotation, origin
-        moved = _sparse(columns) @ self.change
-        return rotation @ (ca.SX.eye(3) + ca.skew(moved[3:])), origin + moved[:3]
-
-    def inertial_force(self, index: int, motion: tuple[SX, SX, SX, SX]) -> tuple[SX, SX]:
-        """Return force and moment that give a body its motion, which are linear in its inertial parameters."""
-        ca, columns = casadi(), self.design.inertias.get(str(self.model.names[index]))
-        force, moment = super().inertial_force(index, motion)
-        if columns is None:
-            return force, moment
-        w, u, dw, du = motion
-        more = _sparse(columns) @ self.change
-        mass, first, inertia = more[0], more[1:4], ca.reshape(more[4:], 3, 3)
-        momentum = mass * u + ca.cross(w, first)
-        push = mass * du + ca.cross(dw, first)
-        force += push + ca.cross(w, momentum)
-        moment += inertia @ dw + ca.cross(first, du) + ca.cross(w, inertia @ w + ca.cross(first, u))
-        return force, moment + ca.cross(u, momentum)
-
-
-def _sparse(columns: Array) -> Any:
-    return casadi().sparsify(casadi().DM(columns))
-
-
 @dataclass(frozen=True, eq=False)
 class _Functions:
-    """casadi Functions of q, trig, v, a (``motion``), and of q, trig and a multiplier ν (``transposed``)."""
+    """casadi Functions of q, trig, v, a (``motion``), and of q, trig and a multiplier ν (``transposed``).
 
-    chain: DesignChain
+    The last two arguments are the robot's numbers and the derivatives of its model's numbers by the parameters, those
+    that may differ from zero (``pattern``).
+    """
+
+    chain: SymbolicChain
     motion: Any
     transposed: Any
 
 
+def _functions(robot: Robot, design: Design) -> tuple[_Functions, tuple[Array, Array]]:
+    """Return the derivatives of a robot's topology, and their last two arguments for the robot and design."""
+    touched: BoolArray = np.asarray(design.columns.any(axis=1))
+    topology = topology_of(robot).varying(touched)
+    rows, columns = np.nonzero(design.columns.T)  # column by column, as casadi lays matrices out
+    pattern = tuple(zip(columns.tolist(), rows.tolist(), strict=True))
+    constants = parameter_vector(robot, topology), design.columns.T[rows, columns]
+    return _written(topology, len(design.names), pattern), constants
+
+
 @lru_cache(maxsize=16)
-def _functions(robot: Robot, design: Design) -> _Functions:
-    """Write the derivatives of one robot; under a second for a 3-RRR."""
+def _written(topology: Topology, count: int, pattern: tuple[tuple[int, int], ...]) -> _Functions:
+    """Write the derivatives of a topology by parameters that change some numbers; under a second for a 3-RRR.
+
+    Args:
+        topology: the topology.
+        count: d, the number of parameters.
+        pattern: number of the model and parameter of each derivative of the one by the other.
+    """
     ca = casadi()
-    chain = DesignChain(robot, design)
-    columns, change = chain.pose_columns.tolist(), chain.change
+    chain = SymbolicChain(topology.robot, topology)
+    columns = chain.pose_columns.tolist()
+    slopes = ca.SX.sym("slopes", len(pattern))
+    seeds = ca.SX(chain.layout.size, count)
+    places = chain.layout.starts["MODEL"] + np.cumsum(topology.free) - 1
+    for k, (number, parameter) in enumerate(pattern):
+        seeds[int(places[number]), parameter] = slopes[k]
+
+    def by_parameters(expression: Any) -> Any:
+        """Return the derivative (rows, d) by the parameters."""
+        return ca.jtimes(expression, chain.parameters, seeds) if count else ca.SX(expression.numel(), 0)
+
     rates = chain.row_rates
     second = ca.substitute(rates, chain.v, chain.a) + chain.bias
     # where the coordinates are, less x: what a parameter opens is closed again by K times a tangent step
@@ -216,12 +196,12 @@ def _functions(robot: Robot, design: Design) -> _Functions:
     efforts, ground = chain.efforts
     outputs = [
         chain.K,
-        ca.jacobian(position, change),
+        by_parameters(position),
         chain.by_tangent(rates)[:, columns],
-        ca.jacobian(rates, change),
+        by_parameters(rates),
         chain.by_tangent(second)[:, columns],
         ca.jacobian(second, chain.v)[:, columns],
-        ca.jacobian(second, change),
+        by_parameters(second),
         efforts,
     ]
     for forces in (efforts, ground):
@@ -229,35 +209,33 @@ def _functions(robot: Robot, design: Design) -> _Functions:
             chain.by_tangent(forces),
             ca.jacobian(forces, chain.v),
             ca.jacobian(forces, chain.a),
-            ca.jacobian(forces, change),
+            by_parameters(forces),
         ]
     multiplier = ca.SX.sym("nu", len(columns))
     transposed = chain.K.T @ multiplier
-    pose = [chain.q, chain.trig]
+    pose, constants = [chain.q, chain.trig], [chain.parameters, slopes]
     return _Functions(
         chain,
-        _function(chain, "motion", [*pose, chain.x, chain.v, chain.a, chain.external], outputs),
+        _function("motion", [*pose, chain.x, chain.v, chain.a, chain.external, *constants], outputs),
         _function(
-            chain,
             "transposed",
-            [*pose, multiplier],
-            [chain.by_tangent(transposed)[:, columns], ca.jacobian(transposed, change)],
+            [*pose, multiplier, *constants],
+            [chain.by_tangent(transposed)[:, columns], by_parameters(transposed)],
         ),
     )
 
 
-def _function(chain: DesignChain, name: str, inputs: list[Any], outputs: list[Any]) -> Any:
+def _function(name: str, inputs: list[Any], outputs: list[Any]) -> Any:
     ca = casadi()
-    at_zero = ca.substitute(outputs, [chain.change], [ca.SX(ca.DM.zeros(chain.change.numel()))])
     # transposed: casadi's columns are numpy's rows
-    return ca.Function(name, inputs, [ca.densify(part.T) for part in ca.cse(at_zero)])
+    return ca.Function(name, inputs, [ca.densify(part.T) for part in ca.cse(outputs)])
 
 
-def _evaluated(function: Any, *inputs: Array) -> list[Array]:
-    """Return the results at many samples, (N, rows, columns) each."""
-    samples = len(inputs[0])
-    given = [np.asfortranarray(array.reshape(samples, -1).T) for array in inputs]
-    results = function.map(samples).call(given)
+def _evaluated(function: Any, constants: tuple[Array, Array], *inputs: Array) -> list[Array]:
+    """Return the results at many samples, (N, rows, columns) each; the constants are the same for all of them."""
+    samples, count = len(inputs[0]), len(inputs)
+    given = [*(np.asfortranarray(array.reshape(samples, -1).T) for array in inputs), *constants]
+    results = function.map("samples", "serial", samples, [count, count + 1], []).call(given)
     return [
         np.ascontiguousarray(np.array(result).T).reshape(samples, function.size2_out(i), function.size1_out(i))
         for i, result in enumerate(results)
@@ -294,25 +272,28 @@ def motion_partials(
         tree: the motion of the tree.
         carriers: the motion of the carriers.
     """
-    functions = _functions(robot, design)
+    functions, constants = _functions(robot, design)
     samples, known = len(tree.q), np.flatnonzero(tree.reachable)
     q, v, a = tree.q.copy(), tree.v.copy(), tree.a.copy()
     q[:, robot.carrier_position] = carriers.s
     v[:, robot.carrier_velocity] = carriers.sd
     a[:, robot.carrier_velocity] = carriers.sdd
-    wholes = {name: np.full((samples, *shape), np.nan) for name, shape in _shapes(functions).items()}
+    wholes = {
+        name: np.full((samples, *shape), np.nan) for name, shape in _shapes(functions.chain, len(design.names)).items()
+    }
     for part in blocks(len(known), _SAMPLES_PER_BLOCK):
         at = known[part]
-        for name, result in _block(functions, tree.x[at], q[at], v[at], a[at], tree.external[at]).items():
+        motion = tree.x[at], q[at], v[at], a[at], tree.external[at]
+        for name, result in _block(functions, constants, len(design.names), *motion).items():
             wholes[name][at] = result
     share = wholes.pop("share")
     return {name: _split(robot, whole) for name, whole in wholes.items()}, read_only(share)
 
 
-def _shapes(functions: _Functions) -> dict[str, tuple[int, ...]]:
-    robot, r = functions.chain.robot, len(functions.chain.closure_scale)
+def _shapes(chain: SymbolicChain, parameters: int) -> dict[str, tuple[int, ...]]:
+    robot, r = chain.robot, chain.rows
     n, m, k = robot.n, robot.m, robot.k
-    width = 3 * n + 3 * k + len(functions.chain.design.names)
+    width = 3 * n + 3 * k + parameters
     return {
         "f": (n, width),
         "W": (n, m, width),
@@ -329,18 +310,29 @@ def _split(robot: Robot, whole: Array) -> Partials:
     return Partials(*(read_only(np.ascontiguousarray(part)) for part in np.split(whole, edges, axis=-1)))
 
 
-def _block(functions: _Functions, x: Array, q: Array, v: Array, a: Array, external: Array) -> dict[str, Array]:
+def _block(
+    functions: _Functions,
+    constants: tuple[Array, Array],
+    parameters: int,
+    x: Array,
+    q: Array,
+    v: Array,
+    a: Array,
+    external: Array,
+) -> dict[str, Array]:
     chain, robot = functions.chain, functions.chain.robot
     pose: IntArray = chain.pose_columns
     carried, driven = robot.carrier_velocity, np.searchsorted(pose, robot.actuated_velocity)
-    n, k, r, p, d = robot.n, robot.k, len(chain.closure_scale), len(pose), len(chain.design.names)
+    n, k, r, p, d = robot.n, robot.k, chain.rows, len(pose), parameters
     samples, width = len(q), 3 * n + 3 * k + d
     by_x, by_xd, by_xdd, by_carriers, by_design = (
         slice(first, last)
         for first, last in ((0, n), (n, 2 * n), (2 * n, 3 * n), (3 * n, 3 * n + 3 * k), (width - d, width))
     )
     trig = chain.trig_at(q)
-    K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(functions.motion, q, trig, x, v, a, external)
+    K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(
+        functions.motion, constants, q, trig, x, v, a, external
+    )
     inverse: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
     # (q, v, a): the platform's rows are prescribed, the closures stay shut
     right = np.zeros((3, samples, p, width))
@@ -370,7 +362,7 @@ def _block(functions: _Functions, x: Array, q: Array, v: Array, a: Array, extern
     loads_by = np.zeros((samples, 1 + len(driven), p, width))
     loads_by[:, 0] = effort_by[:, pose]
     for column in range(1 + len(driven)):
-        T_q, T_d = _evaluated(functions.transposed, q, trig, np.ascontiguousarray(multipliers[:, :, column]))
+        T_q, T_d = _evaluated(functions.transposed, constants, q, trig, multipliers[:, :, column])
         loads_by[:, column] -= T_q @ y
         loads_by[:, column][..., by_design] -= T_d
     multipliers_by = inverse.transpose(0, 2, 1)[:, None] @ loads_by

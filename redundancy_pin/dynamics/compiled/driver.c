@@ -117,14 +117,14 @@ static void turns_of(const double *q, double *trig) {
   rp_turns(arg, res);
 }
 
-static void rows(const double *q, const double *trig, const double *x, double *residual, double *K, double *alignment) {
-  const double *const arg[] = {q, trig, x};
+static void rows(const double *numbers, const double *q, const double *trig, const double *x, double *residual, double *K, double *alignment) {
+  const double *const arg[] = {q, trig, x, numbers};
   double *const res[] = {residual, K, alignment};
   rp_rows(arg, res);
 }
 
-static void bias_of(const double *q, const double *trig, const double *v, double *bias) {
-  const double *const arg[] = {q, trig, v};
+static void bias_of(const double *numbers, const double *q, const double *trig, const double *v, double *bias) {
+  const double *const arg[] = {q, trig, v, numbers};
   double *const res[] = {bias};
   rp_bias(arg, res);
 }
@@ -150,19 +150,19 @@ static double largest(const double *values, int size) {
 }
 
 /* The largest coordinate of a configuration, rad or characteristic lengths. */
-static double largest_position(const double *q) {
+static double largest_position(const double *numbers, const double *q) {
   double result = 0.0;
   for (int i = 0; i < NQ; ++i) result = fmax(result, fabs(q[i]) / POSITION_UNIT[i]);
   return result;
 }
 
 /* Newton's method from q, to coordinates that miss x by left (N); returns whether it contracted all the way. */
-static int newton(const double *q, const double *x, const double *left, Pose *out) {
+static int newton(const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
   double step[NP + 1], alignment[NALIGN], last = LONGEST / CONTRACTION;
   copy(out->q, q, NQ);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
     turns_of(out->q, out->trig);
-    rows(out->q, out->trig, x, step, out->lu, alignment);
+    rows(numbers, out->q, out->trig, x, step, out->lu, alignment);
     if (left)
       for (int i = 0; i < N; ++i) step[R + i] -= left[i];
     out->gap = largest(step, NP);
@@ -171,7 +171,7 @@ static int newton(const double *q, const double *x, const double *left, Pose *ou
     solve(out->lu, out->pivot, step);
     double size = largest(step, NP);
     int stalled = size > CONTRACTION * last && size <= FLOOR;
-    int settled = size <= SETTLED || (stalled && (out->gap < TOLERANCE || size <= ROUNDED * largest_position(out->q)));
+    int settled = size <= SETTLED || (stalled && (out->gap < TOLERANCE || size <= ROUNDED * largest_position(numbers, out->q)));
     if (settled) {
       if (!left)
         for (int i = 0; i < NALIGN; ++i)
@@ -187,14 +187,14 @@ static int newton(const double *q, const double *x, const double *left, Pose *ou
 }
 
 /* From a closed pose to the coordinates x, on the straight way there, the determinant's sign kept. */
-static int follow(Pose *pose, const double *x) {
+static int follow(const double *numbers, Pose *pose, const double *x) {
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], left[N + 1], done = 0.0, share = 1.0, sign = pose->sign;
   Pose next;
-  rows(pose->q, pose->trig, x, residual, K, alignment);
+  rows(numbers, pose->q, pose->trig, x, residual, K, alignment);
   while (done < 1.0) {
     double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
     for (int i = 0; i < N; ++i) left[i] = ahead * residual[R + i];
-    if (newton(pose->q, x, ahead > 0.0 ? left : 0, &next) && next.sign == sign) {
+    if (newton(numbers, pose->q, x, ahead > 0.0 ? left : 0, &next) && next.sign == sign) {
       *pose = next;
       done += share;
       share = fmin(2.0 * share, 1.0 - done);
@@ -217,13 +217,13 @@ static int follow(Pose *pose, const double *x) {
 
 /* Bring a pose so many turns of coordinate c on; at is moved along. A turn that brings all joints back, but for whole
    turns of their own, does so again. With gears several turns may pass until it does. */
-static int go_round(Pose *pose, double *at, int c, double count) {
+static int go_round(const double *numbers, Pose *pose, double *at, int c, double count) {
   double step = copysign(TURN, count), left = fabs(count), followed = 0.0, start[NQ], shift[NQ];
   int known = 0;
   copy(start, pose->q, NQ);
   while (left > 0.0) {
     at[c] += step;
-    if (!follow(pose, at)) return 0;
+    if (!follow(numbers, pose, at)) return 0;
     left -= 1.0;
     followed += 1.0;
     if (followed > MOST_TURNS) return 0;
@@ -244,7 +244,7 @@ static int go_round(Pose *pose, double *at, int c, double count) {
     left -= times * followed;
     known = 1;
     Pose next;
-    if (!newton(pose->q, at, 0, &next) || next.sign != pose->sign) return 0;
+    if (!newton(numbers, pose->q, at, 0, &next) || next.sign != pose->sign) return 0;
     *pose = next;
   }
   return 1;
@@ -252,7 +252,7 @@ static int go_round(Pose *pose, double *at, int c, double count) {
 #endif
 
 /* From a pose closed at here to the coordinates x, however many turns away. */
-static int go_far(Pose *pose, const double *here, const double *x) {
+static int go_far(const double *numbers, Pose *pose, const double *here, const double *x) {
 #if TURNS
   static const int COUNTED[] = COUNTED_COORDINATES;
   double at[NX], count[TURNS];
@@ -266,9 +266,9 @@ static int go_far(Pose *pose, const double *here, const double *x) {
     far = far || count[i] != 0.0;
   }
   if (far) {
-    int there = follow(&next, at);
-    for (int i = 0; i < TURNS; ++i) there = there && go_round(&next, at, COUNTED[i], count[i]);
-    if (there && follow(&next, x)) {
+    int there = follow(numbers, &next, at);
+    for (int i = 0; i < TURNS; ++i) there = there && go_round(numbers, &next, at, COUNTED[i], count[i]);
+    if (there && follow(numbers, &next, x)) {
       *pose = next;
       return 1;
     }
@@ -276,21 +276,22 @@ static int go_far(Pose *pose, const double *here, const double *x) {
 #else
   (void)here;
 #endif
-  return follow(pose, x);
+  return follow(numbers, pose, x);
 }
 
 /* Velocity and acceleration of the tree at a closed pose, Γ, W and the margin; K v = (0, xd), K a = (0, xdd) - bias. */
-static double rates(const Pose *pose, const double *xd, const double *xdd, double *v, double *a, double *gamma, double *W) {
-  double size = 0.0, X[NP + 1][NP + 1], bias[NP + 1], rest[NP + 1];
+static double rates(const double *numbers, const Pose *pose, const double *xd, const double *xdd, double *v, double *a, double *gamma, double *W) {
+  double size = 0.0, X[NP + 1][NP + 1], bias[NP + 1], rest[NP + 1], inverse_unit[NP + 1];
   invert(pose->lu, pose->pivot, X);
   clear(v, NV);
   clear(a, NV);
   clear(gamma, NV * N);
+  for (int i = 0; i < NP; ++i) inverse_unit[i] = 1.0 / EQUATION_UNIT[i];
   for (int i = 0; i < NP; ++i) {
     double sum = 0.0, speed = 0.0, *of = gamma + COLUMNS[i] * N;
     for (int j = 0; j < NP; ++j) sum += X[i][j] * X[i][j];
     for (int j = 0; j < N; ++j) {
-      of[j] = X[i][R + j] * (STEP_UNIT[i] / EQUATION_UNIT[R + j]);
+      of[j] = X[i][R + j] * (STEP_UNIT[i] * inverse_unit[R + j]);
       speed += of[j] * xd[j];
     }
     v[COLUMNS[i]] = speed;
@@ -298,8 +299,8 @@ static double rates(const Pose *pose, const double *xd, const double *xdd, doubl
   }
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < M; ++j) W[i * M + j] = gamma[ACTUATED[j] * N + i];
-  bias_of(pose->q, pose->trig, v, bias);
-  for (int i = 0; i < NP; ++i) rest[i] = ((i < R ? 0.0 : xdd[i - R]) - bias[i]) / EQUATION_UNIT[i];
+  bias_of(numbers, pose->q, pose->trig, v, bias);
+  for (int i = 0; i < NP; ++i) rest[i] = ((i < R ? 0.0 : xdd[i - R]) - bias[i]) * inverse_unit[i];
   for (int i = 0; i < NP; ++i) {
     double sum = 0.0;
     for (int j = 0; j < NP; ++j) sum += X[i][j] * rest[j];
@@ -308,9 +309,9 @@ static double rates(const Pose *pose, const double *xd, const double *xdd, doubl
   return size > 0.0 ? 1.0 / sqrt(size) : INFINITY;
 }
 
-static int in_mode(const Pose *pose) {
+static int in_mode(const double *numbers, const Pose *pose) {
   double values[LEGS + 1] = {0.0};
-  const double *const arg[] = {pose->q, pose->trig};
+  const double *const arg[] = {pose->q, pose->trig, numbers};
   double *const res[] = {values};
   if (LEGS) rp_modes(arg, res);
   for (int i = 0; i < LEGS; ++i)
@@ -319,20 +320,20 @@ static int in_mode(const Pose *pose) {
 }
 
 /* Place a pose at a configuration that is closed at x: what follow() starts from. */
-static int start_at(Pose *pose, const double *q, const double *x) { return newton(q, x, 0, pose); }
+static int start_at(const double *numbers, Pose *pose, const double *q, const double *x) { return newton(numbers, q, x, 0, pose); }
 
 /* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
    sample is closed on the same side of every type I singularity. */
-EXPORTED int rp_sample(double *state, const double *in, double *out) {
+EXPORTED int rp_sample(const double *numbers, double *state, const double *in, double *out) {
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
   Pose pose;
-  if (!newton(state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
-  double margin = rates(&pose, xd, xdd, v, a, gamma, W);
+  if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
+  double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
   if (margin < LEAST_MARGIN) return SINGULAR;
-  if (!in_mode(&pose)) return OTHER_MODE;
-  const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK};
+  if (!in_mode(numbers, &pose)) return OTHER_MODE;
+  const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK, numbers};
   double *const res[] = {f, force};
   rp_project(arg, res);
   for (int i = 0; i < N; ++i)

@@ -84,7 +84,7 @@ def _function(function: Any, returned: str) -> str:
         else:
             raise UnsupportedRobotError(
                 f"Operation {operation} of casadi has no C here (function {function.name()}).",
-                remedy="Interpret this robot: CompiledDynamics(robot, interpret=True).",
+                remedy="Use RneaDynamics, which covers every robot.",
             )
     unused = [f"  (void){name};" for name, used in (("arg", "arg["), ("res", "res[")) if not _used(lines, used)]
     head = f"{returned} {function.name()}(const double *const *arg, double *const *res) {{"

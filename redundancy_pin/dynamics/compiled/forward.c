@@ -44,10 +44,10 @@ static void turns_of(const double *q, double *trig) {
 }
 
 /* Closure residuals (R), and the rows of closures and platform (NP x NP, column by column). */
-static void closures(const double *q, double *residual, double *K) {
+static void closures(const double *numbers, const double *q, double *residual, double *K) {
   double trig[2 * NT + 1];
   turns_of(q, trig);
-  const double *const arg[] = {q, trig};
+  const double *const arg[] = {q, trig, numbers};
   double *const res[] = {residual, K};
   rp_closures(arg, res);
 }
@@ -113,33 +113,33 @@ static void solve(const double *A, int size, double *b) {
 
 /* Rows of closures and platform (NP x NP, column by column), their bias, mass matrix and efforts at rest of the tree,
    under wrenches (NWRENCH). */
-static void equations(const double *q, const double *v, const double *wrenches, double *K, double *bias, double *mass,
+static void equations(const double *numbers, const double *q, const double *v, const double *wrenches, double *K, double *bias, double *mass,
                       double *effort) {
   double trig[2 * NT + 1];
   turns_of(q, trig);
-  const double *const arg[] = {q, trig, v, wrenches};
+  const double *const arg[] = {q, trig, v, wrenches, numbers};
   double *const res[] = {K, bias, mass, effort};
   rp_equations(arg, res);
 }
 
 /* The same without wrenches, whose forces a simulation adds itself. */
-void rp_dynamics(const double *q, const double *v, double *K, double *bias, double *mass, double *effort) {
+void rp_dynamics(const double *numbers, const double *q, const double *v, double *K, double *bias, double *mass, double *effort) {
   static const double none[NWRENCH + 1] = {0.0};
-  equations(q, v, none, K, bias, mass, effort);
+  equations(numbers, q, v, none, K, bias, mass, effort);
 }
 
 /* Accelerations of the tree under generalised forces (NV) and wrenches (NWRENCH); `given` are those of carriers driven by
    motion, or null. *inertia: smallest pivot of the mass matrix over the largest. Closure forces (R) and the unbalanced
    generalised forces `missing` (NV) are computed unless null. */
-static int accelerations(const double *q, const double *v, const double *force, const double *wrenches,
+static int accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *wrenches,
                          const double *given, double rank_tolerance, double least_inertia, double *a, double *inertia,
                          double *closure_force, double *missing) {
   double K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV], rest[NV];
   double A[(R + 1) * (NP + 1 + R)], N[NV][FREE + 1] = {{0.0}}, product[NV][FREE + 1], reduced[FREE * FREE + 1], z[FREE + 1];
   int order[R + 1], dependent[NP + 1] = {0}, width = NP + 1 + (closure_force ? R : 0), d = 0;
-  equations(q, v, wrenches, K, bias, mass, effort);
+  equations(numbers, q, v, wrenches, K, bias, mass, effort);
   for (int i = 0; i < R; ++i) {
-    for (int j = 0; j < NP; ++j) A[i * width + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
+    for (int j = 0; j < NP; ++j) A[i * width + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
     A[i * width + NP] = bias[i];
     for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1;
   }
@@ -149,19 +149,19 @@ static int accelerations(const double *q, const double *v, const double *force, 
   for (int i = 0; i < NV; ++i) a[i] = 0.0;
   for (int k = 0; k < R; ++k) {
     dependent[order[k]] = 1;
-    a[COLUMNS[order[k]]] = -A[k * width + NP] / SCALE[COLUMNS[order[k]]];
+    a[COLUMNS[order[k]]] = -A[k * width + NP] / VELOCITY_SCALE[COLUMNS[order[k]]];
   }
   for (int j = 0; j < NP; ++j)
     if (!dependent[j]) {
-      N[COLUMNS[j]][d] = 1.0 / SCALE[COLUMNS[j]];
-      for (int k = 0; k < R; ++k) N[COLUMNS[order[k]]][d] = -A[k * width + j] / SCALE[COLUMNS[order[k]]];
+      N[COLUMNS[j]][d] = 1.0 / VELOCITY_SCALE[COLUMNS[j]];
+      for (int k = 0; k < R; ++k) N[COLUMNS[order[k]]][d] = -A[k * width + j] / VELOCITY_SCALE[COLUMNS[order[k]]];
       ++d;
     }
   for (int j = 0; j < NK; ++j) {
     if (given)
       a[CARRIERS[j]] = given[j];
     else
-      N[CARRIERS[j]][d++] = 1.0 / SCALE[CARRIERS[j]];
+      N[CARRIERS[j]][d++] = 1.0 / VELOCITY_SCALE[CARRIERS[j]];
   }
   for (int i = 0; i < NV; ++i) {
     double sum = force[i] - effort[i];
@@ -207,22 +207,22 @@ static int accelerations(const double *q, const double *v, const double *force, 
     closure_force[i] = 0.0;
     for (int k = 0; k < R; ++k) {
       int column = COLUMNS[order[k]];
-      closure_force[i] += A[k * width + NP + 1 + i] * missing[column] / SCALE[column];
+      closure_force[i] += A[k * width + NP + 1 + i] * missing[column] / VELOCITY_SCALE[column];
     }
   }
   return FINE;
 }
 
 /* The same without wrenches. */
-int rp_accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
+int rp_accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
                      double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
   static const double none[NWRENCH + 1] = {0.0};
-  return accelerations(q, v, force, none, given, rank_tolerance, least_inertia, a, inertia, closure_force, missing);
+  return accelerations(numbers, q, v, force, none, given, rank_tolerance, least_inertia, a, inertia, closure_force, missing);
 }
 
 /* One state from Python: in = q, v, main efforts, carrier forces, wrenches, side by side; out = accelerations (NV), NaN where
    the answer is not FINE. */
-int rp_acceleration(const double *in, double rank_tolerance, double least_inertia, double *out) {
+int rp_acceleration(const double *numbers, const double *in, double rank_tolerance, double least_inertia, double *out) {
   const double *v = in + NQ, *tau = v + NV, *carrier = tau + M, *wrenches = carrier + NK;
   double force[NV] = {0.0}, inertia;
   if (!isfinite(largest(in, NQ + NV + M + NK + NWRENCH))) {
@@ -231,7 +231,7 @@ int rp_acceleration(const double *in, double rank_tolerance, double least_inerti
   }
   for (int i = 0; i < M; ++i) force[ACTUATED[i]] = tau[i];
   for (int i = 0; i < NK; ++i) force[CARRIERS[i]] = carrier[i];
-  int status = accelerations(in, v, force, wrenches, 0, rank_tolerance, least_inertia, out, &inertia, 0, 0);
+  int status = accelerations(numbers, in, v, force, wrenches, 0, rank_tolerance, least_inertia, out, &inertia, 0, 0);
   if (status == FINE && !isfinite(largest(out, NV))) status = NOT_FINITE;
   for (int i = 0; status != FINE && i < NV; ++i) out[i] = NAN;
   return status;
@@ -240,16 +240,16 @@ int rp_acceleration(const double *in, double rank_tolerance, double least_inerti
 /* What controllers read off a state, one after the other: coordinates of the platform and their rates; M and h of
    M (x'', s'') + h = (W tau, F), (D x D) and (D) with D = N_FREEDOMS + NK; W (N_FREEDOMS x M). Returns 0 at a type I pose,
    where the first two are all there is. */
-int rp_reading(const double *q, const double *v, double rank_tolerance, double *out) {
+int rp_reading(const double *numbers, const double *q, const double *v, double rank_tolerance, double *out) {
   enum { D = N_FREEDOMS + NK, WIDTH = 2 * NP };
   double trig[2 * NT + 1], K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV];
   double A[NP * WIDTH + 1], basis[NV][D + 1] = {{0.0}}, product[NV][D + 1], own[NV] = {0.0};
   turns_of(q, trig);
-  const double *const arg[] = {q, trig, v};
+  const double *const arg[] = {q, trig, v, numbers};
   double *const res[] = {out, out + N_COORDINATES};
   rp_platform(arg, res);
   out += N_COORDINATES + N_FREEDOMS;
-  rp_dynamics(q, v, K, bias, mass, effort);
+  rp_dynamics(numbers, q, v, K, bias, mass, effort);
   for (int i = 0; i < NP; ++i)
     for (int j = 0; j < WIDTH; ++j) A[i * WIDTH + j] = j < NP ? K[i + j * NP] : j - NP == i;
   for (int k = 0; k < NP; ++k) {
@@ -354,7 +354,7 @@ static void none(double *rate) {
   for (int i = 0; i < NY; ++i) rate[i] = NAN;
 }
 
-static void rate(const Run *run, Progress *at, double t, double end, const double *y, double *result) {
+static void rate(const double *numbers, const Run *run, Progress *at, double t, double end, const double *y, double *result) {
   double state[NY], out[NV + 3 * NK + 1], inertia;
   ++at->evaluations;
   copy(state, y, NY);
@@ -368,7 +368,7 @@ static void rate(const Run *run, Progress *at, double t, double end, const doubl
   if (known && run->prescribed)
     for (int i = 0; i < NK; ++i) state[CARRIED[i]] = out[NV + i], state[NQ + CARRIERS[i]] = out[NV + NK + i];
   if (!known ||
-      rp_accelerations(q, v, out, given, run->rank_tolerance, run->least_inertia, result + NQ, &inertia, 0, 0)) {
+      rp_accelerations(numbers, q, v, out, given, run->rank_tolerance, run->least_inertia, result + NQ, &inertia, 0, 0)) {
     none(result);
     return;
   }
@@ -378,7 +378,7 @@ static void rate(const Run *run, Progress *at, double t, double end, const doubl
 }
 
 /* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; the gap before and after. */
-static int project(double *y, double wanted, double *before, double *left) {
+static int project(const double *numbers, double *y, double wanted, double *before, double *left) {
   double residual[R + 1], K[NP * NP + 1], S[R * NP + 1], G[R * R + 1], moved[NQ], *v = y + NQ;
   for (int iteration = 0; iteration < 9; ++iteration) {
     double step[NV] = {0.0};
@@ -388,13 +388,13 @@ static int project(double *y, double wanted, double *before, double *left) {
       rp_moved(arg, res);
       copy(y, moved, NQ);
     }
-    closures(y, residual, K);
+    closures(numbers, y, residual, K);
     *left = largest(residual, R);
     if (!isfinite(*left)) return 0;
     if (!iteration) *before = *left;
     int last = *left <= wanted || iteration == 8;
     for (int i = 0; i < R; ++i)
-      for (int j = 0; j < NP; ++j) S[i * NP + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
+      for (int j = 0; j < NP; ++j) S[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
     for (int i = 0; i < R; ++i)
       for (int k = 0; k <= i; ++k) {
         double sum = 0.0;
@@ -411,7 +411,7 @@ static int project(double *y, double wanted, double *before, double *left) {
     for (int j = 0; j < NP; ++j) {
       double sum = 0.0;
       for (int i = 0; i < R; ++i) sum += S[i * NP + j] * residual[i];
-      step[COLUMNS[j]] = -sum / SCALE[COLUMNS[j]];
+      step[COLUMNS[j]] = -sum / VELOCITY_SCALE[COLUMNS[j]];
     }
     if (last) {
       for (int i = 0; i < NV; ++i) v[i] += step[i];
@@ -425,7 +425,7 @@ static int project(double *y, double wanted, double *before, double *left) {
   return 0;
 }
 
-int rp_projected(double *y, double wanted, double *gaps) { return project(y, wanted, gaps, gaps + 1); }
+int rp_projected(const double *numbers, double *y, double wanted, double *gaps) { return project(numbers, y, wanted, gaps, gaps + 1); }
 
 /* Determinant of a matrix (NP x NP), by partial pivoting; it is overwritten. */
 static double determinant(double *A) {
@@ -468,10 +468,10 @@ static double rank_ratio(double *S) {
 }
 
 /* The functions whose zeros are events, at a configuration: stops, type I, type II, rank of the closures. */
-static int functions(const Run *run, const double *q, double *values) {
+static int functions(const double *numbers, const Run *run, const double *q, double *values) {
   double residual[R + 1], K[NP * NP + 1], work[NP * NP + 1];
   int count = 0;
-  closures(q, residual, K);
+  closures(numbers, q, residual, K);
   for (int i = 0; i < run->stops; ++i) {
     const double *stop = run->stop + 4 * i;
     values[count++] = stop[2] * (stop[3] - q[(int)stop[0]]);
@@ -479,35 +479,35 @@ static int functions(const Run *run, const double *q, double *values) {
   if (LEGS) {
     double trig[2 * NT + 1];
     turns_of(q, trig);
-    const double *const arg[] = {q, trig};
+    const double *const arg[] = {q, trig, numbers};
     double *const res[] = {values + count};
     rp_modes(arg, res);
     for (int i = 0; i < LEGS; ++i) values[count++] *= run->mode[i];
   } else {
     for (int i = 0; i < NP; ++i)
-      for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
+      for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
     values[count++] = determinant(work);
   }
   if (M == N_FREEDOMS) {
     for (int i = 0; i < NP; ++i)
       for (int j = 0; j < NP; ++j)
-        work[i * NP + j] = (i < R ? K[i + j * NP] : i - R < M && COLUMNS[j] == ACTUATED[i - R]) / SCALE[COLUMNS[j]];
+        work[i * NP + j] = (i < R ? K[i + j * NP] : i - R < M && COLUMNS[j] == ACTUATED[i - R]) / VELOCITY_SCALE[COLUMNS[j]];
     values[count++] = determinant(work);
   }
   for (int i = 0; i < R; ++i)
-    for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
+    for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
   values[count++] = rank_ratio(work);
   return count;
 }
 
-int rp_functions(const Run *run, int samples, const double *q, double *values) {
+int rp_functions(const double *numbers, const Run *run, int samples, const double *q, double *values) {
   int count = 0;
-  for (int k = 0; k < samples; ++k) count = functions(run, q + (long)k * NQ, values + (long)k * count);
+  for (int k = 0; k < samples; ++k) count = functions(numbers, run, q + (long)k * NQ, values + (long)k * count);
   return count;
 }
 
 /* Interpolant of a step, scipy's: made from the stages, and evaluated at a share of the step. */
-static void interpolant(const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
+static void interpolant(const double *numbers, const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
                         double *K, double *F) {
   double stage[NY];
   if (!run->eighth) {
@@ -525,7 +525,7 @@ static void interpolant(const Run *run, Progress *at, double t, double h, double
       for (int k = 0; k < s; ++k) sum += run->A[s * run->extended + k] * K[k * NY + i];
       stage[i] = y[i] + h * sum;
     }
-    rate(run, at, t + run->C[s] * h, end, stage, K + s * NY);
+    rate(numbers, run, at, t + run->C[s] * h, end, stage, K + s * NY);
   }
   for (int i = 0; i < NY; ++i) {
     double change = y1[i] - y[i], f0 = K[i], f1 = K[run->stages * NY + i];
@@ -553,7 +553,7 @@ static void between(const Run *run, const double *F, const double *y, double x, 
 
 /* A step of at most *h, shortened until its error is within the tolerances, and the length for the next in *h; returns the
    time at its end, or NaN where no step is short enough. */
-static double take(const Run *run, Progress *at, double end, const double *y, double *h, double *y1, double *K) {
+static double take(const double *numbers, const Run *run, Progress *at, double end, const double *y, double *h, double *y1, double *K) {
   double least = 10.0 * (nextafter(at->t, INFINITY) - at->t), length = fmax(fmin(*h, run->max_step), least);
   int rejected = 0, stages = run->stages;
   for (;;) {
@@ -570,7 +570,7 @@ static double take(const Run *run, Progress *at, double end, const double *y, do
         if (share != 0.0)
           for (int i = 0; i < NY; ++i) stage[i] += share * K[k * NY + i];
       }
-      rate(run, at, at->t + (s < stages ? run->C[s] : 1.0) * length, end, stage, K + s * NY);
+      rate(numbers, run, at, at->t + (s < stages ? run->C[s] : 1.0) * length, end, stage, K + s * NY);
       answered = K[s * NY + NQ] == K[s * NY + NQ];
       if (!answered) break; /* those after it have no answer either */
       if (s == stages) copy(y1, stage, NY);
@@ -618,7 +618,7 @@ static int may_touch_zero(const double *ratios, int count, double near) {
 
 /* Whether nothing happens in a step: no sign of a function changes, no joint turns back near its stop, the closures keep
    away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end. */
-static int ordinary(const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
+static int ordinary(const double *numbers, const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
                     double *K, double *values, double *F, int *dense) {
   int fine = h > run->short_step || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
   double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0, near = at->near;
@@ -630,7 +630,7 @@ static int ordinary(const Run *run, Progress *at, double t, double h, double end
     double x = (double)k / looks, late = x * x * (3.0 - 2.0 * x), up = x * (1.0 - x) * (1.0 - x), down = -x * x * (1.0 - x);
     for (int i = 0; i < NY; ++i)
       states[k][i] = (1.0 - late) * y[i] + late * y1[i] + h * (up * f0[i] + down * f1[i]);
-    functions(run, states[k], seen[k]);
+    functions(numbers, run, states[k], seen[k]);
     for (int i = 0; i < watched - 1; ++i)
       if (!(seen[k - 1][i] * seen[k][i] > 0.0)) return 0;
     for (int i = 0; i < run->stops; ++i) {
@@ -641,7 +641,7 @@ static int ordinary(const Run *run, Progress *at, double t, double h, double end
   }
   for (int k = 0; k <= looks; ++k) {
     double most = 0.0;
-    for (int j = 0; j < NP; ++j) most = fmax(most, fabs(states[k][NQ + COLUMNS[j]]) * SCALE[COLUMNS[j]]);
+    for (int j = 0; j < NP; ++j) most = fmax(most, fabs(states[k][NQ + COLUMNS[j]]) * VELOCITY_SCALE[COLUMNS[j]]);
     travel += most / (looks + 1);
     ratios[k] = seen[k][watched - 1];
   }
@@ -650,11 +650,11 @@ static int ordinary(const Run *run, Progress *at, double t, double h, double end
   int count = (int)(travel / run->check_travel);
   if (count > looks) {
     double state[NY], all[MOST_WATCHED];
-    interpolant(run, at, t, h, end, y, y1, K, F);
+    interpolant(numbers, run, at, t, h, end, y, y1, K, F);
     *dense = 1;
     for (int k = 0; k <= count; ++k) {
       between(run, F, y, (double)k / count, state);
-      functions(run, state, all);
+      functions(numbers, run, state, all);
       ratios[k] = all[watched - 1];
     }
   } else
@@ -666,7 +666,7 @@ static int ordinary(const Run *run, Progress *at, double t, double h, double end
 }
 
 /* A first step, as scipy selects it. */
-static double first_step(const Run *run, Progress *at, double end, const double *y, const double *f) {
+static double first_step(const double *numbers, const Run *run, Progress *at, double end, const double *y, const double *f) {
   double d0 = 0.0, d1 = 0.0, d2 = 0.0, y1[NY], f1[NY];
   for (int i = 0; i < NY; ++i) {
     double scale = run->atol + fabs(y[i]) * run->rtol;
@@ -676,7 +676,7 @@ static double first_step(const Run *run, Progress *at, double end, const double 
   d0 = sqrt(d0), d1 = sqrt(d1);
   double h0 = fmin(d0 < 1e-5 || d1 < 1e-5 ? 1e-6 : 0.01 * d0 / d1, end - at->t);
   for (int i = 0; i < NY; ++i) y1[i] = y[i] + h0 * f[i];
-  rate(run, at, at->t + h0, end, y1, f1);
+  rate(numbers, run, at, at->t + h0, end, y1, f1);
   for (int i = 0; i < NY; ++i) {
     double scale = run->atol + fabs(y[i]) * run->rtol;
     d2 += (f1[i] - f[i]) / scale * ((f1[i] - f[i]) / scale) / NY;
@@ -687,18 +687,18 @@ static double first_step(const Run *run, Progress *at, double end, const double 
 }
 
 /* Onto the closures, carriers where their motion is given. */
-static int placed(const Run *run, Progress *at, double t, double end, double *y, double *before, double *left) {
+static int placed(const double *numbers, const Run *run, Progress *at, double t, double end, double *y, double *before, double *left) {
   double out[NV + 3 * NK + 1];
   if (run->prescribed) {
     if (!loads_at(run, at, t, end, y, y + NQ, out)) return 0;
     for (int i = 0; i < NK; ++i) y[CARRIED[i]] = out[NV + i], y[NQ + CARRIERS[i]] = out[NV + NK + i];
   }
-  return project(y, run->tolerance, before, left);
+  return project(numbers, y, run->tolerance, before, left);
 }
 
 /* From a closed state y over at most `most` ordinary steps. Returns why it stopped: at the end, or before a step that its
    caller must take, or for breath. y, the functions `values` and the progress are those of the last state. */
-int rp_advance(const Run *run, Progress *at, double *y, double *values, long most) {
+int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, double *values, long most) {
   double K[MOST_STAGES * NY], F[8 * NY], y1[NY], next[NY], sample[NY], gap, left;
   long limit = at->steps + most;
   int known = 0;
@@ -711,22 +711,22 @@ int rp_advance(const Run *run, Progress *at, double *y, double *values, long mos
     }
     if (at->steps >= limit) return PAUSED;
     if (!known) {
-      rate(run, at, at->t, end, y, K);
+      rate(numbers, run, at, at->t, end, y, K);
       ++at->restarts;
       if (K[NQ] != K[NQ]) return LOOK;
-      at->next_step = at->next_step > 0.0 ? fmin(at->next_step, end - at->t) : first_step(run, at, end, y, K);
+      at->next_step = at->next_step > 0.0 ? fmin(at->next_step, end - at->t) : first_step(numbers, run, at, end, y, K);
     }
     known = 1;
-    double h = at->next_step, t1 = take(run, at, end, y, &h, y1, K), length = t1 - at->t;
+    double h = at->next_step, t1 = take(numbers, run, at, end, y, &h, y1, K), length = t1 - at->t;
     if (!(length > 0.0)) return LOOK;
     double shown[MOST_WATCHED], was_near = at->near;
     int dense = 0;
     if (length < run->shortest && t1 < end) return LOOK;
     copy(shown, values, WATCHED(run));
-    if (!ordinary(run, at, at->t, length, end, y, y1, K, shown, F, &dense)) return LOOK;
+    if (!ordinary(numbers, run, at, at->t, length, end, y, y1, K, shown, F, &dense)) return LOOK;
     copy(next, y1, NY);
     double moved = 0.0, fastest = fmax(largest(y + NQ, NV), largest(y1 + NQ, NV));
-    int good = placed(run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->largest_residual;
+    int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->largest_residual;
     for (int i = NQ; good && i < NY; ++i) moved = fmax(moved, fabs(next[i] - y1[i]));
     if (!good || !(moved <= run->velocity_change * fastest + run->velocity_floor)) {
       at->near = was_near;
@@ -736,11 +736,11 @@ int rp_advance(const Run *run, Progress *at, double *y, double *values, long mos
       double t = run->sample_at[at->sample], before, after;
       copy(sample, y, NY);
       if (t > at->t) {
-        if (!dense) interpolant(run, at, at->t, length, end, y, y1, K, F);
+        if (!dense) interpolant(numbers, run, at, at->t, length, end, y, y1, K, F);
         dense = 1;
         between(run, F, y, (t - at->t) / length, sample);
       }
-      if (!placed(run, at, t, INFINITY, sample, &before, &after)) return LOOK;
+      if (!placed(numbers, run, at, t, INFINITY, sample, &before, &after)) return LOOK;
       copy(run->recorded + (long)at->sample++ * NY, sample, NY);
     }
     copy(y, next, NY);
@@ -750,7 +750,7 @@ int rp_advance(const Run *run, Progress *at, double *y, double *values, long mos
     ++at->steps;
     at->largest_correction = fmax(at->largest_correction, gap);
     if (t1 < end) {
-      rate(run, at, t1, end, y, K);
+      rate(numbers, run, at, t1, end, y, K);
       if (K[NQ] != K[NQ]) return LOOK;
     }
   }

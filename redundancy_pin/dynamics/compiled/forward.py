@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.dynamics.compiled.build import built_for, tables, text_of
+from redundancy_pin.dynamics.compiled.build import built_for, function_of, tables, text_of
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.layout import Member, Struct
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector, pose_columns
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.forward import (
     LEAST_INERTIA,
@@ -37,7 +38,16 @@ from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.named import is_pose
 
-_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "layout.py", "forward.py", "forward.c")
+_WRITTEN = (
+    "symbols.py",
+    "load_symbols.py",
+    "parameters.py",
+    "build.py",
+    "emit.py",
+    "layout.py",
+    "forward.py",
+    "forward.c",
+)
 
 _LOOK = 1
 """Status of ``rp_advance``: the next step is for its caller."""
@@ -135,18 +145,14 @@ def source(robot: Robot) -> str:
         "modes": (pose, [chain.mode_indicators]),
         "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
     }
-    functions = [
-        ca.Function(f"rp_{name}", inputs, [ca.densify(part) for part in ca.cse(outputs)])
-        for name, (inputs, outputs) in definitions.items()
-    ]
+    functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
     text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
     text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
     text.append(f"#define NWRENCH {chain.external.numel()}")
-    text.append(f"#define N_FREEDOMS {robot.n}\n#define LENGTH {float(robot.characteristic_length)!r}")
+    text.append(f"#define N_FREEDOMS {robot.n}")
     for name, values in {
         "int CARRIERS": robot.carrier_velocity,
         "int CARRIED": robot.carrier_position,
-        "double SCALE": chain.velocity_scale,
     }.items():
         listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
         text.append(f"static const {name}[] = {{{listed or '0'}}};")
@@ -157,13 +163,15 @@ class CompiledForward:
     """Forward dynamics of one robot; ``dynamics.forward.ForwardKernel``.
 
     Args:
-        path: the library.
+        path: the library, which serves all robots of the topology.
         robot: the robot.
     """
 
     def __init__(self, path: Path, robot: Robot) -> None:
         self.robot = robot
         self.library = loaded(path)
+        self._numbers = parameter_vector(robot)
+        self.numbers = _address(self._numbers)
         self._accelerations, self._projected = self.library.rp_accelerations, self.library.rp_projected
         self._dynamics, self._advance = self.library.rp_dynamics, self.library.rp_advance
         model = robot.model
@@ -191,6 +199,7 @@ class CompiledForward:
         inputs = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v, force)]
         carriers = None if given is None else np.ascontiguousarray(given, dtype=np.float64)
         status = self._accelerations(
+            self.numbers,
             *(_address(part) for part in inputs),
             self._nothing if carriers is None else _address(carriers),
             *self.tolerances,
@@ -206,7 +215,7 @@ class CompiledForward:
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
         """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
         state, gaps = np.array(y, dtype=np.float64), np.zeros(2)
-        if not self._projected(_address(state), ctypes.c_double(tolerance), _address(gaps)):
+        if not self._projected(self.numbers, _address(state), ctypes.c_double(tolerance), _address(gaps)):
             return None
         return state, float(gaps[0]), float(gaps[1])
 
@@ -215,7 +224,7 @@ class CompiledForward:
         K, bias = np.empty((self._p, self._p), order="F"), np.empty(self._p)
         mass, effort = np.empty((self._nv, self._nv), order="F"), np.empty(self._nv)
         state = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v)]
-        self._dynamics(*(_address(part) for part in (*state, K, bias, mass, effort)))
+        self._dynamics(self.numbers, *(_address(part) for part in (*state, K, bias, mass, effort)))
         return Equations(K, bias, mass, effort)
 
     def reader(self) -> CompiledReader:
@@ -256,8 +265,7 @@ class CompiledForward:
         """Return W (n, m): the actuators' rows of the inverse of K, transposed."""
         robot = self.robot
         inverse: Array = np.asarray(np.linalg.inv(self.equations(q, v).K), dtype=np.float64)[:, self._rows :]
-        pose = np.setdiff1d(np.arange(self._nv), robot.carrier_velocity)
-        driven: Array = inverse[np.searchsorted(pose, robot.actuated_velocity)].T
+        driven: Array = inverse[np.searchsorted(pose_columns(robot), robot.actuated_velocity)].T
         return driven
 
     def integration(self, rules: Rules) -> CompiledIntegration:
@@ -277,7 +285,8 @@ class CompiledReader:
         self._ends = np.cumsum(sizes).tolist()
         self._state, self._out = np.zeros(forward._nq + forward._nv), np.full(self._ends[-1], np.nan)
         v = ctypes.c_void_p(self._state.ctypes.data + 8 * self._nq)
-        self._given = _address(self._state), v, ctypes.c_double(RANK_TOLERANCE), _address(self._out)
+        self._forward = forward  # whose numbers the code reads
+        self._given = forward.numbers, _address(self._state), v, ctypes.c_double(RANK_TOLERANCE), _address(self._out)
         self._read = forward.library.rp_reading
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -346,7 +355,12 @@ class CompiledIntegration:
         self._run.breaks = int(np.searchsorted(rules.breaks, end, side="right"))
         y, values = np.array(at.y, dtype=np.float64), np.array(at.values, dtype=np.float64)
         status = self._forward._advance(
-            ctypes.byref(self._run), ctypes.byref(progress), _address(y), _address(values), ctypes.c_long(most)
+            self._forward.numbers,
+            ctypes.byref(self._run),
+            ctypes.byref(progress),
+            _address(y),
+            _address(values),
+            ctypes.c_long(most),
         )
         if self._error is not None:
             error, self._error = self._error, None

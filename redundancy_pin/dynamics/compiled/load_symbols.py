@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled.parameters import JOINT_NUMBERS, SPRING_NUMBERS
 from redundancy_pin.errors import UnsupportedRobotError
-from redundancy_pin.robot import JointForces, Load, Robot, Spring, Wrench
+from redundancy_pin.robot import JointForces, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.lookup import find_joint_index, find_link
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 
 SX: TypeAlias = Any
+
+L = TypeVar("L", JointForces, Spring, Wrench)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,30 +41,32 @@ class LoadSymbols:
     ca: Any
     external: SX
 
-    @property
-    def _loads(self) -> tuple[Load, ...]:
-        return self.chain.robot.loads
+    def _loads_of(self, kind: type[L]) -> list[tuple[int, L]]:
+        """Return the loads of a kind, each with its index among all loads of the robot."""
+        return [(i, load) for i, load in enumerate(self.chain.robot.loads) if isinstance(load, kind)]
+
+    def _numbers(self, load: int, names: tuple[str, ...]) -> list[SX]:
+        return [self.chain.number("load", load, name) for name in names]
 
     def on_bodies(self, add: Callable[[int, SX, SX, SX], None]) -> None:
         """Hand over all forces on bodies: joint index, place, force and moment, world axes.
 
         The reaction of a spring on the base is among them, so that what holds the base is without it.
         """
-        for k, wrench in enumerate(of_kind(self._loads, Wrench)):
+        for k, (i, wrench) in enumerate(self._loads_of(Wrench)):
             force, moment = self.external[6 * k : 6 * k + 3], self.external[6 * k + 3 : 6 * k + 6]
-            rotation, place = self._point(wrench.frame, wrench.point)[:2]
+            rotation, place = self._point(wrench.frame, i, "point")[:2]
             if wrench.reference == "local":
                 force, moment = rotation @ force, rotation @ moment
             if self._body(wrench.frame):
                 add(self._body(wrench.frame), place, force, moment)
-        for spring in of_kind(self._loads, Spring):
-            (_, a, speed_a), (_, b, speed_b) = (
-                self._point(spring.frame_a, spring.point_a),
-                self._point(spring.frame_b, spring.point_b),
-            )
+        for i, spring in self._loads_of(Spring):
+            _, a, speed_a = self._point(spring.frame_a, i, "point_a")
+            _, b, speed_b = self._point(spring.frame_b, i, "point_b")
             length, unit = self._line(b - a)
             rate = self.ca.dot(unit, speed_b - speed_a)
-            force = (spring.stiffness * (length - spring.length) + spring.damping * rate) * unit
+            stiffness, damping, relaxed = self._numbers(i, SPRING_NUMBERS)
+            force = (stiffness * (length - relaxed) + damping * rate) * unit
             add(self._body(spring.frame_a), a, force, self.ca.SX.zeros(3))
             add(self._body(spring.frame_b), b, -force, self.ca.SX.zeros(3))
 
@@ -77,27 +82,31 @@ class LoadSymbols:
         """
         (q, v, a), moment = own, self.ca.SX.zeros(3)
         effort = 0.0 * v
-        for load in of_kind(self._loads, JointForces):
-            if find_joint_index(self.chain.model, load.joint) == index:
-                effort += load.damping * v + load.friction * self.ca.tanh(v / load.friction_speed)
-                if load.stiffness:
-                    effort += load.stiffness * (q - load.rest)
-                if size := load.rotor_inertia * load.gear:
-                    effort += size * (load.gear * a + self.ca.dot(axis, turn))
-                    moment += size * (axis * a + self.ca.cross(spin, axis) * v)
+        for i, load in self._loads_of(JointForces):
+            if find_joint_index(self.chain.model, load.joint) != index:
+                continue
+            damping, friction, friction_speed, stiffness, rest, inertia, gear = self._numbers(i, JOINT_NUMBERS)
+            effort += damping * v + friction * self.ca.tanh(v / friction_speed) + stiffness * (q - rest)
+            size = inertia * gear
+            if not size.is_zero():
+                effort += size * (gear * a + self.ca.dot(axis, turn))
+                moment += size * (axis * a + self.ca.cross(spin, axis) * v)
         return effort, moment
 
     def energy(self, joint: Callable[[int], tuple[SX, SX, SX, SX]]) -> SX:
         """Return what rotors and springs add to the energy, J; ``joint`` gives q, v, axis and spin, world axes."""
         total = self.ca.SX(0.0)
-        for load in (each for each in of_kind(self._loads, JointForces) if each.stiffness or each.rotor_inertia):
+        for i, load in self._loads_of(JointForces):
+            _, _, _, stiffness, rest, inertia, gear = self._numbers(i, JOINT_NUMBERS)
+            if stiffness.is_zero() and inertia.is_zero():
+                continue  # a ball has neither
             q, v, axis, spin = joint(find_joint_index(self.chain.model, load.joint))
-            if load.stiffness:
-                total += 0.5 * load.stiffness * (q - load.rest) ** 2
-            total += load.rotor_inertia * load.gear * v * (0.5 * load.gear * v + self.ca.dot(axis, spin))
-        for spring in of_kind(self._loads, Spring):
-            a, b = self._point(spring.frame_a, spring.point_a)[1], self._point(spring.frame_b, spring.point_b)[1]
-            total += 0.5 * spring.stiffness * (self._line(b - a)[0] - spring.length) ** 2
+            total += 0.5 * stiffness * (q - rest) ** 2
+            total += inertia * gear * v * (0.5 * gear * v + self.ca.dot(axis, spin))
+        for i, spring in self._loads_of(Spring):
+            a, b = self._point(spring.frame_a, i, "point_a")[1], self._point(spring.frame_b, i, "point_b")[1]
+            stiffness, _, relaxed = self._numbers(i, SPRING_NUMBERS)
+            total += 0.5 * stiffness * (self._line(b - a)[0] - relaxed) ** 2
         return total
 
     def _line(self, line: SX) -> tuple[SX, SX]:
@@ -109,17 +118,11 @@ class LoadSymbols:
         model = self.chain.model
         return int(find_link(model, name).parentJoint)
 
-    def _point(self, name: str, point: Array) -> tuple[SX, SX, SX]:
-        """Return rotation of a link, a point of it and its velocity, in the world."""
+    def _point(self, name: str, load: int, point: str) -> tuple[SX, SX, SX]:
+        """Return rotation of a link, a point of it that a load names, and its velocity, in the world."""
         rotation, origin, spin, speed = self.chain.frame(name)
-        arm = rotation @ self.ca.SX(np.array(point))
+        arm = rotation @ self.chain.number("load", load, point)
         return rotation, origin + arm, speed + self.ca.cross(spin, arm)
-
-
-def shape_of(robot: Robot) -> str:
-    """Return what of a robot's loads is compiled: all but the values of wrenches."""
-    wrenches = [(load.frame, load.reference, load.point.tolist()) for load in of_kind(robot.loads, Wrench)]
-    return repr((wrenches, [load for load in robot.loads if not isinstance(load, Wrench)]))
 
 
 def constant_wrenches(robot: Robot) -> Array:

@@ -19,19 +19,19 @@ static int status_of(int closed) {
   return STATUS[closed];
 }
 
-static void coordinates_of(const double *q, const double *trig, double *x) {
-  const double *const arg[] = {q, trig};
+static void coordinates_of(const double *numbers, const double *q, const double *trig, double *x) {
+  const double *const arg[] = {q, trig, numbers};
   double *const res[] = {x};
   rp_coordinates(arg, res);
 }
 
 /* The pose and the coordinates of a configuration; sign is that of its determinant, 0 where unknown. Returns a status. */
-static int pose_at(const double *q, double sign, Pose *pose, double *x) {
+static int pose_at(const double *numbers, const double *q, double sign, Pose *pose, double *x) {
   double trig[2 * NT + 1];
   if (!finite(q, NQ) || !isfinite(sign)) return STATUS_NOT_FINITE;
   turns_of(q, trig);
-  coordinates_of(q, trig, x);
-  if (!start_at(pose, q, x) || pose->sign * sign < 0.0) return STATUS_UNREACHABLE;
+  coordinates_of(numbers, q, trig, x);
+  if (!start_at(numbers, pose, q, x) || pose->sign * sign < 0.0) return STATUS_UNREACHABLE;
   return STATUS_OK;
 }
 
@@ -65,7 +65,7 @@ static void rotate(double *x, double *y, int size, double cosine, double sine) {
   }
 }
 
-static void spectrum_of(const double *W, Spectrum *s) {
+static void spectrum_of(const double *numbers, const double *W, Spectrum *s) {
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < M; ++j) {
       double entry = W[i * M + j] * (COLUMN_SCALE[j] / ROW_SCALE[i]);
@@ -161,7 +161,7 @@ static double least_norm(const Spectrum *s, const double *g, double *u) {
 }
 
 /* The size of the forces of a motion before they cancel, N: Scales.force of redundancy_pin. in: as rp_sample. */
-static double force_size_of(const double *in) {
+static double force_size_of(const double *numbers, const double *in) {
   const double *xd = in + NX, *xdd = xd + N, *sd = xdd + N + NK, *sdd = sd + NK;
   double rate = 0.0, acceleration = 0.0;
   for (int i = 0; i < N; ++i) {
@@ -183,13 +183,13 @@ typedef struct {
 
 /* tau with W tau = f, or NaN; the decisions are those of redundancy_pin.distribute. Nothing is written where a result is
    beyond what a double holds. */
-static int distribute(const double *W, const double *f, double force_size, Efforts *out) {
+static int distribute(const double *numbers, const double *W, const double *f, double force_size, Efforts *out) {
   Spectrum s;
   double g[N], u[M], missing = 0.0, size = 0.0;
   for (int i = 0; i < N; ++i) g[i] = f[i] / ROW_SCALE[i];
   if (!finite(g, N)) return STATUS_NOT_FINITE;
   int exponent = brought_down(g, N);
-  spectrum_of(W, &s);
+  spectrum_of(numbers, W, &s);
   double outside = least_norm(&s, g, u);
   for (int i = 0; i < N; ++i) {
     double row = -g[i];
@@ -222,7 +222,7 @@ static void drives(const double *q, const double *position, double *off) {
 }
 
 /* The pseudo-inverse of W^T: rates of the coordinates whose actuated rates miss those given least. */
-static void back(const Spectrum *s, const double *rate, double *xd) {
+static void back(const double *numbers, const Spectrum *s, const double *rate, double *xd) {
   double scaled[M], result[N];
   for (int j = 0; j < M; ++j) scaled[j] = rate[j] * COLUMN_SCALE[j];
 #if M > N
@@ -234,7 +234,7 @@ static void back(const Spectrum *s, const double *rate, double *xd) {
 }
 
 /* W of a pose whose K is decomposed, row by row. */
-static void actuation(const Pose *pose, double X[NP + 1][NP + 1], double *W) {
+static void actuation(const double *numbers, const Pose *pose, double X[NP + 1][NP + 1], double *W) {
   invert(pose->lu, pose->pivot, X);
   for (int i = 0; i < NP; ++i)
     for (int j = 0; j < M; ++j)
@@ -244,7 +244,7 @@ static void actuation(const Pose *pose, double X[NP + 1][NP + 1], double *W) {
 
 #if M == N
 /* Newton's step (NP) for closures and actuators at once, [J_c; S] step = [residual; off]; returns 0 where it is singular. */
-static int actuated_step(Pose *pose, const double *off, double *step) {
+static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step) {
   double A[NP * NP + 1];
   int pivot[NP + 1];
   copy(A, pose->lu, NP * NP);
@@ -261,18 +261,18 @@ static int actuated_step(Pose *pose, const double *off, double *step) {
 #else
 /* The step of Gauss and Newton's method, of more actuators than DOF: the loops close to first order by X (row by row the inverse
    of K), then the coordinates move by dx with W^T dx nearest to what the actuators miss. Returns 0 where that is singular. */
-static int actuated_step(Pose *pose, const double *off, double *step) {
+static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step) {
   double X[NP + 1][NP + 1], closing[NV], rest[M], dx[N], W[N * M];
   Spectrum s;
   Pose here = *pose;
   if (decompose(here.lu, here.pivot) == 0.0) return 0;
-  actuation(&here, X, W);
-  spectrum_of(W, &s);
+  actuation(numbers, &here, X, W);
+  spectrum_of(numbers, W, &s);
   if (s.rank < N) return 0;
   clear(closing, NV);
   for (int i = 0; i < NP; ++i) closing[COLUMNS[i]] = dot(X[i], step, R) * STEP_UNIT[i];
   for (int j = 0; j < M; ++j) rest[j] = off[j] - closing[ACTUATED[j]];
-  back(&s, rest, dx);
+  back(numbers, &s, rest, dx);
   for (int c = 0; c < N; ++c) dx[c] /= EQUATION_UNIT[R + c];
   for (int i = 0; i < NP; ++i) step[i] = closing[COLUMNS[i]] / STEP_UNIT[i] + dot(X[i] + R, dx, N);
   return 1;
@@ -280,25 +280,25 @@ static int actuated_step(Pose *pose, const double *off, double *step) {
 #endif
 
 /* Why Newton's method failed at a pose with K not decomposed yet. */
-static int failure_at(Pose *pose) {
+static int failure_at(const double *numbers, Pose *pose) {
   double X[NP + 1][NP + 1], W[N * M];
   Spectrum s;
   if (decompose(pose->lu, pose->pivot) == 0.0) return STATUS_TYPE_I;
-  actuation(pose, X, W);
-  spectrum_of(W, &s);
+  actuation(numbers, pose, X, W);
+  spectrum_of(numbers, W, &s);
   return s.rank < N ? STATUS_TYPE_II : STATUS_UNREACHABLE;
 }
 
 /* Newton's method for closures and actuated positions at once. It is trusted while it contracts, as newton() is. The pose ends
    with K decomposed, on the same side of type I singularities. Returns a status. */
-static int forward(Pose *pose, const double *position, double *off) {
+static int forward(const double *numbers, Pose *pose, const double *position, double *off) {
   double step[NP + 1], alignment[NALIGN], x[NX], last = LONGEST / CONTRACTION, sign = pose->sign;
-  coordinates_of(pose->q, pose->trig, x);
+  coordinates_of(numbers, pose->q, pose->trig, x);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
-    rows(pose->q, pose->trig, x, step, pose->lu, alignment);
+    rows(numbers, pose->q, pose->trig, x, step, pose->lu, alignment);
     pose->gap = largest(step, R);
     drives(pose->q, position, off);
-    if (!actuated_step(pose, off, step)) return failure_at(pose);
+    if (!actuated_step(numbers, pose, off, step)) return failure_at(numbers, pose);
     double size = largest(step, NP);
     if (size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && pose->gap < TOLERANCE)) {
       for (int i = 0; i < NALIGN; ++i)
@@ -306,7 +306,7 @@ static int forward(Pose *pose, const double *position, double *off) {
       pose->sign = decompose(pose->lu, pose->pivot);
       return pose->sign * sign > 0.0 ? STATUS_OK : STATUS_UNREACHABLE;
     }
-    if (!(size <= CONTRACTION * last)) return failure_at(pose);
+    if (!(size <= CONTRACTION * last)) return failure_at(numbers, pose);
     for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(pose->q, step);
     turns_of(pose->q, pose->trig);
@@ -322,24 +322,24 @@ typedef struct {
 
 /* The platform from positions and velocities (M each) of its actuators, on the branch of the pose, which is moved there.
    Returns a status; the platform is written where it is OK or NEAR_SINGULAR. */
-static int platform_of(Pose *pose, const double *position, const double *velocity, Platform *out) {
+static int platform_of(const double *numbers, Pose *pose, const double *position, const double *velocity, Platform *out) {
   Spectrum s;
   double none[N], off[M], rate[M], v[NV], a[NV], W[N * M];
   clear(out->x, NX);
   clear(out->xd, N);
   out->mismatch = out->gap = out->margin = out->type_I_margin = 0.0;
-  int status = forward(pose, position, off);
+  int status = forward(numbers, pose, position, off);
   if (status) return status;
-  coordinates_of(pose->q, pose->trig, out->x);
+  coordinates_of(numbers, pose->q, pose->trig, out->x);
   clear(none, N);
-  out->type_I_margin = rates(pose, none, none, v, a, out->gamma, W);
+  out->type_I_margin = rates(numbers, pose, none, none, v, a, out->gamma, W);
   if (!(out->type_I_margin >= LEAST_MARGIN)) return STATUS_TYPE_I;
-  if (!in_mode(pose)) return STATUS_BRANCH_LOST;
-  spectrum_of(W, &s);
+  if (!in_mode(numbers, pose)) return STATUS_BRANCH_LOST;
+  spectrum_of(numbers, W, &s);
   if (s.rank < N) return STATUS_TYPE_II;
   copy(rate, velocity, M);
   int exponent = brought_down(rate, M);
-  back(&s, rate, out->xd);
+  back(numbers, &s, rate, out->xd);
   for (int i = 0; i < N; ++i) out->xd[i] = ldexp(out->xd[i], exponent);
   if (!finite(out->xd, N)) return STATUS_NOT_FINITE;
   for (int j = 0; j < M; ++j) off[j] *= COLUMN_SCALE[j];

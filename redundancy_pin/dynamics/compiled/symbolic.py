@@ -12,6 +12,7 @@ from typing import Any
 
 from redundancy_pin.arrays import Frozen
 from redundancy_pin.dynamics.compiled.load_symbols import constant_wrenches
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 
@@ -97,7 +98,7 @@ def symbolic(robot: RobotLike) -> SymbolicRobot:
     robot = as_robot(robot)
     chain = SymbolicChain(robot)
     q, v, a = chain.q, chain.v, chain.a
-    r, n, nv = len(chain.closure_scale), robot.n, robot.model.nv
+    r, n, nv = chain.rows, robot.n, robot.model.nv
     xd, xdd, step = ca.SX.sym("xd", n), ca.SX.sym("xdd", n), chain.step
     tau, force, lam = ca.SX.sym("tau", robot.m), ca.SX.sym("F", robot.k), ca.SX.sym("lam", r)
     x = ca.SX.sym("x", 4, 4) if chain.is_pose else chain.x
@@ -142,8 +143,8 @@ def symbolic(robot: RobotLike) -> SymbolicRobot:
     }
     angles = [f(q[i]) for i in chain.turning for f in (ca.cos, ca.sin)]
     turned = ca.vertcat(*angles) if angles else ca.SX(0, 1)
-    functions = {}
+    numbers, functions = ca.SX(parameter_vector(robot)), {}
     for name, (inputs, result) in definitions.items():
-        at_q = ca.cse(ca.substitute(result, chain.trig, turned))
+        at_q = ca.cse(ca.substitute([result], [chain.trig, chain.parameters], [turned, numbers])[0])
         functions[name] = ca.Function(name, list(inputs.values()), [at_q], list(inputs), [f"{name}_"])
     return SymbolicRobot(robot, **functions)

@@ -22,6 +22,15 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.dynamics.compiled.load_symbols import LoadSymbols
+from redundancy_pin.dynamics.compiled.parameters import (
+    Topology,
+    layout_of,
+    numbers_of,
+    pose_columns,
+    topology_of,
+    turning_equations,
+    turning_steps,
+)
 from redundancy_pin.errors import UnsupportedRobotError, optional
 from redundancy_pin.robot import AXES, Closure, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
@@ -53,18 +62,22 @@ class _Joint:
     v: slice
     rotation: SX
     translation: SX
-    subspace: Array
+    subspace: SX
+    axis: SX
     rate: SX
     moved: SX
 
 
 class SymbolicChain:
-    """Expressions of one robot.
+    """Expressions of the robots of one topology.
 
     Args:
-        robot: the robot.
+        robot: one of them.
+        topology: what stays the same; that of the robot when left out, which may have more parameters.
 
     Attributes:
+        parameters: the vector of the robot's numbers, see ``parameters.parameter_vector``: scales, then ``model``.
+        model_numbers: (F) all numbers of ``parameters.numbers_of``: the structural ones, and parameters.
         q, v, a: configuration (nq), velocity and acceleration (nv) of the tree, carriers included.
         trig: cosine and sine of each angle of ``turning``, one after the other: whoever evaluates many functions at one
             configuration computes them once.
@@ -72,19 +85,24 @@ class SymbolicChain:
         external: (6 w) force and moment of each wrench on the robot, in its own axes.
         x: target coordinates: (n) numbers, or the 16 of a pose, row by row.
         pose_columns: (p,) velocity indices without the carriers'.
-        row_scale, column_scale, velocity_scale, closure_scale: lengths that make rotations comparable with translations
-            (n,), (m,), (nv,), (r,).
-        equation_unit, step_unit: (r + n,) and (p,) the characteristic length for lengths and 1 for angles: residuals
+        equation_unit, step_unit: (r + n) and (p) the characteristic length for lengths and 1 for angles: residuals
             over the former and steps of the pose columns over the latter have no unit.
-        angles: independent coordinates known up to full turns.
+        rows: r, the number of closure rows.
 
     Raises:
         UnsupportedRobotError: a joint of a type that is not covered.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, topology: Topology | None = None) -> None:
         ca = casadi()
         self.robot, self.model = robot, robot.model
+        self.topology, self._numbers = topology or topology_of(robot), numbers_of(robot)
+        self.layout = layout_of(self.topology)
+        self.parameters = ca.SX.sym("parameters", self.layout.size)
+        self.length = self.parameters[self.layout.starts["LENGTH"]]
+        self.model_numbers = ca.SX(self._numbers.values)
+        free = np.flatnonzero(self.topology.free).tolist()
+        self.model_numbers[free] = self.parameters[self.layout.starts["MODEL"] :]
         self.q, self.v, self.a = (
             ca.SX.sym(name, size) for name, size in (("q", self.model.nq), ("v", self.model.nv), ("a", self.model.nv))
         )
@@ -97,27 +115,36 @@ class SymbolicChain:
         revolute = [joint for joint in self.model.joints if joint.nq == 1 and _kind(joint).startswith("R")]
         self.turning = [int(joint.idx_q) for joint in revolute if joint.idx_q not in carried]
         self.trig = ca.SX.sym("trig", 2 * len(self.turning))
-        data = self.model.createData()
-        pin.computeJointJacobians(self.model, data, pin.neutral(self.model))
-        self._joints = [self._joint(data, index) for index in range(1, self.model.njoints)]
-        self.pose_columns: IntArray = np.setdiff1d(np.arange(self.model.nv), robot.carrier_velocity)
-        self._scales()
+        self._joints = [self._joint(index) for index in range(1, self.model.njoints)]
+        self.pose_columns: IntArray = pose_columns(robot)
+        turning = turning_equations(robot)
+        self.rows = len(turning) - robot.n
+        self.equation_unit = ca.vertcat(*(1.0 if turns else self.length for turns in turning))
+        self.step_unit = ca.vertcat(*(1.0 if turns else self.length for turns in turning_steps(robot)))
         self._place()
 
-    def _joint(self, data: pin.Data, index: int) -> _Joint:
+    def number(self, *key: Any) -> SX:
+        """Return the numbers of a key of ``parameters.numbers_of``, as a column."""
+        return self.model_numbers[self._numbers.places[key]]
+
+    def _matrix(self, *key: Any) -> SX:
+        """Return numbers that stand row by row as a matrix of three columns."""
+        return casadi().reshape(self.number(*key), 3, 3).T
+
+    def _joint(self, index: int) -> _Joint:
         ca, model, joint = casadi(), self.model, self.model.joints[index]
         kind = _kind(joint)
         at_q, at_v = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
-        local = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
-        subspace = np.reshape(local, (6, model.nv))[:, at_v].copy()
+        subspace = ca.reshape(self.number("joint", index, "subspace"), joint.nv, 6).T
+        axis = subspace[:3, 0] if kind.startswith("P") else subspace[3:, 0]
         q, v, step = self.q[at_q], self.v[at_v], self.step[at_v]
         nothing = ca.SX.zeros(3)
         if kind.startswith("P") and kind != "Planar":
-            turned, shift, rate, moved = ca.SX.eye(3), subspace[:3, 0] * q, v, q + step
+            turned, shift, rate, moved = ca.SX.eye(3), axis * q, v, q + step
         elif kind == "Translation":
             turned, shift, rate, moved = ca.SX.eye(3), q, v, q + step
         elif kind == "Planar":
-            turned = _about(np.array([0.0, 0.0, 1.0]), q[2], q[3])
+            turned = _about(ca.SX([0.0, 0.0, 1.0]), q[2], q[3])
             shift = ca.vertcat(q[0], q[1], 0.0)
             along = turned[:2, :2]
             rate = ca.vertcat(along @ v[:2], -q[3] * v[2], q[2] * v[2])
@@ -130,11 +157,11 @@ class SymbolicChain:
             turned, shift, rate = _of_quaternion(q), nothing, 0.5 * _times_vector(q, v)
             moved = _quaternion_moved(q, step)
         elif kind.startswith("RUB") or kind == "RevoluteUnboundedUnaligned":
-            turned, shift = _about(subspace[3:, 0], q[0], q[1]), nothing
+            turned, shift = _about(axis, q[0], q[1]), nothing
             rate, moved = ca.vertcat(-q[1] * v, q[0] * v), _turned_by(q, step)
         elif kind.startswith("R") and joint.nq == 1:
             cosine, sine = self._trig_of(joint.idx_q)
-            turned, shift, rate, moved = _about(subspace[3:, 0], cosine, sine), nothing, v, q + step
+            turned, shift, rate, moved = _about(axis, cosine, sine), nothing, v, q + step
         else:
             raise UnsupportedRobotError(
                 f"Joint {model.names[index]!r} has type {kind}, which compiled dynamics do not cover.",
@@ -143,7 +170,7 @@ class SymbolicChain:
                 joint=model.names[index],
                 type=kind,
             )
-        rotation, translation = self.joint_placement(index)
+        rotation, translation = self._matrix("joint", index, "rotation"), self.number("joint", index, "origin")
         return _Joint(
             index,
             int(model.parents[index]),
@@ -152,40 +179,32 @@ class SymbolicChain:
             rotation @ turned,
             translation + rotation @ shift,
             subspace,
+            axis,
             rate,
             moved,
         )
 
-    # --- what the tree is made of: numbers here, symbols where somebody asks how results depend on them ------------
+    def _inertia(self, index: int) -> tuple[SX, SX, SX]:
+        """Return mass, first moment (3) and inertia about the joint's origin (3, 3) of a body."""
+        return (
+            self.number("joint", index, "mass"),
+            self.number("joint", index, "moment"),
+            self._matrix("joint", index, "inertia"),
+        )
 
-    def joint_placement(self, index: int) -> tuple[SX, SX]:
-        """Return rotation (3, 3) and origin (3) of a joint's frame at q = 0 in its parent's."""
-        ca, placement = casadi(), self.model.jointPlacements[index]
-        return ca.SX(placement.rotation), ca.SX(placement.translation)
-
-    def frame_placement(self, frame: pin.Frame) -> tuple[SX, SX]:
-        """Return rotation (3, 3) and origin (3) of a link's frame in its joint's."""
-        ca = casadi()
-        return ca.SX(frame.placement.rotation), ca.SX(frame.placement.translation)
-
-    def inertial_force(self, index: int, motion: tuple[SX, SX, SX, SX]) -> tuple[SX, SX]:
+    def _inertial_force(self, index: int, motion: tuple[SX, SX, SX, SX]) -> tuple[SX, SX]:
         """Return force and moment (3) that give a body its motion, about its joint's origin, in its frame.
 
         Args:
             index: the joint that moves the body.
             motion: angular velocity, velocity of the origin, and the rates of both, Featherstone's.
         """
-        ca, body = casadi(), self.model.inertias[index]
-        w, u, dw, du = motion
-        mass, centre, inertia = body.mass, ca.SX(body.lever), ca.SX(body.inertia)
-        momentum = mass * (u + ca.cross(w, centre))
-        push = mass * (du + ca.cross(dw, centre))
-        moment = (
-            inertia @ dw
-            + ca.cross(centre, push)
-            + ca.cross(w, inertia @ w + ca.cross(centre, momentum))
-            + ca.cross(u, momentum)
-        )
+        ca, (w, u, dw, du) = casadi(), motion
+        mass, first, inertia = self._inertia(index)
+        momentum = mass * u + ca.cross(w, first)
+        push = mass * du + ca.cross(dw, first)
+        spin = inertia @ w + ca.cross(first, u)
+        moment = inertia @ dw + ca.cross(first, du) + ca.cross(w, spin) + ca.cross(u, momentum)
         return push + ca.cross(w, momentum), moment
 
     def _trig_of(self, index: int) -> tuple[SX, SX]:
@@ -200,33 +219,6 @@ class SymbolicChain:
         """Return (N, 2 · turning) the cosines and sines at configurations (N, nq)."""
         angles = q[:, self.turning]
         return np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
-
-    def _scales(self) -> None:
-        robot, length = self.robot, self.robot.characteristic_length
-        turning = np.zeros(self.model.nv, dtype=bool)
-        for joint in self._joints:
-            turning[joint.v] = np.abs(joint.subspace[3:]).max(axis=0) > 0.0
-        self.velocity_scale = np.where(turning, length, 1.0)
-        self.column_scale: Array = self.velocity_scale[robot.actuated_velocity]
-        if robot.platform is not None:
-            rotations = np.array([axis.startswith("r") for axis in robot.platform.axes])
-            self.row_scale = np.where(rotations, length, 1.0)
-            self.angles: list[int] = np.flatnonzero(rotations).tolist()
-        else:
-            joints = [find_joint(self.model, name) for name in robot.independent_joints]
-            self.independent = [int(joint.idx_v) for joint in joints]
-            self.row_scale = self.velocity_scale[self.independent]
-            self.angles = [i for i, joint in enumerate(joints) if joint.nq == 2]
-        rows = [axis.startswith("r") for closure in robot.closures for axis in closure.axes]
-        ends = [
-            (find_joint(self.model, each.joint), find_joint(self.model, each.of or each.joint))
-            for each in robot.couplings
-        ]
-        self._coupled = [(joint.idx_q, of.idx_q) for joint, of in ends]
-        scales = [*np.where(rows, length, 1.0), *(self.velocity_scale[joint.idx_v] for joint, _ in ends)]
-        self.closure_scale = np.array(scales, dtype=float)
-        self.equation_unit = length / np.concatenate([self.closure_scale, self.row_scale])
-        self.step_unit = length / self.velocity_scale[self.pose_columns]
 
     def _place(self) -> None:
         """Place the frames of closures and platform in the world, and give them their velocities."""
@@ -246,8 +238,7 @@ class SymbolicChain:
         ca = casadi()
         frame = find_link(self.model, name)
         rotation, origin, spin, speed = self._world[int(frame.parentJoint)]
-        turned, shift = self.frame_placement(frame)
-        arm = rotation @ shift
+        turned, arm = self._matrix("link", name, "rotation"), rotation @ self.number("link", name, "origin")
         return rotation @ turned, origin + arm, spin, speed + ca.cross(spin, arm)
 
     @cached_property
@@ -279,8 +270,10 @@ class SymbolicChain:
         """(r) closure residuals, m; of rotation rows the sine of the angle that is off; then those of couplings."""
         ca, robot = casadi(), self.robot
         rows = [self._closure_row(closure, axis) for closure in robot.closures for axis in closure.axes]
-        for each, (joint, of) in zip(robot.couplings, self._coupled, strict=True):
-            rows.append(self.q[joint] - sum(c * self.q[of] ** power for power, c in enumerate(each.polynomial)))
+        for i, each in enumerate(robot.couplings):
+            joint, of = (find_joint(self.model, name).idx_q for name in (each.joint, each.of or each.joint))
+            polynomial = ca.vertsplit(self.number("coupling", i))
+            rows.append(self.q[joint] - sum(c * self.q[of] ** power for power, c in enumerate(polynomial)))
         return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
     def _closure_row(self, closure: Closure, axis: str) -> SX:
@@ -387,9 +380,10 @@ class SymbolicChain:
     def row_rates(self) -> SX:
         """(p) rates of the closure rows, then the independent velocities: K v, linear in v."""
         ca, platform = casadi(), self.robot.platform
-        closures = self.rate_of(self.closure_rows) if len(self.closure_scale) else ca.SX(0, 1)
+        closures = self.rate_of(self.closure_rows) if self.rows else ca.SX(0, 1)
         if platform is None:
-            return ca.vertcat(closures, *(self.v[column] for column in self.independent))
+            joints = (find_joint(self.model, name) for name in self.robot.independent_joints)
+            return ca.vertcat(closures, *(self.v[joint.idx_v] for joint in joints))
         rotation, _, spin, speed = self.frame(platform.frame)
         axes = [divmod(AXES.index(axis), 3) for axis in platform.axes]
         own = [self._angle_rate(rotation, spin, k) if turning else speed[k] for turning, k in axes]
@@ -415,21 +409,17 @@ class SymbolicChain:
         """(legs) times the robot's own mode: positive in it."""
         ca, modes = casadi(), self.robot.working_modes
         values = []
-        for name, sign, own in zip(
-            *((modes.joints, modes.signs, self.robot.working_mode) if modes else ((), (), ())), strict=True
-        ):
+        for i, name in enumerate(modes.joints if modes else ()):
             joint = find_joint(self.model, name)
             q = self.q[joint.idx_q : joint.idx_q + joint.nq]
-            length = self.robot.characteristic_length
-            side = q[1] if joint.nq == 2 else q / length if slides(joint) else self._trig_of(joint.idx_q)[1]
-            values.append(float(sign * own) * side)
+            side = q[1] if joint.nq == 2 else q / self.length if slides(joint) else self._trig_of(joint.idx_q)[1]
+            values.append(self.number("mode")[i] * side)
         return ca.vertcat(*values) if values else ca.SX(0, 1)
 
     @cached_property
     def efforts(self) -> tuple[SX, SX]:
         """(nv) generalised forces of the open tree, and (6) what holds the base: about the world origin, world axes."""
-        ca, model = casadi(), self.model
-        gravity = ca.SX(np.array(model.gravity.linear))
+        ca, model, gravity = casadi(), self.model, self.number("gravity")
         motions: dict[int, tuple[SX, SX, SX, SX]] = {0: (ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3), -gravity)}
         forces: dict[int, list[SX]] = {0: [ca.SX.zeros(3), ca.SX.zeros(3)]}
         for joint in self._joints:
@@ -440,7 +430,7 @@ class SymbolicChain:
             dw = into @ turn + rest[3:] + ca.cross(w, own[3:])
             du = into @ (pull + ca.cross(turn, arm)) + rest[:3] + ca.cross(w, own[:3]) + ca.cross(u, own[3:])
             motions[joint.index] = w, u, dw, du
-            forces[joint.index] = list(self.inertial_force(joint.index, (w, u, dw, du)))
+            forces[joint.index] = list(self._inertial_force(joint.index, (w, u, dw, du)))
 
         def push(index: int, place: SX, force: SX, moment: SX) -> None:
             rotation, origin, *_ = self._world[index]
@@ -453,7 +443,7 @@ class SymbolicChain:
             force, moment = forces[joint.index]
             efforts[joint.v] = joint.subspace.T @ ca.vertcat(force, moment)
             if joint.subspace.shape[1] in (1, 3):
-                axis = joint.rotation @ (joint.subspace[3:, 0] if joint.subspace[3:].any() else joint.subspace[:3, 0])
+                axis = joint.rotation @ joint.axis
                 own = self.q[joint.q][0], self.v[joint.v], self.a[joint.v]
                 effort, turned = self._loads.in_joint(joint.index, own, axis, *motions[joint.parent][0:3:2])
                 efforts[joint.v] += effort
@@ -461,37 +451,32 @@ class SymbolicChain:
             back = joint.rotation @ force
             forces[joint.parent][0] += back
             forces[joint.parent][1] += joint.rotation @ moment + ca.cross(joint.translation, back)
-        return efforts + ca.SX(np.array(model.armature)) * self.a, ca.vertcat(*forces[0])
+        return efforts + self.number("armature") * self.a, ca.vertcat(*forces[0])
 
     @cached_property
     def energy(self) -> SX:
         """Kinetic plus potential energy, J; zero height at the world origin."""
         ca, total = casadi(), 0.0
-        gravity = ca.SX(np.array(self.model.gravity.linear))
         for joint in self._joints:
             rotation, origin, spin, speed = self._world[joint.index]
-            body = self.model.inertias[joint.index]
-            arm = rotation @ ca.SX(body.lever)
-            w, u = rotation.T @ spin, speed + ca.cross(spin, arm)
-            total += 0.5 * body.mass * ca.dot(u, u) + 0.5 * ca.dot(w, ca.SX(body.inertia) @ w)
-            total -= body.mass * ca.dot(gravity, origin + arm)
+            mass, first, inertia = self._inertia(joint.index)
+            w, u = rotation.T @ spin, rotation.T @ speed
+            total += 0.5 * mass * ca.dot(u, u) + ca.dot(u, ca.cross(w, first)) + 0.5 * ca.dot(w, inertia @ w)
+            total -= ca.dot(self.number("gravity"), mass * origin + rotation @ first)
         total += self._loads.energy(self._in_world)
-        return total + 0.5 * ca.dot(ca.SX(np.array(self.model.armature)), self.v**2)
+        return total + 0.5 * ca.dot(self.number("armature"), self.v**2)
 
     def _in_world(self, index: int) -> tuple[SX, SX, SX, SX]:
         """Return position, rate and axis of a joint of one freedom, and the angular velocity of the link before it."""
         joint = next(joint for joint in self._joints if joint.index == index)
-        own = joint.subspace[3:, 0] if joint.subspace[3:].any() else joint.subspace[:3, 0]
-        axis = self._world[index][0] @ own
+        axis = self._world[index][0] @ joint.axis
         return self.q[joint.q][0], self.v[joint.v], axis, self._world[joint.parent][2]
 
 
-def _about(axis: Array, cosine: SX, sine: SX) -> SX:
+def _about(axis: SX, cosine: SX, sine: SX) -> SX:
     """Return the rotation about a unit axis (Rodrigues)."""
-    ca = casadi()
-    skew = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    square = np.outer(axis, axis)
-    return ca.SX(square) + cosine * ca.SX(np.eye(3) - square) + sine * ca.SX(skew)
+    ca, square = casadi(), axis @ axis.T
+    return square + cosine * (ca.SX.eye(3) - square) + sine * ca.skew(axis)
 
 
 def _wrapped(angle: SX) -> SX:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import each, one_of, positive, require_type
-from redundancy_pin.dynamics.base import Dynamics, require_dynamics
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import Limits, grouped
@@ -32,7 +32,7 @@ class RecedingHorizon:
     within their limits.
 
     Args:
-        dynamics: a backend; ``CompiledDynamics`` is the fastest by far.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         horizon: how far ahead it plans, s.
         step: between nodes, s; half of it around singular instants and where the platform turns.
         objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone; or ``Weights``.
@@ -53,7 +53,7 @@ class RecedingHorizon:
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: DynamicsLike,
         *,
         horizon: float = 0.5,
         step: float = 0.02,
@@ -68,7 +68,7 @@ class RecedingHorizon:
         slow_down: bool = False,
         interpret: bool = False,
     ) -> None:
-        require_dynamics(dynamics)
+        dynamics = as_dynamics(dynamics)
         robot = dynamics.robot
         require_carriers(robot)
         if not isinstance(objective, Weights):

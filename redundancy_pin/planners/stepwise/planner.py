@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, require_dynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.base_wrench import BASE, base_wrench, load_at_rest
@@ -46,6 +48,7 @@ from redundancy_pin.planners.stepwise.optimiser import (
     optimality,
     step_problems,
 )
+from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion, is_timed
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -69,14 +72,14 @@ class SampledOnDemand(Protocol):
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_stepwise(
-    dynamics: Dynamics,
+    dynamics: DynamicsLike,
     motion: PlatformMotion | SampledOnDemand,
     *,
     dt: float = 5e-3,
     objective: str | Mapping[str, float] = "effort",
     base_point: ArrayLike | None = None,
     lam: float = 0.0,
-    baseline: Dynamics | ArrayLike | None = None,
+    baseline: DynamicsLike | ArrayLike | None = None,
     active: Active = "always",
     start: ArrayLike = 0.0,
     datum: ArrayLike = 0.0,
@@ -121,13 +124,14 @@ def plan_stepwise(
     default: it changes nothing before that point, and the box is then never empty.
 
     Args:
-        dynamics: either backend.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: N samples of the platform motion, whose steps need not be equal; or a trajectory, which is sampled.
         dt: the time step of a trajectory, s. Jumps of its acceleration are sampled from both sides.
         objective: what to minimise, or weights of several: "effort", "base_force", "base_moment", "base_wrench".
         base_point: (3,) about which the moment on the base is taken, m; the world origin when left out.
         lam: λ, fraction of the baseline effort to aim at, 0 to 1.
-        baseline: backend of the baseline robot, or its efforts τ̂ (N, m), N or N·m. Needed where λ > 0.
+        baseline: the baseline robot, or its name or path; a backend of it; or its efforts τ̂ (N, m), N or N·m. Needed
+            where λ > 0.
         active: "always", or "accelerating": while the reference acceleration is not zero.
         start: scalar or (k,) positions at the start, at rest, m.
         datum: scalar or (k,) positions to return to, m.
@@ -156,7 +160,7 @@ def plan_stepwise(
             comes too close to a type II singularity. Carries constraint, carrier, time and amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     require_motion(motion, "sample")
     robot = dynamics.robot
     require_carriers(robot)
@@ -188,6 +192,8 @@ def plan_stepwise(
         between=between,
     )
     along = dynamics.along(motion)
+    if isinstance(baseline, (Robot, str, Path)):
+        baseline = as_dynamics(baseline)
     target, reference = target_effort(robot, motion, settings.lam, baseline)
     model, target = _goals(dynamics, along, settings, target)
     at = np.flatnonzero(~motion.jumps)
@@ -342,7 +348,7 @@ def between_samples(
     plan's at the samples; the positions lag behind the plan's by up to half a step, because backward differences move a
     carrier by its new speed.
 
-    ``dynamics``: either backend, of the robot of the plan; ``points``: number of points inside each step;
+    ``dynamics``: a backend of the robot of the plan; ``points``: number of points inside each step;
     ``trajectory``: the platform motion that was sampled, for exact values between the samples; quintics through x, ẋ, ẍ
     of the samples where left out, which smear a jump that is not two-sided over one step.
 

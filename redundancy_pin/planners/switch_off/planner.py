@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, one_of, positive, require_few
-from redundancy_pin.dynamics.base import Dynamics, require_dynamics
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -179,7 +180,7 @@ Scheme = Literal["integration", "backward_differences"]
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_switch_off(
-    dynamics: Dynamics,
+    dynamics: DynamicsLike,
     motion: PlatformMotion | TimedTrajectory,
     *,
     threshold: float = 5.0,
@@ -206,7 +207,8 @@ def plan_switch_off(
     return within them.
 
     Args:
-        dynamics: either backend of a robot with at least as many carriers as coordinates.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
+            The robot has at least as many carriers as coordinates.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
         threshold: the condition number of the scaled W above which, or its smallest singular value (no unit) below
             which, the actuators are off.
@@ -224,7 +226,7 @@ def plan_switch_off(
             force that nothing can carry at the singular pose; carries constraint, time and amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     require_motion(motion, "duration", "breaks", "sample_at")
     robot = dynamics.robot
     if robot.k < robot.n:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, each, frozen, one_of, positive, read_only, whole
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, require_dynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, require_carriers
@@ -79,7 +80,7 @@ ROUNDS = 4
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_time_optimal(
-    dynamics: Dynamics,
+    dynamics: DynamicsLike,
     path: Path | Trajectory,
     *,
     effort: ArrayLike | None = None,
@@ -108,7 +109,8 @@ def plan_time_optimal(
     curvature does.
 
     Args:
-        dynamics: any backend. The robot need not have carriers, and may have more actuators than freedoms.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
+            The robot need not have carriers, and may have more actuators than degrees of freedom.
         path: a path; of a trajectory its path.
         effort: scalar or (m,) limit of |τ|, N or N·m.
         actuator_speed: scalar or (m,) limit of the main actuators' rates, m/s or rad/s.
@@ -140,7 +142,7 @@ def plan_time_optimal(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     began = time.perf_counter()
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     robot = dynamics.robot
     report = progress or (lambda line: None)
     path = path.path if isinstance(path, Trajectory) else path

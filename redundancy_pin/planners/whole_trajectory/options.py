@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, each, fraction, frozen, one_of, positive, require_type, whole
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError, optional
 from redundancy_pin.planners.base_wrench import point_of, weights_of
 from redundancy_pin.planners.carrier_model import require_carriers
@@ -170,13 +171,13 @@ class Objective:
     Attributes:
         weights: name of an objective (``OBJECTIVES``), or weights of several.
         lam: λ of "tracking", 0 to 1.
-        baseline: backend of the robot whose efforts are τ̂.
+        baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it.
         base_point: (3,) point about which the moment on the base is taken, m; the world origin when left out.
     """
 
     weights: str | Mapping[str, float] = "effort"
     lam: float = 0.0
-    baseline: Dynamics | None = None
+    baseline: DynamicsLike | None = None
     base_point: ArrayLike | None = None
 
 
@@ -261,14 +262,14 @@ def checked_settings(
     if "tracking" in weights and lam > 0.0 and objective.baseline is None:
         raise InputError(
             f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
-            remedy='Pass baseline=RneaDynamics(load_robot("3rrr", carriers=False)).',
+            remedy='Pass baseline=load_robot("3rrr", carriers=False).',
         )
     resolved = limits.resolved(robot)
     park = resolved.on_track(datum, "datum")
     return WholeTrajectorySettings(
         objective=weights,
         lam=lam,
-        baseline=objective.baseline,
+        baseline=None if objective.baseline is None else as_dynamics(objective.baseline),
         base_point=point_of(objective.base_point),
         limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics, has_expressions, require_dynamics
+from redundancy_pin.dynamics.base import has_expressions
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
@@ -56,12 +57,12 @@ PHASES = ("optimised",)
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_whole_trajectory(
-    dynamics: Dynamics,
+    dynamics: DynamicsLike,
     motion: PlatformMotion | TimedTrajectory,
     *,
     objective: str | Mapping[str, float] | Objective = "effort",
     lam: float = 0.0,
-    baseline: Dynamics | None = None,
+    baseline: DynamicsLike | None = None,
     base_point: ArrayLike | None = None,
     start: ArrayLike | None = None,
     start_speed: ArrayLike = 0.0,
@@ -104,7 +105,7 @@ def plan_whole_trajectory(
     them.
 
     Args:
-        dynamics: either backend.
+        dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
         objective: what to minimise, or weights of several, each in its own unit (``OBJECTIVES``; or
             ``Objective``, with ``lam`` and ``baseline``): "effort" ∫ Σ τ² dt, "peak" max |τ|,
@@ -114,7 +115,7 @@ def plan_whole_trajectory(
             ∫ |F_b|² + |M_b|²/ℓ² dt, ℓ the characteristic length: what the base feels beyond the load at rest where the
             motion begins (``planners.base_wrench``).
         lam: λ of "tracking", 0 to 1.
-        baseline: backend of the robot whose efforts are τ̂.
+        baseline: the robot whose efforts are τ̂, or its name or path; or a backend of it.
         base_point: (3,) about which the moment on the base is taken, m; the world origin when left out.
         start: scalar or (k,) positions at the start, m; the datum when left out.
         start_speed: scalar or (k,) speeds there, m/s.
@@ -153,7 +154,7 @@ def plan_whole_trajectory(
         RedundancyPinError: casadi is not installed.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    require_dynamics(dynamics)
+    dynamics = as_dynamics(dynamics)
     if isinstance(objective, Objective):
         goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point)
     else:

@@ -22,8 +22,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from redundancy_pin.robot.formats import duals
-
 LONGEST = 10_000
 """Characters of an expression. CPython's parser takes longer rows of brackets and signs badly."""
 
@@ -91,8 +89,7 @@ def evaluate(text: str, names: Mapping[str, Any], budget: Budget, dotted: tuple[
     budget.spend(1 + len(text) // 2)  # the parser
     _require(len(text), LONGEST, "characters")
     try:
-        text, literals = duals.named(text.strip())
-        return _Evaluation((literals, names), budget, dotted).value(_parsed(text))
+        return _Evaluation((names,), budget, dotted).value(_parsed(text.strip()))
     except (RecursionError, MemoryError):
         raise ExpressionError("it is nested too deeply") from None
 
@@ -387,8 +384,6 @@ def _require_formattable(pattern: re.Pattern[str], text: str, values: Iterable[A
         raise ExpressionError(f"models may not use the layout {_shown(text)} of a text")
     fields = text.count("%" if pattern is _PERCENT else "{")
     for value in values:
-        if isinstance(value, duals.Dual):
-            format(value, "g")  # refuses
         if not isinstance(value, (int, float, str)) and value is not None:
             raise ExpressionError(f"models may not format {_shown(value)}")
         _require(fields * max(_FIELD, len(value) if isinstance(value, str) else 0), LARGEST, "characters")
@@ -427,11 +422,6 @@ def _dict(*pairs: Any, **named: Any) -> dict[Any, Any]:
     return dict(*pairs, **named)
 
 
-def _float(*values: Any) -> float:
-    value = duals.read(values[0]) if values and duals.is_written(values[0]) else None
-    return values[0] if values and isinstance(values[0], duals.Dual) else float(*values) if value is None else value
-
-
 def _int(*values: Any, **named: Any) -> int:
     if values and isinstance(values[0], str):
         _require(len(values[0]), 1000, "digits")
@@ -452,8 +442,6 @@ def _numeric(function: Function) -> Function:
             for number in each if isinstance(each, (list, tuple)) else (each,):
                 if not isinstance(number, (int, float)):
                     raise TypeError(f"{function.name} takes numbers, not {_shown(number)}")
-        if any(isinstance(each, duals.Dual) for each in arguments):
-            return duals.called(function.name, function.call, arguments)
         return function.call(*arguments, **named)
 
     return Function(function.name, call)
@@ -473,7 +461,7 @@ BUILTINS: Mapping[str, object] = {
 } | {
     "dict": Function("dict", _dict),
     "enumerate": Function("enumerate", _listed(enumerate)),
-    "float": Function("float", _float),
+    "float": Function("float", float),
     "int": Function("int", _int),
     "list": Function("list", list),
     "map": Function("map", _map, runs=True),

@@ -26,7 +26,6 @@ from xml.dom import minidom
 from redundancy_pin.errors import ModelFileError, RedundancyPinError, shortened
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.io.yaml_file import read_yaml
-from redundancy_pin.robot.formats import duals
 from redundancy_pin.robot.formats.expressions import (
     BUILTINS,
     MATHEMATICS,
@@ -190,10 +189,6 @@ class _Engine:
         self._eval_text, self._handle_macro_call = module.eval_text, module.handle_macro_call
         self._eval_all, self._replace_node = module.eval_all, module.replace_node
         self._eval_extension, self._parse_macro_arg = module.eval_extension, module.parse_macro_arg
-        literal = module.Table._eval_literal
-        module.Table._eval_literal = staticmethod(
-            lambda value: duals.read(value) if duals.is_written(value) else literal(value)
-        )
         module.safe_eval = self._evaluate
         module.eval_text = self._text
         module.eval_extension = self._extension
@@ -273,11 +268,7 @@ class _Engine:
 
     def _evaluate_substitution(self, text: str, context: Mapping[str, Any]) -> str:
         """Evaluate ``$(eval ...)``: the arguments by name, and what the substitutions are as functions."""
-        convert_value = self.xacro.substitution_args.convert_value
-
-        def convert(value: str, kind: str) -> Any:
-            return duals.read(value) if duals.is_written(value) else convert_value(value, kind)
-
+        convert = self.xacro.substitution_args.convert_value
         given = {name: convert(value, "auto") for name, value in context.get("arg", {}).items()}
         functions: dict[str, object] = {
             "arg": Function("arg", lambda name: convert(context["arg"][name], "auto")),

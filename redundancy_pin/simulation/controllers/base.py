@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, each, frozen
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
@@ -300,7 +300,7 @@ def is_same(one: Robot, other: Robot) -> bool:
     return one is other or (bool(one.model == other.model) and robot_record(one).describes(other))
 
 
-def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
+def kernel_of(robot: Robot, dynamics: DynamicsLike | None) -> ForwardKernel | None:
     """Return the machine code of a backend's forward dynamics, if it has any.
 
     Raises:
@@ -308,6 +308,7 @@ def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
     """
     if dynamics is None:
         return None
+    dynamics = as_dynamics(dynamics)
     if not is_same(dynamics.robot, robot):
         given = dynamics.robot.name
         which = f"another {given}, with other parameters" if given == robot.name else given

@@ -12,7 +12,7 @@ from scipy.linalg import lapack
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, positive, read_only
 from redundancy_pin.dynamics.allocation import Allocation, CarrierForces, allocate
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.dynamics.forward import Equations, ForwardKernel
 from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import SingularPoseError
@@ -167,8 +167,8 @@ class ComputedTorque(Tracking):
             planned |s̈| when left out.
         effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
         carrier_force_limit: scalar or (k,) largest |F|, N; what it cuts off is left to the main actuators.
-        dynamics: a backend of the plan's robot with forward dynamics in machine code (``CompiledDynamics``), which then
-            forms the equations.
+        dynamics: the plan's robot, or its name or path, for generated code (``as_dynamics``), which then forms the
+            equations; or a backend of it.
         sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
             answer will act.
 
@@ -197,7 +197,7 @@ class ComputedTorque(Tracking):
         effort_limit: ArrayLike | None = None,
         carrier_force_limit: ArrayLike | None = None,
         sampling: Sampling | None = None,
-        dynamics: Dynamics | None = None,
+        dynamics: DynamicsLike | None = None,
     ) -> None:
         super().__init__(plan, motion, sampling)
         for name, value in (("bandwidth", bandwidth), ("carrier_bandwidth", carrier_bandwidth), ("damping", damping)):

@@ -15,7 +15,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, solve_continuous_are, solve_discrete_are
 
 from redundancy_pin.arrays import Array, Frozen, frozen, positive, read_only
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.planners.plan import Plan
@@ -192,7 +192,7 @@ class LinearModel(Frozen):
         return make_interp_spline(self.t, self.A, k=1)(within), make_interp_spline(self.t, self.B, k=1)(within)
 
 
-def linear_model(reference: MotionReference, step: float, dynamics: Dynamics | None = None) -> LinearModel:
+def linear_model(reference: MotionReference, step: float, dynamics: DynamicsLike | None = None) -> LinearModel:
     """Return the linearisation along a reference at nodes at most ``step``, s, apart; raises like ``linearise``."""
     robot, chain = reference.robot, ClosedChain(reference.robot)
     count = max(2, int(np.ceil((reference.end - reference.start) / step - 1e-9)) + 1)
@@ -265,8 +265,8 @@ class TimeVaryingLqr(Tracking):
         carrier_force_limit: scalar or (k,) the same for the carriers, N.
         sampling: of the simulation; its delay may be up to one period.
         step: distance of the nodes of the linear model, s.
-        dynamics: a backend of the plan's robot with forward dynamics in machine code (``CompiledDynamics``), by whose
-            derivatives the linear model is made.
+        dynamics: the plan's robot, or its name or path, for generated code (``as_dynamics``), by whose derivatives the
+            linear model is made; or a backend of it.
 
     Attributes:
         model: the linear model along the reference.
@@ -294,7 +294,7 @@ class TimeVaryingLqr(Tracking):
         carrier_force_limit: ArrayLike | None = None,
         sampling: Sampling | None = None,
         step: float = STEP,
-        dynamics: Dynamics | None = None,
+        dynamics: DynamicsLike | None = None,
     ) -> None:
         super().__init__(plan, motion, sampling)
         robot, reference = self.robot, self.reference

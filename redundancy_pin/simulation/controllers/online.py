@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, each, fraction, positive, require_type
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.default import DynamicsLike
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion
@@ -123,7 +123,7 @@ class OnlinePlanning(ComputedTorque):
         integral: float = 0.0,
         effort_scale: ArrayLike,
         carrier_scale: ArrayLike = 1.0,
-        dynamics: Dynamics | None = None,
+        dynamics: DynamicsLike | None = None,
         **others: ArrayLike | float | None,
     ) -> None:
         if not isinstance(sampling, Sampling):

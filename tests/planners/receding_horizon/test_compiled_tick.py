@@ -373,10 +373,9 @@ def test_limits_that_change_between_ticks_hold_for_machine_code_as_well() -> Non
         assert (jerks <= resolved.jerk + 1e-3).all()
 
 
-def test_without_a_compiler_plans_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_plans_are_those_of_numpy(request: pytest.FixtureRequest) -> None:
     dynamics = dynamics_of("2rpr")
-    monkeypatch.setenv("PATH", "")
-    monkeypatch.delenv("CC", raising=False)
+    request.getfixturevalue("no_compiler")
     assert find_compiler() is None
     with pytest.warns(RuntimeWarning, match="not in machine code: there is no C compiler"):
         without = RecedingHorizon(dynamics, step=STEP)

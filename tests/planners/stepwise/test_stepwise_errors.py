@@ -163,8 +163,8 @@ def test_arguments_that_are_likely_slips(planner):
 
     plan = getattr(rp, planner)
     robot = rp.load_robot("2rpr")
-    with pytest.raises(InputError, match="Robot was given for the dynamics"):
-        plan(robot, rp.trajectory.reference.circle())
+    with pytest.raises(InputError, match="Trajectory was given for the dynamics"):
+        plan(rp.trajectory.reference.circle(), robot)
     for motion in (None, "circle", np.zeros((3, 2)), 5):
         with pytest.raises(InputError, match="for the motion"):
             plan(rp.VirtualWork(robot), motion)

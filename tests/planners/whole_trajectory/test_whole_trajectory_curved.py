@@ -99,7 +99,7 @@ def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path):
     rng = np.random.default_rng(1)
     motion = TRAJECTORIES["circle"].sample(0.2)
     s, sd, sdd = rng.normal(size=(3, len(motion), 2)) * np.array([3.0, 10.0, 100.0])[:, None, None]
-    for dynamics in (RneaDynamics(robot), CompiledDynamics(robot, interpret=True)):
+    for dynamics in (RneaDynamics(robot), CompiledDynamics(robot)):
         along = dynamics.along(motion)
         model, true = turning_model(along), along.reduce(CarrierMotion(s, sd, sdd))
         np.testing.assert_allclose(model.f(s, sd, sdd), true.f, atol=1e-11 * np.abs(true.f).max())
@@ -217,7 +217,7 @@ def _integrated(t, sdd):
 @pytest.fixture(scope="module")
 def exact(robot):
     """Plans of a backend that has f as an expression, each made once."""
-    dynamics = CompiledDynamics(robot, interpret=True)  # to plan takes less time than to compile
+    dynamics = CompiledDynamics(robot)  # to plan takes less time than to compile
 
     @functools.cache
     def plan(name, objective, **settings):

@@ -1,0 +1,60 @@
+"""The default backend: what a user gets who passes a robot where dynamics are asked for.
+
+Generated code (``dynamics.compiled``) where it can be made, and RNEA (``dynamics.rnea``) otherwise, with one warning
+that says why and what to install. Planners and simulations name no other backend.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TypeAlias
+
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.errors import InputError, RedundancyPinError
+from redundancy_pin.robot import Robot, RobotLike, as_robot
+
+DynamicsLike: TypeAlias = Dynamics | RobotLike
+"""A backend; or a robot, its name or its path, for which ``as_dynamics`` chooses the backend."""
+
+
+def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
+    """Return a backend: the given one, or the default of a robot. Functions that take dynamics begin with this.
+
+    Raises:
+        InputError: neither a backend nor a robot, its name or its path.
+        RedundancyPinError: what ``load_robot`` raises.
+
+    Warns:
+        RuntimeWarning: RNEA is used because the code cannot be generated or compiled; once for each reason.
+
+    Example:
+        >>> from redundancy_pin.dynamics.default import as_dynamics
+        >>> as_dynamics("five_bar").robot.name
+        'five_bar'
+    """
+    if isinstance(dynamics, (Robot, str, Path)):
+        return default_dynamics(dynamics)
+    if not isinstance(dynamics, type) and hasattr(dynamics, "along") and hasattr(dynamics, "robot"):
+        return dynamics
+    raise InputError(
+        f"{type(dynamics).__name__} was given for the dynamics.",
+        remedy="Pass a robot, its name or its path; or a backend, such as RneaDynamics(robot).",
+    )
+
+
+def default_dynamics(robot: RobotLike) -> Dynamics:
+    """Return generated code for a robot, or RNEA with a warning where that cannot be made; see ``as_dynamics``."""
+    loaded = as_robot(robot)
+    try:
+        return CompiledDynamics(loaded)
+    except RedundancyPinError as error:
+        # attributed to this line, whoever calls: Python then prints each reason once
+        warnings.warn(
+            f"{error.message} RNEA is used: the same numbers, many times as slow. {error.remedy}".strip(),
+            RuntimeWarning,
+            stacklevel=1,
+        )
+        return RneaDynamics(loaded)

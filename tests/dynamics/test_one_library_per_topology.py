@@ -1,0 +1,146 @@
+"""Robots that differ in numbers share compiled code: libraries are counted in an empty cache, no clock is read."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.machine_code import CACHE
+from redundancy_pin.robot import Robot
+
+
+def libraries(folder: Path) -> int:
+    return len(list(folder.glob("*.so")))
+
+
+def assert_backends_agree(dynamics: rp.CompiledDynamics) -> None:
+    """Inverse and forward dynamics, at a motion about the robot's own reference."""
+    robot, t = dynamics.robot, np.linspace(0.0, 1.0, 7)
+    motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t) if robot.k else None
+    got, want = (of.along(motion) for of in (dynamics, rp.RneaDynamics(robot)))
+    ours, theirs = got.reduce(carriers), want.reduce(carriers)
+    for name in ("f", "W", "carrier_force"):
+        expected = getattr(theirs, name)
+        np.testing.assert_allclose(
+            getattr(ours, name), expected, atol=1e-11 * (1.0 + np.abs(expected).max(initial=0.0))
+        )
+    for quantity in ("energy", "base_wrench"):
+        expected = getattr(want, quantity)(carriers)
+        np.testing.assert_allclose(
+            getattr(got, quantity)(carriers), expected, atol=1e-11 * (1.0 + np.abs(expected).max())
+        )
+
+
+def changed_in_every_number(name: str) -> list[Robot]:
+    """The robot with one number of its file changed each; a link of two halves stays symmetric (a structural zero)."""
+    robot = rp.load_robot(name)
+    numbers = {key: value for key, value in robot.parameters.items() if type(value) is float and value}
+    halves = {key for key in numbers if key in ("distal_length", "tail_length")}
+    changes = [{key: 1.03 * numbers[key] for key in (halves if one in halves else {one})} for one in numbers]
+    return [rp.load_robot(name, **change) for change in changes]
+
+
+def payloads(name: str) -> list[Robot]:
+    """The robot with payloads on its platform, or on the first link that a closure joins."""
+    robot = rp.load_robot(name)
+    link = robot.platform.frame if robot.platform else robot.closures[0].frame_a
+    return [
+        robot.loaded(rp.Payload(link, mass, centre, inertia))
+        for mass, centre, inertia in ((0.7, (0.01, 0.02, 0.0), 0.001), (0.2, (0.0, 0.0, 0.0), 0.0))
+    ]
+
+
+@pytest.mark.parametrize(("name", "loaded"), [("four_bar", 4), pytest.param("3rrr", 2, marks=pytest.mark.long)])
+def test_another_number_is_not_another_library(
+    name: str, loaded: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    first = rp.CompiledDynamics(name)
+    assert first.forward() is not None
+    assert libraries(tmp_path) == 2  # inverse and forward dynamics
+    robots = changed_in_every_number(name)
+    assert len(robots) > 5
+    for i, robot in enumerate(robots):
+        dynamics = first.for_robot(robot) if i % 2 else rp.CompiledDynamics(robot)
+        assert dynamics.forward() is not None
+        assert_backends_agree(dynamics)
+    assert_backends_agree(first)  # which none of the others has changed
+    assert libraries(tmp_path) == 2
+    for robot in payloads(name):  # a link that is no platform gets another topology, once
+        dynamics = first.for_robot(robot)
+        assert dynamics.forward() is not None
+        assert_backends_agree(dynamics)
+        assert libraries(tmp_path) == loaded
+
+
+def test_both_working_modes_share_a_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    for mode in ((1, 1), (-1, -1), (1, -1)):
+        assert_backends_agree(rp.CompiledDynamics(rp.load_robot("five_bar", working_mode=mode)))
+    assert libraries(tmp_path) == 1
+
+
+def test_loads_of_another_size_share_a_library_and_loads_of_another_kind_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    robot = rp.load_robot("four_bar")
+    joint = str(robot.model.names[1])
+    for size in (1.0, 3.7):
+        loads = rp.JointForces(joint, size, size, 0.02 * size, size, 0.1 * size, 0.01 * size, -2.0 * size)
+        assert_backends_agree(rp.CompiledDynamics(robot.loaded(loads)))
+    assert libraries(tmp_path) == 1
+    assert_backends_agree(rp.CompiledDynamics(robot.loaded(rp.JointForces(joint, damping=1.0))))
+    assert libraries(tmp_path) == 2
+
+
+def test_a_number_that_becomes_zero_is_another_topology(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Structural zeros are compiled: gravity along y alone, and along x too."""
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    for gravity in ((0.0, -9.81, 0.0), (0.0, -3.7, 0.0), (1.0, -9.81, 0.0)):
+        assert_backends_agree(rp.CompiledDynamics(zoo.robot_of("four_bar", gravity=gravity)))
+    assert libraries(tmp_path) == 2
+
+
+def test_a_robot_with_other_numbers_does_not_import_casadi(tmp_path: Path) -> None:
+    code = (
+        "import sys, redundancy_pin as rp\n"
+        "for length in {lengths}:\n"
+        "    assert rp.CompiledDynamics(rp.load_robot('four_bar', coupler_length=length)).compiled\n"
+        "print('casadi' in sys.modules)"
+    )
+    environment = {**os.environ, CACHE: str(tmp_path)}
+    for lengths, imported in ("[0.35]", "True"), ("[0.36, 0.37]", "False"):
+        run = subprocess.run(
+            [sys.executable, "-c", code.replace("{lengths}", lengths)],
+            capture_output=True, text=True, env=environment, check=True,
+        )  # fmt: skip
+        assert run.stdout.strip() == imported
+    assert libraries(tmp_path) == 1
+
+
+def test_derivatives_of_another_robot_are_not_written_again() -> None:
+    """The expressions are those of the topology; their numbers are differences of the other backend's forces."""
+    from redundancy_pin.dynamics.compiled.derivatives import _written
+
+    names, h = ["coupler_length", "coupler_mass"], 1e-5
+    _written.cache_clear()
+    for length in (0.35, 0.36, 0.37):
+        robot = rp.load_robot("four_bar", coupler_length=length)
+        motion = zoo.smooth_motion(robot, 5).at(np.linspace(0.0, 1.0, 5))
+        got = rp.CompiledDynamics(robot).along(motion).derivatives(parameters=names).f.parameters
+        for i, name in enumerate(names):
+            up, down = (
+                rp.RneaDynamics(rp.load_robot("four_bar", **{**robot.parameters, name: robot.parameters[name] + by}))
+                for by in (h, -h)
+            )
+            expected = (up.reduce(motion).f - down.reduce(motion).f) / (2.0 * h)
+            np.testing.assert_allclose(got[:, :, i], expected, rtol=1e-6, atol=1e-7)
+    assert _written.cache_info().misses == 1
