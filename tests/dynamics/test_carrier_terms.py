@@ -183,7 +183,7 @@ def test_it_goes_on_from_the_end_of_a_long_batch(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize(("samples", "shift"), [(100, 0.0), (101, 0.0), (101, 5e-5), (101, 1e-6)])
 @pytest.mark.parametrize("size", [4, 7, 51])
-def test_nothing_is_followed_across_a_rank_loss_of_the_closures(
+def test_batches_through_a_rank_loss_of_the_closures_are_those_of_the_whole_motion(
     samples: int, shift: float, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A parallelogram is flat half way: at a sample, between two, or so near to one that its rates are lost."""
@@ -191,14 +191,12 @@ def test_nothing_is_followed_across_a_rank_loss_of_the_closures(
     counted, plain = Counted(robot, monkeypatch), rp.CompiledDynamics(robot)
     t = np.linspace(0.0, 1.0, samples)
     through = PlatformMotion(t, 1.2 + shift - 2.4 * t[:, None], np.full((samples, 1), -2.4), np.zeros((samples, 1)))
-    lost = 0
     for part in batches(through, size):
         want = terms_along(plain.along(part, unreachable="mark"))
         got = counted.terms(part)
         np.testing.assert_array_equal(np.isnan(got.constant), np.isnan(want.constant))
         assert_near(got, want, SAME / 0.012)  # beside the flat pose K is that much nearer to singular
-        lost += int(np.isnan(got.constant).any(axis=1).sum())
-    assert lost >= samples - 100
+        assert np.isfinite(got.constant).all()
 
 
 def test_after_a_jump_it_is_followed_from_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:

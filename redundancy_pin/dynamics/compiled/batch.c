@@ -1,6 +1,21 @@
 /* What Python calls: motions, starts, and many samples of one function. It stands behind driver.c. */
 
-const int rp_alignments = NALIGN, rp_turnings = NT;
+const int rp_turnings = NT;
+
+/* The largest rate of the pose columns, rad or characteristic lengths per unit of time. */
+static double largest_rate(const double *numbers, const double *v) {
+  double result = 0.0;
+  for (int i = 0; i < NP; ++i) result = fmax(result, fabs(v[COLUMNS[i]]) / STEP_UNIT[i]);
+  return result;
+}
+
+/* Whether a margin, rates and accelerations show a rank loss that a motion steps across. A configuration that is good to 1e-16
+   gives accelerations to the square of the rates times 1e-16 / margin^3. A share of 1e-5 and more of them is too much;
+   towards a stretched leg they are themselves as large as rates squared over the margin squared, and stay good. Small
+   margins all along, as of short levers, are none: usual is the largest of the motion. */
+static int blurred(double margin, double usual, double size, double squared) {
+  return margin < 0.1 * usual && margin * margin * margin * size < 1e-16 / 1e-5 * squared;
+}
 
 /* A motion of `samples` samples from the configuration q0, closed at x0; returns how many were done before one failed,
    with its status in status[]. */
@@ -46,19 +61,23 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
     known = known && dt > 0.0 ? 2 : 1; /* where an instant stands twice the acceleration jumps */
     before = dt;
   }
+  double usual = 0.0;
+  for (int k = 0; k < samples; ++k)
+    if (isfinite(margin[k])) usual = fmax(usual, margin[k]);
+  for (int k = 0; k < samples; ++k) {
+    if (!(margin[k] < 0.1 * usual)) continue;
+    double fastest = largest_rate(numbers, v + (long)k * NV), squared = fastest * fastest;
+    if (blurred(margin[k], usual, fmax(largest_rate(numbers, a + (long)k * NV), squared), squared)) {
+      status[k] = SINGULAR;
+      return k;
+    }
+  }
   return samples;
 }
 
 static double distance(const double *a, const double *b, int size) {
   double result = 0.0;
   for (int i = 0; i < size; ++i) result = fmax(result, fabs(a[i] - b[i]));
-  return result;
-}
-
-/* The largest rate of the pose columns, rad or characteristic lengths per unit of time. */
-static double largest_rate(const double *numbers, const double *v) {
-  double result = 0.0;
-  for (int i = 0; i < NP; ++i) result = fmax(result, fabs(v[COLUMNS[i]]) / STEP_UNIT[i]);
   return result;
 }
 
@@ -141,11 +160,8 @@ int rp_terms(const double *numbers, int samples, const double *in, int width, do
       copy(ends[k > 0] + NQ, x, NX);
     }
   }
-  for (long k = 0; k < samples; ++k) { /* see _blurred of closing.py */
-    double margin = sizes[3 * k];
-    if (margin < 0.1 * usual && margin * margin * margin * sizes[3 * k + 1] < 1e-16 / 1e-5 * sizes[3 * k + 2])
-      return SINGULAR;
-  }
+  for (long k = 0; k < samples; ++k)
+    if (blurred(sizes[3 * k], usual, sizes[3 * k + 1], sizes[3 * k + 2])) return SINGULAR;
   for (long i = 0; i < (long)samples * (N * M + SUM + NK * 5 * SUM); ++i)
     if (!isfinite(out[i])) return NOT_FINITE;
   for (int r = NEIGHBOURS - 1; r > 1; --r) copy(near + r * (NQ + NX), near + (r - 2) * (NQ + NX), NQ + NX);
@@ -160,55 +176,6 @@ int rp_follow(const double *numbers, double *q, const double *x0, const double *
   if (!start_at(numbers, &pose, q, x0) || !go_far(numbers, &pose, x0, x)) return LOST;
   copy(q, pose.q, NQ);
   return in_mode(numbers, &pose) ? CLOSED : OTHER_MODE;
-}
-
-/* The configuration near q that misses x least (Levenberg and Marquardt); returns the largest residual left, m, of
-   angles times the characteristic length. */
-double rp_assemble(const double *numbers, double *q, const double *x) {
-  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], trial[NQ], trig[2 * NT + 1], damping = 1e-3, size = 0.0;
-  turns_of(q, trig);
-  rows(numbers, q, trig, x, residual, K, alignment);
-  for (int i = 0; i < NP; ++i) size += residual[i] * residual[i];
-  for (int iteration = 0; iteration < 200 && size > 0.0; ++iteration) {
-    double H[NP * NP + 1], step[NP + 1], scaled[NP + 1], new_residual[NP + 1], new_K[NP * NP + 1], new_size = 0.0;
-    int pivot[NP + 1];
-    for (int i = 0; i < NP; ++i) {
-      step[i] = 0.0;
-      for (int k = 0; k < NP; ++k) step[i] += K[k + i * NP] * residual[k];
-      for (int j = 0; j < NP; ++j) {
-        double sum = i == j ? damping : 0.0;
-        for (int k = 0; k < NP; ++k) sum += K[k + i * NP] * K[k + j * NP];
-        H[i + j * NP] = sum;
-      }
-    }
-    if (decompose(H, pivot) == 0.0) break;
-    solve(H, pivot, step);
-    double longest = largest(step, NP);
-    for (int i = 0; i < NP; ++i) scaled[i] = step[i] * STEP_UNIT[i] / fmax(longest, 1.0);
-    copy(trial, q, NQ);
-    move(trial, scaled);
-    turns_of(trial, trig);
-    rows(numbers, trial, trig, x, new_residual, new_K, alignment);
-    for (int i = 0; i < NP; ++i) new_size += new_residual[i] * new_residual[i];
-    if (new_size < size) {
-      copy(q, trial, NQ);
-      copy(residual, new_residual, NP);
-      copy(K, new_K, NP * NP);
-      int stalled = new_size > 0.999999 * size && longest < 1e-6;
-      size = new_size;
-      damping = fmax(damping * 0.2, 1e-15);
-      if (stalled || longest < 1e-14) break;
-    } else {
-      damping *= 8.0;
-      if (damping > 1e8 || longest < 1e-14) break; /* refused for rounding: smaller ones are no better */
-    }
-  }
-  turns_of(q, trig);
-  rows(numbers, q, trig, x, residual, K, alignment);
-  double gap = largest(residual, NP);
-  for (int i = 0; i < NALIGN; ++i)
-    if (!(alignment[i] > 0.0)) gap = fmax(gap, acos(fmax(-1.0, alignment[i])));
-  return gap * LENGTH;
 }
 
 /* Many samples of one generated function, its arguments and results one after the other in memory. */

@@ -270,10 +270,7 @@ class Library:
         self.library = loaded(path)
         for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project", "rp_terms"):
             getattr(self.library, name)  # AttributeError where the file is another one
-        self.library.rp_assemble.restype = ctypes.c_double
-        self.alignments, turning = (
-            ctypes.c_int.in_dll(self.library, name).value for name in ("rp_alignments", "rp_turnings")
-        )
+        turning = ctypes.c_int.in_dll(self.library, "rp_turnings").value
         self.trigs = 2 * turning
         self._turning = list((ctypes.c_int * turning).in_dll(self.library, "rp_turning"))
         self._set_numbers(robot)
@@ -296,10 +293,6 @@ class Library:
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the driver with arrays and integers."""
         return int(getattr(self.library, name)(self.numbers, *(_as_c(value) for value in arguments)))
-
-    def assemble(self, q: Array, x: Array) -> float:
-        """Bring q (nq), in place, to where it misses x least; return what is left."""
-        return float(self.library.rp_assemble(self.numbers, _as_c(q), _as_c(x)))
 
     def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate a generated function for many samples, the first axis of all arrays; outputs are written to."""
