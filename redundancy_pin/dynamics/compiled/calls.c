@@ -28,7 +28,7 @@ int rp_torque(const double *numbers, double *state, const double *in, const Rang
   Efforts efforts;
   copy(from, state, NQ + 1);
   int closed = rp_sample(numbers, from, in, out);
-  if (closed == LOST) return finite(in, NX) ? STATUS_BRANCH_LOST : STATUS_NOT_FINITE;
+  if (closed == LOST) return STATUS_BRANCH_LOST; /* or out of reach, or not finite: for Python to say */
   if (closed != CLOSED) return status_of(closed);
   if (!finite(out, N * M + N + NK + 2)) return STATUS_NOT_FINITE;
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
