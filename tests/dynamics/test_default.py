@@ -110,8 +110,8 @@ def test_without_a_compiler_rnea_takes_its_place_and_a_note_says_so_once() -> No
     np.testing.assert_array_equal(found.efforts.tau, rp.inverse_dynamics(rp.RneaDynamics(robot), motion).efforts.tau)
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("default")  # as Python has it
-        for name in ("five_bar", "2rpr", "five_bar"):
-            assert isinstance(as_dynamics(name), rp.RneaDynamics)
+        assert isinstance(as_dynamics("five_bar"), rp.RneaDynamics)
+        assert isinstance(as_dynamics("2rpr"), rp.RneaDynamics)  # from another line
     assert len(notes) == 1
 
 
