@@ -38,11 +38,6 @@ def planar(vectors: Array) -> ComplexArray:
     return np.asarray(vectors[:, 0] + 1j * vectors[:, 1], dtype=np.complex128)
 
 
-def components(vectors: ComplexArray, *others: Array) -> Array:
-    """Return (N, legs, 2 or more) x and y of vectors (legs, N), and other components of the same shape."""
-    return np.stack([vectors.real.T, vectors.imag.T, *(other.T for other in others)], axis=2)
-
-
 @dataclass(frozen=True, eq=False)
 class PlanarFrame:
     """A frame on a link, or on that link of every leg, at N samples; arrays (N,) or (legs, N).

@@ -30,7 +30,6 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     PlanarDynamics,
     PlanarFrame,
     PlanarJoint,
-    components,
     difference,
     fixed_frame,
     planar,
@@ -126,10 +125,10 @@ class ThreeRrrLegs(Frozen):
 
     @property
     def jacobian(self) -> Array:
-        """(N, 3, 3) J with θ̇ = J ẋ: row i is -(a, b, d)/c (Parsa 2014, eq. 2.34-2.38)."""
+        """(3, 3, N) θ̇ of each leg per unit of each platform rate: -(a, b, d)/c (Parsa 2014, eq. 2.34-2.38)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             rows = -self.e / self.c
-        return read_only(components(rows, (np.conj(self.arm) * rows).imag))
+        return read_only(np.stack([rows.real, rows.imag, (np.conj(self.arm) * rows).imag]))
 
 
 class ThreeRrrRates(NamedTuple):
@@ -266,7 +265,7 @@ class ThreeRrrAlongMotion(PlanarDynamics):
         b, e, unit = legs.b, legs.e, np.ones(legs.c.shape)
         # per unit of ẋ, ẏ, α̇: velocity of the corner (E_A of eq. 2.43), θ̇ (eq. 2.39) and β̇ (eq. 2.44)
         corner = np.stack([unit, 1j * unit, 1j * legs.arm])
-        self._unit_theta = -(np.conj(e) * corner).real / legs.c
+        self._unit_theta = legs.jacobian
         self._unit_beta = (np.conj(e) * (corner - 1j * self._unit_theta * b)).imag / geometry.distal_length**2
         w, wd = rates.theta_rate, rates.theta_acceleration
         hinge = fixed_frame(geometry.hinges + 0j * legs.c, 1.0, 3, moves=True)
