@@ -31,6 +31,7 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     PlanarJoint,
     fixed_frame,
     planar,
+    revolute,
 )
 
 SIDE = np.array([[1.0], [-1.0]])
@@ -198,14 +199,11 @@ class TwoRprAlongMotion(PlanarDynamics):
     def joint(self, name: str, carriers: Carriers) -> PlanarJoint:
         """Return a joint's motion."""
         kind, _, number = name.rpartition("_")
-        leg = int(number) - 1
-        theta, d, rates, u = self._legs.theta[leg], self._legs.d[leg], self._rates, self._legs.u[leg]
-        spin, unit_spin = (rates.theta_rate[leg], rates.theta_acceleration[leg]), self._unit_theta[:, leg]
-        still, none = np.zeros(len(theta)), np.zeros_like(unit_spin)
+        leg, link = int(number) - 1, self.frame(f"cylinder_{number}", carriers)
         if kind == "swivel":
-            return PlanarJoint(theta, *spin, still, still, unit_spin, none)
+            return revolute(self.frame("base", carriers), link)
         if kind == "slide":
-            moving = d, rates.d_rate[leg], rates.d_acceleration[leg]
-            return PlanarJoint(*moving, *spin, self._legs.jacobian[:, leg], unit_spin, axis=u)
-        s, sd, sdd = carriers
-        return PlanarJoint(s[leg], sd[leg], sdd[leg], *spin, none, unit_spin, carrier=leg, axis=1j * SIDE[leg, 0] * u)
+            moving = self._legs.d[leg], self._rates.d_rate[leg], self._rates.d_acceleration[leg]
+            return PlanarJoint(*moving, self._legs.jacobian[:, leg], link, axis=link.axis)
+        s, sd, sdd = (part[leg] for part in carriers)
+        return PlanarJoint(s, sd, sdd, 0.0 * link.G, link, axis=1j * SIDE[leg, 0] * link.axis, carrier=leg)
