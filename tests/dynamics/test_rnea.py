@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from written import J, urdf_of, write_robot
 
-from redundancy_pin import CarrierMotion, PlatformMotion, load_robot, trajectory
+from redundancy_pin import CarrierMotion, JointForces, PlatformMotion, Spring, Wrench, load_robot, trajectory
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.robot import Robot
 
@@ -241,6 +241,35 @@ def stacked_carriers(folder: Path) -> Robot:
         "reference": {"platform": [0.3, 0.6], "guess": {"shoulder": 1.8, "elbow": -1.5}},
     }
     return load_robot(write_robot(folder, urdf_of(tree), declaration))
+
+
+def test_derivatives_of_loads_on_a_carrier_that_turns(tmp_path: Path) -> None:
+    """A wrench in world axes turns in the frame of its body: against differences of sixth order."""
+    tree = [
+        J("shoulder", "revolute", "base", "upper"),
+        J("elbow", "revolute", "upper", "lower", (0.5, 0, 0)),
+        J("mount", "fixed", "lower", "hand", (0.5, 0, 0)),
+        J("turn", "revolute", "lower", "mass", axis=(0.6, 0.0, 0.8)),
+    ]
+    declaration = {
+        "actuated": ["shoulder", "elbow"],
+        "carriers": [{"joint": "turn", "position": [-1.0, 1.0]}],
+        "independent": {"platform": "hand", "axes": ["x", "y"]},
+        "reference": {"platform": [0.3, 0.6], "guess": {"shoulder": 1.8, "elbow": -1.5}},
+    }
+    robot = load_robot(write_robot(tmp_path, urdf_of(tree), declaration)).loaded(
+        Wrench("mass", [3.0, -2.0, 1.0, 0.5, -0.7, 0.9], "world", (0.3, 0.1, 0.2)),
+        Spring("base", "mass", 40.0, 3.0, 0.2, (0.1, 0.2, 0.0), (0.2, 0.0, 0.1)),
+        JointForces("turn", 0.4, 0.3, 0.5, 2.0, 0.1, 0.02, -6.0),
+    )
+    t = np.linspace(0.0, 1.0, 4)
+    along, carriers = RneaDynamics(robot).along(zoo.smooth_motion(robot, 7).at(t)), zoo.carriers_at(robot, t)
+    derivatives = along.carrier_derivatives(carriers)
+    for which in ("s", "sd", "sdd"):
+        sides = {k: along.reduce(shifted(carriers, which, np.array([k * STEP]))) for k in range(-3, 4)}
+        for of, name in (("f", "f"), ("force", "carrier_force")):
+            expected = sum(w * (getattr(sides[k], name) - getattr(sides[-k], name)) for k, w in SIXTH_ORDER) / STEP
+            np.testing.assert_allclose(getattr(derivatives, f"{of}_{which}")[:, :, 0], expected, atol=1e-8)
 
 
 @examples(6)

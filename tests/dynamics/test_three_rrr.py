@@ -72,7 +72,7 @@ def test_thesis_formulas_for_theta_and_jacobian():
         a, b = xA - l1 * np.cos(theta), yA - l1 * np.sin(theta)
         c, d = l1 * (xA * np.sin(theta) - yA * np.cos(theta)), l3 * (a * np.sin(phi) - b * np.cos(phi))
         assert abs(np.exp(1j * theta) - np.exp(1j * legs.theta[i, 0])) < ROUNDING
-        np.testing.assert_allclose(legs.jacobian[0, i], -np.array([a, b, d]) / c, atol=ROUNDING)
+        np.testing.assert_allclose(legs.jacobian[:, i, 0], -np.array([a, b, d]) / c, atol=ROUNDING)
         np.testing.assert_allclose(legs.c[i, 0], c, atol=ROUNDING)
 
 
@@ -99,7 +99,7 @@ def test_rates_are_the_differences_of_positions(geometry, mode):
         np.testing.assert_allclose(getattr(rates, f"{name}_rate"), (high - low) / (2 * h), atol=2e-6)
         np.testing.assert_allclose(getattr(rates, f"{name}_acceleration"), (high - 2 * middle + low) / h**2, atol=2e-6)
     np.testing.assert_allclose(
-        np.einsum("nij,nj->in", here.jacobian, smooth_motion(t)[1]), rates.theta_rate, atol=ROUNDING
+        np.einsum("jin,nj->in", here.jacobian, smooth_motion(t)[1]), rates.theta_rate, atol=ROUNDING
     )
 
 

@@ -49,7 +49,7 @@ def test_rates_are_the_differences_of_positions(mode):
     np.testing.assert_allclose(rates.d_acceleration, (after.d - 2 * here.d + before.d) / h**2, **tolerance)
     np.testing.assert_allclose(rates.theta_rate, (turned[1] - turned[0]) / (2 * h), **tolerance)
     np.testing.assert_allclose(rates.theta_acceleration, (turned[1] - 2 * here.theta + turned[0]) / h**2, **tolerance)
-    np.testing.assert_allclose(np.einsum("nij,nj->in", here.jacobian, smooth_motion(t)[1]), rates.d_rate, atol=ROUNDING)
+    np.testing.assert_allclose(np.einsum("jin,nj->in", here.jacobian, smooth_motion(t)[1]), rates.d_rate, atol=ROUNDING)
 
 
 def test_a_leg_of_no_length_has_no_direction_and_no_warning():

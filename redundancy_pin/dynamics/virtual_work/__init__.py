@@ -115,38 +115,30 @@ class VirtualWorkAlongMotion(Frozen):
 
     Rows of samples that are not reachable are NaN in every result. A carrier motion that does not fit the robot or the
     platform motion raises ``InputError``.
+
+    Attributes:
+        robot, motion: the robot, and its platform motion.
     """
 
     def __init__(
         self, robot: Robot, mechanism: Mechanism, motion: PlatformMotion, legs: Any, gap: Array, reachable: BoolArray
     ) -> None:
-        self._robot = robot
-        self._motion = motion
+        self.robot, self.motion = robot, motion
         self._reachable = read_only(reachable)
         self._all_reachable = bool(reachable.all())
         self._gap = read_only(gap)
         self._dynamics = mechanism.along(legs, motion.x, motion.xd, motion.xdd)
-        self._W = read_only(legs.jacobian.transpose(0, 2, 1))
+        self._W = read_only(np.ascontiguousarray(legs.jacobian.transpose(2, 0, 1)))
         length = robot.characteristic_length
         self._row_scale = read_only(np.where(mechanism.angular_rows, length, 1.0))
         self._column_scale = read_only(np.where(mechanism.angular_columns, length, 1.0))
 
-    @property
-    def robot(self) -> Robot:
-        """The robot."""
-        return self._robot
-
-    @property
-    def motion(self) -> PlatformMotion:
-        """The platform motion."""
-        return self._motion
-
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
-        moved, k = self._leg_major(carriers), self._robot.k
+        moved, k = self._leg_major(carriers), self.robot.k
         efforts = self._efforts(moved)
         return ReducedDynamics(
-            t=self._motion.t,
+            t=self.motion.t,
             f=self._result(np.ascontiguousarray(efforts.f.T)),
             W=self._W,
             carrier_force=self._result(np.ascontiguousarray(efforts.force[:k].T)),
@@ -156,15 +148,15 @@ class VirtualWorkAlongMotion(Frozen):
             column_scale=self._column_scale,
             out_of_range=self._out_of_range,
             force_size=sample_scales(
-                self._robot, self._motion.xd, self._motion.xdd, moved[1][:k].T, moved[2][:k].T, self._wrenches
+                self.robot, self.motion.xd, self.motion.xdd, moved[1][:k].T, moved[2][:k].T, self._wrenches
             ).force,
         )
 
     @cached_property
     def _out_of_range(self) -> BoolArray:
         still = self._leg_major(None)
-        beyond = np.zeros(len(self._motion), dtype=bool)
-        for joint in joint_ranges(self._robot):
+        beyond = np.zeros(len(self.motion), dtype=bool)
+        for joint in joint_ranges(self.robot):
             value = self._dynamics.joint(joint.name, still).position[self._reachable]
             value = np.unwrap(value) if joint.turns else value  # a closed form has angles in (−π, π]
             beyond[self._reachable] |= joint.is_left(value, True)
@@ -172,7 +164,7 @@ class VirtualWorkAlongMotion(Frozen):
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
         """Return the exact derivatives of f and carrier forces by s, ṡ, s̈."""
-        k, efforts = self._robot.k, self._efforts(self._leg_major(carriers), derivatives=True)
+        k, efforts = self.robot.k, self._efforts(self._leg_major(carriers), derivatives=True)
         of_f = [self._result(part[:, :k].transpose(2, 0, 1).copy()) for part in efforts.by_f]
         of_force = [self._result(part[:k, :k].transpose(2, 0, 1).copy()) for part in efforts.by_force]
         return CarrierDerivatives(*of_f, *of_force)
@@ -195,19 +187,19 @@ class VirtualWorkAlongMotion(Frozen):
 
     @cached_property
     def _wrenches(self) -> tuple[Array, ...]:
-        return wrench_values(self._robot.loads, self._motion.t, self._motion.x, self._motion.xd)
+        return wrench_values(self.robot.loads, self.motion.t, self.motion.x, self.motion.xd)
 
     def _efforts(self, carriers: Carriers, *, derivatives: bool = False) -> Efforts:
         """Return what links, carriers and loads require."""
         efforts = self._dynamics.efforts(carriers, derivatives=derivatives)
-        add_loads(efforts, self._robot, self._wrenches, self._dynamics, carriers)
+        add_loads(efforts, self.robot, self._wrenches, self._dynamics, carriers)
         return efforts
 
     def _leg_major(self, carriers: CarrierMotion | None) -> Carriers:
         """Return s, ṡ, s̈ as (legs, N); zero where the robot has no carriers."""
-        matched = require_matching_carriers(self._robot, carriers, len(self._motion))
-        if self._robot.k == 0:
-            return (np.zeros((self._robot.m, len(self._motion))),) * 3
+        matched = require_matching_carriers(self.robot, carriers, len(self.motion))
+        if self.robot.k == 0:
+            return (np.zeros((self.robot.m, len(self.motion))),) * 3
         return matched.s.T.copy(), matched.sd.T.copy(), matched.sdd.T.copy()
 
     def _result(self, array: Array) -> Array:

@@ -91,7 +91,7 @@ def add_loads(
         joint = dynamics.joint(forces.joint, carriers)
         revolute, momentum = joint.axis is None, forces.rotor_inertia * forces.gear
         position = _counted(joint.position, _reference(robot, forces.joint)) if revolute else joint.position
-        turning = joint.link_spin_rate if revolute else 0.0
+        turning = joint.link.spin_rate if revolute else 0.0
         effort = forces.resistance(position, joint.rate) + momentum * (forces.gear * joint.acceleration + turning)
         efforts.f += effort * joint.unit_rate
         efforts.energy += 0.5 * forces.stiffness * (position - forces.rest) ** 2
@@ -101,11 +101,11 @@ def add_loads(
                 joint.carrier, effort, forces.stiffness, forces.resistance_rate(joint.rate), momentum * forces.gear
             )
         if joint.axis is None:
-            efforts.f += momentum * joint.acceleration * joint.unit_link_spin
-            efforts.energy += momentum * joint.rate * joint.link_spin
+            efforts.f += momentum * joint.acceleration * joint.link.G
+            efforts.energy += momentum * joint.rate * joint.link.spin
             efforts.ground[:, 5] -= momentum * joint.acceleration
         else:  # it spins about an axis in the plane, and the link turns it
-            rate = momentum * (joint.acceleration + 1j * joint.link_spin * joint.rate) * joint.axis
+            rate = momentum * (joint.acceleration + 1j * joint.link.spin * joint.rate) * joint.axis
             efforts.ground[:, 3] -= rate.real
             efforts.ground[:, 4] -= rate.imag
 

@@ -38,11 +38,6 @@ def planar(vectors: Array) -> ComplexArray:
     return np.asarray(vectors[:, 0] + 1j * vectors[:, 1], dtype=np.complex128)
 
 
-def components(vectors: ComplexArray, *others: Array) -> Array:
-    """Return (N, legs, 2 or more) x and y of vectors (legs, N), and other components of the same shape."""
-    return np.stack([vectors.real.T, vectors.imag.T, *(other.T for other in others)], axis=2)
-
-
 @dataclass(frozen=True, eq=False)
 class PlanarFrame:
     """A frame on a link, or on that link of every leg, at N samples; arrays (N,) or (legs, N).
@@ -115,21 +110,25 @@ class PlanarJoint:
 
     Attributes:
         position, rate, acceleration: m or rad, and s; the position of a revolute joint is known up to full turns.
-        link_spin, link_spin_rate: of the link that carries it.
-        unit_rate, unit_link_spin: (n, N) its rate, and the spin of that link, per unit of each platform rate.
-        carrier: index of the carrier that it moves, or None.
+        unit_rate: (n, N) its rate per unit of each platform rate.
+        link: a frame of the link that carries it.
         axis: unit vector along a prismatic joint; None for a revolute one.
+        carrier: index of the carrier that it moves, or None.
     """
 
     position: Array
     rate: Array
     acceleration: Array
-    link_spin: Array
-    link_spin_rate: Array
     unit_rate: Array
-    unit_link_spin: Array
-    carrier: int | None = None
+    link: PlanarFrame
     axis: ComplexArray | None = None
+    carrier: int | None = None
+
+
+def revolute(before: PlanarFrame, after: PlanarFrame) -> PlanarJoint:
+    """Return the hinge between two links; its angle is in (−π, π]."""
+    angle, rate = np.angle(after.axis * np.conj(before.axis)), after.spin - before.spin
+    return PlanarJoint(angle, rate, after.spin_rate - before.spin_rate, after.G - before.G, before)
 
 
 class Efforts:
@@ -185,11 +184,6 @@ class Efforts:
         if self._derivatives:
             for order, part in enumerate(derivatives):
                 self.by_force[order, carrier, carrier] += part
-
-
-def difference(one: tuple[Array, Array, Array], other: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """Return position, rate and acceleration (N,) of one less those of the other."""
-    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
 
 
 def wrench_on_ground(

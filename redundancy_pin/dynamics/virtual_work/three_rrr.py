@@ -30,10 +30,9 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     PlanarDynamics,
     PlanarFrame,
     PlanarJoint,
-    components,
-    difference,
     fixed_frame,
     planar,
+    revolute,
 )
 
 CORNER_ANGLES = (np.pi / 6.0, 5.0 * np.pi / 6.0, -np.pi / 2.0)
@@ -126,10 +125,10 @@ class ThreeRrrLegs(Frozen):
 
     @property
     def jacobian(self) -> Array:
-        """(N, 3, 3) J with θ̇ = J ẋ: row i is -(a, b, d)/c (Parsa 2014, eq. 2.34-2.38)."""
+        """(3, 3, N) θ̇ of each leg per unit of each platform rate: -(a, b, d)/c (Parsa 2014, eq. 2.34-2.38)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             rows = -self.e / self.c
-        return read_only(components(rows, (np.conj(self.arm) * rows).imag))
+        return read_only(np.stack([rows.real, rows.imag, (np.conj(self.arm) * rows).imag]))
 
 
 class ThreeRrrRates(NamedTuple):
@@ -260,21 +259,20 @@ class ThreeRrrAlongMotion(PlanarDynamics):
     ) -> None:
         self.bodies, self.gravity, geometry = mechanism.bodies, mechanism.gravity, mechanism.geometry
         self.shape = 3, *legs.c.shape
-        self._legs, self._geometry = legs, geometry
-        self._alpha = pose[:, 2], velocity[:, 2], acceleration[:, 2]
-        self._rates = rates = leg_rates(legs, velocity, acceleration)
+        self._geometry = geometry
+        rates = leg_rates(legs, velocity, acceleration)
         b, e, unit = legs.b, legs.e, np.ones(legs.c.shape)
         # per unit of ẋ, ẏ, α̇: velocity of the corner (E_A of eq. 2.43), θ̇ (eq. 2.39) and β̇ (eq. 2.44)
         corner = np.stack([unit, 1j * unit, 1j * legs.arm])
-        self._unit_theta = -(np.conj(e) * corner).real / legs.c
-        self._unit_beta = (np.conj(e) * (corner - 1j * self._unit_theta * b)).imag / geometry.distal_length**2
+        unit_theta = legs.jacobian
+        unit_beta = (np.conj(e) * (corner - 1j * unit_theta * b)).imag / geometry.distal_length**2
         w, wd = rates.theta_rate, rates.theta_acceleration
         hinge = fixed_frame(geometry.hinges + 0j * legs.c, 1.0, 3, moves=True)
-        self._proximal = replace(hinge, axis=b / geometry.proximal_length, spin=w, spin_rate=wd, G=self._unit_theta)
+        self._proximal = replace(hinge, axis=b / geometry.proximal_length, spin=w, spin_rate=wd, G=unit_theta)
         elbow = self._proximal.point(geometry.proximal_length)
         self._distal = replace(
             elbow, axis=e / geometry.distal_length, spin=rates.beta_rate, spin_rate=rates.beta_acceleration,
-            G=self._unit_beta,
+            G=unit_beta,
         )  # fmt: skip
         still = np.zeros(len(pose), dtype=np.complex128)
         H = np.stack([still + 1.0, still + 1j, still])
@@ -304,17 +302,13 @@ class ThreeRrrAlongMotion(PlanarDynamics):
     def joint(self, name: str, carriers: Carriers) -> PlanarJoint:
         """Return a joint's motion."""
         kind, _, number = name.rpartition("_")
-        leg, legs, rates = int(number) - 1, self._legs, self._rates
-        theta = legs.theta[leg], rates.theta_rate[leg], rates.theta_acceleration[leg]
-        beta = legs.beta[leg], rates.beta_rate[leg], rates.beta_acceleration[leg]
-        of_theta, of_beta = self._unit_theta[:, leg], self._unit_beta[:, leg]
-        still, none = np.zeros(len(theta[0])), np.zeros_like(of_beta)
-        if kind == "base":
-            return PlanarJoint(*theta, still, still, of_theta, none)
-        if kind == "elbow":
-            return PlanarJoint(*difference(beta, theta), *theta[1:], of_beta - of_theta, of_theta)
         if kind == "carrier":
-            s, sd, sdd = carriers
-            axis = self._distal.axis[leg]
-            return PlanarJoint(s[leg], sd[leg], sdd[leg], *beta[1:], none, of_beta, carrier=leg, axis=axis)
-        return PlanarJoint(*difference(self._alpha, beta), *beta[1:], self._platform.G - of_beta, of_beta)
+            leg, link = int(number) - 1, self.frame(f"distal_{number}", carriers)
+            s, sd, sdd = (part[leg] for part in carriers)
+            return PlanarJoint(s, sd, sdd, 0.0 * link.G, link, axis=link.axis, carrier=leg)
+        before, after = {
+            "base": ("base", f"proximal_{number}"),
+            "elbow": (f"proximal_{number}", f"distal_{number}"),
+            "wrist": (f"distal_{number}", "platform"),
+        }[kind]
+        return revolute(self.frame(before, carriers), self.frame(after, carriers))

@@ -29,9 +29,9 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     PlanarDynamics,
     PlanarFrame,
     PlanarJoint,
-    components,
     fixed_frame,
     planar,
+    revolute,
 )
 
 SIDE = np.array([[1.0], [-1.0]])
@@ -64,8 +64,8 @@ class TwoRprLegs(Frozen):
 
     @property
     def jacobian(self) -> Array:
-        """(N, 2, 2) J with ḋ = J ẋ; row i is u_i (Parsa 2014, eq. 2.2)."""
-        return read_only(components(self.u))
+        """(2, 2, N) ḋ of each leg per unit of ẋ and ẏ: u_i (Parsa 2014, eq. 2.2)."""
+        return read_only(np.stack([self.u.real, self.u.imag]))
 
 
 class TwoRprRates(NamedTuple):
@@ -172,8 +172,7 @@ class TwoRprAlongMotion(PlanarDynamics):
         self.bodies, self.gravity, self._offset = mechanism.bodies, mechanism.gravity, mechanism.track_offset
         self.shape = 2, *legs.d.shape
         self._legs, self._rates = legs, leg_rates(legs, velocity, acceleration)
-        # per unit of ẋ and ẏ: θ̇ = n·ẋ/d (eq. 2.11), ḋ = u·ẋ (eq. 2.2)
-        self._unit_d = np.stack([legs.u.real, legs.u.imag])
+        # per unit of ẋ and ẏ: θ̇ = n·ẋ/d (eq. 2.11)
         self._unit_theta = np.stack([-legs.u.imag, legs.u.real]) / legs.d
         base = fixed_frame(base_hinges(mechanism.base_distance) + 0j * legs.d, 1.0, 2, moves=True)
         rates = self._rates
@@ -193,19 +192,18 @@ class TwoRprAlongMotion(PlanarDynamics):
         if kind in ("cylinder", "track"):
             return (self._cylinders if kind == "cylinder" else self._tracks).of(leg)
         d, rates = self._legs.d[leg], self._rates
-        return self._cylinders.of(leg).point(d, rates.d_rate[leg], rates.d_acceleration[leg], self._unit_d[:, leg])
+        return self._cylinders.of(leg).point(
+            d, rates.d_rate[leg], rates.d_acceleration[leg], self._legs.jacobian[:, leg]
+        )
 
     def joint(self, name: str, carriers: Carriers) -> PlanarJoint:
         """Return a joint's motion."""
         kind, _, number = name.rpartition("_")
-        leg = int(number) - 1
-        theta, d, rates, u = self._legs.theta[leg], self._legs.d[leg], self._rates, self._legs.u[leg]
-        spin, unit_spin = (rates.theta_rate[leg], rates.theta_acceleration[leg]), self._unit_theta[:, leg]
-        still, none = np.zeros(len(theta)), np.zeros_like(unit_spin)
+        leg, link = int(number) - 1, self.frame(f"cylinder_{number}", carriers)
         if kind == "swivel":
-            return PlanarJoint(theta, *spin, still, still, unit_spin, none)
+            return revolute(self.frame("base", carriers), link)
         if kind == "slide":
-            moving = d, rates.d_rate[leg], rates.d_acceleration[leg]
-            return PlanarJoint(*moving, *spin, self._unit_d[:, leg], unit_spin, axis=u)
-        s, sd, sdd = carriers
-        return PlanarJoint(s[leg], sd[leg], sdd[leg], *spin, none, unit_spin, carrier=leg, axis=1j * SIDE[leg, 0] * u)
+            moving = self._legs.d[leg], self._rates.d_rate[leg], self._rates.d_acceleration[leg]
+            return PlanarJoint(*moving, self._legs.jacobian[:, leg], link, axis=link.axis)
+        s, sd, sdd = (part[leg] for part in carriers)
+        return PlanarJoint(s, sd, sdd, 0.0 * link.G, link, axis=1j * SIDE[leg, 0] * link.axis, carrier=leg)
