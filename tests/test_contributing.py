@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import redundancy_pin
@@ -42,28 +41,6 @@ TESTS = Path(__file__).parent
 FOREIGN = {"_asdict", "_dash_pattern", "_exit", "_fields", "_fields_", "_parallel_backends", "_replace", "_repr_html_",
            "_repr_png_", "_suptitle"}  # fmt: skip
 """Of ctypes, joblib, matplotlib, os and tuples, and what notebooks ask for."""
-
-
-def test_tests_take_no_private_name() -> None:
-    """``_moved`` and ``_startup`` are modules of the package that its ``__init__`` imports."""
-    taken = {f"{path.relative_to(TESTS)}: {name}" for path in TESTS.rglob("*.py") for name in _private(path)}
-    assert taken == set()
-
-
-def _private(path: Path) -> Iterator[str]:
-    """Give the names with one underscore that a file imports, reads off another object or replaces by ``setattr``."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("redundancy_pin"):
-            names = {alias.name for alias in node.names} - {"_moved", "_startup"}
-        elif isinstance(node, ast.Attribute) and not (
-            isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
-        ):
-            names = {node.attr}
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "setattr":
-            names = {str(arg.value).rpartition(".")[2] for arg in node.args[:2] if isinstance(arg, ast.Constant)}
-        else:
-            continue
-        yield from (name for name in names if re.match(r"_[a-zA-Z]", name) and name not in FOREIGN)
 
 
 def test_benchmarks_and_scripts_of_documents_import_what_is_there() -> None:
