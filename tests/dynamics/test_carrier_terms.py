@@ -222,7 +222,7 @@ def over_the_edge(robot: Robot, farthest: float, samples: int = 81) -> PlatformM
     return PlatformMotion(t, x, xd, xdd)
 
 
-@pytest.mark.parametrize("beyond", [-1e-2, -1e-4, -1e-7, -1e-12, 1e-7, 1e-3, 0.2])
+@pytest.mark.parametrize("beyond", [-1e-2, -1e-4, -1e-7, -1e-12, 1e-7, 1e-3, pytest.param(0.2, marks=pytest.mark.long)])
 def test_beside_and_beyond_the_edge_of_the_workspace_it_is_marked_as_ever(
     beyond: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

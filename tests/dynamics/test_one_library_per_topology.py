@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -12,8 +13,19 @@ import pytest
 import zoo
 
 import redundancy_pin as rp
+from redundancy_pin.dynamics.compiled.parameters import topology_of
 from redundancy_pin.machine_code import CACHE
 from redundancy_pin.robot import Robot
+
+
+@pytest.fixture(autouse=True)
+def without_kinematics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Regular motions are followed by generated code alone: asking the kinematics would hide its mistakes."""
+
+    def refuse(*given: object, **named: object) -> None:
+        raise AssertionError("generated code did not follow the motion")
+
+    monkeypatch.setattr("redundancy_pin.dynamics.compiled.closing.inverse_kinematics", refuse)
 
 
 def libraries(folder: Path) -> int:
@@ -53,7 +65,7 @@ def payloads(name: str) -> list[Robot]:
     link = robot.platform.frame if robot.platform else robot.closures[0].frame_a
     return [
         robot.loaded(rp.Payload(link, mass, centre, inertia))
-        for mass, centre, inertia in ((0.7, (0.01, 0.02, 0.0), 0.001), (0.2, (0.0, 0.0, 0.0), 0.0))
+        for mass, centre, inertia in ((0.7, (0.01, 0.02, 0.03), 0.001), (0.2, (0.0, 0.0, 0.0), 0.0))
     ]
 
 
@@ -107,6 +119,29 @@ def test_a_number_that_becomes_zero_is_another_topology(tmp_path: Path, monkeypa
     for gravity in ((0.0, -9.81, 0.0), (0.0, -3.7, 0.0), (1.0, -9.81, 0.0)):
         assert_backends_agree(rp.CompiledDynamics(zoo.robot_of("four_bar", gravity=gravity)))
     assert libraries(tmp_path) == 2
+
+
+def test_every_role_is_part_of_a_topology() -> None:
+    """A library under the name of another topology would be loaded, and its answers would be wrong."""
+    robot = rp.load_robot("3rrr")
+    first, *rest = robot.closures
+    platform, modes = robot.platform, robot.working_modes
+    assert platform is not None
+    assert modes is not None
+    others = [
+        {"closures": (dataclasses.replace(first, axes=first.axes[:1]), *rest)},
+        {"closures": (dataclasses.replace(first, frame_a=first.frame_b, frame_b=first.frame_a), *rest)},
+        {"platform": dataclasses.replace(platform, pointer=1)},
+        {"platform": dataclasses.replace(platform, axes=platform.axes[:2])},
+        {"actuated": robot.actuated[::-1]},
+        {"carriers": robot.carriers[::-1]},
+        {"working_modes": dataclasses.replace(modes, joints=modes.joints[::-1])},
+        {"loads": (rp.JointForces(robot.actuated[0], damping=1.0),)},
+        {"loads": (rp.Wrench(platform.frame, np.ones(6), "local"),)},
+        {"loads": (rp.Wrench(platform.frame, np.ones(6), "world"),)},
+    ]
+    texts = [topology_of(dataclasses.replace(robot, **other)).text for other in others]
+    assert len({topology_of(robot).text, *texts}) == len(others) + 1
 
 
 def test_a_robot_with_other_numbers_does_not_import_casadi(tmp_path: Path) -> None:
