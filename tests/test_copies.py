@@ -19,6 +19,7 @@ from redundancy_pin.arrays import Frozen
 from redundancy_pin.crosscheck import run
 from redundancy_pin.dynamics.allocation import CarrierForces, allocate
 from redundancy_pin.dynamics.compiled import design_of
+from redundancy_pin.dynamics.compiled.parameters import layout_of, numbers_of, topology_of
 from redundancy_pin.dynamics.contacts import closure_forces
 from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
 from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
@@ -77,6 +78,8 @@ def objects() -> dict[str, Any]:
         "compiled along": compiled,
         "derivatives of compiled": compiled.derivatives(carriers, parameters=["carrier_1.mass"]),
         "design": design_of(robot, ["carrier_1.mass"]),
+        "numbers": numbers_of(robot),
+        "layout": layout_of(topology_of(robot)),
         "design task": DesignTask(dynamics, motion),
         "co-design": CoDesign({"length": 1.0}, (), np.ones(1), np.ones(1), np.ones((1, 1)), (), True, (), 0),
         "timed path": TimedPath(trajectory.path, polynomial, three),

@@ -166,11 +166,11 @@ def test_its_own_test_can_fail(tmp_path: Path) -> None:
         "tau": text.replace("u[j] * UNIT_OWN_COLUMN_SCALE[j]", "u[j] * (1.0 + 1e-9)"),
         "carrier force": text.replace("copy(efforts->carrier_force, rest,", "copy(efforts->carrier_force, f,"),
         "xd": text.replace("xd[i] = result[i] / UNIT_OWN_ROW_SCALE[i]", "xd[i] = result[i] * 1.000001"),
-        "closure Jacobian": text.replace("= K[i + j * UNIT_OWN_NP];", "= -K[i + j * UNIT_OWN_NP];"),
+        "closure Jacobian": text.replace("= K[i + j * UNIT_OWN_NP] *", "= -K[i + j * UNIT_OWN_NP] *"),
         "status of a bad input": re.sub(r"if \(!unit_own_finite\(in, .*?\) \|\|", "if (", text),
         "a state that was written to": text.replace(
-            "int closed = unit_own_rp_sample(from, in, out);",
-            "int closed = unit_own_rp_sample(from, in, out); state->sign = 2.0;",
+            "int closed = unit_own_rp_sample(UNIT_OWN_NUMBERS, from, in, out);",
+            "int closed = unit_own_rp_sample(UNIT_OWN_NUMBERS, from, in, out); state->sign = 2.0;",
         ),
     }
     tests = compiled([folder / "test_unit.c"], tmp_path / "test_unit.o", "-c")
@@ -254,7 +254,7 @@ PROBE = """
 int probe(const double *W, const double *f, unit_efforts *out);
 int probe(const double *W, const double *f, unit_efforts *out) {
   unit_own_Efforts found = {{0.0}, 0.0, 0.0, 0.0, 0};
-  int status = unit_own_distribute(W, f, 1.0, &found);
+  int status = unit_own_distribute(UNIT_OWN_NUMBERS, W, f, 1.0, &found);
   for (int j = 0; j < UNIT_M; ++j) out->tau[j] = found.tau[j];
   out->residual = found.residual, out->margin = found.margin, out->condition = found.condition, out->rank = found.rank;
   return status;

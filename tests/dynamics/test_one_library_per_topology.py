@@ -113,7 +113,7 @@ def test_a_robot_with_other_numbers_does_not_import_casadi(tmp_path: Path) -> No
     code = (
         "import sys, redundancy_pin as rp\n"
         "for length in {lengths}:\n"
-        "    assert rp.CompiledDynamics(rp.load_robot('four_bar', coupler_length=length)).compiled\n"
+        "    rp.CompiledDynamics(rp.load_robot('four_bar', coupler_length=length))\n"
         "print('casadi' in sys.modules)"
     )
     environment = {**os.environ, CACHE: str(tmp_path)}
