@@ -26,6 +26,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, read_only
+from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import (
     SETTLED_STEP,
     SINGULAR_MARGIN,
@@ -43,6 +44,8 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
+
+__all__ = ["ClosedState", "Follower", "Rates", "follower", "known_state"]
 
 LONGEST_STEP = 0.04
 """Longest step along a path, in characteristic lengths or rad: Newton converges from the prediction by Γ."""
@@ -108,6 +111,11 @@ class ClosedState(Frozen):
             ``SINGULAR_MARGIN``.
         blocks: rows and columns of the diagonal blocks of K, see ``loop_blocks``.
         basis: (R, r) U, orthonormal, where all closure rows take the place of independent ones; otherwise None.
+
+    Example:
+        >>> branch = follower(robot)
+        >>> state = branch.advance(branch.home, x)  # None where the branch is lost
+        >>> W = state.gamma[robot.actuated_velocity].T  # (n, m)
     """
 
     x: Array
@@ -141,6 +149,8 @@ class Rates(NamedTuple):
 
 class Follower:
     """Follows branches of a robot; a workspace that holds Pinocchio data, see ``follower``.
+
+    docs/guide/own_simulator.md has a simulator that is made of it.
 
     Args:
         robot: the robot.
@@ -285,7 +295,22 @@ class Follower:
         return ClosedState(x, q, gamma, inverse, residual, margin if size else math.inf, self.blocks, basis)
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
-        """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v), for rates (n,) of the independent coordinates."""
+        """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
+
+        Args:
+            state: a state where K has an inverse.
+            xd: (n,) rates of the independent coordinates, or the twist of the platform.
+            xdd: (n,) their second rates.
+
+        Raises:
+            SingularPoseError: K is singular there, so that it does not determine a; ``pass_through`` interpolates it.
+        """
+        if state.interpolated:
+            raise SingularPoseError(
+                f"K is singular at x = {np.array2string(state.x, precision=4)} and does not determine accelerations.",
+                remedy="At a rank loss of the closures pass_through interpolates them along the branch.",
+                margin=state.margin,
+            )
         chain, v = self.chain, state.gamma.dot(xd)
         chain.place_moving(state.q, v)
         placed = self._rows.place(chain.vectors, state.q)
