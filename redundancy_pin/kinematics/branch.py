@@ -20,12 +20,12 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, lapack, read_only
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import (
     SETTLED_STEP,
@@ -259,7 +259,7 @@ class Follower:
             rest[: self._rank] = -phi
             rest[self._rank :] = self.difference(x, self.chain.coordinates(q)) / self._unit
             before, size = size, math.sqrt(rest.dot(rest))
-            factored, pivots, change, failed = _lapack().dgesv(K, rest)
+            factored, pivots, change, failed = lapack().dgesv(K, rest)
             if failed:
                 return None
             longest = _largest(change)
@@ -269,7 +269,7 @@ class Follower:
             q = self._integrate(q, step)
             settled = size < 0.1 * _CONVERGED or longest < _CONVERGED
             if settled or (size >= before and longest < SETTLED_STEP):
-                inverse = _lapack().dgetri(factored, pivots)[0]
+                inverse = lapack().dgetri(factored, pivots)[0]
                 open_row = 0.0
                 if self._redundant:
                     basis, inverse = self._independent(q, basis, inverse)
@@ -594,14 +594,6 @@ _COS_TURNED_OVER = math.cos(TURNED_OVER)
 def _largest(values: Array) -> float:
     """Return the largest magnitude of a few values; numpy's own way takes three times as long."""
     return max(map(abs, values.ravel().tolist()), default=0.0)
-
-
-@lru_cache(maxsize=1)
-def _lapack() -> Any:
-    """Return scipy's LAPACK, which takes a quarter of the time of numpy.linalg; scipy is imported when first used."""
-    from scipy.linalg import lapack
-
-    return lapack
 
 
 def known_state(robot: Robot, x: Array, q: Array, gamma: Array) -> ClosedState:
