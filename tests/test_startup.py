@@ -40,7 +40,8 @@ COMMANDS_RUN = {
     COMMAND.format(["info", "--help"]): {"click", "numpy", "pinocchio", "yaml"},
     COMMAND.format(["info", "--json"]): {"click", "numpy", "pinocchio", "yaml"},
     COMMAND.format(["info"]): {"click", "numpy", "pinocchio", "yaml", "rich"},
-    COMMAND.format(["info", "--robot", "3rrr"]): {*KINEMATICS, "click", "rich"},
+    # efforts that hold the reference: one sample of inverse kinematics, whose equations LAPACK solves
+    COMMAND.format(["info", "--robot", "3rrr"]): {*KINEMATICS, "click", "rich", "scipy"},
 }
 """Of those, the ones that programs may load, one after another in the same process."""
 

@@ -10,9 +10,8 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import lapack
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack
 from redundancy_pin.dynamics.base import Dynamics, ReducedSample, TorqueSample, one_sample
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE, distribute
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
@@ -80,7 +79,7 @@ def solve_sample(robot: Robot, sample: ReducedSample, q: Array, given: SampleArg
     size = math.sqrt(float(g @ g))
     if not (math.isfinite(size) and math.isfinite(float(np.abs(A).sum()))):
         return without_answer(robot, SampleStatus.NOT_FINITE)
-    u, values, vt, failed = lapack.dgesdd(A)
+    u, values, vt, failed = lapack().dgesdd(A)
     if failed:
         return without_answer(robot, SampleStatus.NOT_FINITE)
     rank = int((values > RANK_TOLERANCE * max(float(values[0]), UNIT)).sum())

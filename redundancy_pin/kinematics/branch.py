@@ -20,12 +20,13 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, lapack, read_only
+from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import (
     SETTLED_STEP,
     SINGULAR_MARGIN,
@@ -43,6 +44,8 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
+
+__all__ = ["ClosedState", "Follower", "Rates", "follower", "known_state"]
 
 LONGEST_STEP = 0.04
 """Longest step along a path, in characteristic lengths or rad: Newton converges from the prediction by Γ."""
@@ -108,6 +111,11 @@ class ClosedState(Frozen):
             ``SINGULAR_MARGIN``.
         blocks: rows and columns of the diagonal blocks of K, see ``loop_blocks``.
         basis: (R, r) U, orthonormal, where all closure rows take the place of independent ones; otherwise None.
+
+    Example:
+        >>> branch = follower(robot)
+        >>> state = branch.advance(branch.home, x)  # None where the branch is lost
+        >>> W = state.gamma[robot.actuated_velocity].T  # (n, m)
     """
 
     x: Array
@@ -141,6 +149,8 @@ class Rates(NamedTuple):
 
 class Follower:
     """Follows branches of a robot; a workspace that holds Pinocchio data, see ``follower``.
+
+    docs/guide/own_simulator.md has a simulator that is made of it.
 
     Args:
         robot: the robot.
@@ -249,7 +259,7 @@ class Follower:
             rest[: self._rank] = -phi
             rest[self._rank :] = self.difference(x, self.chain.coordinates(q)) / self._unit
             before, size = size, math.sqrt(rest.dot(rest))
-            factored, pivots, change, failed = _lapack().dgesv(K, rest)
+            factored, pivots, change, failed = lapack().dgesv(K, rest)
             if failed:
                 return None
             longest = _largest(change)
@@ -259,7 +269,7 @@ class Follower:
             q = self._integrate(q, step)
             settled = size < 0.1 * _CONVERGED or longest < _CONVERGED
             if settled or (size >= before and longest < SETTLED_STEP):
-                inverse = _lapack().dgetri(factored, pivots)[0]
+                inverse = lapack().dgetri(factored, pivots)[0]
                 open_row = 0.0
                 if self._redundant:
                     basis, inverse = self._independent(q, basis, inverse)
@@ -285,7 +295,22 @@ class Follower:
         return ClosedState(x, q, gamma, inverse, residual, margin if size else math.inf, self.blocks, basis)
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
-        """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v), for rates (n,) of the independent coordinates."""
+        """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
+
+        Args:
+            state: a state where K has an inverse.
+            xd: (n,) rates of the independent coordinates, or the twist of the platform.
+            xdd: (n,) their second rates.
+
+        Raises:
+            SingularPoseError: K is singular there, so that it does not determine a; ``pass_through`` interpolates it.
+        """
+        if state.interpolated:
+            raise SingularPoseError(
+                f"K is singular at x = {np.array2string(state.x, precision=4)} and does not determine accelerations.",
+                remedy="At a rank loss of the closures pass_through interpolates them along the branch.",
+                margin=state.margin,
+            )
         chain, v = self.chain, state.gamma.dot(xd)
         chain.place_moving(state.q, v)
         placed = self._rows.place(chain.vectors, state.q)
@@ -569,14 +594,6 @@ _COS_TURNED_OVER = math.cos(TURNED_OVER)
 def _largest(values: Array) -> float:
     """Return the largest magnitude of a few values; numpy's own way takes three times as long."""
     return max(map(abs, values.ravel().tolist()), default=0.0)
-
-
-@lru_cache(maxsize=1)
-def _lapack() -> Any:
-    """Return scipy's LAPACK, which takes a quarter of the time of numpy.linalg; scipy is imported when first used."""
-    from scipy.linalg import lapack
-
-    return lapack
 
 
 def known_state(robot: Robot, x: Array, q: Array, gamma: Array) -> ClosedState:

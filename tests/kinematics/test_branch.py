@@ -15,6 +15,7 @@ from flat_linkages import row_of_four_bars
 from folding import folding_four_bar
 
 import redundancy_pin as rp
+from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import assemble, integrate, project
 from redundancy_pin.kinematics.branch import (
     LONGEST_STEP,
@@ -90,7 +91,7 @@ def test_a_state_that_the_branch_contradicts_is_refused() -> None:
 
 @pytest.mark.parametrize("beside", [0.0, 1e-6, -1e-6])
 def test_no_plain_step_leads_to_a_rank_loss(beside: float, tmp_path: Path) -> None:
-    """Newton's rounding shows in the rates there; ``pass_through`` has the state and its rates."""
+    """Newton's rounding shows in the rates there; ``pass_through`` has the state and its rates, ``rates`` refuses."""
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
     own = follower(robot)
     before = own.advance(own.home, np.array([np.pi - 0.05]))
@@ -100,6 +101,8 @@ def test_no_plain_step_leads_to_a_rank_loss(beside: float, tmp_path: Path) -> No
     passed = own.pass_through(before, np.array([np.pi + beside]), np.ones(1), np.zeros(1))
     assert passed is not None
     assert passed.state.interpolated
+    with pytest.raises(SingularPoseError, match="pass_through"):
+        own.rates(passed.state, np.ones(1), np.zeros(1))
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0**5])
