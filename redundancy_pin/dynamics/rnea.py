@@ -15,7 +15,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import pinocchio as pin
@@ -37,11 +37,13 @@ from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_ener
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.branch import ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.coordinates import in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale
+from redundancy_pin.robot.whole_turns import TURN, counted_turns
 from redundancy_pin.status import SampleStatus
 
 
@@ -85,8 +87,12 @@ class RneaDynamics(Dynamics):
 
     def __init__(self, robot: RobotLike, *, progress: Callable[[int, int], None] | None = None) -> None:
         self._robot, self._progress = as_robot(robot), progress
-        self._last: dict[int, RneaSample] = {}
-        """By thread the sample from which ``torque`` goes on."""
+        self._thread = threading.local()
+        """Holds ``last``: the sample of this thread from which ``torque`` goes on."""
+
+    def __reduce__(self) -> tuple[Callable[[Robot], RneaDynamics], tuple[Robot]]:
+        """Make it again where it is copied or sent to: samples of a thread stay there."""
+        return partial(RneaDynamics, progress=self._progress), (self._robot,)
 
     @property
     def robot(self) -> Robot:
@@ -152,15 +158,15 @@ class RneaDynamics(Dynamics):
         start: ArrayLike | None = None,
     ) -> TorqueSample:
         """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
-        given, thread = (x, xd, xdd, s, sd, sdd), threading.get_ident()
+        given = (x, xd, xdd, s, sd, sdd)
         if start is not None:
             there = replace(self._robot, q_reference=checked(start, "start", self._robot.q_reference.shape))
             elsewhere = self.for_robot(there)
             torque = elsewhere.torque(*given, t=t)
-            self._last |= elsewhere._last
+            self._thread.last = getattr(elsewhere._thread, "last", None)
             return torque
         try:
-            sample = self.sample(*given, start=self._last.get(thread), t=t)
+            sample = self.sample(*given, start=getattr(self._thread, "last", None), t=t)
         except (InputError, *REFUSALS):
             if not is_finite(given):
                 return without_answer(self._robot, SampleStatus.NOT_FINITE)
@@ -168,7 +174,7 @@ class RneaDynamics(Dynamics):
                 sample = self.sample(*given, t=t)  # from the reference
             except REFUSALS as error:
                 return without_answer(self._robot, status_of(error))
-        self._last[thread] = sample
+        self._thread.last = sample
         return solve_sample(self._robot, sample, sample.state.q, given, t)
 
     def _regular_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
@@ -185,8 +191,13 @@ class RneaDynamics(Dynamics):
             return None
         if not np.isfinite(np.concatenate((x.ravel(), xd, xdd, s, sd, sdd))).all():
             return None
-        reached = own.advance(home, read_only(x))
+        turned = counted_turns(robot).coordinates
+        if len(turned) and (np.abs(x[turned] - home.x[turned]) > TURN).any():
+            return None
+        reached = own.advance(home, x)
         if reached is None or reached.margin < own.near:
+            return None
+        if start is None and not in_working_mode(robot, reached.q[None])[0]:
             return None
         _, v, a = own.rates(reached, xd, xdd)
         gamma, q = reached.gamma, reached.q.copy()

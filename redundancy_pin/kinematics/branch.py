@@ -334,6 +334,7 @@ class Follower:
         Steps are halved until each is accepted. A rank loss of the closures that the branch goes smoothly through is
         passed. What ended a branch is for ``inverse_kinematics`` to say.
         """
+        x = read_only(np.array(x))
         start, whole = here.x, self.difference(x, here.x)
         length = float(np.linalg.norm(whole / self._unit)) / LONGEST_STEP
         if not (math.isfinite(length) and np.isfinite(here.gamma).all()):
@@ -378,10 +379,9 @@ class Follower:
         if not guarded:
             return new
         same_side = self._same_sides(here.q, new.q)
-        if _largest(moved * self._radians) < new.margin:
+        if _largest(moved * self._radians) < 0.5 * min(here.margin, new.margin):  # K stays regular within the step
             return new if same_side else None
-        plain = not here.interpolated and here.basis is None and new.basis is None
-        if plain and (here.determinants[0] * new.determinants[0] < 0.0).any():
+        if self._changes_sign(here, new):
             return new if self.crosses(here, new) else None
         bend = _largest((new.gamma - here.gamma).dot(increment) * self._radians)
         if same_side and (here.interpolated or bend <= SAME_TANGENT * length):
@@ -400,6 +400,11 @@ class Follower:
             inside = np.array([np.linalg.slogdet(K[rows[:, None], columns])[1] for rows, columns in self.blocks])
             lost.append(-np.expm1(inside - state.determinants[1]) > 0.9 * _SLOPE_STEP)
         return bool((lost[0] & lost[1]).any())
+
+    def _changes_sign(self, before: ClosedState, after: ClosedState) -> bool:
+        """Return whether a determinant changes its sign from one state to the next, as far as both have the same rows."""
+        known = not before.interpolated and before.basis is None and after.basis is None
+        return known and bool((before.determinants[0] * after.determinants[0] < 0.0).any())
 
     def _same_sides(self, before: Array, after: Array) -> bool:
         """Return whether every leg is, and was, on the same side of the change of its working mode."""
@@ -439,14 +444,24 @@ class Follower:
     def _at_rank_loss(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates where the closures lose rank, None where they do not or no branch goes on."""
         guess = self._integrate(here.q, here.gamma.dot(self.difference(x, here.x)))
-        if self._margin(guess, here.basis) > 10.0 * self.near:
+        if self._margin(guess, here.basis) > 10.0 * self.near or not self.closures_lose_rank(guess, here.basis):
             return None
         closed = self.close(guess, x, here.basis)
         if closed is not None and closed.margin > self.near:
             return None
+        changed = closed is not None and closed.margin > 0.0 and self._changes_sign(here, closed)
+        if closed is not None and changed and not self.crosses(here, closed):
+            return None  # the branch on the other side is another one
         still = np.zeros(self.robot.n)
         result = self.pass_through(here, x, still, still)
         return None if result is None else result.state
+
+    def closures_lose_rank(self, q: Array, basis: Array | None = None) -> bool:
+        """Return whether the closure rows are near a loss of rank at q (nq,); at a stretched leg they are not."""
+        rows = self._matrix(q, basis)[0][: self._rank]
+        if not len(rows) or not np.isfinite(rows).all():
+            return False
+        return bool(np.linalg.svd(rows, compute_uv=False)[-1] < 10.0 * self.near)
 
     def _margin(self, q: Array, basis: Array | None) -> float:
         inverse = inverses(self._matrix(q, basis)[0][None])[0]

@@ -249,7 +249,10 @@ class _Solution:
             self._near = self._near or (here.margin if self._done else reached.margin)
             if reached.margin > _EVEN * self._near > 0.0:
                 return follower.rates(reached, xd, xdd)
-        passed = follower.pass_through(here, x, xd, xdd)
+        lost = reached.interpolated or follower.closures_lose_rank(reached.q, reached.basis)
+        passed = follower.pass_through(here, x, xd, xdd) if lost else None
+        if passed is None and lost and not reached.interpolated:  # the sample before may be too far for one step
+            passed = follower.pass_through(reached, x, xd, xdd)
         if passed is not None or reached.interpolated:
             return passed
         rated = follower.rates(reached, xd, xdd)

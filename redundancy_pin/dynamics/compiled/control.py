@@ -159,6 +159,10 @@ class TorqueCall:
         except _NEEDS_CONVERTING:
             self._arguments.convert(x, xd, xdd, s, sd, sdd)
         if self._loaded:
+            given = np.concatenate(self._arguments.parts[:-1])
+            if not (np.isfinite(given).all() and np.isfinite(t)):  # a wrench may be a function of time and motion
+                self._results.fill(np.nan)
+                return TorqueSample(self._tau.copy(), SampleStatus.NOT_FINITE, self._margin(), self._force.copy())
             at = self._motion(t)
             wrenches = wrench_values(self._robot.loads, at.t, at.x, at.xd)
             self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]
