@@ -402,7 +402,7 @@ class Follower:
         return bool((lost[0] & lost[1]).any())
 
     def _changes_sign(self, before: ClosedState, after: ClosedState) -> bool:
-        """Return whether a determinant changes its sign from one state to the next, as far as both have the same rows."""
+        """Return whether a determinant changes its sign from one state to the next, of the same rows."""
         known = not before.interpolated and before.basis is None and after.basis is None
         return known and bool((before.determinants[0] * after.determinants[0] < 0.0).any())
 
