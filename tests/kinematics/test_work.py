@@ -83,7 +83,7 @@ def test_next_to_full_stretch_steps_get_shorter(counted: Callable[..., int]) -> 
     y = np.linspace(0.76, np.sqrt(1.0 - 0.25**2) - 1e-6, 50)
     x = np.stack([np.full(50, 0.25), y], axis=1)
     motion = rp.PlatformMotion(np.arange(50.0), x, np.zeros((50, 2)), np.zeros((50, 2)), check_rates=False)
-    at_most(counted(lambda: inverse_kinematics(robot, motion)), 1274)
+    at_most(counted(lambda: inverse_kinematics(robot, motion)), 422)
 
 
 def test_a_rank_loss_is_crossed_on_a_line_of_nodes(counted: Callable[..., int], tmp_path: Path) -> None:
