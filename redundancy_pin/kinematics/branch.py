@@ -177,9 +177,8 @@ class Follower:
 
     @cached_property
     def blocks(self) -> Sequence[tuple[IntArray, IntArray]]:
-        """The blocks of K, see ``loop_blocks``; one where rows depend on one another."""
-        everything = np.arange(len(self._columns))
-        return ((everything, everything),) if self._redundant else loop_blocks(self.system)
+        """The blocks of K, see ``loop_blocks``."""
+        return loop_blocks(self.system)
 
     @cached_property
     def near(self) -> float:
@@ -292,7 +291,9 @@ class Follower:
             array.setflags(write=False)
         margin = 1.0 / size if 0.0 < size < 1.0 / SINGULAR_MARGIN else 0.0
         residual *= self.robot.characteristic_length
-        return ClosedState(x, q, gamma, inverse, residual, margin if size else math.inf, self.blocks, basis)
+        everything = np.arange(len(self._columns))  # combined rows belong to all loops
+        blocks = self.blocks if basis is None else ((everything, everything),)
+        return ClosedState(x, q, gamma, inverse, residual, margin if size else math.inf, blocks, basis)
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
         """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).

@@ -253,8 +253,10 @@ class _Solution:
         passed = follower.pass_through(here, x, xd, xdd) if lost else None
         if passed is None and lost and not reached.interpolated:  # the sample before may be too far for one step
             passed = follower.pass_through(reached, x, xd, xdd)
-        if passed is not None or reached.interpolated:
-            return passed
+        if passed is not None:  # its margin is that of the closed state next to it
+            return passed._replace(state=replace(passed.state, margin=reached.margin))
+        if reached.interpolated:
+            return None
         rated = follower.rates(reached, xd, xdd)
         return None if not self._positions_only and is_rounded(follower, rated) else rated
 

@@ -21,7 +21,8 @@ from redundancy_pin.robot.types import Robot, slides
 TURN = 2.0 * np.pi
 
 MOST_TURNS = 1_000
-"""Turns that are followed one by one where they do not repeat: ten seconds. Generated code follows ten times as many."""
+"""Turns that are followed one by one where they do not repeat: ten seconds. Generated code follows ten times as
+many."""
 
 WHOLE = 1e-9
 """rad or characteristic lengths by which joints may miss whole turns; Newton's method comes to 1e-13."""

@@ -15,7 +15,6 @@ from written import J, urdf_of, write_robot
 import redundancy_pin as rp
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
-from redundancy_pin.errors import UnreachablePoseError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 
@@ -123,8 +122,6 @@ def test_turns_that_never_repeat_are_followed_one_by_one(polynomial: tuple[float
     x = angle_after(790)
     found = CompiledDynamics(geared(*polynomial)).reduce(motion_at(x)).f[0, 0]
     near(found, holding(x, *polynomial), x, 10.0)
-    with pytest.raises(UnreachablePoseError):
-        CompiledDynamics(geared(*polynomial)).reduce(motion_at(angle_after(1_000_000)))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

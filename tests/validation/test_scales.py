@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from generated_c import COMPILERS, Code, compiled, filled, folder_of
+from generated_c import COMPILERS, Code, compiled, folder_of
 from scaled import Units, coordinate_units, effort_units, scaled_carriers, scaled_motion, scaled_robot
 
 import redundancy_pin as rp
@@ -176,8 +176,8 @@ def test_generated_c_has_the_statuses_and_efforts_of_python_in_all_units(choice:
 
 PROBE = """
 #include "unit.c"
-double probe(const unit_motion *motion);
-double probe(const unit_motion *motion) { return unit_own_force_size_of(motion); }
+double probe(const double *in);
+double probe(const double *in) { return unit_own_force_size_of(UNIT_OWN_NUMBERS, in); }
 """
 
 
@@ -190,13 +190,13 @@ def test_generated_c_has_the_same_sizes_of_forces(tmp_path: Path) -> None:
     (tmp_path / "probe.c").write_text(PROBE)
     flags = f"-I{folder_of(robot)}", "-O1", "-shared", "-fPIC"
     probe = ctypes.CDLL(str(compiled([tmp_path / "probe.c"], tmp_path / "probe.so", *flags))).probe
-    probe.restype, code = ctypes.c_double, Code(robot)
+    probe.restype = ctypes.c_double
     random = np.random.default_rng(5)
     for moving in (1, 2, 3, 4):  # one part alone is seen, too
         xd, xdd, sd, sdd = (random.normal(size=(1, 2)) * (k + 1 == moving) for k in range(4))
-        given = filled(code.motion_type, np.array([0.2, 0.3]), xd, xdd, np.zeros(2), sd, sdd)
+        given = np.concatenate([[0.2, 0.3], xd[0], xdd[0], np.zeros(2), sd[0], sdd[0]])
         want = sample_scales(robot, xd, xdd, sd, sdd).force[0]
-        assert probe(ctypes.byref(given)) == pytest.approx(want, rel=1e-14)
+        assert probe(ctypes.c_void_p(given.ctypes.data)) == pytest.approx(want, rel=1e-14)
 
 
 def free_rod(length: float) -> Robot:

@@ -92,7 +92,8 @@ def by_model(robot: Robot, name: str) -> Array:
     """Return the derivatives (F,) by one number of the model itself."""
     owner, what, axis = _split(name)
     model, numbers = robot.model, numbers_of(robot)
-    joint = model.getJointId(owner) if model.existJointName(owner) else 0
+    names = list(model.names)
+    joint = names.index(owner) if owner in names else 0
     column = np.zeros(len(numbers.values))
     frame = ("joint", joint) if joint else ("link", owner)
     if what == "origin" and axis in _OF_FRAMES and (*frame, "origin") in numbers.places:
