@@ -23,6 +23,7 @@ from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import coordinate_unit
 from redundancy_pin.singularities.classify import classify_motion
 from redundancy_pin.status import SampleStatus
 
@@ -356,12 +357,18 @@ def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
 
 
 def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:
-    own = follower(shipped)
+    own, rng = follower(shipped), np.random.default_rng(4)
     sizes = {"2rpr": 2, "3rrr": 3, "five_bar": 2, "four_bar": 2, "gough": 6}
-    sign, log = own.home.determinants
-    assert log.shape == (sizes[shipped.name],)
-    assert log.sum() == pytest.approx(-np.linalg.slogdet(own.home.inverse)[1], abs=1e-9)
-    assert (np.abs(sign) == 1.0).all()
+    for _ in range(5):
+        here = own.advance(
+            own.home, own.displace(own.home.x, rng.normal(0.0, 0.01, shipped.n) * coordinate_unit(shipped))
+        )
+        assert here is not None
+        sign, log = here.determinants
+        assert log.shape == (sizes[shipped.name],)
+        K = own.system.relative(own.system.evaluate(here.q[None]).K)  # by the batched rows
+        assert log.sum() == pytest.approx(np.linalg.slogdet(K)[1][0], abs=1e-9)
+        assert (np.abs(sign) == 1.0).all()
 
 
 @pytest.mark.long
