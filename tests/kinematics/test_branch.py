@@ -190,3 +190,20 @@ def test_behind_a_gap_the_motion_is_reacquired_in_the_mode() -> None:
     motion = rp.PlatformMotion(np.arange(101.0), x, still, still, check_rates=False)
     tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     np.testing.assert_array_equal(tree.reachable, heights < np.sqrt(1 - 0.25**2))
+
+
+@pytest.mark.parametrize("excess", [1e-6, 1e-7, 1e-8, 1e-9])
+@pytest.mark.parametrize("count", [2, 4, 7, 13, 40])
+def test_no_branch_is_changed_where_two_nearly_touch(excess: float, count: int, tmp_path: Path) -> None:
+    """The coupler stays on its side of a four-bar that misses its flat pose by a little: followed, or given up."""
+    robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25 + excess), (1.0, 1.9, 1.5))
+    own, coupler = follower(robot), robot.model.joints[robot.model.getJointId("coupler")].idx_q
+    here = own.advance(own.home, np.array([np.pi - 0.02]))
+    assert here is not None
+    side = np.sign(np.sin(here.q[coupler]))
+    for angle in np.linspace(np.pi - 0.02, np.pi + 0.02, count)[1:]:
+        reached = own.advance(here, np.array([angle]))
+        if reached is None:
+            break
+        here = reached
+        assert np.sign(np.sin(here.q[coupler])) == side
