@@ -41,7 +41,6 @@ from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import OPEN, ConstraintSystem, constraint_system, with_all_rows
 from redundancy_pin.kinematics.coordinates import angle_columns, difference, mode_indicators, pose_rows
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
@@ -172,8 +171,7 @@ class Follower:
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
         self._is_pose, self._angles, self._pose_rows = is_pose(robot), angle_columns(robot), pose_rows(robot)
         self._legs = list(zip(*(part.tolist() for part in mode_indicators(robot)[:2]), strict=True))
-        ids = {name: 12 * find_link_index(robot.model, name) for name in chain.system.tree.support}
-        self._aligned = [(ids[a] + 3 * k, ids[b] + 3 * k) for a, b, k in chain.system.aligned]
+        self._aligned = self.system.aligned
 
     @cached_property
     def blocks(self) -> Sequence[tuple[IntArray, IntArray]]:

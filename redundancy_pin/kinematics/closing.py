@@ -14,7 +14,9 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.tree import frame_placement
 from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.robot.scales import velocity_unit
 
 SEED = 2014
@@ -135,12 +137,9 @@ def _turn(
     system: ConstraintSystem, state: ConstraintState, closure: Closure, turning: list[int]
 ) -> tuple[Array, Array]:
     """Return (3,) the rotation vector from frame a to b, of a hinge that of its axes, and (3, nv) its rate."""
-    A, B = (state.pose.frame_rotation[frame][:, :, 0] for frame in (closure.frame_a, closure.frame_b))
-    rates = np.zeros((2, 3, system.robot.model.nv))
-    for rate, frame in zip(rates, (closure.frame_a, closure.frame_b), strict=True):
-        columns = list(system.tree.support[frame])
-        rate[:, columns] = state.pose.jacobian[3:, columns, 0]
-    relative: Array = A.T @ (rates[1] - rates[0])
+    frames = closure.frame_a, closure.frame_b
+    A, B = (frame_placement(state.vectors[:, 0], find_link_index(system.robot.model, each))[0] for each in frames)
+    relative: Array = A.T @ (state.columns[0, 3:] * (system.support[frames[1]] - system.support[frames[0]]))
     if len(turning) == 3:
         return pin.log3(A.T @ B), relative
     free = 3 - sum(turning)

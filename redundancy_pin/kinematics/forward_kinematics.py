@@ -32,6 +32,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.branch import ClosedState, known_state
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
@@ -39,7 +40,7 @@ from redundancy_pin.kinematics.multistart import wrapped
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range, random_spread, range_excess, range_slack
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
 from redundancy_pin.status import SampleStatus, solved_status
@@ -233,7 +234,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
         _judge_rest(motors, route.u[places[end:]], tree.q[route.places[end]], rest)
         branch[places[end:]] = q[end:]
     x = _platform_at(system, branch)
-    xd, xdd = platform_rates(system, q, v, a)
+    xd, xdd = platform_rates(robot, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
@@ -403,13 +404,14 @@ def _platform_at(system: ConstraintSystem, q: Array) -> Array:
     return x
 
 
-def platform_rates(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-    """Return ẋ and ẍ (N, n) of the independent coordinates at states (N, nq), (N, nv), (N, nv); NaN where q is."""
-    robot, known = system.robot, np.isfinite(q).all(axis=1)
-    state = system.evaluate(q[known])
+def platform_rates(robot: Robot, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """Return ẋ = J_x v and ẍ = J_x a + J̇_x v (N, n) at states q (N, nq), v and a (N, nv); NaN where q is."""
+    chain = ClosedChain(robot)
     xd, xdd = np.full((2, len(q), robot.n), np.nan)
-    xd[known] = np.einsum("ijv,iv->ij", state.Jx, v[known])
-    xdd[known] = np.einsum("ijv,iv->ij", state.Jx, a[known]) + system.bias(state, v[known])[1]
+    for k in np.flatnonzero(np.isfinite(q).all(axis=1)):
+        chain.update(q[k], v[k])
+        rows = chain.platform_jacobian()
+        xd[k], xdd[k] = rows @ v[k], rows @ a[k] + chain.platform_jacobian_rate() @ v[k]
     return xd, xdd
 
 
@@ -535,9 +537,10 @@ def _frames(robot: Robot, q: Array) -> Array:
     model = robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, q)
-    pose = constraint_system(robot).evaluate(q[None]).pose
+    pin.updateFramePlacements(model, data)
     parts = [*(data.oMi[k].translation for k in range(1, model.njoints))]
-    parts += [origin[:, 0] for origin in pose.frame_origin.values()]
+    parts += [data.oMf[find_link_index(model, name)].translation for name in constraint_system(robot).support]
     if robot.platform is not None:
-        parts.append(robot.characteristic_length * pose.frame_rotation[robot.platform.frame][:, :, 0].ravel())
+        platform = data.oMf[find_link_index(model, robot.platform.frame)]
+        parts.append(robot.characteristic_length * platform.rotation.ravel())
     return np.concatenate(parts)
