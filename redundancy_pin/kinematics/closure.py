@@ -380,6 +380,11 @@ class ConstraintSystem:
         result: Array = K * (self.step_unit / self.equation_unit[:, None])
         return result
 
+    def closure_rows(self, q: Array) -> Array:
+        """Return J_c (r, p) at one configuration q (nq,), without units and without the carrier columns."""
+        rows: Array = self.relative(self.evaluate(q[None]).K)[0, : len(self.rows)]
+        return rows
+
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
         tree, r, n = _placement(self.robot, threading.get_ident()), len(self.rows), len(self.independent)
@@ -504,8 +509,6 @@ def made_up(robot: Robot, q: Array) -> bool:
     """
     if not robot.all_closures:
         return False
-    rank, values = len(constraint_system(robot).rows), []
-    for system in (constraint_system(robot), constraint_system(with_all_rows(robot))):
-        rows = system.evaluate(q[None]).Jc[0][:, system.pose_columns] * system.step_unit / system.closure_unit[:, None]
-        values.append(np.linalg.svd(rows, compute_uv=False)[rank - 1])
-    return bool(values[1] > _FULL * values[0])
+    some, every = constraint_system(robot), constraint_system(with_all_rows(robot))
+    least, least_of_all = (np.linalg.svd(each.closure_rows(q), compute_uv=False) for each in (some, every))
+    return bool(least_of_all[len(some.rows) - 1] > _FULL * least[-1])
