@@ -30,8 +30,9 @@ SHORTEST_STEP = 2.0**-5
 """A start that needs shorter Newton steps than this is given up: as many starts succeed, in a third of the time."""
 
 _STARTS = (16, 240)
-"""Random starts of each round, three times the first where joints are known. Of four legs with two elbows each one start
-in sixteen falls to a given mode, which 16 miss with a chance of 36 %; of six legs one in 64, which 240 miss with 2 %."""
+"""Random starts of each round, three times the first where joints are known. Of four legs with two elbows each one
+start in sixteen falls to a given mode, which 16 miss with a chance of 36 %; of six legs one in 64, which 240 miss with
+2 %."""
 
 
 class PoseSolution(NamedTuple):
