@@ -344,6 +344,12 @@ static int is_pose(const double *x) {
 #endif
 }
 
+/* Why a sample cannot be evaluated whatever the robot: NOT_FINITE or NO_POSE, or CLOSED where nothing is wrong with it. */
+static int refusal_of(const double *in) {
+  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH)) return NOT_FINITE;
+  return is_pose(in) ? CLOSED : NO_POSE;
+}
+
 /* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
    sample is closed on the same side of every type I singularity. */
@@ -351,8 +357,8 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
   Pose pose;
-  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH) || !finite(state, NQ + 1)) return NOT_FINITE;
-  if (!is_pose(x)) return NO_POSE;
+  int refused = refusal_of(in);
+  if (refused) return refused;
   if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
   if (margin < LEAST_MARGIN) return SINGULAR;
