@@ -32,14 +32,16 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.branch import ClosedState, known_state
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
-from redundancy_pin.kinematics.multistart import wrapped
+from redundancy_pin.kinematics.mobility import independent_columns
+from redundancy_pin.kinematics.multistart import SEED, SHORTEST_STEP, draw_starts, wrapped
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.joint_ranges import out_of_range, random_spread, range_excess, range_slack
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.joint_ranges import out_of_range, range_excess, range_slack
+from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
 from redundancy_pin.status import SampleStatus, solved_status
@@ -56,11 +58,8 @@ _SEEN, _OFTEN = 1e-3, 6
 """Random starts go on until one more has a chance below the first of finding a mode that none has found, and each mode
 was found as often as the second on average."""
 
-_SHORTEST_STEP = 2.0**-5
 _SAME_MODE = 1e-6
 """Configurations whose frames are nearer than this, in characteristic lengths, are the same mode."""
-
-_SEED = 20141
 
 _FEW_TURNS, _MOST_TURNS = 3, 100
 """Turns between samples that are followed as they are; of several motors at most, which takes seconds."""
@@ -233,7 +232,7 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
         _judge_rest(motors, route.u[places[end:]], tree.q[route.places[end]], rest)
         branch[places[end:]] = q[end:]
     x = _platform_at(system, branch)
-    xd, xdd = platform_rates(system, q, v, a)
+    xd, xdd = platform_rates(robot, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
@@ -264,13 +263,9 @@ def _followed(system: ConstraintSystem, q: Array) -> IntArray:
         )
     if robot.m == robot.n:
         return np.arange(robot.m)
-    from scipy.linalg import qr
-
-    columns = system.pose_columns
-    closures = system.evaluate(q[None]).Jc[0][:, columns] * system.step_unit / system.closure_unit[:, None]
-    free = np.linalg.svd(closures)[2][-robot.n :]
-    chosen = qr(free[:, np.searchsorted(columns, robot.actuated_velocity)], mode="r", pivoting=True)[1][: robot.n]
-    return np.sort(chosen)
+    free = np.linalg.svd(system.closure_rows(q))[2][-robot.n :]
+    motors = free[:, np.searchsorted(system.pose_columns, robot.actuated_velocity)]
+    return np.sort(np.array(independent_columns(motors, 0.0), dtype=np.intp))
 
 
 def _contradiction(system: ConstraintSystem, followed: IntArray, u: Array, q: Array) -> Array:
@@ -403,13 +398,14 @@ def _platform_at(system: ConstraintSystem, q: Array) -> Array:
     return x
 
 
-def platform_rates(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-    """Return ẋ and ẍ (N, n) of the independent coordinates at states (N, nq), (N, nv), (N, nv); NaN where q is."""
-    robot, known = system.robot, np.isfinite(q).all(axis=1)
-    state = system.evaluate(q[known])
+def platform_rates(robot: Robot, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """Return ẋ = J_x v and ẍ = J_x a + J̇_x v (N, n) at states q (N, nq), v and a (N, nv); NaN where q is."""
+    chain = ClosedChain(robot)
     xd, xdd = np.full((2, len(q), robot.n), np.nan)
-    xd[known] = np.einsum("ijv,iv->ij", state.Jx, v[known])
-    xdd[known] = np.einsum("ijv,iv->ij", state.Jx, a[known]) + system.bias(state, v[known])[1]
+    for k in np.flatnonzero(np.isfinite(q).all(axis=1)):
+        chain.update(q[k], v[k])
+        rows = chain.platform_jacobian()
+        xd[k], xdd[k] = rows @ v[k], rows @ a[k] + chain.platform_jacobian_rate() @ v[k]
     return xd, xdd
 
 
@@ -485,16 +481,14 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     reference, system = np.array(robot.q_reference), constraint_system(robot)
     followed = _followed(system, reference)
     motors = constraint_system(_driven(robot, tuple(robot.actuated[j] for j in followed)))
-    model, columns, rng = robot.model, motors.pose_columns, np.random.default_rng(_SEED)
-    spread = random_spread(robot)[columns]
+    model, rng = robot.model, np.random.default_rng(SEED)
     q, keys, hits = np.zeros((0, model.nq)), np.zeros((0, 0)), np.zeros(0, dtype=np.intp)
     gap, starts = np.inf, 0
     while starts < (most_starts if len(q) else min(most_starts, _IN_VAIN)):
-        steps = np.zeros((_STARTS, model.nv))
-        steps[:, columns] = rng.uniform(-1.0, 1.0, (_STARTS, len(columns))) * spread
-        steps[0] *= starts > 0  # the reference itself comes first
-        guess = integrate(model, np.repeat(reference[None], _STARTS, axis=0), steps)
-        solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=_SHORTEST_STEP)
+        guess = draw_starts(motors, reference, _STARTS, rng)
+        if not starts:
+            guess[0] = reference
+        solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=SHORTEST_STEP)
         off = np.fmax(solved.gap, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
         starts, gap = starts + _STARTS, min(gap, float(np.nanmin(off)))
         for one in solved.q[solved.closed & (off < _AGREE * robot.characteristic_length)]:
@@ -535,9 +529,10 @@ def _frames(robot: Robot, q: Array) -> Array:
     model = robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, q)
-    pose = constraint_system(robot).evaluate(q[None]).pose
+    pin.updateFramePlacements(model, data)
     parts = [*(data.oMi[k].translation for k in range(1, model.njoints))]
-    parts += [origin[:, 0] for origin in pose.frame_origin.values()]
+    parts += [data.oMf[find_link_index(model, name)].translation for name in constraint_system(robot).support]
     if robot.platform is not None:
-        parts.append(robot.characteristic_length * pose.frame_rotation[robot.platform.frame][:, :, 0].ravel())
+        platform = data.oMf[find_link_index(model, robot.platform.frame)]
+        parts.append(robot.characteristic_length * platform.rotation.ravel())
     return np.concatenate(parts)
