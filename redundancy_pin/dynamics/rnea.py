@@ -12,6 +12,7 @@ has it; loads of the robot enter as its external forces and as terms of the join
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -181,15 +182,15 @@ class RneaDynamics(Dynamics):
         """Return a sample whose branch is plainly regular and whose input is valid; None for all others."""
         robot, own = self._robot, follower(self._robot)
         try:
-            x, xd, xdd, *carriers = (np.array(part, dtype=float) for part in given)
+            x, xd, xdd, *carriers = (np.asarray(part, dtype=float) for part in given)
         except (TypeError, ValueError):
             return None
         s, sd, sdd = (np.zeros(robot.k) if part.shape == (0,) else part for part in carriers)
         home = own.home if start is None else start
-        shapes = [part.shape for part in (x, xd, xdd, s, sd, sdd)]
-        if shapes != [home.x.shape, *[(robot.n,)] * 2, *[(robot.k,)] * 3]:
+        shapes = x.shape, xd.shape, xdd.shape, s.shape, sd.shape, sdd.shape
+        if shapes != (home.x.shape, (robot.n,), (robot.n,), (robot.k,), (robot.k,), (robot.k,)):
             return None
-        if not np.isfinite(np.concatenate((x.ravel(), xd, xdd, s, sd, sdd))).all():
+        if not math.isfinite(t + float(np.concatenate((x.ravel(), xd, xdd, s, sd, sdd)).sum())):
             return None
         if x.ndim == 2 and not is_homogeneous_pose(x):
             return None
@@ -202,9 +203,13 @@ class RneaDynamics(Dynamics):
         if start is None and not in_working_mode(robot, reached.q[None])[0]:
             return None
         _, v, a = own.rates(reached, xd, xdd)
-        gamma, q = reached.gamma, reached.q.copy()
-        q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
-        wrenches = [value[0] for value in wrench_values(robot.loads, np.array([t]), x[None], xd[None])]
+        gamma, q = reached.gamma, reached.q
+        if robot.k:
+            q = q.copy()
+            q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
+        wrenches: list[Array] = []
+        if robot.loads:
+            wrenches += [value[0] for value in wrench_values(robot.loads, np.array([t]), x[None], xd[None])]
         effort = tree_effort(robot, own.chain.data, TreeState(q, v, a, wrenches))
         parts = gamma[robot.actuated_velocity].T, gamma.T @ effort, effort[robot.carrier_velocity]
         W, f, force = (read_only(part) for part in parts)
