@@ -224,10 +224,12 @@ class RneaAlongMotion(Frozen):
 
     Attributes:
         robot, motion: the robot, and its platform motion.
+        q, gamma: (N, nq) configurations, carriers at zero, and (N, nv, n) Γ.
     """
 
     def __init__(self, tree: JointTrajectory) -> None:
         self.tree, self.robot, self.motion = tree, tree.robot, tree.motion
+        self.q, self.gamma = tree.q, tree.gamma
 
     def tree_motion(self, carriers: CarrierMotion | None = None) -> tuple[Array, Array, Array]:
         """Return q (N, nq), v (N, nv), a (N, nv) of the tree with the carriers in it, m, rad and s."""
