@@ -97,9 +97,8 @@ class InverseDynamics(Frozen):
 
     @property
     def status(self) -> ResultStatus:
-        """Status of the whole motion: ok, unbounded (at a sample or between two), or unresolved."""
-        without = self.reduced.reachable & ~np.isfinite(self.efforts.tau).all(axis=1)
-        if without.any() or any(instant.unbounded for instant in self.instants):
+        """Status of the whole motion: ok, unbounded (no finite efforts at a sample or between two), or unresolved."""
+        if not np.isfinite(self.efforts.tau).all() or any(instant.unbounded for instant in self.instants):
             return ResultStatus.UNBOUNDED
         return ResultStatus.UNRESOLVED if self.unresolved else ResultStatus.OK
 

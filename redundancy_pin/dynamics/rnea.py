@@ -44,7 +44,7 @@ from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, invers
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, is_homogeneous_pose
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale
+from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale, velocity_unit
 from redundancy_pin.robot.whole_turns import TURN, counted_turns
 from redundancy_pin.status import SampleStatus
 
@@ -68,6 +68,10 @@ class RneaSample(Frozen):
     state: ClosedState
     gap: float
     serial_margin_bound: float
+
+    def __iter__(self) -> Iterator[Array]:
+        """Yield W, f and carrier forces, as the samples of other backends do."""
+        return iter((self.W, self.f, self.carrier_force))
 
 
 class RneaDynamics(Dynamics):
@@ -161,11 +165,18 @@ class RneaDynamics(Dynamics):
         return solve_sample(robot, sample, sample.state.q, sample.gap, given, t)
 
     def _state_at(self, start: Array) -> ClosedState | None:
-        """Return the closed state at or next to a configuration (nq,); None where the chains do not close there."""
-        own, q = follower(self._robot), start.copy()
-        q[self._robot.carrier_position] = 0.0
+        """Return the closed state at or next to a configuration (nq,), open by measurement noise at most.
+
+        None where the chains do not close so near that K stays regular on the way: it may be another branch.
+        """
+        robot, own, q = self._robot, follower(self._robot), start.copy()
+        q[robot.carrier_position] = 0.0
         own.chain.place(q)
-        return own.close(q, own.chain.coordinates(q))
+        state = own.close(q, own.chain.coordinates(q))
+        if state is None:
+            return None
+        moved = np.abs(pin.difference(robot.model, q, state.q) / velocity_unit(robot)).max(initial=0.0)
+        return state if moved < 0.5 * state.margin else None
 
     def _sample(self, given: SampleArguments, here: ClosedState | None, t: float) -> RneaSample:
         """Return one sample on the branch of a state; without one, on the branch of the reference."""
