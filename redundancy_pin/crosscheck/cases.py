@@ -19,15 +19,16 @@ from redundancy_pin.errors import (
     UnreachablePoseError,
     WorkingModeError,
 )
-from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.branch import closed_around, follower
+from redundancy_pin.kinematics.branch import BranchEnd, follower
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates
+from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.margins import closed_around
 from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
+from redundancy_pin.status import SampleStatus
 
 STATES_PER_CASE = 250
 """Most states that share one draw of parameters and one motion."""
@@ -226,12 +227,11 @@ def _why_not_followed(case: RandomCase) -> str:
     here = own.home
     for pose in case.motion(np.linspace(0.0, case.t[-1], 200)).x:
         reached = own.advance(here, pose)
-        if reached is None:
-            closed = assemble(constraint_system(case.robot), here.q[None], pose[None])
-            if not closed.closed[0]:
+        if isinstance(reached, BranchEnd):
+            if reached.status is SampleStatus.UNREACHABLE:
                 return "unreachable"
             # on its branch, which turns too fast for steps: as near a singularity
-            return "near_type_i" if closed.in_mode[0] else "branch_lost"
+            return "near_type_i" if in_working_mode(case.robot, reached.q[None])[0] else "branch_lost"
         here = reached
     return ""
 

@@ -209,7 +209,7 @@ class RneaDynamics(Dynamics):
         if len(turned) and (np.abs(x[turned] - home.x[turned]) > TURN).any():
             return None
         reached = own.advance(home, x)
-        if reached is None or reached.margin < own.near:
+        if not isinstance(reached, ClosedState) or reached.margin < own.near:
             return None
         if start is None and not in_working_mode(robot, reached.q[None])[0]:
             return None
