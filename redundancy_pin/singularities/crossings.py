@@ -22,7 +22,7 @@ from redundancy_pin.errors import (
     millimetres,
 )
 from redundancy_pin.kinematics.assembly import Assembly, assemble
-from redundancy_pin.kinematics.branch import ClosedState, follower
+from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
@@ -267,9 +267,9 @@ class FollowedPath:
         around = range(max(after - 1, 0), min(after + 1, len(self._known)))
         return self._states[min(around, key=lambda k: abs(self._known[k] - t))]
 
-    def _keep(self, t: float, reached: ClosedState | None) -> bool:
+    def _keep(self, t: float, reached: ClosedState | BranchEnd | None) -> bool:
         """Note a state on the branch, if there is one; return whether there is."""
-        if reached is None:
+        if not isinstance(reached, ClosedState):
             return False
         after = bisect(self._known, t)
         self._known.insert(after, t)
