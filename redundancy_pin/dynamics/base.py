@@ -204,6 +204,14 @@ class DynamicsAlongMotion(Protocol):
     def motion(self) -> PlatformMotion:
         """The platform motion."""
 
+    @property
+    def q(self) -> Array | None:
+        """(N, nq) configurations of the tree, carriers at s = 0; NaN where unreachable. None of a closed form."""
+
+    @property
+    def gamma(self) -> Array | None:
+        """(N, nv, n) Γ, velocity of the tree per unit of each independent velocity. None of a closed form."""
+
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out."""
 

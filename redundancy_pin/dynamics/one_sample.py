@@ -88,10 +88,11 @@ def solve_sample(
     u, values, vt, failed = lapack().dgesdd(A)
     if failed:
         return without_answer(robot, SampleStatus.NOT_FINITE)
-    rank = int((values > RANK_TOLERANCE * max(float(values[0]), UNIT)).sum())
+    sizes = values.tolist()
+    smallest, margin, s = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1], given[3]
+    rank = sum(value > smallest for value in sizes)
     components = g @ u
-    outside = components[rank:]
-    full, margin, s = rank == len(values), float(values[-1]), given[3]
+    outside, full = components[rank:], rank == len(sizes)
     if len(outside):
         allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * _force_size(robot, given, t)
         if math.sqrt(float(outside @ outside)) > allowed:

@@ -105,12 +105,14 @@ class VirtualWorkAlongMotion(Frozen):
 
     Attributes:
         robot, motion: the robot, and its platform motion.
+        q, gamma: None, there is no tree.
     """
 
     def __init__(
         self, robot: Robot, mechanism: Mechanism, motion: PlatformMotion, legs: Any, gap: Array, reachable: BoolArray
     ) -> None:
         self.robot, self.motion = robot, motion
+        self.q = self.gamma = None
         self._reachable = read_only(reachable)
         self._all_reachable = bool(reachable.all())
         self._gap = read_only(gap)
