@@ -156,7 +156,7 @@ def follow_motors(robot: Robot, q: Array, position: Array) -> Array | None:
     except WorkingModeError:
         return None
     reached = follower(driven).advance(here, position)
-    return None if reached is None else np.array(reached.q)
+    return np.array(reached.q) if isinstance(reached, ClosedState) else None
 
 
 def _run(
