@@ -407,7 +407,7 @@ class ConstraintSystem:
         two rotation rows have no such axes.
         """
         cosines = [(state.vectors[a : a + 3] * state.vectors[b : b + 3]).sum(axis=0) for a, b in self.aligned]
-        turned: Array = np.arccos(np.array(cosines).reshape(len(self.aligned), len(state.q)).clip(-1.0, 1.0))
+        turned: Array = np.arccos(np.reshape(cosines, (len(cosines), len(state.q))).clip(-1.0, 1.0))
         worst: Array = turned.max(axis=0, initial=0.0)
         return worst
 
