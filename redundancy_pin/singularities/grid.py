@@ -46,8 +46,8 @@ _LONGEST_STEP = 2.0
 """Largest change of a joint between neighbours, rad or characteristic lengths. A leg near its base hinge turns by up to
 π/2; a leg that Newton's method moved to another turn turns by more."""
 
-_TRIED, _STARTS = 60, 6
-"""Nodes at which islands are searched, and random starts at each."""
+_STARTS = 360
+"""Random configurations from which islands are searched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,17 +289,15 @@ class _Flood:
         does. Without working modes a part that touches another is another branch of it. The larger one stays: a
         configuration near a stretched leg may lead to a node or two of the other branch, and no further.
         """
-        unsolved = np.flatnonzero(~self.solved)
-        targets = np.repeat(unsolved[:: max(1, len(unsolved) // _TRIED)], _STARTS)
-        guess = _around(self.system, self.place.q, len(targets), np.random.default_rng(20141))
+        guess = _around(self.system, self.place.q, _STARTS, np.random.default_rng(20141))
         closed = assemble(self.system, guess)
         free = positions(coordinates(self.robot, closed.state), self.place.free)
         origin, cell = np.array([axis[:2] for axis in axes]).T
         near = np.rint((free - origin) / (cell - origin))
         inside = ((near >= 0) & (near < self.shape)).all(axis=1) & closed.closed
-        hit = np.ravel_multi_index(tuple(near[inside].astype(int).T), self.shape)
-        targets, guess = np.append(targets, hit), np.concatenate([guess, closed.q[inside]])
-        targets, guess = targets[~self.solved[targets]], guess[~self.solved[targets]]
+        targets = np.ravel_multi_index(tuple(near[inside].astype(int).T), self.shape)
+        guess = closed.q[inside][~self.solved[targets]]
+        targets = targets[~self.solved[targets]]
         found = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
         kept = self.solved.copy()
         for k in np.flatnonzero(found.usable):
