@@ -18,8 +18,8 @@ from redundancy_pin.errors import (
     millimetres,
 )
 from redundancy_pin.kinematics.assembly import assemble, project
-from redundancy_pin.kinematics.branch import ClosedState, Follower, Rates, follower, known_state
-from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
+from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, Follower, Rates, follower, known_state
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -28,6 +28,7 @@ from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
 from redundancy_pin.robot.whole_turns import follow_whole_turns
+from redundancy_pin.status import SampleStatus
 
 _FAR_STARTS = 5
 """Samples at which multistart is tried before a motion that Newton closes nowhere from the reference is given up."""
@@ -164,9 +165,11 @@ class _Solution:
         x = self._motion.x[sample]
         if start is None:
             return point_on_branch(self._follower.system, x, sample)
-        if self._solved(start, sample) is not None:
+        end = self._solved(start, sample)
+        if isinstance(end, Rates):
             return start
-        _raise_lost(self._follower, self._motion, sample, start, modes=False)
+        if end.status in _ALONE:
+            raise _error(end, self._motion, sample)
         raise WorkingModeError(
             f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, cannot be reached continuously from the "
             f"start at x = {np.round(start.x, 6).tolist()}: the straight line leaves the workspace or passes a type I "
@@ -179,9 +182,8 @@ class _Solution:
         """Solve samples one after the other from a state of the branch; raises where it ends."""
         for k in order:
             reached = self._solved(here, k)
-            if reached is None:
-                _raise_lost(self._follower, self._motion, k, here)
-                raise _lost_between(self._motion, max(k - 1, 0), k)
+            if isinstance(reached, BranchEnd):
+                raise _error(reached, self._motion, k)
             here = self._keep(k, reached)
 
     def solve_what_is_reachable(self, start: ClosedState | None) -> None:
@@ -213,7 +215,7 @@ class _Solution:
         while k < len(order):
             sample = order[k]
             reached = self._solved(here, sample)
-            if reached is not None:
+            if isinstance(reached, Rates):
                 here = self._keep(sample, reached)
                 k += 1
                 continue
@@ -233,15 +235,13 @@ class _Solution:
                 self._follower.system, np.repeat(q[None], len(at), axis=0), self._motion.x[at]
             ).gap
 
-    def _solved(self, here: ClosedState, k: int) -> Rates | None:
-        """Return a sample on the branch of a state; None where it is lost, or singular."""
-        follower, (x, xd, xdd) = (
-            self._follower,
-            (part[k] for part in (self._motion.x, self._motion.xd, self._motion.xdd)),
-        )
+    def _solved(self, here: ClosedState, k: int) -> Rates | BranchEnd:
+        """Return a sample on the branch of a state, or why it is not there."""
+        follower, motion = self._follower, self._motion
+        x, xd, xdd = motion.x[k], motion.xd[k], motion.xdd[k]
         reached = follower.advance(here, x)
-        if reached is None:
-            return None
+        if isinstance(reached, BranchEnd):
+            return reached
         if reached.margin >= follower.near:
             self._near = 0.0
             return follower.rates(reached, xd, xdd)
@@ -255,10 +255,10 @@ class _Solution:
             passed = follower.pass_through(reached, x, xd, xdd)
         if passed is not None:  # its margin is that of the closed state next to it
             return passed._replace(state=replace(passed.state, margin=reached.margin))
-        if reached.interpolated:
-            return None
-        rated = follower.rates(reached, xd, xdd)
-        return None if not self._positions_only and is_rounded(follower, rated) else rated
+        rated = None if reached.interpolated else follower.rates(reached, xd, xdd)
+        if rated is None or (not self._positions_only and is_rounded(follower, rated)):
+            return follower.diagnose(reached, x)
+        return rated
 
     def _keep(self, k: int, solved: Rates) -> ClosedState:
         state, self.v[k], self.a[k] = solved
@@ -323,7 +323,8 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     def follow(q: Array, start: Array, target: Array) -> Array | None:
         nonlocal reached
         here = home if q is home.q else own.close(q, start)
-        reached = None if here is None else own.advance(here, target)
+        end = None if here is None else own.advance(here, target)
+        reached = end if isinstance(end, ClosedState) else None
         return None if reached is None else reached.q
 
     if np.isfinite(home.gamma).all():
@@ -390,24 +391,24 @@ def _reacquire(own: Follower, targets: Array, q: Array) -> tuple[int, ClosedStat
     return None
 
 
-def _raise_lost(own: Follower, motion: PlatformMotion, k: int, here: ClosedState, *, modes: bool = True) -> None:
-    """Raise what ended a branch before sample k, where the sample itself tells."""
-    robot, system, t, x = own.robot, own.system, float(motion.t[k]), motion.x[k]
-    solved = assemble(system, here.q[None], x[None])
+_ALONE = SampleStatus.UNREACHABLE, SampleStatus.TYPE_I
+"""Statuses that a pose has by itself, whatever leads there."""
+
+
+def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError:
+    """Return the error of sample k, which a branch does not lead to."""
+    robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
-    residual = max(float(solved.gap[0]), float(left_open(robot, solved.q)[0]))
-    if not residual < closure_tolerance(robot):
-        raise UnreachablePoseError(
-            f"The pose of {place} cannot be reached: the chains stay open by {residual:.3g} m."
-            f"{millimetres(residual, robot.characteristic_length)}",
+    if end.status is SampleStatus.UNREACHABLE:
+        return UnreachablePoseError(
+            f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m."
+            f"{millimetres(end.residual, robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
             sample=k,
-            gap=residual,
+            gap=end.residual,
         )
-    closures = system.relative(solved.state.K)[0][: len(system.rows)]
-    lost = np.linalg.svd(closures, compute_uv=False)[-1] < own.near if len(closures) else False
-    if lost and solved.projection.margin[0] < own.near:
-        raise SingularPoseError(
+    if end.rank_lost:
+        return SingularPoseError(
             f"At {place} the closures lose rank, and no branch leads smoothly through that pose: the joint velocities "
             "are undetermined.",
             remedy="Keep away from that pose, or change a length a little so that branches do not meet.",
@@ -415,21 +416,19 @@ def _raise_lost(own: Follower, motion: PlatformMotion, k: int, here: ClosedState
             time=t,
             x=x.tolist(),
         )
-    if not solved.regular[0]:
-        raise SingularPoseError(
+    if end.status is SampleStatus.TYPE_I:
+        return SingularPoseError(
             f"Sample {k} (t = {t:.6g} s) is a type I singularity: the platform velocity does not determine the joint "
             "velocities.",
             remedy=_STAY_AWAY,
             sample=k,
         )
-    if modes and not solved.in_mode[0]:
-        raise _leaves_mode(motion, robot, k, solved.q[0])
-
-
-def _lost_between(motion: PlatformMotion, before: int, k: int) -> RedundancyPinError:
+    if not in_working_mode(robot, end.q[None])[0]:
+        return _leaves_mode(motion, robot, k, end.q)
+    before = max(k - 1, 0)
     return WorkingModeError(
         f"The motion cannot be followed continuously from sample {before} to {k} (t = {motion.t[before]:.6g} to "
-        f"{motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}): the way there leaves the workspace, or passes "
+        f"{t:.6g} s, x = {np.round(x, 6).tolist()}): the way there leaves the workspace, or passes "
         "a type I singularity (a leg at full stretch, full fold or zero length) or a rank loss of the closures that no "
         "smooth branch is known to lead across.",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",

@@ -27,6 +27,7 @@ from redundancy_pin.dynamics.base import (
     OnUnreachable,
     ReducedDynamics,
     Sample,
+    SampleArguments,
     TorqueSample,
     require_choice,
     require_matching_carriers,
@@ -149,24 +150,12 @@ class CompiledDynamics(Dynamics):
             one = self._local.one = _OneSample(self)
         return one((x, xd, xdd, s, sd, sdd), t)
 
-    def torque(
-        self,
-        x: ArrayLike,
-        xd: ArrayLike,
-        xdd: ArrayLike,
-        s: ArrayLike = (),
-        sd: ArrayLike = (),
-        sdd: ArrayLike = (),
-        *,
-        t: float = 0.0,
-        start: ArrayLike | None = None,
-    ) -> TorqueSample:
-        """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
+    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
         try:
             call: TorqueCall = self._local.torque
         except AttributeError:
             call = self._local.torque = TorqueCall(self._robot, self.kernel, self._find)
-        return call(x, xd, xdd, s, sd, sdd, t, start)
+        return call(*given, t, start)
 
     def acceleration(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, carrier_force: ArrayLike = (), *, t: float = 0.0

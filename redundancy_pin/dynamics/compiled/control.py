@@ -131,7 +131,7 @@ class TorqueCall:
         force, tau = n * m + n, n * m + n + k + 2
         self._results = np.zeros(tau + m + 3)
         self._force, self._tau = self._results[force : force + k], self._results[tau : tau + m]
-        self._margin = partial(self._results.item, tau + m + 1)
+        self._margin, self._residual = (partial(self._results.item, k) for k in (tau + m + 1, force + k))
         self._state, self._ranges = np.append(robot.q_reference, 0.0), range_table(robot)
         given = self._state, self._arguments.memory, self._ranges, len(self._ranges), self._results
         self._call = _caller(code, "rp_torque", *given)
@@ -162,7 +162,7 @@ class TorqueCall:
             given = np.concatenate(self._arguments.parts[:-1])
             if not (np.isfinite(given).all() and np.isfinite(t)):  # a wrench may be a function of time and motion
                 self._results.fill(np.nan)
-                return TorqueSample(self._tau.copy(), SampleStatus.NOT_FINITE, self._margin(), self._force.copy())
+                return self._result(SampleStatus.NOT_FINITE)
             at = self._motion(t)
             wrenches = wrench_values(self._robot.loads, at.t, at.x, at.xd)
             self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]
@@ -173,7 +173,10 @@ class TorqueCall:
             status = self._find_elsewhere(t)
         if status in _WITHOUT_RESULT:
             self._results.fill(np.nan)
-        return TorqueSample(self._tau.copy(), status, self._margin(), self._force.copy())
+        return self._result(status)
+
+    def _result(self, status: SampleStatus) -> TorqueSample:
+        return TorqueSample(self._tau.copy(), status, self._margin(), self._force.copy(), self._residual())
 
     def _motion(self, t: float) -> PlatformMotion:
         x, xd, xdd, *_ = self._arguments.parts

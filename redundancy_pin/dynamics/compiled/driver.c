@@ -218,11 +218,11 @@ static int follow(const double *numbers, Pose *pose, const double *x) {
 /* Bring a pose so many turns of coordinate c on; at is moved along. A turn that brings all joints back, but for whole
    turns of their own, does so again. With gears several turns may pass until it does. */
 static int go_round(const double *numbers, Pose *pose, double *at, int c, double count) {
-  double step = copysign(TURN, count), left = fabs(count), followed = 0.0, start[NQ], shift[NQ];
+  double first = at[c], step = copysign(TURN, count), left = fabs(count), followed = 0.0, start[NQ], shift[NQ];
   int known = 0;
   copy(start, pose->q, NQ);
   while (left > 0.0) {
-    at[c] += step;
+    at[c] = first + (fabs(count) - left + 1.0) * step; /* a sum of thousands of steps would drift */
     if (!follow(numbers, pose, at)) return 0;
     left -= 1.0;
     followed += 1.0;
@@ -240,8 +240,8 @@ static int go_round(const double *numbers, Pose *pose, double *at, int c, double
       double moved = pose->q[j] + times * shift[j];
       pose->q[j] = ANGLE[j] == 2 || fabs(moved) < EXACT ? moved : pose->q[j] - shift[j];
     }
-    at[c] += times * followed * step;
     left -= times * followed;
+    at[c] = first + (fabs(count) - left) * step;
     known = 1;
     Pose next;
     if (!newton(numbers, pose->q, at, 0, &next) || next.sign != pose->sign) return 0;
