@@ -487,8 +487,8 @@ def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:
     robot, samples = along.robot, len(along.motion)
     n, k = robot.n, robot.k
     rest = np.zeros((samples, k))
-    # tracks displaced by the robot's length: one metre would leave a machine of a micrometre nothing but rounding
-    length = robot.characteristic_length
+    # a hundred times the robot's length, whatever that is: far enough for the rounding of linear terms to be nothing
+    length = 100.0 * robot.characteristic_length
     parked = CarrierMotion(rest, rest, rest, check_rates=False)
     displaced = CarrierMotion(rest + length, rest, rest, check_rates=False)
     reduced = along.reduce(parked)
