@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
 from redundancy_pin.robot.types import Robot, slides
 
 ROUNDING = 1e-9
@@ -146,13 +146,20 @@ def range_table(robot: Robot) -> Array:
     return read_only(np.array(rows, dtype=np.float64).reshape(-1, 5))
 
 
+@lru_cache(maxsize=64)
+def _range_columns(robot: Robot) -> tuple[IntArray, Array, Array, Array]:
+    """Return of each range (r,): index in q, turns that count as none (0 or 2π), its middle, half of it with slack."""
+    at, repeats, lower, upper, slack = range_table(robot).T
+    middle = 0.5 * (lower + upper)
+    return at.astype(np.intp), 2.0 * np.pi * repeats, middle, upper - middle + slack
+
+
 def is_in_range(robot: Robot, q: Array) -> bool:
     """Return whether all joints of one configuration (nq,) are in their ranges, carriers on their tracks."""
-    at, repeats, lower, upper, slack = range_table(robot).T
-    middle, turn = 0.5 * (lower + upper), 2.0 * np.pi
-    away = q[at.astype(np.intp)] - middle
-    away -= turn * repeats * np.round(away / turn)
-    return bool((np.abs(away) <= upper - middle + slack).all())
+    at, turns, middle, half = _range_columns(robot)
+    away = q[at] - middle
+    away -= turns * np.rint(away / (2.0 * np.pi))
+    return bool((np.abs(away) <= half).all())
 
 
 @lru_cache(maxsize=64)

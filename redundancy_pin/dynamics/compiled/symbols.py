@@ -48,7 +48,7 @@ def casadi() -> Any:
     Raises:
         RedundancyPinError: it is not installed.
     """
-    remedy = "Install it with `pip install 'redundancy_pin[optimal]'`, or use RneaDynamics."
+    remedy = "Install it with `pip install casadi`, or use RneaDynamics."
     return optional("casadi", "Compiled dynamics need", remedy)
 
 
