@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, lapack
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -285,8 +285,12 @@ class LoopSolver:
             xdd: (n,) their second rates.
 
         Raises:
+            InputError: rates of another shape, or not finite.
             SingularPoseError: K is singular there, so that it does not determine a; ``pass_through`` interpolates it.
         """
+        for name, given in (("xd", xd), ("xdd", xdd)):
+            if given.shape != (self.robot.n,) or not math.isfinite(given.sum()):
+                checked(given, name, (self.robot.n,))  # which raises
         if state.interpolated:
             raise SingularPoseError(
                 f"K is singular at x = {np.array2string(state.x, precision=4)} and does not determine accelerations.",
