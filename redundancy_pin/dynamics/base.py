@@ -486,16 +486,18 @@ def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:
     """Read the terms off a backend along a motion, from its exact derivatives at two motions of the carriers."""
     robot, samples = along.robot, len(along.motion)
     n, k = robot.n, robot.k
-    rest, one = np.zeros((samples, k)), np.ones((samples, k))
+    rest = np.zeros((samples, k))
+    # a hundred times the robot's length, whatever that is: far enough for the rounding of linear terms to be nothing
+    length = 100.0 * robot.characteristic_length
     parked = CarrierMotion(rest, rest, rest, check_rates=False)
-    at_one = CarrierMotion(one, one, rest, check_rates=False)
+    displaced = CarrierMotion(rest + length, rest, rest, check_rates=False)
     reduced = along.reduce(parked)
-    first, second = along.carrier_derivatives(parked), along.carrier_derivatives(at_one)
+    first, second = along.carrier_derivatives(parked), along.carrier_derivatives(displaced)
 
     def by_term(name: str) -> Array:
         by_s, by_sd, by_sdd = (np.asarray(getattr(first, f"{name}_{rate}")) for rate in ("s", "sd", "sdd"))
-        both = np.asarray(getattr(second, f"{name}_sd")) - by_sd
-        square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s - both)
+        both = (np.asarray(getattr(second, f"{name}_sd")) - by_sd) / length
+        square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s) / length
         return np.stack([by_s, square, by_sd, both, by_sdd], axis=-1)  # (N, n or k, k, 5)
 
     own, terms = np.arange(k), np.zeros((samples, k, 5, n + k))

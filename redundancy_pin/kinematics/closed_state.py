@@ -27,7 +27,6 @@ from redundancy_pin.kinematics.closure import OPEN, constraint_system, with_all_
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 CONTINUITY = 0.25
@@ -131,8 +130,7 @@ class LoopSolver:
         self._scale = self._step_unit / self._row_unit[:, None]
         self.unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
-        ids = {name: 12 * find_link_index(robot.model, name) for name in chain.system.tree.support}
-        self._aligned = [(ids[a] + 3 * k, ids[b] + 3 * k) for a, b, k in chain.system.aligned]
+        self._aligned = self.system.aligned
 
     @cached_property
     def blocks(self) -> Sequence[tuple[IntArray, IntArray]]:

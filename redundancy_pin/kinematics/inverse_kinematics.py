@@ -254,7 +254,8 @@ class _Solution:
         """Return a sample on the branch of a state, or why it is not there."""
         follower, motion = self._follower, self._motion
         x, xd, xdd = motion.x[k], motion.xd[k], motion.xdd[k]
-        reached = follower.advance(here, x)
+        # several joints go straight; of one alone whole turns are multiples of the first
+        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.advance(here, x)
         if isinstance(reached, BranchEnd):
             return reached
         if reached.margin >= follower.near:
@@ -315,6 +316,24 @@ def is_rounded(follower: Follower, solved: Rates) -> bool:
     return False
 
 
+def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
+    """Return the state at coordinates x on the branch of a state, as ``Follower.advance``.
+
+    Whole turns of independent joints are followed one joint after the other, and only until they repeat
+    (``robot.whole_turns``).
+    """
+    end: ClosedState | BranchEnd | None = None
+
+    def follow(q: Array, start: Array, target: Array) -> Array | None:
+        nonlocal end
+        state = here if q is here.q else own.close(q, start)
+        end = None if state is None else own.advance(state, target)
+        return end.q if isinstance(end, ClosedState) else None
+
+    follow_whole_turns(own.robot, here.q, here.x, x, follow)
+    return own.diagnose(here, x) if end is None else end
+
+
 def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> ClosedState:
     """Return a closed state at coordinates, in the robot's working mode.
 
@@ -333,21 +352,11 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     """
     robot, own = system.robot, follower(system.robot)
     home = own.home
-    reached: ClosedState | None = None
-
-    def follow(q: Array, start: Array, target: Array) -> Array | None:
-        nonlocal reached
-        here = home if q is home.q else own.close(q, start)
-        end = None if here is None else own.advance(here, target)
-        reached = end if isinstance(end, ClosedState) else None
-        return None if reached is None else reached.q
-
-    if np.isfinite(home.gamma).all():
-        follow_whole_turns(robot, home.q, home.x, x, follow)
-    if reached is not None:
-        indicator = mode_indicator(robot, reached.q[None])
+    reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
+    if isinstance(reached, ClosedState):
         # a configuration where working modes meet belongs to both
-        if in_working_mode(robot, reached.q[None])[0] or (np.abs(indicator) < SAME_CONFIGURATION).any():
+        between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
+        if between or in_working_mode(robot, reached.q[None])[0]:
             return reached
     q, residual, in_mode = multistart(system, home.q, x)
     closed, pose = residual < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"

@@ -27,14 +27,18 @@ from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vect
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE
 from redundancy_pin.machine_code import FLAGS, built, digest, loaded
+from redundancy_pin.motion import POSE_TOLERANCE
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.robot.whole_turns import counted_turns
+from redundancy_pin.robot.whole_turns import EXACT, FARTHEST, MOST_TURNS, TURN, WHOLE, counted_turns
 from redundancy_pin.status import SampleStatus
 
 LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
 one that is closed to within the tolerance is known no better than this."""
+
+_FASTER = 10
+"""Ratio of the turns that generated code follows one by one to those of ``robot.whole_turns``: they take as long."""
 
 T = TypeVar("T")
 
@@ -190,7 +194,7 @@ def sample_source() -> str:
         "FORCE_TOLERANCE": FORCE_TOLERANCE,
     }
     statuses = ", ".join(f"STATUS_{status.name} = {int(status)}" for status in SampleStatus)
-    text = [f"enum {{ {statuses} }};"]
+    text = [f"enum {{ {statuses}, STATUSES }};"]
     text += [f"#define {name} {value!r}" for name, value in constants.items()]
     return "\n".join([*text, text_of("sample.c")])
 
@@ -215,8 +219,16 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
         "NX": chain.x.numel(),
         "LEGS": chain.mode_indicators.numel(),
         "NALIGN": chain.alignment.numel(),
+        "NWRENCH": chain.external.numel(),
         "TOLERANCE": CLOSURE_TOLERANCE,
         "LEAST_MARGIN": LEAST_MARGIN,
+        "POSE_TOLERANCE": POSE_TOLERANCE,
+        "EPSILON": float(np.finfo(float).eps),
+        "TURN": TURN,
+        "MOST_TURNS": _FASTER * MOST_TURNS,
+        "WHOLE": WHOLE,
+        "EXACT": EXACT,
+        "FARTHEST": FARTHEST,
     }
     tables = {
         "static const int COLUMNS": chain.pose_columns,
@@ -269,7 +281,7 @@ class Library:
     def __init__(self, path: Path, robot: Robot) -> None:
         self.path = path
         self.library = loaded(path)
-        for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project", "rp_terms"):
+        for name in ("rp_lift", "rp_follow", "rp_reach", "rp_map", "rp_project", "rp_terms"):
             getattr(self.library, name)  # AttributeError where the file is another one
         turning = ctypes.c_int.in_dll(self.library, "rp_turnings").value
         self.trigs = 2 * turning
@@ -307,17 +319,6 @@ class Library:
         self.library.rp_map(
             self.numbers, pointer, count, len(inputs), packed[0], sizes[0], len(outputs), packed[1], sizes[1]
         )
-
-    def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
-        """Return a function that evaluates one sample from and into fixed arrays: addresses are looked up once."""
-        function = self.library.rp_sample
-        arguments = (self.numbers, *(_as_c(array) for array in (state, given, result)))
-
-        def sample(_alive: tuple[Array, ...] = (self._numbers, state, given, result)) -> int:
-            status: int = function(*arguments)
-            return status
-
-        return sample
 
 
 def _as_c(value: object) -> object:
