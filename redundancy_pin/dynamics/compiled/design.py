@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
-from redundancy_pin.dynamics.compiled.parameters import motion_subspaces, numbers_of
+from redundancy_pin.dynamics.compiled.parameters import motion_subspaces, numbers_of, places_of
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.robot import Payload, Robot
 from redundancy_pin.robot.build import build
@@ -91,23 +91,22 @@ _OF_FRAMES = ("x", "y", "z", "rx", "ry", "rz")
 def by_model(robot: Robot, name: str) -> Array:
     """Return the derivatives (F,) by one number of the model itself."""
     owner, what, axis = _split(name)
-    model, numbers = robot.model, numbers_of(robot)
+    model, numbers, places = robot.model, numbers_of(robot), places_of(robot)
     names = list(model.names)
     joint = names.index(owner) if owner in names else 0
     column = np.zeros(len(numbers.values))
     frame = ("joint", joint) if joint else ("link", owner)
-    if what == "origin" and axis in _OF_FRAMES and (*frame, "origin") in numbers.places:
+    if what == "origin" and axis in _OF_FRAMES and (*frame, "origin") in places:
         along = np.eye(3)[_OF_FRAMES.index(axis) % 3]
         if axis in "xyz":
-            column[numbers.places[(*frame, "origin")]] = along
+            column[places[(*frame, "origin")]] = along
         else:
-            at = numbers.places[(*frame, "rotation")]
+            at = places[(*frame, "rotation")]
             column[at] = (numbers.values[at].reshape(3, 3) @ pin.skew(along)).ravel()
         return column
     slope = _inertial_slope(model.inertias[joint], what, axis) if joint else None
     if slope is not None:
-        for part, values in zip(("mass", "moment", "inertia"), slope, strict=True):
-            column[numbers.places["joint", joint, part]] = np.asarray(values).ravel()
+        column[places["joint", joint, "body"]] = slope
         return column
     arguments = [key for key, value in robot.parameters.items() if not isinstance(value, (bool, str))]
     raise InputError(
@@ -118,21 +117,24 @@ def by_model(robot: Robot, name: str) -> Array:
     )
 
 
-def _inertial_slope(body: pin.Inertia, what: str, axis: str) -> tuple[float, Array, Array] | None:
-    """Return the derivatives of mass, first moment and inertia about the origin by a number of a body, or None."""
-    mass, centre = float(body.mass), np.array(body.lever) if body.mass else np.zeros(3)
+def _inertial_slope(body: pin.Inertia, what: str, axis: str) -> Array | None:
+    """Return the derivatives (10,) of Pinocchio's dynamic parameters by a number of a body, or None."""
+    mass, centre = float(body.mass), np.array(body.lever)
+    slope, about = np.zeros(10), np.zeros((3, 3))
     if what == "mass" and not axis:
-        return 1.0, centre, centre @ centre * np.eye(3) - np.outer(centre, centre)
-    if what == "centre" and axis in ("x", "y", "z"):
+        slope[0], slope[1:4] = 1.0, centre
+        about = centre @ centre * np.eye(3) - np.outer(centre, centre)
+    elif what == "centre" and axis in ("x", "y", "z"):
         along = np.eye(3)["xyz".index(axis)]
-        about = 2.0 * (along @ centre) * np.eye(3) - np.outer(along, centre) - np.outer(centre, along)
-        return 0.0, mass * along, mass * about
-    if what == "inertia" and len(axis) == 2 and set(axis) <= set("xyz"):
+        slope[1:4] = mass * along
+        about = mass * (2.0 * (along @ centre) * np.eye(3) - np.outer(along, centre) - np.outer(centre, along))
+    elif what == "inertia" and len(axis) == 2 and set(axis) <= set("xyz"):
         i, j = ("xyz".index(letter) for letter in axis)
-        about = np.zeros((3, 3))
         about[i, j] = about[j, i] = 1.0
-        return 0.0, np.zeros(3), about
-    return None
+    else:
+        return None
+    slope[4:] = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]  # xx, xy, yy, xz, yz, zz
+    return slope
 
 
 def _split(name: str) -> tuple[str, str, str]:
