@@ -22,6 +22,7 @@ from redundancy_pin.robot import Payload, Robot
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_declaration
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.lookup import find_link, has_link
 from redundancy_pin.robot.urdf import declaration_path, render
 
 _STEP = 0.01
@@ -49,7 +50,8 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
 
     A parameter is a number of its xacro file (``"distal_length"``), or one of the model's own:
 
-    - ``"JOINT.mass"``, of the body that the joint moves, its centre and inertia about the centre held;
+    - ``"JOINT.mass"``, of the body that the joint moves, its centre and inertia about the centre held
+      (``Robot.with_parameters`` takes links, and scales a link's inertia with its mass);
     - ``"JOINT.centre.x"``, ``.y``, ``.z`` in the joint's frame, mass and inertia about the centre held;
     - ``"JOINT.inertia.xx"``, ``.xy``, ... about the centre, axes of the joint's frame;
     - ``"JOINT.origin.x"``, ..., ``.rx``, ``.ry``, ``.rz``: the joint's frame moved along its parent's axes, or turned
@@ -108,11 +110,15 @@ def by_model(robot: Robot, name: str) -> Array:
     if slope is not None:
         column[places["joint", joint, "body"]] = slope
         return column
+    hint = ""
+    if what in ("mass", "centre", "inertia") and has_link(model, owner):
+        moving = model.names[find_link(model, owner).parentJoint]
+        hint = f"{owner} is a link, moved by the joint {moving}: '{moving}{name.removeprefix(owner)}'. "
     arguments = [key for key, value in robot.parameters.items() if not isinstance(value, (bool, str))]
     raise InputError(
         f"{robot.name} has no design parameter {name!r}.",
-        remedy=f"{did_you_mean(name, arguments)}Its numbers: {', '.join(arguments) or 'none'}; of the tree JOINT.mass, "
-        "JOINT.centre.x, JOINT.inertia.xx, JOINT.origin.x or .rx; LINK.origin.x or .rx of closures and platform.",
+        remedy=f"{hint or did_you_mean(name, arguments)}Its numbers: {', '.join(arguments) or 'none'}; of the tree "
+        "JOINT.mass, JOINT.centre.x, JOINT.inertia.xx, JOINT.origin.x or .rx; LINK.origin.x or .rx of closures and platform.",
         parameter=name,
     )
 
