@@ -191,7 +191,7 @@ def test_limits_of_carriers(robot: Robot) -> None:
 
 
 MISTAKES: dict[str, tuple[Callable[[Robot], Any], str]] = {
-    "joint": (
+    "mass of a joint": (
         lambda r: r.with_parameters(masses={"elbow_1": 1.0}),
         "no link 'elbow_1'.*The joint elbow_1 moves distal_1",
     ),

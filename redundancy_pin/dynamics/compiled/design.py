@@ -118,7 +118,8 @@ def by_model(robot: Robot, name: str) -> Array:
     raise InputError(
         f"{robot.name} has no design parameter {name!r}.",
         remedy=f"{hint or did_you_mean(name, arguments)}Its numbers: {', '.join(arguments) or 'none'}; of the tree "
-        "JOINT.mass, JOINT.centre.x, JOINT.inertia.xx, JOINT.origin.x or .rx; LINK.origin.x or .rx of closures and platform.",
+        "JOINT.mass, JOINT.centre.x, JOINT.inertia.xx, JOINT.origin.x or .rx; of closures and platform LINK.origin.x "
+        "or .rx.",
         parameter=name,
     )
 
