@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, Protocol, TypeGuard, TypeVar, cast
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,9 @@ from redundancy_pin.status import SampleStatus
 
 OnUnreachable = Literal["raise", "mark"]
 """What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its gap."""
+
+SampleArguments: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
+"""x, xd, xdd, s, sd, sdd of ``Dynamics.torque``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,12 +113,15 @@ class TorqueSample(NamedTuple):
         status: as ``distribute`` gives it.
         margin: singularity margin, the smallest singular value of the scaled W, no unit; NaN where there is no W.
         carrier_force: (k,) force of each carrier's own actuator, N or N·m; NaN where there is no W.
+        residual: closure residual, m: of the configuration or, where none is found, what Newton's method leaves; NaN
+            where it is not known.
     """
 
     tau: Array
     status: SampleStatus
     margin: float
     carrier_force: Array
+    residual: float
 
 
 class AccelerationSample(NamedTuple):
@@ -359,8 +365,11 @@ class Dynamics(Protocol):
     ) -> TorqueSample:
         """Return the efforts of one sample with a status: ``reduce`` and ``distribute``, for a control loop.
 
-        A pose that cannot be closed, or not on the branch, is a status and no exception. A carrier beyond its track is
-        out_of_range like any other joint.
+        The branch is that of ``start``, otherwise that of the last sample that this thread solved, at first that of the
+        reference. It is followed along the straight line to x. Where that fails, the efforts are NaN with the status
+        unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this one: the
+        reference is not returned to. Numbers that are not finite have the status not_finite. A carrier beyond its track
+        is out_of_range like any other joint.
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
@@ -370,20 +379,23 @@ class Dynamics(Protocol):
             sd: scalar or (k,) their rates, m/s; 0 when left out.
             sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
             t: time, s, for wrenches that depend on it.
-            start: (nq,) a closed configuration nearby, whose branch is followed; when left out, that of the sample that
-                this thread asked for before, at first the reference.
+            start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode.
 
         Raises:
-            InputError: wrong shapes, or a pose that is none.
+            InputError: wrong shapes, or a matrix that is no pose.
             UnsupportedRobotError: the backend has no such call.
 
         Example:
             >>> import redundancy_pin as rp
             >>> dynamics = rp.CompiledDynamics("five_bar")
-            >>> tau, status, margin, _ = dynamics.torque([0.1, 0.4], [0.5, 0.0], [0.0, 1.0])
+            >>> tau, status, margin, *_ = dynamics.torque([0.1, 0.4], [0.5, 0.0], [0.0, 1.0])
             >>> status.label
             'ok'
         """
+        return self._torque((x, xd, xdd, s, sd, sdd), t, start)
+
+    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
+        """Return what ``torque`` returns, by a backend."""
         raise _has_no(self, "torque", "reduce and distribute")
 
     def acceleration(

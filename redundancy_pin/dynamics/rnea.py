@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -27,19 +27,20 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    SampleArguments,
     TorqueSample,
     one_sample,
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, solve_sample, status_of, without_answer
+from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refused, solve_sample, without_answer
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.branch import ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, is_homogeneous_pose
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale
@@ -88,7 +89,7 @@ class RneaDynamics(Dynamics):
     def __init__(self, robot: RobotLike, *, progress: Callable[[int, int], None] | None = None) -> None:
         self._robot, self._progress = as_robot(robot), progress
         self._thread = threading.local()
-        """Holds ``last``: the sample of this thread from which ``torque`` goes on."""
+        """Holds ``last``: the closed state of this thread from which ``torque`` goes on."""
 
     def __reduce__(self) -> tuple[Callable[[Robot], RneaDynamics], tuple[Robot]]:
         """Make it again where it is copied or sent to: samples of a thread stay there."""
@@ -135,49 +136,48 @@ class RneaDynamics(Dynamics):
                 f"start is a {type(start).__name__}, expected what an earlier sample of RneaDynamics returned.",
                 remedy="Pass that, or leave it out.",
             )
-        robot, given = self._robot, (x, xd, xdd, s, sd, sdd)
-        sample = self._regular_sample(given, start, t)
+        return self._sample((x, xd, xdd, s, sd, sdd), None if start is None else start.state, t)
+
+    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
+        robot = self._robot
+        here: ClosedState | None = getattr(self._thread, "last", None)
+        if start is not None:
+            q = np.asarray(start, dtype=np.float64)
+            if not np.isfinite(q).all():
+                return without_answer(robot, SampleStatus.NOT_FINITE)
+            here = self._state_at(checked(q, "start", robot.q_reference.shape))
+            if here is None:
+                return without_answer(robot, SampleStatus.BRANCH_LOST)
+        try:
+            sample = self._sample(given, here, t)
+        except InputError:
+            if is_finite(given, t):
+                raise
+            return without_answer(robot, SampleStatus.NOT_FINITE)
+        except REFUSALS as error:
+            return refused(robot, error)
+        self._thread.last = sample.state
+        return solve_sample(robot, sample, sample.state.q, sample.gap, given, t)
+
+    def _state_at(self, start: Array) -> ClosedState | None:
+        """Return the closed state at or next to a configuration (nq,); None where the chains do not close there."""
+        own, q = follower(self._robot), start.copy()
+        q[self._robot.carrier_position] = 0.0
+        own.chain.place(q)
+        return own.close(q, own.chain.coordinates(q))
+
+    def _sample(self, given: SampleArguments, here: ClosedState | None, t: float) -> RneaSample:
+        """Return one sample on the branch of a state; without one, on the branch of the reference."""
+        sample = self._regular_sample(given, here, t)
         if sample is not None:
             return sample
-        motion, carriers = one_sample(robot, *given, t=t)
-        tree = inverse_kinematics(robot, motion, start=None if start is None else start.state)
+        motion, carriers = one_sample(self._robot, *given, t=t)
+        tree = inverse_kinematics(self._robot, motion, start=here)
         f, force = RneaAlongMotion(tree).forces(carriers)
         residual, margin = float(tree.gap[0]), float(tree.serial_margin_bound[0])
         return RneaSample(tree.W[0], f[0], force[0], tree.state(0), residual, margin)
 
-    def torque(
-        self,
-        x: ArrayLike,
-        xd: ArrayLike,
-        xdd: ArrayLike,
-        s: ArrayLike = (),
-        sd: ArrayLike = (),
-        sdd: ArrayLike = (),
-        *,
-        t: float = 0.0,
-        start: ArrayLike | None = None,
-    ) -> TorqueSample:
-        """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
-        given = (x, xd, xdd, s, sd, sdd)
-        if start is not None:
-            there = replace(self._robot, q_reference=checked(start, "start", self._robot.q_reference.shape))
-            elsewhere = self.for_robot(there)
-            torque = elsewhere.torque(*given, t=t)
-            self._thread.last = getattr(elsewhere._thread, "last", None)
-            return torque
-        try:
-            sample = self.sample(*given, start=getattr(self._thread, "last", None), t=t)
-        except (InputError, *REFUSALS):
-            if not is_finite(given):
-                return without_answer(self._robot, SampleStatus.NOT_FINITE)
-            try:
-                sample = self.sample(*given, t=t)  # from the reference
-            except REFUSALS as error:
-                return without_answer(self._robot, status_of(error))
-        self._thread.last = sample
-        return solve_sample(self._robot, sample, sample.state.q, given, t)
-
-    def _regular_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
+    def _regular_sample(self, given: SampleArguments, start: ClosedState | None, t: float) -> RneaSample | None:
         """Return a sample whose branch is plainly regular and whose input is valid; None for all others."""
         robot, own = self._robot, follower(self._robot)
         try:
@@ -185,11 +185,13 @@ class RneaDynamics(Dynamics):
         except (TypeError, ValueError):
             return None
         s, sd, sdd = (np.zeros(robot.k) if part.shape == (0,) else part for part in carriers)
-        home = own.home if start is None else start.state
+        home = own.home if start is None else start
         shapes = [part.shape for part in (x, xd, xdd, s, sd, sdd)]
         if shapes != [home.x.shape, *[(robot.n,)] * 2, *[(robot.k,)] * 3]:
             return None
         if not np.isfinite(np.concatenate((x.ravel(), xd, xdd, s, sd, sdd))).all():
+            return None
+        if x.ndim == 2 and not is_homogeneous_pose(x):
             return None
         turned = counted_turns(robot).coordinates
         if len(turned) and (np.abs(x[turned] - home.x[turned]) > TURN).any():

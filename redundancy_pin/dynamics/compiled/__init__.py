@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
 from redundancy_pin.dynamics.base import (
     AccelerationSample,
     CarrierDerivatives,
@@ -27,23 +27,24 @@ from redundancy_pin.dynamics.base import (
     OnUnreachable,
     ReducedDynamics,
     Sample,
+    SampleArguments,
     TorqueSample,
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.compiled.build import Library, address, bind, define
+from redundancy_pin.dynamics.compiled.build import Library, bind, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
-from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
-from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, TorqueCall
+from redundancy_pin.dynamics.compiled.closing import Lifted, Loops, Start, each, lifted, parts_of
+from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, SampleCall, TorqueCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
-from redundancy_pin.errors import CompilerError, InputError, SingularPoseError, UnsupportedRobotError
+from redundancy_pin.errors import CompilerError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.named import is_pose, require_matching
+from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
@@ -122,32 +123,20 @@ class CompiledDynamics(Dynamics):
         """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop needs.
 
         As ``Dynamics.sample``. Newton's method starts from the sample that this thread asked for before, and from the
-        reference where that is too far away; ``along`` and ``reduce`` follow a whole motion, check tracks, and say what
-        is wrong.
+        reference where no straight line leads on from there.
         """
-        one = getattr(self._local, "one", None)
-        if one is None:
-            one = self._local.one = _OneSample(self)
-        return one((x, xd, xdd, s, sd, sdd), t)
+        try:
+            call: SampleCall = self._local.sample
+        except AttributeError:
+            call = self._local.sample = SampleCall(self._robot, self.kernel, self._follow)
+        return call(x, xd, xdd, s, sd, sdd, t)
 
-    def torque(
-        self,
-        x: ArrayLike,
-        xd: ArrayLike,
-        xdd: ArrayLike,
-        s: ArrayLike = (),
-        sd: ArrayLike = (),
-        sdd: ArrayLike = (),
-        *,
-        t: float = 0.0,
-        start: ArrayLike | None = None,
-    ) -> TorqueSample:
-        """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
+    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
         try:
             call: TorqueCall = self._local.torque
         except AttributeError:
-            call = self._local.torque = TorqueCall(self._robot, self.kernel, self._find)
-        return call(x, xd, xdd, s, sd, sdd, t, start)
+            call = self._local.torque = TorqueCall(self._robot, self.kernel, self._follow)
+        return call(*given, t, start)
 
     def acceleration(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, carrier_force: ArrayLike = (), *, t: float = 0.0
@@ -175,10 +164,12 @@ class CompiledDynamics(Dynamics):
             call = self._local.joint_state = JointStateCall(self._robot, self.kernel)
         return call(position, velocity, s, sd, start)
 
-    def _find(self, motion: PlatformMotion) -> Array:
-        """Return a configuration (nq,) that is closed at a motion of one sample; raises as ``along``."""
-        found: Array = lifted(self._loops, motion, mark=False).q[0]
-        return found
+    def _follow(
+        self, motion: PlatformMotion, carriers: CarrierMotion, start: Start | None
+    ) -> tuple[Lifted, ReducedDynamics]:
+        """Return a motion on the branch of a start, or of the reference, with W and f; raises as ``along``."""
+        tree = lifted(self._loops, motion, mark=False, start=start)
+        return tree, CompiledAlongMotion(self, tree).reduce(carriers)
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants; see ``Dynamics.carrier_terms``.
@@ -215,71 +206,6 @@ class CompiledDynamics(Dynamics):
     @cached_property
     def _loops(self) -> Loops:
         return Loops(self._robot, self.kernel, self.threads)
-
-
-class _OneSample:
-    """One sample at a time, in fixed memory; one for each thread."""
-
-    def __init__(self, dynamics: CompiledDynamics) -> None:
-        robot = dynamics.robot
-        self._dynamics, n, m, k = dynamics, robot.n, robot.m, robot.k
-        pose = is_pose(robot)
-        self._shapes = [(4, 4) if pose else (n,), (n,), (n,), (k,), (k,), (k,)]
-        width = 16 if pose else n
-        self._wrenches = 6 * len(of_kind(robot.loads, Wrench))
-        self._given, self._result = np.zeros(width + 2 * n + 3 * k + self._wrenches), np.zeros(n * m + n + k + 2)
-        self._state = np.append(np.array(robot.q_reference), 0.0)
-        self._parked = np.zeros(k)
-        self._cuts, self._shape = (n * m, n * m + n, n * m + n + k), (n, m)
-        self._kernel = dynamics.kernel  # which keeps the robot's numbers
-        given = self._kernel.numbers, *(address(array) for array in (self._state, self._given, self._result))
-        self._evaluate = partial(self._kernel.library.rp_sample, *given)
-
-    def __call__(self, values: tuple[ArrayLike, ...], t: float) -> Sample:
-        try:
-            parts = [np.asarray(value, dtype=np.float64) for value in values]
-        except (TypeError, ValueError):
-            self._refuse(values)
-        if [part.shape for part in parts] != self._shapes:
-            carried = [self._parked if not part.size else part for part in parts[3:]]
-            carried = [np.full(self._parked.shape, part) if part.ndim == 0 else part for part in carried]
-            parts[3:] = carried  # one number stands for all carriers
-            if [part.shape for part in parts] != self._shapes:
-                self._refuse(values)
-        if self._wrenches:
-            x, xd = parts[0][None], parts[1][None]
-            parts += [part[0] for part in wrench_values(self._dynamics.robot.loads, np.array([t]), x, xd)]
-        parts[0] = parts[0].ravel()
-        np.concatenate(parts, out=self._given)
-        if self._evaluate() != CLOSED:
-            self._from_reference(values)
-        result, (a, b, c) = self._result.copy(), self._cuts
-        return Sample(result[:a].reshape(self._shape), result[a:b], result[b:c])
-
-    def _from_reference(self, values: tuple[ArrayLike, ...]) -> None:
-        motion = self._refuse(values)
-        # raises, unless the sample was only too far from the one before
-        self._state[:-1] = lifted(self._dynamics._loops, motion, mark=False).q[0]
-        self._state[-1] = 0.0
-        status = self._evaluate()
-        if status == NOT_FINITE:
-            raise InputError("The efforts of the sample are not finite.", remedy="Its rates are too large.")
-        if status != CLOSED:
-            raise SingularPoseError(
-                "The sample is at a type I singularity: the platform velocity does not determine the joint velocities.",
-                remedy="Keep the legs away from full stretch, full fold and zero length.",
-                sample=0,
-            )
-
-    def _refuse(self, values: tuple[ArrayLike, ...]) -> PlatformMotion:
-        """Return the sample as a motion; raises where it is none."""
-        names = ("x", "xd", "xdd", "s", "sd", "sdd")
-        parts = [
-            checked(value, name, shape)
-            for value, name, shape in zip(values, names, self._shapes, strict=True)
-            if name[0] == "x" or np.size(value)
-        ]
-        return PlatformMotion(np.zeros(1), *(part[None] for part in parts[:3]))
 
 
 class CompiledAlongMotion(Frozen):

@@ -26,14 +26,37 @@ from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
 from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE, FLAGS, REMEDY, built, digest, loaded
+from redundancy_pin.motion import POSE_TOLERANCE
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.robot.whole_turns import counted_turns
+from redundancy_pin.robot.whole_turns import EXACT, FARTHEST, MOST_TURNS, TURN, WHOLE, counted_turns
 from redundancy_pin.status import SampleStatus
 
 LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
 one that is closed to within the tolerance is known no better than this."""
+
+_FASTER = 10
+"""Ratio of the turns that generated code follows one by one to those of ``robot.whole_turns``: they take as long."""
+
+_CONSTANTS = {
+    "TOLERANCE": CLOSURE_TOLERANCE,
+    "LEAST_MARGIN": LEAST_MARGIN,
+    "RANK_TOLERANCE": RANK_TOLERANCE,
+    "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
+    "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
+    "FORCE_TOLERANCE": FORCE_TOLERANCE,
+    "POSE_TOLERANCE": POSE_TOLERANCE,
+    "EPSILON": float(np.finfo(float).eps),
+    "TURN": TURN,
+    "MOST_TURNS": _FASTER * MOST_TURNS,
+    "WHOLE": WHOLE,
+    "EXACT": EXACT,
+    "FARTHEST": FARTHEST,
+}
+"""Constants of the package that the C takes over, by their names there."""
+
+_STATUSES = ", ".join(f"STATUS_{status.name} = {int(status)}" for status in SampleStatus)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +162,7 @@ def source(robot: Robot) -> str:
     return "\n".join(
         [
             driver_source(definition, definition.functions.values()),
-            sample_source(),
+            text_of("sample.c"),
             _table("static const int CARRIERS", robot.carrier_velocity),
             _table("static const int CARRIED", robot.carrier_position),
             text_of("calls.c"),
@@ -166,25 +189,6 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
     return "\n".join([*tables(chain, functions, storage), *counted, text_of("driver.c")])
 
 
-def sample_source() -> str:
-    """Return the C of one sample, ``sample.c``, with its constants; it follows ``driver_source``."""
-    return "\n".join([sample_constants(), text_of("sample.c")])
-
-
-def sample_constants() -> str:
-    """Return statuses and tolerances of this package as C."""
-    constants = {
-        "RANK_TOLERANCE": RANK_TOLERANCE,
-        "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
-        "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
-        "FORCE_TOLERANCE": FORCE_TOLERANCE,
-    }
-    statuses = ", ".join(f"STATUS_{status.name} = {int(status)}" for status in SampleStatus)
-    text = [f"enum {{ {statuses} }};"]
-    text += [f"#define {name} {value!r}" for name, value in constants.items()]
-    return "\n".join(text)
-
-
 def _table(declared: str, values: Any) -> str:
     listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
     return f"{declared}[] = {{{listed or '0'}}};"
@@ -205,16 +209,15 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
         "NX": chain.x.numel(),
         "LEGS": chain.mode_indicators.numel(),
         "NALIGN": chain.alignment.numel(),
-        "TOLERANCE": CLOSURE_TOLERANCE,
-        "LEAST_MARGIN": LEAST_MARGIN,
+        "NWRENCH": chain.external.numel(),
     }
     tables = {
         "static const int COLUMNS": chain.pose_columns,
         "static const int ACTUATED": robot.actuated_velocity,
     }
     text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
-    text += [f"#define {name} {value!r}" for name, value in sizes.items()]
-    text += chain.layout.macros
+    text += [f"#define {name} {value!r}" for name, value in {**sizes, **_CONSTANTS}.items()]
+    text += [f"enum {{ {_STATUSES}, STATUSES }};", *chain.layout.macros]
     return [*text, *(_table(name, values) for name, values in tables.items())]
 
 
@@ -271,7 +274,7 @@ def _sources() -> tuple[str, ...]:
     folder = importlib.resources.files(__package__)
     names = sorted(file.name for file in folder.iterdir() if file.name.endswith((".py", ".c")))
     versions = importlib.metadata.version("casadi"), str(pin.__version__)  # without the time that an import takes
-    return (*versions, sample_constants(), repr(CLOSURE_TOLERANCE), *names, *map(text_of, names))
+    return (*versions, repr(_CONSTANTS), _STATUSES, *names, *map(text_of, names))
 
 
 class Code:

@@ -2,8 +2,6 @@
    of its determinant, 0 where unknown: where Newton's method starts, and afterwards where it ended. Calls return a status of
    redundancy_pin.status; only samples that are closed write their results and the state. */
 
-#define TURN_OF_RANGE 6.283185307179586
-
 /* A range of a joint or a track of a carrier (robot/joint_ranges.py): its index in q, whether whole turns count as none, its
    ends and slack. */
 typedef struct {
@@ -15,32 +13,57 @@ static int in_ranges(const double *q, const Range *ranges, int count) {
     const Range *range = ranges + i;
     double value = q[(int)range->at];
     if (range->turns != 0.0)
-      value -= TURN_OF_RANGE * rint((value - 0.5 * (range->lower + range->upper)) / TURN_OF_RANGE);
+      value -= TURN * rint((value - 0.5 * (range->lower + range->upper)) / TURN);
     if (range->lower - value > range->slack || value - range->upper > range->slack) return 0;
   }
   return 1;
 }
 
+/* The sides of the legs (LEGS) at a configuration, as sides_of. */
+void rp_sides(const double *numbers, const double *q, double *sides) {
+  double trig[2 * NT + 1];
+  turns_of(q, trig);
+  sides_of(numbers, q, trig, sides);
+}
+
+/* One sample; in and out as rp_sample. Where Newton's method does not get there in one step, the branch of the state is followed, on the
+   straight way, however many turns away. The state is moved where the sample is closed; reached, of the same size, is the last
+   configuration on the way. Returns a status of the driver. */
+int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
+  double here[NX];
+  Pose pose;
+  copy(reached, state, NQ + 1);
+  int closed = rp_sample(numbers, reached, in, out);
+  if (closed == LOST && pose_at(numbers, reached, reached[NQ], &pose, here) == STATUS_OK) {
+    int there = go_far(numbers, &pose, here, in);
+    copy(reached, pose.q, NQ);
+    reached[NQ] = pose.sign;
+    if (there) closed = rp_sample(numbers, reached, in, out);
+  }
+  if (closed == CLOSED) copy(state, reached, NQ + 1);
+  return closed;
+}
+
 #if M
-/* Torques of one sample. in: as rp_sample; out: as rp_sample, then tau (M), residual, margin, condition. */
-int rp_torque(const double *numbers, double *state, const double *in, const Range *ranges, int count, double *out) {
-  double from[NQ + 1], *const f = out + N * M, *const tau = f + N + NK + 2;
+enum { STATUS_NO_POSE = STATUSES };
+
+/* Torques of one sample. out: as rp_sample, then tau (M), residual, margin, condition. Returns a status, or STATUS_NO_POSE. */
+int rp_torque(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
+  double q[NQ], *const f = out + N * M, *const tau = f + N + NK + 2;
   Efforts efforts;
-  copy(from, state, NQ + 1);
-  int closed = rp_sample(numbers, from, in, out);
-  if (closed == LOST) return STATUS_BRANCH_LOST; /* or out of reach, or not finite: for Python to say */
-  if (closed != CLOSED) return status_of(closed);
-  if (!finite(out, N * M + N + NK + 2)) return STATUS_NOT_FINITE;
+  int closed = rp_reach(numbers, state, reached, in, out);
+  if (closed == NO_POSE) return STATUS_NO_POSE;
+  if (closed != CLOSED) return closed == LOST ? STATUS_BRANCH_LOST : status_of(closed);
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
   if (status == STATUS_NOT_FINITE) return status;
-  copy(state, from, NQ + 1);
   copy(tau, efforts.tau, M);
   tau[M] = efforts.residual;
   tau[M + 1] = efforts.margin;
   tau[M + 2] = efforts.condition;
   if (status > STATUS_SINGULAR_CONSISTENT) return status;
-  for (int i = 0; i < NK; ++i) from[CARRIED[i]] = in[NX + 2 * N + i];
-  return in_ranges(from, ranges, count) ? status : STATUS_OUT_OF_RANGE;
+  copy(q, state, NQ);
+  for (int i = 0; i < NK; ++i) q[CARRIED[i]] = in[NX + 2 * N + i];
+  return in_ranges(q, ranges, count) ? status : STATUS_OUT_OF_RANGE;
 }
 #endif
 

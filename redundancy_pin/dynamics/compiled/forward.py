@@ -136,7 +136,6 @@ def source(robot: Robot) -> str:
     functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
     text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
     text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
-    text.append(f"#define NWRENCH {chain.external.numel()}")
     text.append(f"#define N_FREEDOMS {robot.n}")
     for name, values in {
         "int CARRIERS": robot.carrier_velocity,

@@ -14,6 +14,7 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    SampleArguments,
     TorqueSample,
     require_choice,
     require_matching_carriers,
@@ -91,23 +92,9 @@ class VirtualWork(Dynamics):
             legs = self._mechanism.legs(np.where(reachable[:, None], motion.x, np.nan))
         return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, gap, reachable)
 
-    def torque(
-        self,
-        x: ArrayLike,
-        xd: ArrayLike,
-        xdd: ArrayLike,
-        s: ArrayLike = (),
-        sd: ArrayLike = (),
-        sdd: ArrayLike = (),
-        *,
-        t: float = 0.0,
-        start: ArrayLike | None = None,
-    ) -> TorqueSample:
-        """Return the efforts of one sample with a status; see ``Dynamics.torque``.
-
-        The closed form has one branch, that of the working mode, and needs no ``start``.
-        """
-        return solve_batch_of_one(self, (x, xd, xdd, s, sd, sdd), t)
+    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
+        # the closed form has one branch, that of the working mode, and needs no start
+        return solve_batch_of_one(self, given, t)
 
 
 class VirtualWorkAlongMotion(Frozen):
