@@ -24,6 +24,7 @@ from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
+from redundancy_pin.dynamics.forward import LEAST_INERTIA
 from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE, FLAGS, REMEDY, built, digest, loaded
 from redundancy_pin.motion import POSE_TOLERANCE
@@ -47,6 +48,7 @@ _CONSTANTS = {
     "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
     "FORCE_TOLERANCE": FORCE_TOLERANCE,
     "POSE_TOLERANCE": POSE_TOLERANCE,
+    "LEAST_INERTIA": LEAST_INERTIA,
     "EPSILON": float(np.finfo(float).eps),
     "TURN": TURN,
     "MOST_TURNS": _FASTER * MOST_TURNS,
@@ -108,9 +110,7 @@ def _defined(topology: Topology) -> Definition:
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
         "rows": ([*pose, chain.x], [missing, ca.vec(K), chain.alignment]),  # without units
         "bias": ([*pose, chain.v], [chain.bias]),
-        "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
-        "moved": ([chain.q, chain.step], [chain.moved]),
-        "modes": (pose, [chain.mode_indicators]),
+        **tree_functions(chain),
         "coordinates": (pose, [chain.coordinates]),
         "drives": ([chain.q, positions], [_missed(chain, positions)]),
         "project": (projected, reduced),
@@ -123,6 +123,16 @@ def _defined(topology: Topology) -> Definition:
     for name, (inputs, outputs) in definitions.items():
         functions[f"rp_{name}"] = function_of(chain, f"rp_{name}", inputs, outputs)
     return Definition(chain, functions)
+
+
+def tree_functions(chain: SymbolicChain) -> dict[str, tuple[list[Any], list[Any]]]:
+    """Return arguments and results of the functions that both libraries have: ``tree.c`` calls them, and modes."""
+    turns = ca.vertcat(*(function(chain.q[i]) for i in chain.turning for function in (ca.cos, ca.sin)))
+    return {
+        "turns": ([chain.q], [turns]),
+        "moved": ([chain.q, chain.step], [chain.moved]),
+        "modes": ([chain.q, chain.trig], [chain.mode_indicators]),
+    }
 
 
 def function_of(chain: SymbolicChain, name: str, inputs: list[Any], outputs: list[Any]) -> Any:
@@ -163,8 +173,7 @@ def source(robot: Robot) -> str:
         [
             driver_source(definition, definition.functions.values()),
             text_of("sample.c"),
-            _table("static const int CARRIERS", robot.carrier_velocity),
-            _table("static const int CARRIED", robot.carrier_position),
+            *carrier_tables(robot),
             text_of("calls.c"),
             text_of("batch.c"),
         ]
@@ -218,7 +227,13 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
     text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
     text += [f"#define {name} {value!r}" for name, value in {**sizes, **_CONSTANTS}.items()]
     text += [f"enum {{ {_STATUSES}, STATUSES }};", *chain.layout.macros]
-    return [*text, *(_table(name, values) for name, values in tables.items())]
+    return [*text, *(_table(name, values) for name, values in tables.items()), text_of("tree.c")]
+
+
+def carrier_tables(robot: Robot) -> list[str]:
+    """Return the C of two more tables, the indices of the carriers in v and in q."""
+    indices = {"CARRIERS": robot.carrier_velocity, "CARRIED": robot.carrier_position}
+    return [_table(f"static const int {name}", values) for name, values in indices.items()]
 
 
 def text_of(name: str) -> str:

@@ -366,7 +366,7 @@ class AccelerationCall:
         self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
         self._read = forward.reader() if wrenches else None
         self._a = np.zeros(model.nv)
-        given = forward.numbers, self._arguments.memory, *forward.tolerances, self._a
+        given = forward.numbers, self._arguments.memory, self._a
         self._call = _caller(forward, "rp_acceleration", *given)
         self._code = forward  # which keeps its numbers
 

@@ -13,15 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.dynamics.compiled.build import Code, Recipe, address, function_of, tables, text_of
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled.build import (
+    Code,
+    Recipe,
+    address,
+    carrier_tables,
+    function_of,
+    tables,
+    text_of,
+    tree_functions,
+)
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.layout import Member, Struct
 from redundancy_pin.dynamics.compiled.parameters import pose_columns
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.forward import (
-    LEAST_INERTIA,
     Accelerations,
     Advance,
     Equations,
@@ -84,8 +92,6 @@ _RUN = Struct(
         Member("largest_residual", "double", "m; closure residual that it must not leave"),
         Member("velocity_change", "double", "by a projection, at most this share of the largest velocity"),
         Member("velocity_floor", "double", "and this amount, m/s or rad/s"),
-        Member("rank_tolerance", "double", "ratio of pivots below which the closures have lost rank"),
-        Member("least_inertia", "double", "ratio of pivots below which a free motion has no inertia"),
     ),
     {"Loads": _LOADS},
 )
@@ -105,6 +111,9 @@ _PROGRESS = Struct(
         Member("next_break", "int", "the next one"),
     ),
 )
+
+_SHARED = tuple(field.name for field in fields(Advance) if field.name not in ("y", "values"))
+"""Members of ``Progress`` that ``dynamics.forward.Advance`` has too."""
 
 _DECLARATIONS = "\n".join(
     [
@@ -128,21 +137,11 @@ def source(robot: Robot) -> str:
         "equations": ([*motion, chain.external], [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
         "closures": (pose, [chain.closure_rows, ca.vec(chain.K)]),
         "rates": ([chain.q, chain.v], [chain.configuration_rate]),
-        "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
-        "moved": ([chain.q, chain.step], [chain.moved]),
-        "modes": (pose, [chain.mode_indicators]),
+        **tree_functions(chain),
         "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
     }
     functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
-    text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
-    text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
-    text.append(f"#define N_FREEDOMS {robot.n}")
-    for name, values in {
-        "int CARRIERS": robot.carrier_velocity,
-        "int CARRIED": robot.carrier_position,
-    }.items():
-        listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
-        text.append(f"static const {name}[] = {{{listed or '0'}}};")
+    text = [*tables(chain, functions, "static"), *carrier_tables(robot)]
     return "\n".join([*text, _DECLARATIONS, text_of("forward.c")])
 
 
@@ -168,7 +167,6 @@ class CompiledForward(Code):
         self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
         self._rows = self._p - robot.n
         self._nothing = ctypes.c_void_p(None)
-        self.tolerances = ctypes.c_double(RANK_TOLERANCE), ctypes.c_double(LEAST_INERTIA)
 
     def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
         """Return the tree acceleration (nv,); see ``ForwardKernel.acceleration``."""
@@ -184,7 +182,7 @@ class CompiledForward(Code):
     def _evaluated(
         self, q: Array, v: Array, force: Array, given: Array | None, closure_force: Array | None
     ) -> Accelerations | None:
-        a, inertia, missing = np.empty(self._nv), ctypes.c_double(), np.empty(self._nv)
+        a, missing = np.empty(self._nv), np.empty(self._nv)
         # held by name until the call is over: ctypes keeps addresses only
         inputs = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v, force)]
         carriers = None if given is None else np.ascontiguousarray(given, dtype=np.float64)
@@ -192,9 +190,7 @@ class CompiledForward(Code):
             self.numbers,
             *(address(part) for part in inputs),
             self._nothing if carriers is None else address(carriers),
-            *self.tolerances,
             address(a),
-            ctypes.byref(inertia),
             self._nothing if closure_force is None else address(closure_force),
             address(missing),
         )
@@ -276,7 +272,7 @@ class CompiledReader:
         self._state, self._out = np.zeros(forward._nq + forward._nv), np.full(self._ends[-1], np.nan)
         v = ctypes.c_void_p(self._state.ctypes.data + 8 * self._nq)
         self._forward = forward  # whose numbers the code reads
-        self._given = forward.numbers, address(self._state), v, ctypes.c_double(RANK_TOLERANCE), address(self._out)
+        self._given = forward.numbers, address(self._state), v, address(self._out)
         self._read = forward.library.rp_reading
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -338,9 +334,8 @@ class CompiledIntegration:
     def advance(self, at: Advance, end: float, most: int) -> bool:
         """Take ordinary steps up to a time, s, at most so many; return whether the next one is not ordinary."""
         progress, rules = self._at, self._rules
-        progress.t, progress.near, progress.next_step = at.t, at.near, at.next_step
-        progress.largest_correction, progress.sample = at.largest_correction, at.sample
-        progress.steps, progress.evaluations, progress.restarts = at.steps, at.evaluations, at.restarts
+        for name in _SHARED:
+            setattr(progress, name, getattr(at, name))
         progress.next_break = int(np.searchsorted(rules.breaks, at.t, side="right"))
         self._run.breaks = int(np.searchsorted(rules.breaks, end, side="right"))
         y, values = np.array(at.y, dtype=np.float64), np.array(at.values, dtype=np.float64)
@@ -355,13 +350,9 @@ class CompiledIntegration:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-        at.t, at.y, at.values, at.near = progress.t, y, values, progress.near
-        at.next_step, at.largest_correction, at.sample = (
-            progress.next_step,
-            progress.largest_correction,
-            progress.sample,
-        )
-        at.steps, at.evaluations, at.restarts = progress.steps, progress.evaluations, progress.restarts
+        at.y, at.values = y, values
+        for name in _SHARED:
+            setattr(at, name, getattr(progress, name))
         return bool(status == _LOOK)
 
     def _act(self, edges: Array, coefficients: Array) -> None:
