@@ -26,7 +26,7 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
-from redundancy_pin.kinematics.multistart import multistart_nearest
+from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
 from redundancy_pin.robot import Closure, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
@@ -319,7 +319,8 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
     else:
         goal = target()[0]
         _require_radians(robot, dict(zip(robot.independent_joints, goal.tolist(), strict=False)), "reference.joints")
-        q, gap, closed = multistart_nearest(system, guess, goal, columns, _prescribed(robot, guess, goal))
+        prescribed = _prescribed(robot, guess, goal)
+        q, gap, closed = multistart(system, guess, goal, known=columns, prescribed=prescribed)
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),

@@ -14,9 +14,9 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
 
 LEAST_INERTIA = 1e-8
-"""Inertia that a free motion must have when all before it yield, as a share of the largest, for the model not to count
-as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps
-shrink to nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
+"""Least share, no unit, of the largest inertia that a free motion may have; below it the model counts as massless in
+some direction. Rounding leaves 1e-16, and accelerations that shrink steps to nothing long before; a part of a
+thousandth of the mass of the others leaves 1e-3. Halfway between."""
 
 
 class Polynomials(Protocol):

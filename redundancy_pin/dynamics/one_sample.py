@@ -11,8 +11,9 @@ from functools import lru_cache
 import numpy as np
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
+from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.base import Dynamics, ReducedSample, SampleArguments, TorqueSample, one_sample
-from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE, distribute
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
 from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import is_in_range
@@ -88,10 +89,11 @@ def solve_sample(
     u, values, vt, failed = lapack().dgesdd(A)
     if failed:
         return without_answer(robot, SampleStatus.NOT_FINITE)
-    rank = int((values > RANK_TOLERANCE * max(float(values[0]), UNIT)).sum())
+    sizes = values.tolist()
+    smallest, margin, s = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1], given[3]
+    rank = sum(value > smallest for value in sizes)
     components = g @ u
-    outside = components[rank:]
-    full, margin, s = rank == len(values), float(values[-1]), given[3]
+    outside, full = components[rank:], rank == len(sizes)
     if len(outside):
         allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * _force_size(robot, given, t)
         if math.sqrt(float(outside @ outside)) > allowed:

@@ -14,9 +14,9 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, checked
 from redundancy_pin.kinematics.closure import ConstraintState
-from redundancy_pin.kinematics.tree import motion_subspace
+from redundancy_pin.kinematics.tree import frame_placement, motion_subspace
 from redundancy_pin.robot import AXES, Robot
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import is_revolute, row_scale
 
@@ -25,8 +25,7 @@ def coordinates(robot: Robot, state: ConstraintState) -> Array:
     """Return the independent coordinates of configurations: (N, n), or poses (N, 4, 4); see ``Platform``."""
     if robot.platform is None:
         return np.stack([joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
-    frame = robot.platform.frame
-    rotation, origin = state.pose.frame_rotation[frame], state.pose.frame_origin[frame]
+    rotation, origin = frame_placement(state.vectors, find_link_index(robot.model, robot.platform.frame))
     if robot.platform.is_pose:
         poses = np.zeros((origin.shape[1], 4, 4))
         poses[:, :3, :3] = rotation.transpose(2, 0, 1)
@@ -74,16 +73,19 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
     Angles of the platform and of continuous joints go the short way round; between poses it is a translation of the
     origin and a world-aligned rotation vector.
     """
-    if target.ndim == 3:
+    if is_pose(robot) and target.ndim == 2:
+        turn = pin.log3(target[:3, :3].dot(start[:3, :3].T))
+        return np.concatenate([target[:3, 3] - start[:3, 3], turn])[pose_rows(robot)]
+    if is_pose(robot):
         from scipy.spatial.transform import Rotation
 
         rotation = Rotation.from_matrix(target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
         delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], rotation.as_rotvec()], axis=1)
         return delta[:, pose_rows(robot)]
     delta = target - start
-    turns = angle_columns(robot)
-    if turns:
-        delta[..., turns] = (delta[..., turns] + np.pi) % (2.0 * np.pi) - np.pi
+    columns = delta.T  # a view: (n, N), or (n,)
+    for k in angle_columns(robot):
+        columns[k] = (columns[k] + np.pi) % (2.0 * np.pi) - np.pi
     return delta
 
 
@@ -95,16 +97,19 @@ def distance(robot: Robot, target: Array, start: Array) -> Array:
 
 def moved(robot: Robot, start: Array, increment: Array) -> Array:
     """Return the coordinates reached from ``start`` by an increment as returned by ``difference``."""
-    if start.ndim == 3:
+    if not is_pose(robot):
+        return start + increment
+    full = np.zeros((*start.shape[:-2], 6))
+    full[..., pose_rows(robot)] = increment
+    result: Array = start.copy()
+    result[..., :3, 3] += full[..., :3]
+    if start.ndim == 2:
+        result[:3, :3] = pin.exp3(full[3:]).dot(start[:3, :3])
+    else:
         from scipy.spatial.transform import Rotation
 
-        full = np.zeros((len(start), 6))
-        full[:, pose_rows(robot)] = increment
-        result: Array = start.copy()
-        result[:, :3, 3] += full[:, :3]
         result[:, :3, :3] = Rotation.from_rotvec(full[:, 3:]).as_matrix() @ start[:, :3, :3]
-        return result
-    return start + increment
+    return result
 
 
 def gravity_acts(robot: Robot) -> bool:
@@ -154,6 +159,7 @@ def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
     return np.array(checked(numbers, "reference", (robot.n,)))[None]
 
 
+@lru_cache(maxsize=64)
 def pose_rows(robot: Robot) -> list[int]:
     """Return which components of a twist the platform's velocities are; none without a platform."""
     return [AXES.index(axis) for axis in robot.platform.axes] if robot.platform else []

@@ -17,7 +17,7 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.functions import (
     PIECE_DEGREE,
     SINGULAR_SAMPLE,
@@ -39,7 +39,7 @@ from redundancy_pin.planners.limits import (
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.planners.samples_only import reconstruction_error
-from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.singularities.roots import zeros
 from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
@@ -124,7 +124,7 @@ def finish_plan(
         exceeded = (*exceeded, *motion_broken(judged, position, reconstructed))
     jerks = _jerk_events(along, carriers, position, parameters)
     platform = None if functions is None else functions.platform
-    at_samples = (*limits.violated, *at_samples, *jerks[0], *_ranges_left(robot, along.motion, platform))
+    at_samples = (*limits.violated, *at_samples, *jerks[0], *_ranges_left(along, platform))
     violated = merged_events(at_samples, exceeded)
     overall = ResultStatus.OK if diagnostics.get("optimal", True) else ResultStatus.NOT_CONVERGED
     check = None if between is None else between.check
@@ -221,12 +221,14 @@ INSIDE = 8
 """Parts of a step, at whose ends joints are looked at that come near the end of their range there."""
 
 
-def _ranges_left(robot: Robot, motion: PlatformMotion, platform: ContinuousMotion | None) -> Events:
+def _ranges_left(along: DynamicsAlongMotion, platform: ContinuousMotion | None) -> Events:
     """Return where joints, passive ones too, leave their ranges: at the samples, and between them along a platform."""
+    robot, t, q = along.robot, along.motion.t, along.q
     joints = joint_ranges(robot)
     if not joints:
         return ()
-    t, q = motion.t, inverse_kinematics(robot, motion, mark_unreachable=True).q
+    if q is None:  # of a closed form
+        q = inverse_kinematics(robot, along.motion, mark_unreachable=True).q
     known = np.isfinite(q).all(axis=1)
     if platform is not None and known.sum() > 1:
         at, near = t[known], np.zeros(known.sum() - 1, dtype=bool)

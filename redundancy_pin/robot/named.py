@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
@@ -30,6 +31,7 @@ def as_robot(robot: RobotLike) -> Robot:
     return robot
 
 
+@lru_cache(maxsize=64)
 def is_pose(robot: Robot) -> bool:
     """Return whether the independent coordinates are a homogeneous pose."""
     return robot.platform is not None and robot.platform.is_pose

@@ -328,5 +328,5 @@ def state_error(robot: Robot, state: State, x: Array, xd: Array, s: Array, sd: A
         sd: (k,) their speeds, m/s.
     """
     here = state.x
-    away = difference(robot, here, x) if here.ndim == 1 else difference(robot, here[None], x[None])[0]
+    away = difference(robot, here, x)
     return np.concatenate([away, state.s - s, state.xd - xd, state.sd - sd])

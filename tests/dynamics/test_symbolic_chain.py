@@ -17,6 +17,7 @@ from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, parts_of, way
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector, places_of, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.kinematics.assembly import project
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
 
 CHAINS = [*zoo.SHIPPED, *spatial_chains.CHAINS]
@@ -40,7 +41,7 @@ def values(chain: SymbolicChain, expressions, *, q, v=None, a=None, x=None):
 
 
 def test_rows_coordinates_and_modes_are_those_of_the_kinematics(robot: rp.Robot) -> None:
-    chain, system = SymbolicChain(robot), zoo.system_of(robot)
+    chain, evaluated, system = SymbolicChain(robot), ClosedChain(robot), zoo.system_of(robot)
     rng = np.random.default_rng(7)
     steps = rng.uniform(-0.05, 0.05, (3, robot.n)) * robot.characteristic_length
     targets = moved(robot, np.repeat(zoo.home_of(robot)[None], 3, axis=0), steps)
@@ -53,7 +54,8 @@ def test_rows_coordinates_and_modes_are_those_of_the_kinematics(robot: rp.Robot)
         xd = rng.normal(size=robot.n)
         v = project(system, state).gamma[0] @ xd
         v[robot.carrier_velocity] = rng.normal(size=robot.k)
-        bias = np.concatenate([part[0] for part in system.bias(state, v[None])])
+        evaluated.update(q, v)
+        bias = np.concatenate([evaluated.bias(), evaluated.platform_jacobian_rate() @ v])
         x = coordinates(robot, state)[0]
         rows = (chain.closure_rows, chain.K, chain.bias, chain.coordinates, chain.mode_indicators, chain.alignment)
         open_by, K, rate, own, modes, alignment = values(chain, rows, q=q, v=v)

@@ -15,31 +15,25 @@ from flat_linkages import row_of_four_bars
 from folding import folding_four_bar
 
 import redundancy_pin as rp
-from redundancy_pin.errors import SingularPoseError
-from redundancy_pin.kinematics.assembly import assemble, integrate, project
-from redundancy_pin.kinematics.branch import (
-    LONGEST_STEP,
-    ClosedState,
-    Follower,
-    closed_around,
-    continuous,
-    follower,
-    follows,
-)
+from redundancy_pin.errors import InputError, SingularPoseError
+from redundancy_pin.kinematics.assembly import assemble, integrate
+from redundancy_pin.kinematics.branch import LONGEST_STEP, BranchEnd, ClosedState, Follower, follower, follows
 from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.margins import closed_around
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import velocity_unit
+from redundancy_pin.status import SampleStatus
 
 
 def test_a_pose_nearby_is_the_one_that_assembly_closes(shipped: Robot) -> None:
     system, own = zoo.system_of(shipped), follower(shipped)
     increment = np.random.default_rng(5).uniform(-0.02, 0.02, shipped.n) * shipped.characteristic_length
-    x = moved(shipped, own.home.x[None], increment[None])
-    reached = own.advance(own.home, x[0])
-    assert reached is not None
+    x = moved(shipped, own.home.x, increment)
+    reached = own.advance(own.home, x)
+    assert isinstance(reached, ClosedState)
     guess = integrate(shipped.model, own.home.q[None], (own.home.gamma @ increment)[None])
-    expected = assemble(system, guess, x)
+    expected = assemble(system, guess, x[None])
     np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(reached.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
     assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
@@ -54,7 +48,7 @@ def test_axes_that_coincide_are_followed_and_not_turned_over(name: str) -> None:
     for _ in range(3):
         x = here.x + 0.02
         reached = own.advance(here, x)
-        assert reached is not None
+        assert isinstance(reached, ClosedState)
         expected = assemble(system, integrate(robot.model, here.q[None], (here.gamma @ (x - here.x))[None]), x[None])
         np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
         here = reached
@@ -74,7 +68,7 @@ def test_a_chain_without_closures_is_followed(independent: dict[str, Any]) -> No
     own = follower(robot)
     x = own.home.x + np.array([0.02, -0.01])
     reached = own.advance(own.home, x)
-    assert reached is not None
+    assert isinstance(reached, ClosedState)
     a, b = reached.q
     tip = [np.cos(a) + 0.8 * np.cos(a + b), np.sin(a) + 0.8 * np.sin(a + b)]
     np.testing.assert_allclose([a, b] if "joints" in independent else tip, x, atol=1e-12)
@@ -85,8 +79,71 @@ def test_a_state_that_the_branch_contradicts_is_refused() -> None:
     x = own.home.x + np.array([0.01, 0.0, 0.0])
     assert own.step(own.home, x) is not None
     assert own.step(replace(own.home, gamma=3.0 * own.home.gamma), x) is None
-    assert own.advance(own.home, own.home.x + 100.0) is None
-    assert own.advance(own.home, x * np.nan) is None
+
+
+def along(*x: float) -> np.ndarray:
+    return np.array(x)
+
+
+REACH = np.sqrt(1.0 - 0.25**2)
+"""Height on the axis of symmetry at which both legs of the five-bar are stretched: 1 m legs, hinges 0.5 m apart."""
+
+
+@pytest.mark.parametrize(
+    ("x", "status"),
+    [
+        (along(0.25, 1.5), SampleStatus.UNREACHABLE),
+        (along(0.25, REACH), SampleStatus.TYPE_I),
+        (-0.5 * zoo.home_of(zoo.robot_of("five_bar")), SampleStatus.BRANCH_LOST),  # through the hinge of the first leg
+        (along(np.nan, 0.5), SampleStatus.NOT_FINITE),
+    ],
+)
+def test_a_branch_that_ends_says_why_and_where(x: np.ndarray, status: SampleStatus) -> None:
+    own = follower(zoo.robot_of("five_bar"))
+    end = own.advance(own.home, x)
+    assert isinstance(end, BranchEnd)
+    assert end.status is status
+    assert not end.rank_lost
+    np.testing.assert_array_equal(end.x, x)
+    if status is SampleStatus.NOT_FINITE:
+        return
+    assert end.is_final == (status is not SampleStatus.BRANCH_LOST)
+    # shared by the rows of closures and target: legs at 14.5° to the axis
+    assert (end.residual > 0.1) == (status is SampleStatus.UNREACHABLE)
+    way = x - own.home.x
+    done = (end.last.x - own.home.x) @ way / (way @ way)
+    assert 0.0 <= done < 1.0
+    np.testing.assert_allclose(end.last.x, own.home.x + done * way, atol=1e-12)
+    assert isinstance(own.advance(own.home, end.last.x), ClosedState)
+
+
+def test_coordinates_and_rates_of_another_shape_are_refused() -> None:
+    own = follower(zoo.robot_of("five_bar"))
+    with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
+        own.advance(own.home, along(0.4))
+    with pytest.raises(InputError, match=r"xd has shape \(\), expected \(2,\)"):
+        own.rates(own.home, np.array(1.0), along(0.0, 0.0))
+    with pytest.raises(InputError, match="xdd has 1 value"):
+        own.rates(own.home, along(0.0, 0.0), along(np.nan, 0.0))
+
+
+def test_where_the_closures_lose_rank_and_no_branch_goes_on_it_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Follower, "pass_through", lambda *_: None)
+    own = follower(folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)))
+    end = own.advance(own.home, along(np.pi))
+    assert isinstance(end, BranchEnd)
+    assert end.status is SampleStatus.TYPE_I
+    assert end.rank_lost
+    assert not end.is_final
+
+
+def test_the_actuation_matrix_of_a_state_is_that_of_inverse_kinematics(shipped: Robot) -> None:
+    state = follower(shipped).home
+    still = np.zeros((1, shipped.n))
+    W = inverse_kinematics(shipped, rp.PlatformMotion([0.0], state.x[None], still, still)).W[0]
+    np.testing.assert_allclose(state.W, W, atol=1e-12)
 
 
 @pytest.mark.parametrize("beside", [0.0, 1e-6, -1e-6])
@@ -95,7 +152,7 @@ def test_no_plain_step_leads_to_a_rank_loss(beside: float, tmp_path: Path) -> No
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
     own = follower(robot)
     before = own.advance(own.home, np.array([np.pi - 0.05]))
-    assert before is not None
+    assert isinstance(before, ClosedState)
     plain = own.step(before, np.array([np.pi + beside]))
     assert plain is None or plain.margin < own.near
     passed = own.pass_through(before, np.array([np.pi + beside]), np.ones(1), np.zeros(1))
@@ -123,7 +180,7 @@ def test_the_way_to_a_pose_takes_steps_of_a_fraction_of_the_machine(
     home, along = own.home.x, np.array([0.6, -0.8])
     for way, steps in ((0.0, 1), (0.5, 1), (0.99, 1), (1.01, 2), (1.99, 2), (2.5, 3)):
         targets.clear()
-        assert own.advance(own.home, home + way * spacing * along) is not None
+        assert isinstance(own.advance(own.home, home + way * spacing * along), ClosedState)
         expected = home + np.linspace(0.0, way, steps + 1)[1:, None] * spacing * along
         np.testing.assert_allclose(targets, expected, rtol=1e-12)
 
@@ -140,7 +197,7 @@ def test_a_step_across_a_rank_loss_stays_on_the_smooth_branch(length: float, sid
     assert before.margin == pytest.approx(0.03, rel=1.0)
     for goal in (-0.03, -0.01, 0.01, 0.0):
         reached = own.advance(before, np.array([side * goal]))
-        assert reached is not None
+        assert isinstance(reached, ClosedState)
         np.testing.assert_allclose(reached.q, side * goal * turn, atol=1e-9)
         np.testing.assert_allclose(reached.gamma[:, 0], turn, atol=1e-7)
 
@@ -164,24 +221,6 @@ def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
     assert follows(system, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
 
 
-def test_a_jump_to_the_other_elbow_is_not_continuous() -> None:
-    robot = zoo.robot_of("five_bar")
-    system = zoo.system_of(robot)
-    x = np.linspace(zoo.home_of(robot), zoo.home_of(robot) - [0.0, 0.01], 3)
-    q = assemble(system, np.repeat(robot.q_reference[None], 3, axis=0), x).q
-    other = zoo.robot_of("five_bar", working_mode=(-1, -1))
-    q[2] = assemble(system, other.q_reference[None], x[2:]).q[0]
-    gamma = project(system, system.evaluate(q)).gamma
-    np.testing.assert_array_equal(continuous(system, q, gamma, x), [True, False])
-
-
-def test_standing_still_is_continuous(shipped: Robot) -> None:
-    system = zoo.system_of(shipped)
-    q = np.repeat(shipped.q_reference[None], 3, axis=0)
-    x = np.repeat(zoo.home_of(shipped)[None], 3, axis=0)
-    assert continuous(system, q, project(system, system.evaluate(q)).gamma, x).all()
-
-
 def test_behind_a_gap_the_motion_is_reacquired_in_the_mode() -> None:
     robot = zoo.robot_of("five_bar")
     heights = np.linspace(1.5, 0.5, 101)
@@ -199,11 +238,11 @@ def test_no_branch_is_changed_where_two_nearly_touch(excess: float, count: int, 
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25 + excess), (1.0, 1.9, 1.5))
     own, coupler = follower(robot), robot.model.joints[robot.model.getJointId("coupler")].idx_q
     here = own.advance(own.home, np.array([np.pi - 0.02]))
-    assert here is not None
+    assert isinstance(here, ClosedState)
     side = np.sign(np.sin(here.q[coupler]))
     for angle in np.linspace(np.pi - 0.02, np.pi + 0.02, count)[1:]:
         reached = own.advance(here, np.array([angle]))
-        if reached is None:
+        if isinstance(reached, BranchEnd):
             break
         here = reached
         assert np.sign(np.sin(here.q[coupler])) == side

@@ -17,10 +17,11 @@ from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.branch import NEAR_RANK_LOSS, ClosedState, Follower, follower, near_rank_loss
+from redundancy_pin.kinematics.branch import ClosedState, Follower, follower
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.coordinates import mode_indicator
+from redundancy_pin.kinematics.coordinates import mode_indicator, moved
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.margins import NEAR_RANK_LOSS, near_rank_loss
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import coordinate_unit
@@ -360,10 +361,9 @@ def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:
     own, rng = follower(shipped), np.random.default_rng(4)
     sizes = {"2rpr": 2, "3rrr": 3, "five_bar": 2, "four_bar": 2, "gough": 6}
     for _ in range(5):
-        here = own.advance(
-            own.home, own.displace(own.home.x, rng.normal(0.0, 0.01, shipped.n) * coordinate_unit(shipped))
-        )
-        assert here is not None
+        increment = rng.normal(0.0, 0.01, shipped.n) * coordinate_unit(shipped)
+        here = own.advance(own.home, moved(shipped, own.home.x, increment))
+        assert isinstance(here, ClosedState)
         sign, log = here.determinants
         assert log.shape == (sizes[shipped.name],)
         K = own.system.relative(own.system.evaluate(here.q[None]).K)  # by the batched rows

@@ -34,7 +34,7 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.compiled.build import Library, bind, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
-from redundancy_pin.dynamics.compiled.closing import Lifted, Loops, Start, each, lifted, parts_of
+from redundancy_pin.dynamics.compiled.closing import Lifted, Loops, Start, each, follow_motors, lifted, parts_of
 from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, SampleCall, TorqueCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
@@ -161,7 +161,9 @@ class CompiledDynamics(Dynamics):
         try:
             call: JointStateCall = self._local.joint_state
         except AttributeError:
-            call = self._local.joint_state = JointStateCall(self._robot, self.kernel)
+            call = self._local.joint_state = JointStateCall(
+                self._robot, self.kernel, partial(follow_motors, self._robot)
+            )
         return call(position, velocity, s, sd, start)
 
     def _follow(

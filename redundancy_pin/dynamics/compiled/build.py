@@ -20,10 +20,11 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
+from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
-from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE
 from redundancy_pin.dynamics.forward import LEAST_INERTIA
 from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE, FLAGS, REMEDY, built, digest, loaded

@@ -19,11 +19,23 @@ static int in_ranges(const double *q, const Range *ranges, int count) {
   return 1;
 }
 
-/* The sides of the legs (LEGS) at a configuration, as sides_of. */
-void rp_sides(const double *numbers, const double *q, double *sides) {
-  double trig[2 * NT + 1];
-  turns_of(q, trig);
-  sides_of(numbers, q, trig, sides);
+/* Start from a configuration (NQ). The signs (LEGS) of the working mode among the numbers of a call become those of the start, so that
+   in_mode keeps its legs on their sides; declared are those of the robot's own numbers. Returns 0, and does nothing, where the start
+   is not finite. */
+int rp_begin(const double *numbers, const double *declared, const double *start, double *signs, double *state) {
+  double trig[2 * NT + 1], sides[LEGS + 1] = {0.0};
+  if (!finite(start, NQ)) return 0;
+  turns_of(start, trig);
+  sides_of(numbers, start, trig, sides);
+  for (int i = 0; i < LEGS; ++i) signs[i] = declared[i] * ((sides[i] > 0.0) - (sides[i] < 0.0));
+  copy(state, start, NQ);
+  state[NQ] = 0.0;
+  return 1;
+}
+
+static void keep(const Pose *pose, double *state) {
+  copy(state, pose->q, NQ);
+  state[NQ] = pose->sign;
 }
 
 /* One sample; in and out as rp_sample. Where Newton's method does not get there in one step, the branch of the state is followed, on the
@@ -32,12 +44,17 @@ void rp_sides(const double *numbers, const double *q, double *sides) {
 int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
   double here[NX];
   Pose pose;
+  int refused = refusal_of(in);
   copy(reached, state, NQ + 1);
+  if (refused) return refused;
+  if (state[NQ] == 0.0) { /* a start: its chains have to close, and the sign of its determinant is not known yet */
+    if (pose_at(numbers, state, 0.0, &pose, here)) return LOST;
+    keep(&pose, reached);
+  }
   int closed = rp_sample(numbers, reached, in, out);
   if (closed == LOST && pose_at(numbers, reached, reached[NQ], &pose, here) == STATUS_OK) {
     int there = go_far(numbers, &pose, here, in);
-    copy(reached, pose.q, NQ);
-    reached[NQ] = pose.sign;
+    keep(&pose, reached);
     if (there) closed = rp_sample(numbers, reached, in, out);
   }
   if (closed == CLOSED) copy(state, reached, NQ + 1);
@@ -91,23 +108,25 @@ static int follow_drives(const double *numbers, Pose *pose, const double *positi
 }
 
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
-   q (NQ), v (NV), x (NX), xd (N), singularity margin, closure residual, mismatch of the actuators (M > N). */
-int rp_joint_state(const double *numbers, double *state, const double *in, const Range *ranges, int count, double *out) {
+   q (NQ), v (NV), x (NX), xd (N), singularity margin, closure residual, mismatch of the actuators (M > N). State and reached are
+   as of rp_reach. */
+int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
   double x[NX], *q = out, *v = q + NQ, *last = v + NV + NX + N;
   Pose pose;
   Platform platform;
+  copy(reached, state, NQ + 1);
   if (!finite(in, 2 * M + 2 * NK)) return STATUS_NOT_FINITE;
   copy(pose.q, state, NQ);
   turns_of(pose.q, pose.trig);
   pose.sign = state[NQ];
-  int status = pose.sign == 0.0 ? pose_at(numbers, state, 0.0, &pose, x) : STATUS_OK; /* its sign is known once it was closed */
-  if (status) return status;
+  if (pose.sign == 0.0 && pose_at(numbers, state, 0.0, &pose, x)) return STATUS_BRANCH_LOST; /* a start has to close */
   Pose start = pose;
-  status = platform_of(numbers, &pose, position, velocity, &platform);
+  int status = platform_of(numbers, &pose, position, velocity, &platform);
   if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
     pose = start;
     status = follow_drives(numbers, &pose, position);
+    keep(&pose, reached);
     if (status) return status;
     status = platform_of(numbers, &pose, position, velocity, &platform);
   }
@@ -123,8 +142,7 @@ int rp_joint_state(const double *numbers, double *state, const double *in, const
   last[0] = platform.margin;
   last[1] = platform.gap;
   last[2] = platform.mismatch;
-  copy(state, pose.q, NQ);
-  state[NQ] = pose.sign;
+  keep(&pose, state);
   return in_ranges(q, ranges, count) ? status : STATUS_OUT_OF_RANGE;
 }
 #endif

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -142,6 +142,22 @@ def _state_at(robot: Robot, start: Start) -> ClosedState:
             remedy="Start from a closed configuration away from singularities.",
         )
     return closed
+
+
+def follow_motors(robot: Robot, q: Array, position: Array) -> Array | None:
+    """Return the configuration (nq,) at positions (m,) of the main actuators on the branch of another one, or None.
+
+    The motors move straight, as the independent coordinates of a robot without a platform.
+    """
+    if robot.m != robot.n:
+        return None
+    driven = replace(robot, platform=None, independent_joints=robot.actuated, working_modes=None, working_mode=())
+    try:
+        here = _state_at(driven, Start(q, None))
+    except WorkingModeError:
+        return None
+    reached = follower(driven).advance(here, position)
+    return np.array(reached.q) if isinstance(reached, ClosedState) else None
 
 
 def _run(

@@ -83,17 +83,20 @@ class _Arguments:
             InputError: one of them does not have its shape. Numbers that are not finite are left to the call.
         """
         for part, value, (name, shape) in zip(self.parts, values, self._shapes.items(), strict=False):
-            try:
-                given = np.asarray(value, dtype=np.float64)
-            except (TypeError, ValueError):
-                given = checked(value, name, shape)  # raises, and says why
-            if value is None:  # which numpy takes for NaN
-                checked(value, name, shape)
-            if name in _OPTIONAL and (given.ndim == 0 or not given.size):
-                given = np.full(shape, 0.0 if given.ndim else given)
-            if given.shape != shape:
-                checked(np.nan_to_num(given), name, shape)
-            part[:] = given.ravel()
+            if name in _OPTIONAL and (np.ndim(value) == 0 or not np.size(value)) and value is not None:
+                value = np.full(shape, value if np.ndim(value) == 0 else 0.0)
+            part[:] = _converted(value, name, shape).ravel()
+
+
+def _converted(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+    """Return numbers of any kind as an array of a shape; raises InputError. They need not be finite."""
+    try:
+        given = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return checked(value, name, shape)  # raises, and says why
+    if value is None or given.shape != shape:  # numpy takes None for NaN
+        checked(value if value is None else np.nan_to_num(given), name, shape)
+    return given
 
 
 def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
@@ -114,17 +117,21 @@ class _Branch:
         numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
             the C keeps every leg on its side.
         state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known.
+        reached: (nq + 1,) the last one on the way to a sample that the C does not get to.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
     """
 
     def __init__(self, robot: Robot, code: Code) -> None:
         self._shape, self.known = robot.q_reference.shape, False
-        self._declared, self.state = parameter_vector(robot), np.append(robot.q_reference, 0.0)
-        self.numbers, topology = self._declared.copy(), topology_of(robot)
-        before = np.cumsum(topology.free)[places_of(robot)["mode",]] - 1
-        self._signs = layout_of(topology).starts["MODEL"] + before
-        self._sides = np.zeros(len(before))
-        self._find_sides = _caller(code, "rp_sides", self._declared, self.state, self._sides)
+        self.state, self.reached = np.append(robot.q_reference, 0.0), np.zeros(robot.model.nq + 1)
+        own, topology = parameter_vector(robot), topology_of(robot)
+        places = places_of(robot)["mode",]
+        begin = layout_of(topology).starts["MODEL"] + int(topology.free[: places.start].sum())
+        signs = slice(begin, begin + places.stop - places.start)
+        self.numbers, self._start = own.copy(), np.zeros(robot.model.nq)
+        self._signs, self._given = self.numbers[signs], memoryview(cast(Any, self._start))
+        self._own = own, own[signs]  # which the C reads
+        self._begin = _caller(code, "rp_begin", *self._own, self._start, self._signs, self.state)
 
     def begin(self, start: ArrayLike) -> bool:
         """Go on from a configuration (nq,), m and rad; returns False, and does nothing, where it is not finite.
@@ -133,26 +140,20 @@ class _Branch:
             InputError: another shape.
         """
         try:
-            q = np.asarray(start, dtype=np.float64)
-        except (TypeError, ValueError):
-            q = checked(start, "start", self._shape)  # raises, and says why
-        if q.shape != self._shape:
-            checked(np.nan_to_num(q), "start", self._shape)
-        if not np.isfinite(q).all():
-            return False
-        self.state[:-1], self.state[-1], self.known = q, 0.0, True
-        if len(self._sides):
-            self._find_sides()
-            self.numbers[self._signs] = self._declared[self._signs] * np.sign(self._sides)
-        return True
+            self._given[:] = cast(Any, start)
+        except _NEEDS_CONVERTING:
+            self._start[:] = _converted(start, "start", self._shape)
+        begun = bool(self._begin())
+        self.known = self.known or begun
+        return begun
 
     def save(self) -> tuple[Array, Array, bool]:
         """Return what ``restore`` takes."""
-        return self.state.copy(), self.numbers[self._signs], self.known
+        return self.state.copy(), self._signs.copy(), self.known
 
     def restore(self, saved: tuple[Array, Array, bool]) -> None:
         """Go back to where the branch was."""
-        self.state[:], self.numbers[self._signs], self.known = saved
+        self.state[:], self._signs[:], self.known = saved
 
 
 class SampleCall:
@@ -172,7 +173,7 @@ class SampleCall:
         sizes = (self._shape, (n,), (n,), (k,), (k,), (k,), (wrenches,))
         self._arguments = _Arguments(dict(zip(("x", "xd", "xdd", "s", "sd", "sdd", "wrench"), sizes, strict=True)))
         self._x, self._xd, self._xdd, self._s, self._sd, self._sdd, _ = self._arguments.views
-        self._branch, self._reached = _Branch(robot, code), np.zeros(robot.model.nq + 1)
+        self._branch = _Branch(robot, code)
         ends = np.cumsum([n * m, n, k, 2, m, 3]).tolist()
         self._results = np.zeros(ends[-1])
         self._W, self._f, self._force, _, self._tau, _ = np.split(self._results, ends[:-1])
@@ -182,7 +183,7 @@ class SampleCall:
 
     def _function(self, code: Code, name: str = "rp_reach", *more: Any) -> Callable[[], int]:
         branch = self._branch
-        given = branch.numbers, branch.state, self._reached, self._arguments.memory, self._results
+        given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
         return _caller(code, name, *given, *more)
 
     def __call__(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> Sample:
@@ -281,8 +282,8 @@ class TorqueCall(SampleCall):
         robot, branch, passed = self._robot, self._branch, self._passed
         start = None
         if branch.known:
-            at_passed = passed is not None and np.array_equal(passed.q, self._reached[:-1])
-            start = passed if at_passed else Start(self._reached[:-1].copy(), None)
+            at_passed = passed is not None and np.array_equal(passed.q, branch.reached[:-1])
+            start = passed if at_passed else Start(branch.reached[:-1].copy(), None)
         try:
             tree, reduced = self._followed(t, start)
         except REFUSALS as error:
@@ -301,12 +302,14 @@ class JointStateCall:
     Args:
         robot: the robot.
         code: its compiled dynamics.
+        follow: returns the configuration (nq,) on the branch of another one at positions (m,) of the main actuators, by
+            kinematics, or None; called where the C does not get there.
 
     Raises:
         UnsupportedRobotError: fewer main actuators than degrees of freedom.
     """
 
-    def __init__(self, robot: Robot, code: Code) -> None:
+    def __init__(self, robot: Robot, code: Code, follow: Callable[[Array, Array], Array | None]) -> None:
         few = too_few_motors(robot)
         if few:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
@@ -317,9 +320,10 @@ class JointStateCall:
         self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
         self._results = np.zeros(self._ends[-1] + 3)
-        self._branch, self._ranges = _Branch(robot, code), range_table(robot)
-        given = self._branch.state, self._arguments.memory, self._ranges, len(self._ranges), self._results
-        self._call = _caller(code, "rp_joint_state", self._branch.numbers, *given)
+        branch = self._branch = _Branch(robot, code)
+        self._follow, self._ranges = follow, range_table(robot)
+        given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
+        self._call = _caller(code, "rp_joint_state", *given, self._ranges, len(self._ranges))
 
     def __call__(self, position: Any, velocity: Any, s: Any, sd: Any, start: ArrayLike | None) -> JointStateSample:
         """Return joints and platform; see ``Dynamics.joint_state``."""
@@ -332,13 +336,17 @@ class JointStateCall:
                 raise ValueError
         except _NEEDS_CONVERTING:
             self._arguments.convert(position, velocity, s, sd)
-        saved = None if start is None else self._branch.save()
-        finite = start is None or self._branch.begin(start)
+        branch = self._branch
+        saved = None if start is None else branch.save()
+        finite = start is None or branch.begin(start)
         code = self._call() if finite else int(SampleStatus.NOT_FINITE)
         if code in _WITHOUT_RESULT:
-            self._results.fill(np.nan)
-            if saved is not None:
-                self._branch.restore(saved)
+            if code == SampleStatus.BRANCH_LOST:
+                code = self._beyond_bifurcation(code)
+            if code in _WITHOUT_RESULT:
+                self._results.fill(np.nan)
+                if saved is not None:
+                    branch.restore(saved)
         results, (q, v, x, xd) = self._results.copy(), self._ends
         return JointStateSample(
             results[:q],
@@ -348,6 +356,19 @@ class JointStateCall:
             _STATUSES[code],
             results.item(xd),
         )
+
+    def _beyond_bifurcation(self, code: int) -> int:
+        """Return the status where kinematics lead the branch through a bifurcation, which the C does not pass."""
+        branch = self._branch
+        q = self._follow(branch.reached[:-1].copy(), self._arguments.parts[0].copy())
+        if q is None:
+            return code
+        before = branch.save()
+        branch.begin(q)
+        code = self._call()
+        if code in _WITHOUT_RESULT:
+            branch.restore(before)
+        return code
 
 
 class AccelerationCall:

@@ -102,11 +102,11 @@ static int follow(const double *numbers, Pose *pose, const double *x) {
 /* Bring a pose so many turns of coordinate c on; at is moved along. A turn that brings all joints back, but for whole
    turns of their own, does so again. With gears several turns may pass until it does. */
 static int go_round(const double *numbers, Pose *pose, double *at, int c, double count) {
-  double step = copysign(TURN, count), left = fabs(count), followed = 0.0, start[NQ], shift[NQ];
+  double first = at[c], step = copysign(TURN, count), left = fabs(count), followed = 0.0, start[NQ], shift[NQ];
   int known = 0;
   copy(start, pose->q, NQ);
   while (left > 0.0) {
-    at[c] += step;
+    at[c] = first + (fabs(count) - left + 1.0) * step; /* a sum of thousands of steps would drift */
     if (!follow(numbers, pose, at)) return 0;
     left -= 1.0;
     followed += 1.0;
@@ -124,8 +124,8 @@ static int go_round(const double *numbers, Pose *pose, double *at, int c, double
       double moved = pose->q[j] + times * shift[j];
       pose->q[j] = ANGLE[j] == 2 || fabs(moved) < EXACT ? moved : pose->q[j] - shift[j];
     }
-    at[c] += times * followed * step;
     left -= times * followed;
+    at[c] = first + (fabs(count) - left) * step;
     known = 1;
     Pose next;
     if (!newton(numbers, pose->q, at, 0, &next) || next.sign != pose->sign) return 0;
@@ -229,6 +229,12 @@ static int is_pose(const double *x) {
 #endif
 }
 
+/* Why a sample cannot be evaluated whatever the robot: NOT_FINITE or NO_POSE, or CLOSED where nothing is wrong with it. */
+static int refusal_of(const double *in) {
+  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH)) return NOT_FINITE;
+  return is_pose(in) ? CLOSED : NO_POSE;
+}
+
 /* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
    sample is closed on the same side of every type I singularity. */
@@ -236,8 +242,8 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
   Pose pose;
-  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH) || !finite(state, NQ + 1)) return NOT_FINITE;
-  if (!is_pose(x)) return NO_POSE;
+  int refused = refusal_of(in);
+  if (refused) return refused;
   if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
   if (margin < LEAST_MARGIN) return SINGULAR;

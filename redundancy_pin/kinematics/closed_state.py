@@ -1,0 +1,345 @@
+"""Close the loops at one pose: a closed configuration with Γ, by Newton's method from a configuration nearby.
+
+K stacks the closure rows over the rows of the independent velocities, without the carrier columns: K v = (0, ẋ). Its
+inverse gives Γ, the velocity of the tree per unit of each independent velocity.
+
+Where closure rows depend on one another, r of them are independent at the reference configuration (``robot.closures``)
+and serve everywhere but where they lose rank and all rows together (``robot.all_closures``) keep it: there Uᵀ, of the
+singular vectors that belong to the r largest singular values of J_c, makes r independent rows of all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack
+from redundancy_pin.errors import SingularPoseError
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
+from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.closure import OPEN, constraint_system, with_all_rows
+from redundancy_pin.kinematics.coordinates import difference
+from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
+
+CONTINUITY = 0.25
+"""Acceptance threshold: relative error of the trapezoidal prediction (Γ₀ + Γ₁) Δx / 2. Halving a step reduces the error
+of a smooth branch eightfold, that of a jump between branches not at all."""
+
+ROUNDING = 1e-7
+"""Rounding of a closed configuration, rad or characteristic lengths: the root of the closure tolerance, 1e-11, times
+the largest inverse margin, 1e4, that is not treated as a rank loss."""
+
+_HELPED = 3.0
+"""Ratio of margins beyond which dependent rows take the place of independent ones that lose rank."""
+
+_NEWTON_STEPS = 10
+"""Most steps of Newton's method, which doubles the correct digits: from 0.1 to rounding it takes five."""
+
+_CONVERGED = 1e-13
+"""A Newton step, or ten times a residual, this small (rad or characteristic lengths) is rounding."""
+
+_COS_TURNED_OVER = math.cos(TURNED_OVER)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedState(Frozen):
+    """A configuration on a solution branch, closed to the closure tolerance, with the inverse of K.
+
+    Attributes:
+        robot: the robot.
+        x: (n,) independent coordinates, m and rad, or a pose (4, 4), base frame.
+        q: (nq,) configuration, carriers at zero.
+        gamma: (nv, n) Γ: velocity of the tree per unit of each independent velocity; J_c Γ = 0.
+        inverse: (p, r + n) K⁻¹ without units (``ConstraintSystem.relative``); empty for an interpolated state.
+        residual: closure residual, m; angles count times the characteristic length.
+        margin: lower bound of the smallest singular value of K without units, within √p of it; 0 below
+            ``SINGULAR_MARGIN``.
+        blocks: rows and columns of the diagonal blocks of K, see ``margins.loop_blocks``.
+        basis: (R, r) U, orthonormal, where all closure rows take the place of independent ones; otherwise None.
+
+    Example:
+        >>> import redundancy_pin as rp
+        >>> from redundancy_pin.kinematics.branch import follower
+        >>> branch = follower(rp.load_robot("five_bar"))
+        >>> state = branch.advance(branch.home, branch.home.x + 0.01)
+        >>> state.W.shape
+        (2, 2)
+    """
+
+    robot: Robot
+    x: Array
+    q: Array
+    gamma: Array
+    inverse: Array
+    residual: float
+    margin: float
+    blocks: Sequence[tuple[IntArray, IntArray]]
+    basis: Array | None = None
+
+    @property
+    def W(self) -> Array:
+        """(n, m) actuation matrix Γᵀ Sᵀ: W τ are the forces along the independent coordinates, N and N·m."""
+        return self.gamma[self.robot.actuated_velocity].T
+
+    @cached_property
+    def determinants(self) -> tuple[Array, Array]:
+        """Signs and logarithms (B,) of the determinants of the blocks of K."""
+        values = [np.linalg.slogdet(self.inverse[columns[:, None], rows]) for rows, columns in self.blocks]
+        return np.array([sign for sign, _ in values]), -np.array([log for _, log in values])
+
+    @property
+    def interpolated(self) -> bool:
+        """Whether the state lies at a rank loss of the closures, where K has no inverse."""
+        return not self.inverse.size
+
+
+class Rates(NamedTuple):
+    """A state on a branch with v = Γ ẋ and a (nv,) of the tree there."""
+
+    state: ClosedState
+    v: Array
+    a: Array
+
+
+class LoopSolver:
+    """Closes the loops of a robot at one pose; a workspace that holds Pinocchio data, so each thread has its own.
+
+    Args:
+        robot: the robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot, self._model = robot, robot.model
+        self.system = constraint_system(robot)
+        self.chain = chain = ClosedChain(robot)
+        self._rows, self.rank = self.system.all_rows, len(self.system.rows)
+        self._redundant = bool(robot.all_closures)
+        every = constraint_system(with_all_rows(robot))
+        self._every, self._count, self._every_unit = every.all_rows, len(every.rows), every.equation_unit
+        self._columns, self._nv = chain.pose_columns, robot.model.nv
+        self._flat = robot.model.nq == robot.model.nv
+        self._row_unit, self._step_unit = self.system.equation_unit, self.system.step_unit
+        self._scale = self._step_unit / self._row_unit[:, None]
+        self.unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
+        self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
+        self._aligned = self.system.aligned
+
+    @cached_property
+    def blocks(self) -> Sequence[tuple[IntArray, IntArray]]:
+        """The blocks of K, see ``margins.loop_blocks``."""
+        return loop_blocks(self.system)
+
+    @cached_property
+    def near(self) -> float:
+        """The singularity margin below which a state counts as near a rank loss."""
+        return near_rank_loss(self.system)
+
+    @cached_property
+    def _ample(self) -> float:
+        """The singularity margin above which the independent rows are kept: at 1e-3 accelerations lose eight digits."""
+        return min(0.1, 0.3 * typical_margin(self.system))
+
+    # --- the rows at a configuration ---------------------------------------------------------------------------------
+
+    def matrix(self, q: Array, basis: Array | None = None) -> tuple[Array, Array]:
+        """Return K (p, p) and the closure residuals (r,) at q (nq,), without units; ``basis`` as in ``ClosedState``."""
+        chain = self.chain
+        chain.place(q)
+        placed = self._rows.place(chain.vectors, q)
+        K = placed.jacobian(chain.J).take(self._columns, 1)
+        if self._fixed is not None:
+            K = np.concatenate([K, self._fixed])
+        K *= self._scale
+        if basis is None:
+            return K, placed.residual()[: self.rank] / self._row_unit[: self.rank]
+        rows, phi = self._every_row(q)
+        K[: self.rank] = basis.T @ rows
+        return K, phi.dot(basis)
+
+    def _every_row(self, q: Array) -> tuple[Array, Array]:
+        """Return the Jacobian (R, p) and residuals (R,) of all closure rows, without units, where q is placed."""
+        placed = self._every.place(self.chain.vectors, q)
+        unit = self._every_unit[: self._count]
+        rows = placed.jacobian(self.chain.J).take(self._columns, 1)[: self._count]
+        return rows * (self._step_unit / unit[:, None]), placed.residual()[: self._count] / unit
+
+    def _independent(self, q: Array, basis: Array | None, inverse: Array) -> tuple[Array | None, Array]:
+        """Return the basis that serves at a closed configuration, and K⁻¹ with it.
+
+        Independent rows serve while their margin is ample: rows of rounded numbers contradict each other, and singular
+        values of the contradiction may exceed those of short levers.
+        """
+        plain = inverse if basis is None else inverses(self.matrix(q)[0][None])[0]
+        size = float(np.nan_to_num(np.linalg.norm(plain), nan=np.inf))  # NaN where K is exactly singular
+        if size * self._ample < 1.0:
+            return None, plain
+        self.chain.place(q)
+        own = np.linalg.svd(self._every_row(q)[0], full_matrices=False)[0][:, : self.rank]
+        other = inverses(self.matrix(q, own)[0][None])[0]
+        if not float(np.linalg.norm(other)) < size / _HELPED:
+            return None, plain
+        return own, other
+
+    def margin(self, q: Array, basis: Array | None) -> float:
+        """Return the singularity margin of K at q (nq,); 0 where K is singular."""
+        inverse = inverses(self.matrix(q, basis)[0][None])[0]
+        size = float(np.sqrt((inverse * inverse).sum()))
+        return 1.0 / size if size > 0.0 and math.isfinite(size) else 0.0
+
+    def closures_lose_rank(self, q: Array, basis: Array | None = None) -> bool:
+        """Return whether the closure rows are near a loss of rank at q (nq,); at a stretched leg they are not."""
+        rows = self.matrix(q, basis)[0][: self.rank]
+        if not len(rows) or not np.isfinite(rows).all():
+            return False
+        return bool(np.linalg.svd(rows, compute_uv=False)[-1] < 10.0 * self.near)
+
+    # --- a closed state ----------------------------------------------------------------------------------------------
+
+    def close(self, guess: Array, x: Array, basis: Array | None = None) -> ClosedState | None:
+        """Return the closed state at coordinates by Newton's method from a guess nearby; None where that fails.
+
+        Args:
+            guess: (nq,) configuration.
+            x: (n,) coordinates, or a pose (4, 4).
+            basis: of a state nearby.
+        """
+        q, size, step = guess, math.inf, np.zeros(self._nv)
+        rest = np.zeros(len(self._columns))
+        for _ in range(_NEWTON_STEPS):
+            K, phi = self.matrix(q, basis)
+            rest[: self.rank] = -phi
+            rest[self.rank :] = difference(self.robot, x, self.chain.coordinates(q)) / self.unit
+            before, size = size, math.sqrt(rest.dot(rest))
+            factored, pivots, change, failed = lapack().dgesv(K, rest)
+            if failed:
+                return None
+            longest = largest(change)
+            if not longest < 1.0 or (size >= before and size > CLOSURE_TOLERANCE):
+                return None
+            step[self._columns] = change * self._step_unit
+            q = self.integrate(q, step)
+            settled = size < 0.1 * _CONVERGED or longest < _CONVERGED
+            if settled or (size >= before and longest < SETTLED_STEP):
+                inverse = lapack().dgetri(factored, pivots)[0]
+                open_row = 0.0
+                if self._redundant:
+                    basis, inverse = self._independent(q, basis, inverse)
+                    open_row = largest(self._every_row(q)[1])
+                return self._closed(x, q, inverse, largest(rest), open_row, basis)
+        return None
+
+    def _closed(
+        self, x: Array, q: Array, inverse: Array, residual: float, open_row: float, basis: Array | None
+    ) -> ClosedState | None:
+        vectors = self.chain.vectors  # axes that must coincide do, and are not turned over
+        if not all(float(vectors[a : a + 3].dot(vectors[b : b + 3])) > _COS_TURNED_OVER for a, b in self._aligned):
+            return None
+        if not (residual < CLOSURE_TOLERANCE and open_row < OPEN):
+            return None
+        size = math.sqrt(inverse.ravel().dot(inverse.ravel()))
+        gamma = np.zeros((self._nv, self.robot.n))
+        gamma[self._columns] = inverse[:, self.rank :] * (self._step_unit[:, None] / self.unit)
+        for array in (q, gamma, inverse):
+            array.setflags(write=False)
+        margin = 1.0 / size if 0.0 < size < 1.0 / SINGULAR_MARGIN else 0.0
+        residual *= self.robot.characteristic_length
+        everything = np.arange(len(self._columns))  # combined rows belong to all loops
+        blocks = self.blocks if basis is None else ((everything, everything),)
+        return ClosedState(self.robot, x, q, gamma, inverse, residual, margin if size else math.inf, blocks, basis)
+
+    def singular_state(
+        self, x: Array, q: Array, gamma: Array, residual: float = 0.0, basis: Array | None = None
+    ) -> ClosedState:
+        """Return a closed configuration where K has no inverse, with Γ (nv, n) of the branch it is on."""
+        return ClosedState(self.robot, x, q, gamma, np.zeros((0, 0)), residual, 0.0, self.blocks, basis)
+
+    def extrapolate(self, here: ClosedState, x: Array) -> ClosedState | None:
+        """Return the state at coordinates x nearby by one step: predicted by Γ, corrected by Newton's method.
+
+        None where Newton's method fails, where K is singular, or where the trapezoidal rule over Γ contradicts the
+        step (``CONTINUITY``).
+        """
+        increment = difference(self.robot, x, here.x)
+        new = self.close(self.integrate(here.q, here.gamma.dot(increment)), x, here.basis)
+        if new is None or not new.margin > 0.0:
+            return None
+        moved, predicted = self.tangent(here.q, new.q), (0.5 * (here.gamma + new.gamma)).dot(increment)
+        return new if self.length(moved - predicted) <= CONTINUITY * self.length(predicted) + ROUNDING else None
+
+    def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
+        """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
+
+        Args:
+            state: a state where K has an inverse.
+            xd: (n,) rates of the independent coordinates, or the twist of the platform.
+            xdd: (n,) their second rates.
+
+        Raises:
+            InputError: rates of another shape, or not finite.
+            SingularPoseError: K is singular there, so that it does not determine a; ``pass_through`` interpolates it.
+        """
+        for name, given in (("xd", xd), ("xdd", xdd)):
+            if given.shape != (self.robot.n,) or not math.isfinite(given.sum()):
+                checked(given, name, (self.robot.n,))  # which raises
+        if state.interpolated:
+            raise SingularPoseError(
+                f"K is singular at x = {np.array2string(state.x, precision=4)} and does not determine accelerations.",
+                remedy="At a rank loss of the closures pass_through interpolates them along the branch.",
+                margin=state.margin,
+            )
+        chain, v = self.chain, state.gamma.dot(xd)
+        chain.place_moving(state.q, v)
+        placed = self._rows.place(chain.vectors, state.q)
+        bias = np.zeros(len(self._row_unit))
+        bias[: self._rows.size] = self._rows.bias_at(placed, chain.J, chain.dJ, v)
+        bias /= self._row_unit
+        if state.basis is not None:
+            every = self._every.bias_at(self._every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
+            bias[: self.rank] = (every[: self._count] / self._every_unit[: self._count]).dot(state.basis)
+        rest = -bias
+        rest[self.rank :] += xdd / self.unit
+        a = np.zeros(self._nv)
+        a[self._columns] = state.inverse.dot(rest) * self._step_unit
+        return Rates(state, v, a)
+
+    def identity_error(self, q: Array, x: Array, gamma: Array, basis: Array | None) -> tuple[float, float]:
+        """Return how far q (nq,) and Γ (nv, n) are from closed at x: the residual, and K Γ − (0, 1) relative to Γ.
+
+        Both without units. It judges states that were not closed by Newton's method.
+        """
+        K, phi = self.matrix(q, basis)
+        off = np.append(phi, difference(self.robot, x, self.chain.coordinates(q)) / self.unit)
+        relative = gamma[self._columns] * (self.unit / self._step_unit[:, None])
+        product = K.dot(relative)
+        product[self.rank :] -= np.eye(self.robot.n)
+        return largest(off), largest(product) / (1.0 + largest(relative))
+
+    # --- configurations ----------------------------------------------------------------------------------------------
+
+    def length(self, step: Array) -> float:
+        """Return the largest entry of a tree displacement (nv,), rad or characteristic lengths."""
+        return largest(step * self._radians)
+
+    def integrate(self, q: Array, step: Array) -> Array:
+        """Return the configuration (nq,) that a tree displacement (nv,) leads to."""
+        result: Array = q + step if self._flat else pin.integrate(self._model, q, step)
+        return result
+
+    def tangent(self, start: Array, end: Array) -> Array:
+        """Return the tree displacement (nv,) between configurations (nq,)."""
+        result: Array = end - start if self._flat else pin.difference(self._model, start, end)
+        return result
+
+
+def largest(values: Array) -> float:
+    """Return the largest magnitude of a few values, NaN where one is; numpy's own way takes four times as long."""
+    numbers = values.ravel().tolist()
+    return math.nan if math.isnan(sum(numbers)) else max(map(abs, numbers), default=0.0)

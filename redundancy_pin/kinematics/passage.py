@@ -1,0 +1,141 @@
+"""Pass through a rank loss of the closures, by continuity of the tangent.
+
+Where the closure rows lose rank (a flat four-bar whose sides add up in pairs, a stretched parallelogram) branches
+cross. K is singular there, but q, Γ and accelerations are smooth along each branch. They are interpolated between
+regular states on a line across the rank loss. The branch continues with the tangent it came with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, read_only
+from redundancy_pin.kinematics.closed_state import ROUNDING, ClosedState, LoopSolver, Rates
+from redundancy_pin.kinematics.coordinates import difference, moved
+
+SAME_TANGENT = 0.05
+"""Largest relative error of the trapezoidal prediction across a rank loss. Branches whose tangents differ by less would
+not be told apart."""
+
+_NODES = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
+"""Places of the nodes on the line, in spacings from its centre. The interpolation error is O(spacing⁸)."""
+
+_SHIFTS = np.linspace(-1.2, 1.2, 25)
+"""Shifts of the nodes, in spacings, that are tried where a node comes near a rank loss."""
+
+_PASSED = 1e-8
+"""Largest relative error of K Γ = (0, 1) at an interpolated state. At a fold, where Γ is infinite, the error is 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Passage(Frozen):
+    """A smooth part of a branch across a rank loss, by eight regular states on a line in the independent coordinates.
+
+    Attributes:
+        solver: what closes the nodes.
+        centre: (n,) coordinates, or a pose (4, 4), between the fourth node and the fifth.
+        step: (n,) increment of the coordinates per spacing of the nodes.
+        nodes: the states, four on each side of the centre.
+    """
+
+    solver: LoopSolver
+    centre: Array
+    step: Array
+    nodes: tuple[ClosedState, ...]
+
+    @property
+    def half(self) -> float:
+        """Half of the length of the line, rad or characteristic lengths."""
+        return float(np.linalg.norm(self.step / self.solver.unit) * _NODES[-1])
+
+    def position(self, x: Array) -> float:
+        """Return where on the line coordinates are, in spacings from the centre."""
+        weight = self.step / self.solver.unit**2
+        return float(difference(self.solver.robot, x, self.centre).dot(weight) / self.step.dot(weight))
+
+    def at(self, x: Array, xd: Array, xdd: Array) -> Rates | None:
+        """Return state and rates at coordinates x near the line; None where they fail the test.
+
+        The line is moved sideways through x. The answer is verified: it is closed, and K Γ = (0, 1).
+
+        Args:
+            x: (n,) coordinates, or a pose (4, 4).
+            xd: (n,) their rates.
+            xdd: (n,) their second rates.
+        """
+        solver, robot, u = self.solver, self.solver.robot, self.position(x)
+        aside = difference(robot, x, self.centre) - u * self.step
+        rated = []
+        for node in self.nodes:
+            guess = solver.integrate(node.q, node.gamma.dot(aside))
+            closed = solver.close(guess, moved(robot, node.x, aside), node.basis)
+            if closed is None or not closed.margin > 0.1 * solver.near:
+                return None
+            rated.append(solver.rates(closed, xd, xdd))
+        others = _NODES[None, :] - _NODES[:, None] + np.eye(len(_NODES))
+        weights = np.where(np.eye(len(_NODES), dtype=bool), 1.0, (u - _NODES) / -others).prod(axis=1)  # Lagrange's
+        base = rated[len(rated) // 2].state
+        tangents = np.array([solver.tangent(base.q, each.state.q) for each in rated])
+        q = solver.integrate(base.q, weights @ tangents)
+        gamma = np.tensordot(weights, np.array([each.state.gamma for each in rated]), 1)
+        residual, slip = solver.identity_error(q, x, gamma, base.basis)
+        if not (residual <= CLOSURE_TOLERANCE and slip <= _PASSED):
+            return None
+        v, a = (weights @ np.array(part) for part in ([each.v for each in rated], [each.a for each in rated]))
+        residual *= robot.characteristic_length
+        return Rates(solver.singular_state(x, read_only(q), read_only(gamma), residual, base.basis), v, a)
+
+
+def find_passage(
+    solver: LoopSolver, here: ClosedState, centre: Array, step: Array, *, recentre: bool = True
+) -> Passage | None:
+    """Return the passage of the branch of a state through a line of nodes; None where the branch is not smooth there.
+
+    The branch is followed to the first node in one step, and across the rank loss by its tangent. Nodes between keep to
+    the cubic that joins both ends.
+
+    Args:
+        solver: closes the nodes.
+        here: a state of the branch, near the first node.
+        centre: (n,) coordinates, or a pose (4, 4), in the middle of the line.
+        step: (n,) increment of the coordinates per spacing of the nodes.
+        recentre: move the nodes along the line, away from rank losses.
+    """
+    robot = solver.robot
+
+    def place(node: float) -> Array:
+        return read_only(moved(robot, centre, node * step))
+
+    first = solver.extrapolate(here, place(_NODES[0]))
+    if first is None:
+        return None
+    whole = (_NODES[-1] - _NODES[0]) * step
+    last = solver.close(solver.integrate(first.q, first.gamma.dot(whole)), place(_NODES[-1]), first.basis)
+    if last is None or not last.margin > 0.0:
+        return None
+    span = solver.tangent(first.q, last.q)
+    predicted = (0.5 * (first.gamma + last.gamma)).dot(whole)
+    if not solver.length(span - predicted) <= SAME_TANGENT * solver.length(predicted) + ROUNDING:
+        return None
+    lost = first.determinants[0] * last.determinants[0] < 0.0
+    if recentre and lost.any():
+        # where the determinants, nearly linear between the two, vanish: the nodes keep away from there
+        ratio = np.exp(np.minimum((last.determinants[1] - first.determinants[1])[lost], 100.0))
+        roots = _NODES[0] + (_NODES[-1] - _NODES[0]) / (1.0 + ratio)
+        shifts = np.append(roots[np.abs(roots) < _SHIFTS[-1]], _SHIFTS)
+        away = np.abs(_NODES[:, None] - (roots - shifts[:, None])[:, None]).min(axis=(1, 2))
+        return find_passage(solver, first, place(float(shifts[int(away.argmax())])), step, recentre=False)
+    nodes, slopes = [first], (first.gamma.dot(whole), last.gamma.dot(whole))
+    for node in _NODES[1:-1]:
+        u = (node - _NODES[0]) / (_NODES[-1] - _NODES[0])
+        guess = u * u * (3 - 2 * u) * span + u * (1 - u) ** 2 * slopes[0] - u * u * (1 - u) * slopes[1]
+        inner = solver.close(solver.integrate(first.q, guess), place(node), first.basis)
+        if inner is None or not inner.margin > 0.0:
+            return None
+        missed = solver.length(solver.tangent(first.q, inner.q) - guess)
+        if not missed <= SAME_TANGENT * solver.length(span) / len(_NODES):
+            return None
+        nodes.append(inner)
+    return Passage(solver, centre, step, (*nodes, last))
