@@ -330,7 +330,10 @@ def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | B
         end = None if state is None else own.advance(state, target)
         return end.q if isinstance(end, ClosedState) else None
 
-    follow_whole_turns(own.robot, here.q, here.x, x, follow)
+    try:
+        follow_whole_turns(own.robot, here.q, here.x, x, follow)
+    except UnreachablePoseError as error:
+        return replace(own.diagnose(here, x), status=SampleStatus.BRANCH_LOST, turns=error)
     return own.diagnose(here, x) if end is None else end
 
 
@@ -353,6 +356,8 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     robot, own = system.robot, follower(system.robot)
     home = own.home
     reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
+    if isinstance(reached, BranchEnd) and reached.turns is not None:
+        raise _with_sample(reached.turns, sample)
     if isinstance(reached, ClosedState):
         # a configuration where working modes meet belongs to both
         between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
@@ -430,6 +435,8 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
     """Return the error of sample k, which a branch does not lead to."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
+    if end.turns is not None:
+        return _with_sample(end.turns, k)
     if end.status is SampleStatus.UNREACHABLE:
         return UnreachablePoseError(
             f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m."
@@ -465,6 +472,11 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=k,
     )
+
+
+def _with_sample(error: UnreachablePoseError, k: int) -> UnreachablePoseError:
+    """Return an error that names sample k too."""
+    return UnreachablePoseError(f"Sample {k}: {error.message}", remedy=error.remedy, **{**error.details, "sample": k})
 
 
 def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> WorkingModeError:
