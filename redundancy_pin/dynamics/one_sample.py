@@ -6,9 +6,11 @@ Whoever solves many samples takes ``distribute``; the decisions and their tolera
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
@@ -47,7 +49,7 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
     return without_answer(robot, SampleStatus.TYPE_I if singular else SampleStatus.BRANCH_LOST)
 
 
-def is_finite(given: SampleArguments, t: float) -> bool:
+def is_finite(given: Sequence[ArrayLike], t: float) -> bool:
     """Return whether all numbers of a sample are finite; what is no number is left to later checks."""
     try:
         return all(np.isfinite(np.asarray(part, dtype=np.float64)).all() for part in (*given, t))

@@ -149,10 +149,9 @@ class RneaDynamics(Dynamics):
         robot = self._robot
         here: ClosedState | None = getattr(self._thread, "last", None)
         if start is not None:
-            q = np.asarray(start, dtype=np.float64)
-            if not np.isfinite(q).all():
+            if not is_finite((start,), t):
                 return without_answer(robot, SampleStatus.NOT_FINITE)
-            here = self._state_at(checked(q, "start", robot.q_reference.shape))
+            here = self._state_at(checked(start, "start", robot.q_reference.shape))
             if here is None:
                 return without_answer(robot, SampleStatus.BRANCH_LOST)
         sample = self._regular_sample(given, here, t)
