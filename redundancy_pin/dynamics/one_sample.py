@@ -1,6 +1,6 @@
 """Efforts of one sample with a status, for control loops: ``distribute`` without the cost of a batch of one.
 
-Whoever solves many samples takes ``distribute``; the decisions and their tolerances are the same here.
+The decisions and their tolerances are those that ``distribute`` takes for many samples.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
 
 
 def is_finite(given: Sequence[ArrayLike], t: float) -> bool:
-    """Return whether all numbers of a sample are finite; what is no number is left to later checks."""
+    """Return whether all numbers of a sample are finite; later checks refuse other types."""
     try:
         return all(np.isfinite(np.asarray(part, dtype=np.float64)).all() for part in (*given, t))
     except (TypeError, ValueError):
@@ -136,7 +136,7 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
         t: time, s, for wrenches that depend on it.
 
     Raises:
-        InputError: wrong shapes, or a pose that is none.
+        InputError: wrong shapes, or a matrix that is not a pose.
     """
     robot = dynamics.robot
     if not is_finite(given, t):
