@@ -113,7 +113,7 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | N
 def _start(loops: Loops, motion: PlatformMotion, mark: bool) -> Array | None:
     """Return a configuration (nq,) closed at the first sample: straight from the reference, or by kinematics.
 
-    None, with ``mark``, where there is none.
+    None, with ``mark``, where there is none, and where one sample is all that kinematics have to solve.
     """
     reference, here = loops.reference
     x, q, status = np.ascontiguousarray(motion.x[0].reshape(-1)), reference.copy(), CLOSED
@@ -124,6 +124,8 @@ def _start(loops: Loops, motion: PlatformMotion, mark: bool) -> Array | None:
             break
     if status == CLOSED:
         return q
+    if len(motion) == 1:
+        return None
     tree = inverse_kinematics(loops.robot, motion[:1], mark_unreachable=mark)
     return np.array(tree.q[0]) if tree.reachable[0] else None
 
