@@ -37,13 +37,12 @@ from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 _CONSISTENT = 1e-3
-"""Fraction of f outside the range of W that counts as none at an instant between samples: rates and accelerations are
-interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long as that lasts."""
+"""Fraction of f, no unit, outside the range of W that counts as none at an instant between samples: rates and
+accelerations are interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long
+as that lasts."""
 
 _AT_INSTANT = 1e-7
-"""Rank tolerance there: instants are exact to rounding where the margin goes through zero, to its root where it only
-touches."""
-
+"""Rank tolerance at an instant, scaled: the root of the rounding (1e-14) of a margin that only touches zero."""
 
 _NEAR, _FAR = 2.0 * SPACING, 10.0 * SPACING
 """Steps of samples, in characteristic lengths, between which the margin is not searched where it stays away from zero;

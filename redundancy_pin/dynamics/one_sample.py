@@ -11,8 +11,9 @@ from functools import lru_cache
 import numpy as np
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
+from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.base import Dynamics, ReducedSample, SampleArguments, TorqueSample, one_sample
-from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE, distribute
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
 from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import is_in_range

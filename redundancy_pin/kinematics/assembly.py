@@ -185,18 +185,6 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     return Projection(inverse, gamma, margin)
 
 
-def rates(
-    system: ConstraintSystem, state: ConstraintState, projection: Projection, xd: Array, xdd: Array
-) -> tuple[Array, Array]:
-    """Return v = Γ ẋ and a (N, nv): K a = (−J̇_c v, ẍ − J̇_x v), for rates (N, n) of the independent coordinates."""
-    v = np.einsum("nvi,ni->nv", projection.gamma, xd)
-    bias_c, bias_x = system.bias(state, v)
-    a = np.zeros_like(v)
-    rest = np.concatenate([-bias_c, xdd - bias_x], axis=1)
-    a[:, system.pose_columns] = np.einsum("npr,nr->np", projection.inverse, rest)
-    return v, a
-
-
 def integrate(model: pin.Model, q: Array, step: Array) -> Array:
     """Return q ⊕ step for (N, nq) configurations and (N, nv) tangent steps."""
     if model.nq == model.nv:

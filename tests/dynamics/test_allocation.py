@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import minimize
 
-from redundancy_pin.dynamics.allocation import RESIDUAL_TOLERANCE, CarrierForces, allocate
+from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE, CarrierForces, allocate
 from redundancy_pin.status import SampleStatus
 
 ROUNDING = 1e-8
@@ -258,7 +258,7 @@ def test_with_fewer_unknowns_than_coordinates_some_direction_gets_nothing():
 @pytest.mark.parametrize(("share", "status"), [(0.9, SampleStatus.OK), (1.1, SampleStatus.SINGULAR_INCONSISTENT)])
 def test_what_is_missing_counts_from_a_share_of_the_force_and_of_a_newton_on(size, share, status):
     """In the second direction nobody has an effect; it is told in N of the scaled equations."""
-    missing = share * RESIDUAL_TOLERANCE * (1.0 + size)
+    missing = share * FORCE_TOLERANCE * (1.0 + size)
     W, coupling = [[1.0, 0.0], [0.0, 0.0]], np.zeros((2, 2))
     allocation = shared(W, coupling, [size, 0.25 * missing], row_scale=np.array([1.0, 0.25]))
     assert allocation.status is status
@@ -268,7 +268,7 @@ def test_what_is_missing_counts_from_a_share_of_the_force_and_of_a_newton_on(siz
 @pytest.mark.parametrize(("over", "status"), [(0.5, "ok"), (1.5, "ok"), (2.5, "bound_infeasible")])
 def test_limits_are_fallen_short_of_from_the_same_share_on(over, status):
     """A force of 1 N, of which the limit leaves a little; 2e-9 N is the tolerance."""
-    missing = over * RESIDUAL_TOLERANCE
+    missing = over * FORCE_TOLERANCE
     allocation = shared(np.eye(2), np.zeros((2, 2)), [1.0 + missing, 0.0], effort_limit=np.ones(2))
     assert (allocation.status.label, allocation.saturated) == (status, True)
     assert allocation.residual == pytest.approx(missing, rel=1e-3)

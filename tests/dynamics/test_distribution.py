@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
-from redundancy_pin.dynamics.allocation import BOUND_TOLERANCE
+from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.distribution import LARGEST_WEIGHT_RATIO, distribute
 from redundancy_pin.errors import InputError
 from redundancy_pin.status import SampleStatus
@@ -249,7 +249,7 @@ def test_weights_may_differ_by_the_largest_ratio_and_no_more():
 @pytest.mark.parametrize(("share", "label"), [(0.9, "ok"), (1.1, "bound_infeasible")])
 def test_an_effort_may_pass_its_bound_by_a_share_of_the_largest_one(sign, share, label):
     """Of 1000 N beside it; it is put on the bound, and what is then missing is the residual."""
-    passed = share * BOUND_TOLERANCE * 1000.0
+    passed = share * FORCE_TOLERANCE * 1000.0
     bound = {"upper": [np.inf, 1.0 - passed]} if sign > 0.0 else {"lower": [-np.inf, -1.0 + passed]}
     d = distribute(reduced([np.eye(2)], [[1000.0, sign]]), **bound)
     assert d.status_labels.tolist() == [label]
