@@ -199,7 +199,7 @@ def test_matrices_that_are_no_poses_are_refused(backend: type[Dynamics]) -> None
     assert dynamics.torque(home, zero, zero).status is SampleStatus.OK
     for wrong in (flipped, sheared, scaled, moved, 1.001 * home):
         with pytest.raises(InputError, match="homogeneous pose"):
-            dynamics.torque(wrong, zero, zero)
+            dynamics.torque(wrong, zero, zero, start=np.array(dynamics.robot.q_reference))
         with pytest.raises(InputError, match="homogeneous pose"):
             dynamics.sample(wrong, zero, zero)
     for shape in ((16,), (2, 8)):
