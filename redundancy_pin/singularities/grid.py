@@ -20,7 +20,7 @@ from redundancy_pin.kinematics.branch import follows
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
-from redundancy_pin.kinematics.multistart import _around
+from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import is_pose
@@ -289,7 +289,7 @@ class _Flood:
         does. Without working modes a part that touches another is another branch of it. The larger one stays: a
         configuration near a stretched leg may lead to a node or two of the other branch, and no further.
         """
-        guess = _around(self.system, self.place.q, _STARTS, np.random.default_rng(20141))
+        guess = draw_starts(self.system, self.place.q, _STARTS, np.random.default_rng(20141))
         closed = assemble(self.system, guess)
         free = positions(coordinates(self.robot, closed.state), self.place.free)
         origin, cell = np.array([axis[:2] for axis in axes]).T

@@ -270,8 +270,11 @@ class TorqueCall(SampleCall):
         if code not in _WITHOUT_RESULT:
             self._branch.known = True
             return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), self._residual())
-        answer = without_answer(self._robot, SampleStatus.NOT_FINITE)
-        if code != SampleStatus.NOT_FINITE:
+        if code == SampleStatus.UNREACHABLE and self._branch.known:
+            answer = without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
+        elif code == SampleStatus.NOT_FINITE:
+            answer = without_answer(self._robot, SampleStatus.NOT_FINITE)
+        else:
             answer = self._by_kinematics(t)
         if saved is not None and int(answer.status) in _WITHOUT_RESULT:
             self._branch.restore(saved)
