@@ -7,8 +7,7 @@ import itertools
 import json
 import re
 import shutil
-import subprocess
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -103,59 +102,6 @@ def test_valgrind_finds_nothing(name: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
-MATH = {
-    "sin",
-    "cos",
-    "sincos",
-    "tan",
-    "atan2",
-    "atan",
-    "acos",
-    "asin",
-    "sqrt",
-    "hypot",
-    "fabs",
-    "floor",
-    "fmax",
-    "fmin",
-    "frexp",
-    "ldexp",
-}
-
-
-@pytest.mark.long_for(*(name for name in SMALL if name not in ("2rpr", "fewer actuators")))
-@pytest.mark.skipif(shutil.which("nm") is None, reason="nm is not installed")
-@pytest.mark.parametrize("name", SMALL)
-def test_it_needs_math_alone_and_keeps_no_state(name: str, tmp_path: Path) -> None:
-    folder = folder_of(robot_of(name))
-    included = re.findall(r"^\s*#\s*include\s*(\S+)", (folder / "unit.c").read_text(encoding="utf-8"), flags=re.M)
-    assert sorted(included) == ['"unit.h"', "<math.h>"]
-    assert "#include" not in (folder / "unit.h").read_text(encoding="utf-8")
-    for level in ("-O0", "-O2"):
-        target = compiled([folder / "unit.c"], tmp_path / "unit.o", level, "-c")
-        listed = subprocess.run(["nm", str(target)], capture_output=True, text=True, check=True).stdout
-        symbols = [line.split()[-2:] for line in listed.splitlines()]
-        assert {symbol for kind, symbol in symbols if kind == "U"} <= MATH
-        assert {kind for kind, _ in symbols} <= {"U", "T", "t", "r"}  # no b, d: nothing static that changes
-        public = {symbol for kind, symbol in symbols if kind == "T"}
-        assert all(symbol.startswith("unit_") for symbol in public)
-        assert ("unit_forward_kinematics" in public) is (name != "fewer actuators")
-
-
-def test_two_robots_are_linked_into_one_program(tmp_path: Path) -> None:
-    for name in ("2rpr", "four_bar"):
-        written = codegen.write_c(robot_of(name), tmp_path / name)
-        assert written.prefix == {"2rpr": "robot_2rpr", "four_bar": "four_bar"}[name]
-    main = tmp_path / "main.c"
-    main.write_text(
-        '#include "robot_2rpr.h"\n#include "four_bar.h"\n'
-        "int main(void) { robot_2rpr_state a; four_bar_state b; return robot_2rpr_reset(&a) + four_bar_reset(&b); }\n"
-    )
-    sources = [main, tmp_path / "2rpr" / "robot_2rpr.c", tmp_path / "four_bar" / "four_bar.c"]
-    program = compiled(sources, tmp_path / "both", f"-I{tmp_path / '2rpr'}", f"-I{tmp_path / 'four_bar'}")
-    assert run(program).returncode == 0
-
-
 @pytest.mark.long
 def test_its_own_test_can_fail(tmp_path: Path) -> None:
     folder = folder_of(robot_of("2rpr"))
@@ -218,23 +164,18 @@ def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion
     return want.status.tolist()
 
 
-@pytest.mark.long_for("1-universal", "1-more actuators", "1-four_bar")
+@pytest.mark.long_for("7-universal", "7-more actuators", "7-four_bar", "7-2rpr")
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
-@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1, pytest.param(2, marks=pytest.mark.long)])
-def test_smooth_motions(name: str, seed: int) -> None:
-    robot, t = robot_of(name), np.linspace(0.0, 2.0, 150)
-    assert_same(name, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
-
-
-@pytest.mark.parametrize(
-    "name", ["3rrr", *(pytest.param(name, marks=pytest.mark.long) for name in ("2rpr", "universal"))]
-)
-def test_samples_in_any_order(name: str) -> None:
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 7])
+def test_smooth_motions_and_their_samples_in_any_order(name: str, seed: int) -> None:
     robot, t = robot_of(name), np.linspace(0.0, 2.0, 120)
-    order = np.random.default_rng(2).permutation(len(t))
-    motion, carriers = zoo.smooth_motion(robot, 7).at(t), zoo.carriers_at(robot, t, 7)
-    shuffled = rp.PlatformMotion(t, *(part[order] for part in (motion.x, motion.xd, motion.xdd)))
-    assert_same(name, shuffled, rp.CarrierMotion(*(part[order] for part in (carriers.s, carriers.sd, carriers.sdd))))
+    motion, carriers = zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed)
+    assert_same(name, motion, carriers)
+    if name in ("2rpr", "3rrr", "universal"):
+        order = np.random.default_rng(2).permutation(len(t))
+        shuffled = rp.PlatformMotion(t, *(part[order] for part in (motion.x, motion.xd, motion.xdd)))
+        parts = (part[order] for part in (carriers.s, carriers.sd, carriers.sdd))
+        assert_same(name, shuffled, rp.CarrierMotion(*parts))
 
 
 def test_through_type_two() -> None:
@@ -289,7 +230,7 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
         want = rp.distribute(reduced)
         seen |= set(want.status.tolist())
         for k in range(count):
-            out = code_type(robot)()
+            out = code_of(name).efforts_type()
             row, force = np.ascontiguousarray(W[k]), np.ascontiguousarray(reduced.f[k])
             pointers = [ctypes.c_void_p(array.ctypes.data) for array in (row, force)]
             status = library.probe(*pointers, ctypes.byref(out))
@@ -308,10 +249,6 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
     if n > m:
         expected |= {SampleStatus.UNDERACTUATED}
     assert expected | {SampleStatus.SINGULAR_INCONSISTENT} <= seen
-
-
-def code_type(robot: Robot) -> type[ctypes.Structure]:
-    return code_of(next(name for name in (*SMALL, "gough") if robot_of(name) is robot)).efforts_type
 
 
 # --- forward kinematics ---------------------------------------------------------------------------------------------
@@ -513,22 +450,16 @@ def test_another_working_mode_has_a_status_of_its_own() -> None:
 def test_each_state_is_its_own() -> None:
     robot, code, t = robot_of("3rrr"), code_of("3rrr"), np.linspace(0.0, 1.0, 100)
     motions = [zoo.smooth_motion(robot, seed).at(t) for seed in range(4)]
-    wanted = [rp.RneaDynamics(robot).reduce(motion).f for motion in motions]
-    got: list[list[np.ndarray]] = [[] for _ in motions]
 
-    def work(i: int) -> None:
-        state, motion = code.start(), motions[i]
+    def work(motion: rp.PlatformMotion) -> np.ndarray:
+        state, parked = code.start(), [np.zeros(3)] * 3
         code.go_to(state, motion.x[0])
-        for k in range(len(t)):
-            got[i].append(code.efforts(state, motion.x[k], motion.xd[k], motion.xdd[k], *[np.zeros(3)] * 3).f)
+        samples = zip(motion.x, motion.xd, motion.xdd, strict=True)
+        return np.array([code.efforts(state, *sample, *parked).f for sample in samples])
 
-    threads = [threading.Thread(target=work, args=(i,)) for i in range(len(motions))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for mine, want in zip(got, wanted, strict=True):
-        assert_near(np.array(mine), want, "f")
+    with ThreadPoolExecutor(len(motions)) as pool:
+        for got, motion in zip(pool.map(work, motions), motions, strict=True):
+            assert_near(got, rp.RneaDynamics(robot).reduce(motion).f, "f")
 
 
 # --- files -----------------------------------------------------------------------------------------------------------
@@ -549,10 +480,10 @@ def test_names_from_a_file_cannot_leave_their_comments(tmp_path: Path) -> None:
     assert run(compiled(sources, tmp_path / "program")).returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "prefix"),
-    [("rp", "rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new"), ("Math", "robot_math"), ("m", "robot_m")],
-)
+PREFIXES = {"rp": "rp", "2rpr": "robot_2rpr", "…": "robot", "3-RRR (new)": "robot_3_rrr_new", "Math": "robot_math"}
+
+
+@pytest.mark.parametrize(("name", "prefix"), [*PREFIXES.items(), ("m", "robot_m")])
 def test_prefixes(name: str, prefix: str) -> None:
     assert codegen.prefix_of(name, None) == prefix
 
