@@ -6,7 +6,6 @@ import ctypes
 import itertools
 import json
 import re
-import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -92,14 +91,6 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     done = run(compiled(sources, tmp_path / "program", *flags))
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr == ""
-
-
-@pytest.mark.long_for("fewer actuators")
-@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
-@pytest.mark.parametrize("name", ["2rpr", "fewer actuators", *LONG])
-def test_valgrind_finds_nothing(name: str) -> None:
-    done = run(Path("valgrind"), "-q", "--error-exitcode=9", "--leak-check=full", str(program_of(name)))
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.long
@@ -293,26 +284,6 @@ def test_the_branch_is_that_of_the_state() -> None:
         got = code.platform(state, positions[0], velocities[0])
         np.testing.assert_allclose(got.x, [0.25, 0.2 * side], rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(got.xd, [0.1, 0.3 * side], rtol=0.0, atol=1e-11)
-
-
-@pytest.mark.long
-def test_from_far_away_it_is_that_branch_or_none() -> None:
-    """Newton's method without its rule of contraction ends below the base here and there."""
-    code, random, statuses = code_of("2rpr"), np.random.default_rng(0), []
-    x = np.stack([random.uniform(-0.2, 0.7, 200), random.uniform(0.02, 0.5, 200)], axis=1)
-    still = np.zeros((1, 2))
-    for start, end in zip(x[::2], x[1::2], strict=True):
-        positions, _ = drives_along(robot_of("2rpr"), rp.PlatformMotion([0.0], end[None], still, still))
-        state = code.start()
-        assert code.go_to(state, start) == 0
-        kept = bytes(state)
-        got = code.platform(state, positions[0], np.zeros(2))
-        statuses.append(got.status)
-        if got.status == NOTHING_WRITTEN:
-            assert bytes(state) == kept
-        else:
-            np.testing.assert_allclose(got.x, end, rtol=0.0, atol=1e-9)
-    assert 10 < statuses.count(NOTHING_WRITTEN) < 90
 
 
 def test_at_type_two_actuators_do_not_determine_the_platform() -> None:

@@ -126,20 +126,6 @@ def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
         assert (np.array(functions.alignment(q)) < 0.0).any()
 
 
-def test_what_is_off_is_told() -> None:
-    """Residuals that were always zero would pass for closed."""
-    robot = robot_of("five_bar")
-    functions, q, x = symbolic(robot), np.array(robot.q_reference), zoo.home_of(robot)
-    np.testing.assert_allclose(
-        np.array(functions.position(q, x + np.array([0.1, -0.2])))[2:, 0], [-0.1, 0.2], atol=1e-12
-    )
-    np.testing.assert_allclose(np.array(functions.velocity(q, np.zeros(6), [1.0, 2.0]))[2:, 0], [-1.0, -2.0])
-    step = np.full(6, 1e-7)
-    moved = np.array(functions.moved(q, step))[:, 0]
-    np.testing.assert_allclose(functions.closure(moved), functions.Jc(q) @ step, atol=1e-13)
-    assert np.abs(np.array(functions.closure(moved))).max() > 1e-9
-
-
 def test_both_kinds_of_graphs_hold_them() -> None:
     robot = robot_of("3rrr")
     functions = symbolic(robot)
