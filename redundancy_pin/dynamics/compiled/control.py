@@ -117,7 +117,7 @@ class _Branch:
         numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
             the C keeps every leg on its side.
         state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known.
-        reached: (nq + 1,) the last one on the way to a sample that the C does not get to.
+        reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
     """
 
@@ -286,6 +286,8 @@ class TorqueCall(SampleCall):
         start = None
         if branch.known:
             at_passed = passed is not None and np.array_equal(passed.q, branch.reached[:-1])
+            if not at_passed and not branch.reached[-1]:  # a start that the C has not closed
+                return without_answer(robot, SampleStatus.BRANCH_LOST)
             start = passed if at_passed else Start(branch.reached[:-1].copy(), None)
         try:
             tree, reduced = self._followed(t, start)
@@ -363,7 +365,8 @@ class JointStateCall:
     def _beyond_bifurcation(self, code: int) -> int:
         """Return the status where kinematics lead the branch through a bifurcation, which the C does not pass."""
         branch = self._branch
-        q = self._follow(branch.reached[:-1].copy(), self._arguments.parts[0].copy())
+        closed = branch.reached[-1] != 0.0  # otherwise the chains are open at the start
+        q = self._follow(branch.reached[:-1].copy(), self._arguments.parts[0].copy()) if closed else None
         if q is None:
             return code
         before = branch.save()
