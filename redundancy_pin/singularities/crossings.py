@@ -24,15 +24,15 @@ from redundancy_pin.errors import (
 from redundancy_pin.kinematics.assembly import Assembly, assemble
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows
+from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import coordinate_unit, row_scale
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
 from redundancy_pin.singularities.roots import Zero, zeros
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory
+from redundancy_pin.trajectory.robot_motion import robot_motion
 
 SPACING = 0.01
 """Longest step of the search along a path, characteristic lengths. Two dips of the margin within one step would be
@@ -120,7 +120,7 @@ def find_crossings(
         if not 0.0 < value < 1.0:
             raise InputError(f"{name} is {value}.", remedy="Pass a number between 0 and 1.", name=name)
     robot = as_robot(robot)
-    path = FollowedPath(constraint_system(robot), motion_of(robot, motion), spacing, start)
+    path = FollowedPath(constraint_system(robot), robot_motion(robot, motion), spacing, start)
 
     def parallel(times: Array) -> Array:
         margins = path.margins(times)
@@ -183,30 +183,6 @@ def _slope(system: ConstraintSystem, path: FollowedPath, t: float) -> float:
         return 0.0
     margins = path.margins(times).parallel
     return float(margins[1] - margins[0]) / length * robot.characteristic_length
-
-
-def motion_of(robot: Robot, source: PlatformMotion | TimedTrajectory) -> ContinuousMotion:
-    """Return the motion of a robot's platform as a function of time (``continuous_motion``).
-
-    Angles of samples may be written within a turn; between them they take the short way. Where a platform cannot move
-    along some axes, the rates of its pose along them are zero.
-
-    Raises:
-        InputError: the motion does not have the robot's coordinates, or has a single instant only.
-    """
-    if not isinstance(source, PlatformMotion):
-        law = continuous_motion(source)
-        require_matching(robot, law.sample_at(np.array([law.start])))
-        return law
-    require_matching(robot, source)
-    if source.is_pose:
-        rates = np.zeros((2, len(source), 6))
-        rates[:, :, pose_rows(robot)] = source.xd, source.xdd
-        return continuous_motion(PlatformMotion(source.t, source.x, *rates, check_rates=source.check_rates))
-    steps = np.diff(source.x, axis=0)
-    turns = np.cumsum(np.round((difference(robot, source.x[1:], source.x[:-1]) - steps) / (2.0 * np.pi)), axis=0)
-    x = source.x + 2.0 * np.pi * np.concatenate([np.zeros((1, robot.n)), turns])
-    return continuous_motion(PlatformMotion(source.t, x, source.xd, source.xdd, check_rates=source.check_rates))
 
 
 class FollowedPath:

@@ -38,11 +38,12 @@ from redundancy_pin.robot.scales import (
 )
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.grid import (
+    LONGEST_TURN,
     Slice,
     WorkspaceGrid,
     bounded_axes,
     default_axes,
-    grid_margins,
+    require_resolution,
     slice_through,
     solve_grid,
 )
@@ -53,10 +54,6 @@ RESOLUTION = 200
 _ITERATIONS = 20
 _LONGEST_STEP = 0.3
 """Longest Newton step, rad or characteristic lengths: the linear model of a turning joint holds to about 20°."""
-
-_JUMP = 1.0
-"""Angle of a joint between neighbouring points, rad, that separates two curves. On one curve a joint turns by about the
-square root of a cell (in lengths of its link); on the two sides of a leg of zero length it differs by half a turn."""
 
 _LONGEST_CHORD = 3.0
 """Longest distance between neighbouring points of a curve, cells. At a corner of the border two singular values of K
@@ -171,13 +168,12 @@ def singular_locus(
         >>> locus = singular_locus("five_bar", resolution=40)
         >>> [curve.points.shape for curve in locus.of_kind(SingularityKind.TYPE_II)]
     """
-    if resolution < 3:
-        raise InputError(f"resolution is {resolution}.", remedy="Pass at least 3, for example 200.")
     robot = as_robot(robot)
     place, fixed = _slice(robot, orientation)
+    resolution = require_resolution(resolution, len(place.free))
     given = default_axes(place, resolution) if bounds is None else bounded_axes(robot, place.names, bounds, resolution)
     grid = solve_grid(place, given)
-    parallel, serial = grid_margins(place, grid)
+    parallel, serial = grid.margins
 
     solver, edges, curves = _SingularPoints(place), list[Array](), list[LocusCurve]()
     reachable = np.where(grid.reachable, 1.0, -1.0)
@@ -373,20 +369,21 @@ def _curves(
     for point in found[:-1] if closed else found:
         if point is not None and not (points and np.linalg.norm(point.x - points[-1].x) < _SPACING * cell):
             points.append(point)
-    cuts = [
+    closed = closed and len(points) > 2
+    if closed:
+        points.append(points[0])
+    breaks = [
         k
-        for k, (one, other) in enumerate(zip(points, [*points[1:], *points[:1]], strict=True), start=1)
-        if (k == len(points) and not closed)
-        or np.linalg.norm(one.x - other.x) > _LONGEST_CHORD * cell
-        or (type_ii and solver.turn(one.q, other.q) > _JUMP)
+        for k, (one, other) in enumerate(pairwise(points), start=1)
+        if np.linalg.norm(one.x - other.x) > _LONGEST_CHORD * cell
+        or (type_ii and solver.turn(one.q, other.q) > LONGEST_TURN)
     ]
-    pieces = [[*points, *points[:1]]] if len(points) > 2 else []
-    if cuts:
-        points = points[cuts[-1] :] + points[: cuts[-1]]
-        pieces = [points[i:j] for i, j in pairwise([0, *(k - cuts[-1] + len(points) for k in cuts)])]
+    pieces = [points[i:j] for i, j in pairwise([0, *breaks, len(points)])]
+    if closed and breaks:  # a closed contour that is cut begins and ends in the middle of a curve
+        pieces = [[*pieces[-1], *pieces[0][1:]], *pieces[1:-1]]
     curves = []
     for piece in pieces:
-        if cuts and type_ii and len(grid.axes) == 2 and len(piece) > 1:
+        if type_ii and len(grid.axes) == 2 and len(piece) > 1 and (breaks or not closed):
             piece = [*_end(solver, grid, piece[1::-1]), *piece, *_end(solver, grid, piece[-2:])]
         if len(piece) >= len(grid.axes):
             x, q, serial, locked = (read_only(np.array(part)) for part in zip(*piece, strict=True))
