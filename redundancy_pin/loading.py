@@ -172,14 +172,17 @@ def robot_with(
             closed_form=None,  # it is written in the arguments, which say something else now
             notes=(*robot.notes, f"{_CHANGED} {', '.join([*masses, *lengths])}", *_lengths_only(robot, lengths)),
         )
-        require_still_joined(robot, new)
         for bound in ("lower", "upper"):
             for what in ("Position", "Velocity", "Effort"):
                 setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
-        closed = _closed(
-            new, declaration, lambda: reference_coordinates(new, declaration.coordinates(robot.parameters))
-        )
-        return _with_added(closed, robot.loads)
+        if lengths:
+            require_still_joined(robot, new)
+            new = _closed(
+                new, declaration, lambda: reference_coordinates(new, declaration.coordinates(robot.parameters))
+            )
+        else:  # masses close no loop: the reference is that of the robot
+            new = replace(new, q_reference=robot.q_reference, characteristic_length=robot.characteristic_length)
+        return _with_added(new, robot.loads)
 
 
 def _with_added(robot: Robot, loads: tuple[Load, ...]) -> Robot:

@@ -19,14 +19,12 @@ from redundancy_pin.kinematics.tree import frame_placement
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_link_index
 
-_ITERATIONS = 100
-"""Most steps of Newton's method: on redundant rows it converges linearly where they lose rank."""
-
 _SPREADS = np.linspace(0.2, 1.5, 30)
 """rad or characteristic lengths: how far further starts are away, up to a quarter turn."""
 
-_STEPS = 200
-"""Most steps of Levenberg–Marquardt's method: half a turn takes seven, where nothing is in the way."""
+_STEPS = 100
+"""Most steps of either method: half a turn takes Levenberg–Marquardt's seven, where nothing is in the way. Newton's
+converges linearly where redundant rows lose rank."""
 
 _NEAR = 1e-3
 """Characteristic lengths or rad: the residual from which Newton goes on, which converges from ten times that."""
@@ -75,7 +73,7 @@ def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) ->
 
 def close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
     """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the closure residual, m."""
-    reached = assemble(system, q[None], redundant=True, max_iterations=_ITERATIONS)
+    reached = assemble(system, q[None], redundant=True, max_iterations=_STEPS)
     closed: Array = reached.q[0]
     return closed, float(reached.gap[0])
 

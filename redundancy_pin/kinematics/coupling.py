@@ -16,8 +16,6 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.types import slides
 
-_DERIVATIVES = 3
-
 
 class CouplingRows:
     """The C couplings of a robot, at one configuration (nq,) or at many (N, nq).
@@ -45,7 +43,7 @@ class CouplingRows:
         for row, each in enumerate(robot.couplings):
             powers[row, : len(each.polynomial)] = each.polynomial
         self._powers = [powers]
-        for _ in range(_DERIVATIVES):
+        for _ in range(3):  # derivatives
             powers = np.concatenate([powers[:, 1:] * np.arange(1, degree), np.zeros((len(ends), 1))], axis=1)
             self._powers.append(powers)
 

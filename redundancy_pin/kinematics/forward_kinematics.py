@@ -53,8 +53,8 @@ closure tolerance, for what margins of 1e-3 make of it."""
 _WEAKER = 0.5
 """Part of the margin at which redundant motors began to be followed, below which others are looked for."""
 
-_STARTS, _MOST_STARTS, _IN_VAIN = 128, 2048, 512
-"""Random starts of a round, of all rounds, and of all where none closes. A Gough platform takes up to 2,000."""
+_STARTS, _IN_VAIN = 128, 512
+"""Random starts of a round, and of all where none closes."""
 
 _SEEN, _OFTEN = 1e-3, 6
 """Random starts go on until one more has a chance below the first of finding a mode that none has found, and each mode
@@ -401,7 +401,7 @@ class AssemblyModes(Frozen):
         return len(self.q)
 
 
-def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = _MOST_STARTS) -> AssemblyModes:
+def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 2048) -> AssemblyModes:
     """Return the configurations that positions of the motors allow: two of a five-bar, up to forty of a Gough platform.
 
     Newton from random starts, the same ones every time, until another start would hardly find a new mode. Modes are
@@ -410,7 +410,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     Args:
         robot: the robot, or its name or path.
         actuated: (m,) positions of the main actuators, m and rad.
-        most_starts: bound on the number of starts.
+        most_starts: bound on the number of starts; a Gough platform takes up to 2,000.
 
     Raises:
         InputError: wrong shape.

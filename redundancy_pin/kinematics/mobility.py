@@ -15,12 +15,6 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import with_pointer
 
-_MOVES = 1e-6
-"""Part of a unit motion, scaled, that a joint must have in it to be said to move: Newton leaves 1e-11."""
-
-_EQUAL = 1e-9
-"""Relative difference of lengths that are equal except for rounding."""
-
 
 def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
     """Compare the count of freedoms with the declaration, and say which rows or freedoms are too many.
@@ -75,7 +69,7 @@ def _left_free(system: ConstraintSystem) -> str:
     rows = system.relative(state.K)[0]
     values, basis = np.linalg.svd(rows)[1:]
     free = np.abs(basis[int((values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-300)).sum()) :])
-    moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > _MOVES)}
+    moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > RANK_TOLERANCE)}
     names = [
         str(name)
         for name, joint in zip(robot.model.names, robot.model.joints, strict=True)
@@ -189,7 +183,7 @@ def independent_columns(
         if not lengths.max(initial=0.0) > apart * longest:
             break
         # the first of equals, whatever their rounding
-        chosen.append(waiting[int(np.argmax(lengths > (1.0 - _EQUAL) * lengths.max()))])
+        chosen.append(waiting[int(np.argmax(lengths > (1.0 - RANK_TOLERANCE) * lengths.max()))])
         extend(matrix[:, chosen[-1]])
     return chosen
 

@@ -8,6 +8,11 @@ typedef struct {
   double at, turns, lower, upper, slack;
 } Range;
 
+#define PART 0.1         /* least share of the platform in the norm of K's inverse at the end of a branch, no unit: 1e-4 at a rank loss */
+#define MOST_SEARCHES 100 /* steps of Newton's method: half a turn of every joint takes some 50 */
+
+enum { OUT_OF_REACH = NO_POSE + 1 };
+
 static int in_ranges(const double *q, const Range *ranges, int count) {
   for (int i = 0; i < count; ++i) {
     const Range *range = ranges + i;
@@ -33,6 +38,46 @@ int rp_begin(const double *numbers, const double *declared, const double *start,
   return 1;
 }
 
+/* Whether a pose is next to a rank loss of the closures: the platform then hardly has a part in what K cannot do, and a branch may go
+   on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
+static int may_go_on(const Pose *pose) {
+  double X[NP + 1][NP + 1], all = 0.0, platform = 0.0;
+  invert(pose->lu, pose->pivot, X);
+  for (int i = 0; i < NP; ++i) {
+    all += dot(X[i], X[i], NP);
+    platform += dot(X[i] + R, X[i] + R, N);
+  }
+  return !(platform > PART * PART * all);
+}
+
+/* The largest residual, without unit, that Newton's method with a line search leaves at coordinates x; q is moved. Zero where it does not
+   come to an end: kinematics then look. */
+static double left_open(const double *numbers, double *q, const double *x) {
+  double trig[2 * NT + 1], residual[NP + 1], step[NP + 1], part[NP + 1], K[NP * NP + 1], alignment[NALIGN], from[NQ];
+  int pivot[NP + 1];
+  turns_of(q, trig);
+  rows(numbers, q, trig, x, residual, K, alignment);
+  for (int iteration = 0; iteration < MOST_SEARCHES; ++iteration) {
+    double size = dot(residual, residual, NP), share = 1.0;
+    copy(step, residual, NP);
+    copy(from, q, NQ);
+    if (decompose(K, pivot) == 0.0) return 0.0;
+    solve(K, pivot, step);
+    double longest = largest(step, NP);
+    int last = longest <= FLOOR; /* a step of rounding is taken whole */
+    for (share = fmin(1.0, LONGEST / longest); share > SHORTEST; share *= 0.5) {
+      for (int i = 0; i < NP; ++i) part[i] = share * step[i] * STEP_UNIT[i];
+      copy(q, from, NQ);
+      move(q, part);
+      turns_of(q, trig);
+      rows(numbers, q, trig, x, residual, K, alignment);
+      if (last || dot(residual, residual, NP) < size) break;
+    }
+    if (last || !(share > SHORTEST)) return largest(residual, NP);
+  }
+  return 0.0;
+}
+
 static void keep(const Pose *pose, double *state) {
   copy(state, pose->q, NQ);
   state[NQ] = pose->sign;
@@ -40,7 +85,7 @@ static void keep(const Pose *pose, double *state) {
 
 /* One sample; in and out as rp_sample. Where Newton's method does not get there in one step, the branch of the state is followed, on the
    straight way, however many turns away. The state is moved where the sample is closed; reached, of the same size, is the last
-   configuration on the way. Returns a status of the driver. */
+   configuration on the way. Returns a status of the driver, or OUT_OF_REACH with the closure residual among out. */
 int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
   double here[NX];
   Pose pose;
@@ -56,6 +101,9 @@ int rp_reach(const double *numbers, double *state, double *reached, const double
     int there = go_far(numbers, &pose, here, in);
     keep(&pose, reached);
     if (there) closed = rp_sample(numbers, reached, in, out);
+    double open = there || may_go_on(&pose) ? 0.0 : left_open(numbers, pose.q, in);
+    out[N * M + N + NK] = open * LENGTH;
+    if (open > TOLERANCE) closed = OUT_OF_REACH;
   }
   if (closed == CLOSED) copy(state, reached, NQ + 1);
   return closed;
@@ -70,6 +118,7 @@ int rp_torque(const double *numbers, double *state, double *reached, const doubl
   Efforts efforts;
   int closed = rp_reach(numbers, state, reached, in, out);
   if (closed == NO_POSE) return STATUS_NO_POSE;
+  if (closed == OUT_OF_REACH) return STATUS_UNREACHABLE;
   if (closed != CLOSED) return closed == LOST ? STATUS_BRANCH_LOST : status_of(closed);
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
   if (status == STATUS_NOT_FINITE) return status;

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.compiled.build import Library
+from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
 from redundancy_pin.errors import WorkingModeError
 from redundancy_pin.kinematics.branch import ClosedState, follower, known_state
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
@@ -50,7 +51,7 @@ class Loops:
         """The reference configuration (nq,) and its coordinates, (n,) or the 16 of a pose."""
         q, platform = np.array(self.robot.q_reference), self.robot.platform
         x = np.empty(16 if platform is not None and platform.is_pose else self.robot.n)
-        self.kernel.map("rp_coordinates", 1, [q[None], self.kernel.trig_at(q[None])], [x[None]])
+        self.kernel.map("rp_coordinates", 1, [q[None], trig_at(self.robot, q[None])], [x[None]])
         return q, x
 
 
@@ -93,7 +94,7 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | N
     if q0 is not None:
         x = np.ascontiguousarray(motion.x.reshape(samples, -1))
         nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
-        shapes = ((nq,), (loops.kernel.trigs,), (nv,), (nv,), (nv, n), (n, m), (), ())
+        shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), ())
         arrays = [np.empty((samples, *shape)) for shape in shapes]
         status = np.full(samples, _LOST, dtype=np.intc)
         _run(loops, motion, x, q0, arrays, status)
@@ -103,7 +104,7 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | N
             return Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(good))
     state = None if start is None else _state_at(robot, start)
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
-    trig = read_only(loops.kernel.trig_at(tree.q))
+    trig = read_only(trig_at(robot, tree.q))
     return Lifted(
         motion, tree.q, trig, tree.v, tree.a, tree.gamma, tree.W, tree.gap, tree.serial_margin_bound, tree.reachable
     )

@@ -13,16 +13,17 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
 from math import isfinite
-from typing import Any, Protocol, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, checked
 from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
+from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.compiled.closing import Lifted, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
-from redundancy_pin.dynamics.compiled.parameters import layout_of, numbers_of, parameter_vector, topology_of
+from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
 from redundancy_pin.dynamics.one_sample import REFUSALS, refused, solve_sample, without_answer
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -98,12 +99,6 @@ def _converted(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
     return given
 
 
-class Code(Protocol):
-    """A compiled topology."""
-
-    library: ctypes.CDLL
-
-
 def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
     """Return a function of a library with its arguments, that holds the interpreter's lock; arrays give addresses."""
     function = ctypes.PyDLL(code.library._name, handle=code.library._handle)[name]
@@ -130,7 +125,7 @@ class _Branch:
         self._shape, self.known = robot.q_reference.shape, False
         self.state, self.reached = np.append(robot.q_reference, 0.0), np.zeros(robot.model.nq + 1)
         own, topology = parameter_vector(robot), topology_of(robot)
-        places = numbers_of(robot).places["mode",]
+        places = places_of(robot)["mode",]
         begin = layout_of(topology).starts["MODEL"] + int(topology.free[: places.start].sum())
         signs = slice(begin, begin + places.stop - places.start)
         self.numbers, self._start = own.copy(), np.zeros(robot.model.nq)
@@ -275,8 +270,11 @@ class TorqueCall(SampleCall):
         if code not in _WITHOUT_RESULT:
             self._branch.known = True
             return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), self._residual())
-        answer = without_answer(self._robot, SampleStatus.NOT_FINITE)
-        if code != SampleStatus.NOT_FINITE:
+        if code == SampleStatus.UNREACHABLE and self._branch.known:
+            answer = without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
+        elif code == SampleStatus.NOT_FINITE:
+            answer = without_answer(self._robot, SampleStatus.NOT_FINITE)
+        else:
             answer = self._by_kinematics(t)
         if saved is not None and int(answer.status) in _WITHOUT_RESULT:
             self._branch.restore(saved)
@@ -392,7 +390,7 @@ class AccelerationCall:
         self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
         self._read = forward.reader() if wrenches else None
         self._a = np.zeros(model.nv)
-        given = forward.numbers, self._arguments.memory, *forward.tolerances, self._a
+        given = forward.numbers, self._arguments.memory, self._a
         self._call = _caller(forward, "rp_acceleration", *given)
         self._code = forward  # which keeps its numbers
 

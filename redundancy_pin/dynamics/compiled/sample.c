@@ -7,6 +7,12 @@
 #define SHORT (N < M ? N : M)
 #define LONG (N < M ? M : N)
 
+static double dot(const double *a, const double *b, int size) {
+  double sum = 0.0;
+  for (int i = 0; i < size; ++i) sum += a[i] * b[i];
+  return sum;
+}
+
 /* The status of a sample that the driver did not close. */
 static int status_of(int closed) {
   static const int STATUS[] = {STATUS_OK,          STATUS_UNREACHABLE, STATUS_TYPE_I,
@@ -45,12 +51,6 @@ typedef struct {
   int rank;
   double margin, condition;
 } Spectrum;
-
-static double dot(const double *a, const double *b, int size) {
-  double sum = 0.0;
-  for (int i = 0; i < size; ++i) sum += a[i] * b[i];
-  return sum;
-}
 
 static void rotate(double *x, double *y, int size, double cosine, double sine) {
   for (int i = 0; i < size; ++i) {
