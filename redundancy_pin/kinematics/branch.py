@@ -152,7 +152,7 @@ class Follower(LoopSolver):
                     break  # the line leaves the workspace: shorter steps would only creep up to its border
                 within_reach = end
             size *= 0.5
-            if size * length < SETTLED_STEP:
+            if size * max(length, 1.0) < SETTLED_STEP:
                 break
         return here if done == 1.0 else self.diagnose(here, x)
 
