@@ -455,6 +455,8 @@ class Dynamics(Protocol):
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants: those of a motion call by call.
 
+        Instants that cannot be reached are NaN; behind the first of them others may be, too.
+
         Tracks are taken as straight; ``planners.carrier_model`` says whether they are. The branch may be followed from
         what this thread asked for before, where that is near, in place of the reference.
 
