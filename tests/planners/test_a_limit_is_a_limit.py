@@ -67,7 +67,10 @@ def uses(plan: Plan, robot: Robot, given: dict[str, Any]) -> dict[str, float]:
     other = (second if plan.backend == "Rnea" else rp.RneaDynamics)(robot)
     t = instants(plan)
     platform, carriers = plan.platform_at(t), plan.carriers_at(t)
-    reduced = other.along(platform).reduce(carriers)
+    along = other.along(platform)
+    reduced, q = along.reduce(carriers), along.q
+    if q is None:  # of a closed form
+        q = rp.CompiledDynamics(robot).along(platform).q
     tau = np.linalg.solve(reduced.W, np.asarray(reduced.f)[..., None])[..., 0]
     for part in plan.functions_of_time.prescribed:  # efforts that the planner decided on
         inside = (t >= part.start) & (t <= part.end)
@@ -93,7 +96,7 @@ def uses(plan: Plan, robot: Robot, given: dict[str, Any]) -> dict[str, float]:
             np.abs(reduced.carrier_force / of("carrier_force", [limit.force for limit in own])).max(initial=0.0)
         ),
         "jerk": float(np.abs(third / of("jerk", [np.inf] * robot.k)).max(initial=0.0)),
-        "range": 1.0 + float(range_excess(robot, inverse_kinematics(robot, platform).q).max(initial=-1.0)),
+        "range": 1.0 + float(range_excess(robot, q).max(initial=-1.0)),
     }
 
 
