@@ -19,7 +19,7 @@ from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
 from redundancy_pin.kinematics.coordinates import difference, mode_indicators, moved
-from redundancy_pin.kinematics.passage import SAME_TANGENT, find_passage
+from redundancy_pin.kinematics.passage import SAME_TANGENT, SPACINGS, find_passage
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
 from redundancy_pin.status import SampleStatus
@@ -32,15 +32,8 @@ LONGEST_STEP = 0.04
 _MOST_STEPS = 20_000
 """Steps along one straight path: eight hundred characteristic lengths."""
 
-_SLOPE_STEP = 1e-4
-"""Fraction of a step over which the slope of a determinant is taken: the root of the rounding of its logarithm."""
-
 SAME_CONFIGURATION = 1e-6
 """Closed configurations of one pose nearer than this (rad, characteristic lengths) are the same, computed twice."""
-
-_PASSAGE_SPACINGS = (1e-2, 2.5e-3)
-"""Distances of the nodes of a passage, in characteristic lengths: wide ones keep away from the rank loss, narrow ones
-serve branches that turn fast."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +142,7 @@ class Follower(LoopSolver):
                 if problem.status is SampleStatus.UNREACHABLE:
                     break  # the line leaves the workspace: shorter steps would only creep up to its border
                 within_reach = end
-            size *= 0.5
+            size = 0.5 * (end - done)
             if size * length < SETTLED_STEP:
                 break
         return here if done == 1.0 else self.diagnose(here, x)
@@ -202,11 +195,11 @@ class Follower(LoopSolver):
         A determinant that is linear on both sides of its zero loses all of its value and more within the step, from
         either end.
         """
-        lost = []
-        for state, part in ((before, _SLOPE_STEP), (after, -_SLOPE_STEP)):
+        lost, share = [], math.sqrt(ROUNDING)  # of the step, for differences
+        for state, part in ((before, share), (after, -share)):
             K = self.matrix(self.integrate(state.q, state.gamma.dot(part * increment)), state.basis)[0]
             inside = np.array([np.linalg.slogdet(K[rows[:, None], columns])[1] for rows, columns in self.blocks])
-            lost.append(-np.expm1(inside - state.determinants[1]) > 0.9 * _SLOPE_STEP)
+            lost.append(-np.expm1(inside - state.determinants[1]) > 0.9 * share)
         return bool((lost[0] & lost[1]).any())
 
     def _changes_sign(self, before: ClosedState, after: ClosedState) -> bool:
@@ -284,7 +277,7 @@ class Follower(LoopSolver):
         directions = (chord, *np.eye(self.robot.n), self.unit) if along is None else (along,)
         for direction in directions:
             size = float(np.linalg.norm(direction / self.unit))
-            for spacing in _PASSAGE_SPACINGS if size > 0.0 else ():
+            for spacing in SPACINGS[1:] if size > 0.0 else ():
                 passage = find_passage(self, here, x, direction / size * spacing)
                 result = None if passage is None else passage.at(x, xd, xdd)
                 if result is not None:

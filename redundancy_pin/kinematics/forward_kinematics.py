@@ -10,8 +10,7 @@ With rates u̇ of the motors and v = Γ' u̇
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +32,7 @@ from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePose
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.branch import ClosedState, known_state
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position
+from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.kinematics.multistart import wrapped
 from redundancy_pin.motion import PlatformMotion
@@ -197,7 +196,7 @@ def _handed_over(system: ConstraintSystem, stretch: _Stretch, followed: IntArray
 def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Array, followed: IntArray) -> _Stretch:
     """Return where motors at ``given`` positions, rates and accelerations take the platform from a configuration."""
     robot, (u, ud, udd) = system.robot, given
-    driven = _driven(robot, tuple(robot.actuated[j] for j in followed))
+    driven = with_independent_joints(robot, tuple(robot.actuated[j] for j in followed))
     motors = constraint_system(driven)
     home = assemble(motors, q0[None], max_iterations=0)
     if not home.closed[0]:
@@ -246,12 +245,6 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
     excess = range_excess(robot, q)
     status[(status == SampleStatus.OK) & (excess > range_slack(robot)).any(axis=1)] = SampleStatus.OUT_OF_RANGE
     return _Stretch(x, xd, xdd, q, J, status, gap, margin, excess)
-
-
-@lru_cache(maxsize=64)
-def _driven(robot: Robot, joints: tuple[str, ...]) -> Robot:
-    """Return the robot with joints in the place of its platform."""
-    return replace(robot, platform=None, independent_joints=joints, working_modes=None, working_mode=())
 
 
 def _followed(system: ConstraintSystem, q: Array) -> IntArray:
@@ -484,7 +477,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     u = np.array(checked(actuated, "actuated", (robot.m,)))
     reference, system = np.array(robot.q_reference), constraint_system(robot)
     followed = _followed(system, reference)
-    motors = constraint_system(_driven(robot, tuple(robot.actuated[j] for j in followed)))
+    motors = constraint_system(with_independent_joints(robot, tuple(robot.actuated[j] for j in followed)))
     model, columns, rng = robot.model, motors.pose_columns, np.random.default_rng(_SEED)
     spread = random_spread(robot)[columns]
     q, keys, hits = np.zeros((0, model.nq)), np.zeros((0, 0)), np.zeros(0, dtype=np.intp)
