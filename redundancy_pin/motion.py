@@ -62,7 +62,7 @@ class PlatformMotion(Frozen):
         if len(time) == 0:
             raise InputError("The motion has no samples.", remedy="Pass at least one sample.")
         if is_pose:
-            _require_poses(position)
+            require_poses(position)
         _require_increasing(time, position, rate)
         assign(self, t=time, x=position, xd=rate, xdd=acceleration, check_rates=bool(check_rates))
 
@@ -413,13 +413,29 @@ def _require_increasing(t: Array, x: Array, xd: Array) -> None:
         )
 
 
-def _require_poses(x: Array) -> None:
+def _pose_errors(x: Array) -> Array:
+    """Return (N,) by how much matrices (N, 4, 4) miss homogeneous poses [R p; 0 1] with R a rotation."""
     rotation = x[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # entries of 1e200 are no rotation either
         error = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         error = np.maximum(error, np.abs(np.linalg.det(rotation) - 1.0))
-    error = np.maximum(error, np.abs(x[:, 3] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=1))
-    if not error.max() <= _POSE_TOLERANCE:
+    return np.asarray(np.maximum(error, np.abs(x[:, 3] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=1)))
+
+
+def is_homogeneous_pose(x: Array) -> bool:
+    """Return whether a matrix (4, 4) is a pose that ``PlatformMotion`` takes.
+
+    Example:
+        >>> is_homogeneous_pose(np.eye(4)), is_homogeneous_pose(2.0 * np.eye(4))
+        (True, False)
+    """
+    return bool(_pose_errors(x[None])[0] <= POSE_TOLERANCE)
+
+
+def require_poses(x: Array) -> None:
+    """Raise InputError where a matrix among (N, 4, 4) is no homogeneous pose, to ``POSE_TOLERANCE``."""
+    error = _pose_errors(x)
+    if not error.max() <= POSE_TOLERANCE:
         k = int(error.argmax())
         raise InputError(
             f"x[{k}] is not a homogeneous pose: it misses orthonormality by {error[k]:.2g}.",
@@ -428,5 +444,5 @@ def _require_poses(x: Array) -> None:
         )
 
 
-_POSE_TOLERANCE = 1e-9
+POSE_TOLERANCE = 1e-9
 """Rounding of a product of a few rotations stays near 1e-15; text with nine digits passes too."""

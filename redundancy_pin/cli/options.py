@@ -189,12 +189,12 @@ def backend_option(text: str = "How to compute.", default: str = DEFAULT_BACKEND
 
 def dynamics_of(robot: Robot, backend: str | None) -> Dynamics:
     """Return the dynamics that ``--backend`` names, the default ones for None; what they warn of goes to stderr."""
-    from redundancy_pin.dynamics.default import default_dynamics
+    from redundancy_pin.dynamics.default import as_dynamics
     from redundancy_pin.studies.case import BACKENDS
 
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
-        dynamics = default_dynamics(robot) if backend is None else BACKENDS[backend](robot)
+        dynamics = as_dynamics(robot) if backend is None else BACKENDS[backend](robot)
     for note in notes:
         output.warning(str(note.message))
     return dynamics

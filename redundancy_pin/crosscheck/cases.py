@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, read_only
 from redundancy_pin.errors import (
     DeclarationError,
     RedundancyPinError,
@@ -23,7 +23,7 @@ from redundancy_pin.kinematics.branch import BranchEnd, follower
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.kinematics.margins import closed_around
+from redundancy_pin.kinematics.margins import closed_around, typical_margin
 from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
@@ -41,9 +41,11 @@ _SPREAD = 0.2
 """Relative spread of lengths and masses around their defaults: wide enough to unmask a parameter read wrongly, narrow
 enough that most draws still close."""
 TRIES, _PLAIN_TRIES = 60, 55
-"""Draws; of a robot that does not vary, those whose motion has to be far from singularities all along. That is judged
-in a hundredth of the time that a inverse kinematics takes to be lost beside one."""
+"""Draws; of a robot that does not vary, those whose motion has to be far from singularities all along."""
 
+_NEAR_SHARE = 0.1
+"""Share of a robot's typical singularity margin of K below which a pose counts as near type I, if that is less than
+``NEAR_SINGULAR_MARGIN``: short levers and many joints make small margins everywhere."""
 
 REASONS: Mapping[str, str] = {
     "unreachable": "a pose is unreachable: the chains do not close",
@@ -222,9 +224,9 @@ def _elsewhere(robot: Robot, rng: np.random.Generator) -> Robot:
 
 
 def _why_not_followed(case: RandomCase) -> str:
-    """Return why a motion cannot be followed from the reference by Newton's method alone; empty if it can."""
+    """Return why a motion cannot be followed from the reference, far from singularities; empty if it can."""
     own = follower(case.robot)
-    here = own.home
+    here, near = own.home, min(NEAR_SINGULAR_MARGIN, _NEAR_SHARE * typical_margin(own.system))
     for pose in case.motion(np.linspace(0.0, case.t[-1], 200)).x:
         reached = own.advance(here, pose)
         if isinstance(reached, BranchEnd):
@@ -232,6 +234,8 @@ def _why_not_followed(case: RandomCase) -> str:
                 return "unreachable"
             # on its branch, which turns too fast for steps: as near a singularity
             return "near_type_i" if in_working_mode(case.robot, reached.q[None])[0] else "branch_lost"
+        if reached.margin < near:
+            return "near_type_i"
         here = reached
     return ""
 

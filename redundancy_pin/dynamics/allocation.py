@@ -36,6 +36,14 @@ import numpy as np
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, IntArray
 from redundancy_pin.status import SampleStatus
 
+FORCE_TOLERANCE = 1e-9
+"""Share of the forces at stake, no unit, that counts as none: what is missing of a wanted force, what an effort passes
+its bound by (it is then put on the bound, and the residual shows the difference), what is left of f where moving
+carriers cancel it. Rounding of f is 1e-13 to 1e-12 of its parts; a plant's forces are known to 1e-3."""
+
+ROUNDING = 1e-14
+"""Relative rounding, no unit, of a solved system of a few unknowns: 50 units in the last place."""
+
 
 def minimum_norm(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> tuple[Array, Array]:
     """Return the minimisers (N, m) of Σ cost_j u_j² among the solutions of A u = P g, and the sizes (N,) of g − P g.
@@ -77,17 +85,12 @@ def _by_singular_vectors(matrices: Array, forces: Array, rank: IntArray, cost: A
     return efforts, outside
 
 
-_MET = 1e-10
-"""Part of the length at stake by which the solver may pass bounds: a tenth of what counts as outside."""
-
-_EXACT = 1e-14
-"""Miss of the bounds that hold the answer, above which it is computed from them again."""
-
-_SETTINGS = {"primal_tol": _MET, "sing_tol": 1e-14, "iter_limit": 10_000}
-"""The second is a square: bounds an angle of 1e-7 apart are two; of those 6e-6 apart it takes one for contradictory."""
+_SETTINGS = {"primal_tol": 0.1 * FORCE_TOLERANCE, "sing_tol": ROUNDING, "iter_limit": 10_000}
+"""DAQP's: by how much it may pass bounds; the square of the least angle, rad, between two of them (1e-7; of those 6e-6
+apart it takes one for contradictory); and steps, of which it needs a few per bound."""
 
 _FAR = 1e30
-"""Bounds that the solver takes for none."""
+"""Bounds that DAQP takes for none: its DAQP_INF."""
 
 
 def within_bounds(start: Array, null: Array, bounded: Array, lower: Array, upper: Array) -> Array | None:
@@ -123,15 +126,11 @@ def _shortest_within(G: Array, reach: Array, low: Array, high: Array) -> Array |
         return None
     active = told["lam"] != 0.0
     side = np.where(told["lam"] > 0.0, sides[0], sides[1])[active]
-    if np.abs(G[active] @ z - side).max(initial=0.0) > _EXACT * max(1.0, np.abs(z).max()):
+    if np.abs(G[active] @ z - side).max(initial=0.0) > ROUNDING * max(1.0, np.abs(z).max()):
         z = np.linalg.lstsq(G[active], side, rcond=None)[0]  # from the bounds that hold it, it loses no digits
     z = np.asarray(scale * z)
     broken = np.maximum(low - G @ z, G @ z - high) > RANK_TOLERANCE * max(scale, float(np.linalg.norm(z)))
     return None if broken.any() else z
-
-
-_ROUNDING = 1e-14
-"""Relative change of the squares at which they count as least."""
 
 
 def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
@@ -146,16 +145,16 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
         size = max(float(np.abs(rest).max()), float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0))) or 1.0
         problem = matrix[:, free], rest / size, (lower[free] / size, upper[free] / size)
         with np.errstate(divide="ignore", invalid="ignore"):
-            fit = lsq_linear(*problem, method="bvls", tol=_ROUNDING, max_iter=1000)
+            fit = lsq_linear(*problem, method="bvls", tol=ROUNDING, max_iter=1000)
         if not np.isfinite(fit.x).all():  # of columns that are the same but for rounding it may make 0/0
-            fit = lsq_linear(*problem, method="trf", tol=_ROUNDING, max_iter=1000)
+            fit = lsq_linear(*problem, method="trf", tol=ROUNDING, max_iter=1000)
         u[free] = np.clip(size * fit.x, lower[free], upper[free])
     return u
 
 
 _WEIGHT = 1e-6
-"""Weight of the length, relative to the largest singular value, where the equations cannot be met: directions in which
-they hardly change are left alone."""
+"""Weight of the length, relative to the largest singular value of A, where the equations cannot be met: directions in
+which they hardly change are left alone, and a least miss is unique. The root of 1e-12: the miss keeps six digits."""
 
 
 def shortest(matrix: Array, wanted: Array, bounded: Array, lower: Array, upper: Array) -> tuple[Array, bool]:
@@ -181,14 +180,9 @@ def shortest(matrix: Array, wanted: Array, bounded: Array, lower: Array, upper: 
     return inverse @ least_miss(system, np.concatenate([wanted, np.zeros(size)]), lower / unit, upper / unit), True
 
 
-BOUND_TOLERANCE = 1e-9
-"""An effort may pass its bound by this fraction of the sample's largest effort before it counts as outside. It is
-then put on the bound, so that the bounds hold exactly and the residual shows the difference."""
-
-
 def leaves_bounds(efforts: Array, lower: Array, upper: Array) -> BoolArray:
     """Return (N,) whether the efforts (N, m) leave the bounds (N, m) by more than the tolerance."""
-    slack = BOUND_TOLERANCE * np.abs(efforts).max(axis=1, keepdims=True, initial=0.0)
+    slack = FORCE_TOLERANCE * np.abs(efforts).max(axis=1, keepdims=True, initial=0.0)
     outside: BoolArray = ((efforts < lower - slack) | (efforts > upper + slack)).any(axis=1)
     return outside
 
@@ -216,16 +210,12 @@ def fit_into_bounds(
         start = root * efforts[at] / size[at]
         start -= np.einsum("Njd,Nkd,Nk->Nj", null, null, start)  # the shortest of all solutions
         now, G = np.einsum("Ncj,Nj->Nc", bounded[at], start), bounded[at] @ null
-        low, high = lower[at] / size[at] - BOUND_TOLERANCE - now, upper[at] / size[at] + BOUND_TOLERANCE - now
+        low, high = lower[at] / size[at] - FORCE_TOLERANCE - now, upper[at] / size[at] + FORCE_TOLERANCE - now
         for i, k in enumerate(at.tolist()):
             z = _shortest_within(G[i], reach[k], low[i], high[i])
             if z is not None:
                 fitted[k] = np.clip(size[k] * (start[i] + null[i] @ z) / root, lower[k, :m], upper[k, :m])
     return fitted
-
-
-_STEADY = 1e-12
-"""Weight, relative to the squares of A, that makes a least miss over rows unique: it changes the miss by its root."""
 
 
 def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, rows: Array) -> Array:
@@ -242,7 +232,7 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, r
     residuals = []
     for A, g, C, low, high in zip(matrices, forces, rows, lower, upper, strict=True):
         H = A.T @ A
-        H += _STEADY * max(np.trace(H), 1.0) * np.eye(m)
+        H += _WEIGHT**2 * max(np.trace(H), 1.0) * np.eye(m)
         ends = np.concatenate([low, high])
         # tolerances are of numbers of the size of one
         size = float(np.linalg.norm(g)) or float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0)) or 1.0
@@ -251,10 +241,6 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, r
         u, _, flag, _ = daqp.solve(H, -A.T @ g / size, np.ascontiguousarray(C), *sides, sense, **_SETTINGS)
         residuals.append(float(np.linalg.norm(size * (A @ u) - g)) if flag > 0 else np.inf)
     return np.array(residuals)
-
-
-RESIDUAL_TOLERANCE = 1e-9
-"""Share of the wanted force that may be missing by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,7 +330,7 @@ def allocate(
     weighted = full * scale
     u, values, vt = np.linalg.svd(weighted, full_matrices=False)
     margin = float(values[-1]) if len(values) == len(wanted) else 0.0
-    size = RESIDUAL_TOLERANCE * (float(values[0]) + float(np.linalg.norm(wanted)))
+    size = FORCE_TOLERANCE * (float(values[0]) + float(np.linalg.norm(wanted)))
     rank = values > RANK_TOLERANCE * values[0]
     rest = wanted - full @ start
     answer = start + scale * (vt[rank].T @ ((u[:, rank].T @ rest) / values[rank]))

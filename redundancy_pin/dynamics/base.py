@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, Protocol, TypeGuard, TypeVar, cast
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, peak, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, checked, peak, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError, millimetres
 from redundancy_pin.motion import (
@@ -21,10 +21,14 @@ from redundancy_pin.motion import (
 )
 from redundancy_pin.robot import Load, Robot
 from redundancy_pin.robot.joint_ranges import track_slack
+from redundancy_pin.robot.named import is_pose
 from redundancy_pin.status import SampleStatus
 
 OnUnreachable = Literal["raise", "mark"]
 """What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its gap."""
+
+SampleArguments: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
+"""x, xd, xdd, s, sd, sdd of ``Dynamics.torque``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,12 +114,15 @@ class TorqueSample(NamedTuple):
         status: as ``distribute`` gives it.
         margin: singularity margin, the smallest singular value of the scaled W, no unit; NaN where there is no W.
         carrier_force: (k,) force of each carrier's own actuator, N or N·m; NaN where there is no W.
+        residual: closure residual, m: of the configuration or, where none is found, what Newton's method leaves; NaN
+            where it is not known.
     """
 
     tau: Array
     status: SampleStatus
     margin: float
     carrier_force: Array
+    residual: float
 
 
 class AccelerationSample(NamedTuple):
@@ -197,6 +204,14 @@ class DynamicsAlongMotion(Protocol):
     @property
     def motion(self) -> PlatformMotion:
         """The platform motion."""
+
+    @property
+    def q(self) -> Array | None:
+        """(N, nq) configurations of the tree, carriers at s = 0; NaN where unreachable. None of a closed form."""
+
+    @property
+    def gamma(self) -> Array | None:
+        """(N, nv, n) Γ, velocity of the tree per unit of each independent velocity. None of a closed form."""
 
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out."""
@@ -359,8 +374,11 @@ class Dynamics(Protocol):
     ) -> TorqueSample:
         """Return the efforts of one sample with a status: ``reduce`` and ``distribute``, for a control loop.
 
-        A pose that cannot be closed, or not on the branch, is a status and no exception. A carrier beyond its track is
-        out_of_range like any other joint.
+        The branch is that of ``start``, otherwise that of the last sample that this thread solved, at first that of the
+        reference. It is followed along the straight line to x. Where that fails, the efforts are NaN with the status
+        unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this one: the
+        reference is not returned to. Numbers that are not finite have the status not_finite. A carrier beyond its track
+        is out_of_range like any other joint.
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
@@ -370,20 +388,23 @@ class Dynamics(Protocol):
             sd: scalar or (k,) their rates, m/s; 0 when left out.
             sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
             t: time, s, for wrenches that depend on it.
-            start: (nq,) a closed configuration nearby, whose branch is followed; when left out, that of the sample that
-                this thread asked for before, at first the reference.
+            start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode.
 
         Raises:
-            InputError: wrong shapes, or a pose that is none.
+            InputError: wrong shapes, or a matrix that is no pose.
             UnsupportedRobotError: the backend has no such call.
 
         Example:
             >>> import redundancy_pin as rp
             >>> dynamics = rp.CompiledDynamics("five_bar")
-            >>> tau, status, margin, _ = dynamics.torque([0.1, 0.4], [0.5, 0.0], [0.0, 1.0])
+            >>> tau, status, margin, *_ = dynamics.torque([0.1, 0.4], [0.5, 0.0], [0.0, 1.0])
             >>> status.label
             'ok'
         """
+        return self._torque((x, xd, xdd, s, sd, sdd), t, start)
+
+    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
+        """Return what ``torque`` returns, by a backend."""
         raise _has_no(self, "torque", "reduce and distribute")
 
     def acceleration(
@@ -465,16 +486,18 @@ def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:
     """Read the terms off a backend along a motion, from its exact derivatives at two motions of the carriers."""
     robot, samples = along.robot, len(along.motion)
     n, k = robot.n, robot.k
-    rest, one = np.zeros((samples, k)), np.ones((samples, k))
+    rest = np.zeros((samples, k))
+    # a hundred times the robot's length, whatever that is: far enough for the rounding of linear terms to be nothing
+    length = 100.0 * robot.characteristic_length
     parked = CarrierMotion(rest, rest, rest, check_rates=False)
-    at_one = CarrierMotion(one, one, rest, check_rates=False)
+    displaced = CarrierMotion(rest + length, rest, rest, check_rates=False)
     reduced = along.reduce(parked)
-    first, second = along.carrier_derivatives(parked), along.carrier_derivatives(at_one)
+    first, second = along.carrier_derivatives(parked), along.carrier_derivatives(displaced)
 
     def by_term(name: str) -> Array:
         by_s, by_sd, by_sdd = (np.asarray(getattr(first, f"{name}_{rate}")) for rate in ("s", "sd", "sdd"))
-        both = np.asarray(getattr(second, f"{name}_sd")) - by_sd
-        square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s - both)
+        both = (np.asarray(getattr(second, f"{name}_sd")) - by_sd) / length
+        square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s) / length
         return np.stack([by_s, square, by_sd, both, by_sdd], axis=-1)  # (N, n or k, k, 5)
 
     own, terms = np.arange(k), np.zeros((samples, k, 5, n + k))
@@ -500,21 +523,18 @@ def one_sample(
     Raises:
         InputError: wrong shapes, or values that are not finite.
     """
-    still = np.zeros(robot.k)
-    carriers = CarrierMotion(*(_stacked(_each(still, part)) for part in (s, sd, sdd)))
-    motion = PlatformMotion([t], *(_stacked(part) for part in (x, xd, xdd)))
-    return motion, require_matching_carriers(robot, carriers, 1)
+    pose = (4, 4) if is_pose(robot) else (robot.n,)
+    platform = zip((x, xd, xdd), ("x", "xd", "xdd"), (pose, (robot.n,), (robot.n,)), strict=True)
+    motion = PlatformMotion([t], *(checked(part, name, shape)[None] for part, name, shape in platform))
+    tracks = zip((s, sd, sdd), ("s", "sd", "sdd"), strict=True)
+    carriers = CarrierMotion(*(_each(robot.k, part, name)[None] for part, name in tracks))
+    return motion, carriers
 
 
-def _each(still: Array, part: ArrayLike) -> ArrayLike:
+def _each(k: int, part: ArrayLike, name: str) -> Array:
     """Return (k,) what is given for the carriers: nothing for carriers at rest, one number for all of them."""
     shape = np.shape(part)
-    return still if shape == (0,) else np.full(len(still), part) if shape == () else part
-
-
-def _stacked(part: ArrayLike) -> ArrayLike:
-    """Return one sample with a leading axis of length one; ``PlatformMotion`` checks it."""
-    return cast(ArrayLike, [part])
+    return checked(np.zeros(k) if shape == (0,) else np.full(k, part) if shape == () else part, name, (k,))
 
 
 def require_choice(unreachable: str) -> None:

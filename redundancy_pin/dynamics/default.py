@@ -13,7 +13,7 @@ from typing import TypeAlias
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
-from redundancy_pin.errors import InputError, RedundancyPinError
+from redundancy_pin.errors import CompilerError, InputError, UnsupportedRobotError
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 
 DynamicsLike: TypeAlias = Dynamics | RobotLike
@@ -28,33 +28,29 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
         RedundancyPinError: what ``load_robot`` raises.
 
     Warns:
-        RuntimeWarning: RNEA is used because the code cannot be generated or compiled; once for each reason.
+        RuntimeWarning: RNEA is used because there is no compiler (the remedy names the extra ``compiler``), it fails,
+            or generated code does not cover a joint; once for each reason.
 
     Example:
         >>> from redundancy_pin.dynamics.default import as_dynamics
         >>> as_dynamics("five_bar").robot.name
         'five_bar'
     """
-    if isinstance(dynamics, (Robot, str, Path)):
-        return default_dynamics(dynamics)
-    if not isinstance(dynamics, type) and hasattr(dynamics, "along") and hasattr(dynamics, "robot"):
-        return dynamics
-    raise InputError(
-        f"{type(dynamics).__name__} was given for the dynamics.",
-        remedy="Pass a robot, its name or its path; or a backend, such as RneaDynamics(robot).",
-    )
-
-
-def default_dynamics(robot: RobotLike) -> Dynamics:
-    """Return generated code for a robot, or RNEA with a warning where that cannot be made; see ``as_dynamics``."""
-    loaded = as_robot(robot)
+    if not isinstance(dynamics, (Robot, str, Path)):
+        if not isinstance(dynamics, type) and hasattr(dynamics, "along") and hasattr(dynamics, "robot"):
+            return dynamics
+        raise InputError(
+            f"{type(dynamics).__name__} was given for the dynamics.",
+            remedy="Pass a robot, its name or its path; or a backend, such as RneaDynamics(robot).",
+        )
+    robot = as_robot(dynamics)
     try:
-        return CompiledDynamics(loaded)
-    except RedundancyPinError as error:
+        return CompiledDynamics(robot)
+    except (CompilerError, UnsupportedRobotError) as error:
         # attributed to this line, whoever calls: Python then prints each reason once
         warnings.warn(
             f"{error.message} RNEA is used: the same numbers, many times as slow. {error.remedy}".strip(),
             RuntimeWarning,
             stacklevel=1,
         )
-        return RneaDynamics(loaded)
+        return RneaDynamics(robot)

@@ -23,7 +23,14 @@ from redundancy_pin.arrays import (
     read_only,
     require_type,
 )
-from redundancy_pin.dynamics.allocation import fit_into_bounds, least_residual, leaves_bounds, minimum_norm
+from redundancy_pin.dynamics.allocation import (
+    FORCE_TOLERANCE,
+    ROUNDING,
+    fit_into_bounds,
+    least_residual,
+    leaves_bounds,
+    minimum_norm,
+)
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.spectrum import null_directions, scaled, spectrum_of
@@ -99,14 +106,7 @@ class Distribution(Frozen):
 CONSISTENCY_TOLERANCE = 1e-7
 """Fraction of f that may lie outside the range of W before a rank-deficient sample counts as inconsistent. A pose
 that ``RANK_TOLERANCE`` calls singular may be off the singularity by 1e-9 of its size, and f changes on that way by a
-multiple of it; a hundredfold covers that."""
-
-SMALLEST_RANK_TOLERANCE = 1e-14
-"""Below this the rounding of a small matrix would pass for rank."""
-
-FORCE_TOLERANCE = 1e-9
-"""Fraction of ``Scales.force`` that counts as zero in the same test: where moving carriers cancel f, only rounding is
-left of it, and a fraction of that says nothing."""
+multiple of it; a hundredfold covers that. To it is added ``FORCE_TOLERANCE`` times ``Scales.force``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,7 +427,7 @@ def _bound(values: ArrayLike | None, name: str, absent: float, samples: int, m: 
 
 def _check_tolerances(tolerances: dict[str, float]) -> None:
     for name, value in tolerances.items():
-        least = SMALLEST_RANK_TOLERANCE if name == "rank_tolerance" else 0.0
+        least = ROUNDING if name == "rank_tolerance" else 0.0  # of a small matrix; it would pass for rank
         if not (math.isfinite(value) and value >= least):
             raise InputError(
                 f"{name} is {value}, but must be finite and at least {least:g}.",

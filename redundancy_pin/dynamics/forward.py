@@ -14,9 +14,9 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
 
 LEAST_INERTIA = 1e-8
-"""Inertia that a free motion must have when all before it yield, as a share of the largest, for the model not to count
-as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps
-shrink to nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
+"""Least share, no unit, of the largest inertia that a free motion may have; below it the model counts as massless in
+some direction. Rounding leaves 1e-16, and accelerations that shrink steps to nothing long before; a part of a
+thousandth of the mass of the others leaves 1e-3. Halfway between."""
 
 
 class Polynomials(Protocol):
@@ -117,7 +117,6 @@ class Rules:
         tolerance, largest_residual: m; closure residual that a projection must reach, and must not leave.
         velocity_change, velocity_floor: a projection may change a velocity by this share of the largest one, plus this
             amount, m/s or rad/s.
-        rank_tolerance, least_inertia: below which closures count as lost, and a motion as massless.
     """
 
     method: str
@@ -140,8 +139,6 @@ class Rules:
     largest_residual: float
     velocity_change: float
     velocity_floor: float
-    rank_tolerance: float
-    least_inertia: float
 
 
 @dataclass(eq=False)

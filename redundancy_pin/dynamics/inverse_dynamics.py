@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeGuard
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, runs
 from redundancy_pin.dynamics.base import (
     Dynamics,
+    DynamicsAlongMotion,
     OnUnreachable,
     ReducedDynamics,
     require_matching_carriers,
@@ -20,8 +22,9 @@ from redundancy_pin.dynamics.base import (
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import Distribution, distribute
 from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.kinematics.branch import known_state
 from redundancy_pin.kinematics.coordinates import difference
-from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
@@ -34,13 +37,12 @@ from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 _CONSISTENT = 1e-3
-"""Fraction of f outside the range of W that counts as none at an instant between samples: rates and accelerations are
-interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long as that lasts."""
+"""Fraction of f, no unit, outside the range of W that counts as none at an instant between samples: rates and
+accelerations are interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long
+as that lasts."""
 
 _AT_INSTANT = 1e-7
-"""Rank tolerance there: instants are exact to rounding where the margin goes through zero, to its root where it only
-touches."""
-
+"""Rank tolerance at an instant, scaled: the root of the rounding (1e-14) of a margin that only touches zero."""
 
 _NEAR, _FAR = 2.0 * SPACING, 10.0 * SPACING
 """Steps of samples, in characteristic lengths, between which the margin is not searched where it stays away from zero;
@@ -77,27 +79,77 @@ class SingularInstant:
 class InverseDynamics(Frozen):
     """Efforts along a motion, and what the samples do not show.
 
+    The search between the samples takes tens of milliseconds, and is done when ``status``, ``instants`` or
+    ``unresolved`` is first asked for.
+
     Attributes:
         reduced: W τ = f and the carrier forces, (N, ...).
         efforts: the main efforts, with a status for each sample.
-        instants: the type II singularities met, in order of time.
-        joint_limits: joints that leave a limit of position, passive ones too.
-        unresolved: why the motion cannot be followed between its samples; empty where it can.
     """
 
     reduced: ReducedDynamics
     efforts: Distribution
-    instants: tuple[SingularInstant, ...]
-    joint_limits: tuple[JointExcess, ...]
-    unresolved: str
+    _dynamics: Dynamics
+    _along: DynamicsAlongMotion
+    _carriers: CarrierMotion | None
+    _unreachable: OnUnreachable
 
     @property
     def status(self) -> ResultStatus:
-        """What may be said of the whole motion."""
-        without = self.reduced.reachable & ~np.isfinite(self.efforts.tau).all(axis=1)
-        if without.any() or any(instant.unbounded for instant in self.instants):
+        """Status of the whole motion: ok, unbounded (no finite efforts at a sample or between two), or unresolved."""
+        if not np.isfinite(self.efforts.tau).all() or any(instant.unbounded for instant in self.instants):
             return ResultStatus.UNBOUNDED
         return ResultStatus.UNRESOLVED if self.unresolved else ResultStatus.OK
+
+    @cached_property
+    def instants(self) -> tuple[SingularInstant, ...]:
+        """The type II singularities met, at a sample or between two, in order of time."""
+        met = [one for one in self._crossings[0] if one.kind != SingularityKind.TYPE_I]
+        return _instants(self._dynamics, self._along.motion, self._carriers, met, self._unreachable) if met else ()
+
+    @property
+    def unresolved(self) -> str:
+        """Why the motion cannot be followed between its samples; empty where it can."""
+        return self._crossings[1]
+
+    @cached_property
+    def joint_limits(self) -> tuple[JointExcess, ...]:
+        """Joints that leave a limit of position at samples, passive ones too."""
+        robot, motion = self._along.robot, self._along.motion
+        return beyond_limits(robot, self._configurations[0], motion.t)
+
+    @cached_property
+    def _configurations(self) -> tuple[Array, Array]:
+        """Configurations q (N, nq) and Γ (N, nv, n); those of a closed form are solved here."""
+        along = self._along
+        if along.q is not None and along.gamma is not None:
+            return along.q, along.gamma
+        tree = inverse_kinematics(along.robot, along.motion, mark_unreachable=self._unreachable == "mark")
+        return tree.q, tree.gamma
+
+    @cached_property
+    def _crossings(self) -> tuple[list[Crossing], str]:
+        """The singularities at and between consistent samples, and why some part cannot be followed, or ""."""
+        robot, motion, reduced = self._along.robot, self._along.motion, self.reduced
+        crossings: list[Crossing] = []
+        unresolved = ""
+        if not motion.check_rates:
+            return crossings, unresolved
+        margins = signed_margin(scaled(reduced.W, reduced.row_scale, reduced.column_scale))
+        for first, stop in runs(reduced.reachable):
+            part, margin = motion[first:stop], margins[first:stop]
+            if not part.t[-1] > part.t[0] or not _may_meet(robot, part, margin, _NEAR):
+                continue
+            q, gamma = (each[first] for each in self._configurations)
+            start = known_state(robot, part.x[0], q, gamma) if np.isfinite(q).all() else None
+            checked = PlatformMotion(part.t, part.x, part.xd, part.xdd, check_rates=False)
+            try:
+                crossings += find_crossings(robot, checked, start=start)
+            except RedundancyPinError as error:
+                # the samples can be followed, the motion between them cannot, or is too near a rank loss to search
+                if _may_meet(robot, part, margin, _FAR):
+                    unresolved = unresolved or error.message
+        return crossings, unresolved
 
     def __repr__(self) -> str:
         """Return what is to be known of the whole motion, not the arrays."""
@@ -125,8 +177,8 @@ def inverse_dynamics(
     """Return the efforts along a motion, what lies between its samples, and the limits of joints that it leaves.
 
     ``reduce`` and ``distribute`` know samples. Where det W changes sign between two of them both may be regular, and no
-    finite effort exists in between; this function looks there. Samples that are no motion (``check_rates=False``) and
-    a single instant have nothing in between.
+    finite effort exists in between; the result looks there when it is asked. Samples that are no motion
+    (``check_rates=False``) and a single instant have nothing in between.
 
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
@@ -141,49 +193,22 @@ def inverse_dynamics(
     Raises:
         CarrierLimitError, InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in
             ``Dynamics.reduce``.
+
+    Example:
+        >>> result = rp.inverse_dynamics("2rpr", reference.circle(speed=0.5).sample(0.01))
+        >>> result.efforts.tau.shape, result.status.value
+        ((269, 2), 'unbounded')
     """
     dynamics = as_dynamics(dynamics)
     dynamics = dynamics.with_external(*external) if external else dynamics
-    robot = dynamics.robot
     require_sampled(motion)
-    matched = require_matching_carriers(robot, carriers, len(motion))
+    matched = require_matching_carriers(dynamics.robot, carriers, len(motion))
     require_consistent(motion, carriers)
-    require_on_track(robot, matched, motion.t)
+    require_on_track(dynamics.robot, matched, motion.t)
     along = dynamics.along(motion, unreachable=unreachable)
-    reduced, tree = along.reduce(carriers), getattr(along, "tree", None)
-    if not isinstance(tree, JointTrajectory):
-        tree = inverse_kinematics(robot, motion, mark_unreachable=unreachable == "mark")
-    crossings, unresolved = _crossings(robot, motion, reduced, tree) if motion.check_rates else ([], "")
-    met = [one for one in crossings if one.kind != SingularityKind.TYPE_I]
-    return InverseDynamics(
-        reduced=reduced,
-        efforts=distribute(reduced, lower=lower, upper=upper, preferred=preferred),
-        instants=_instants(dynamics, motion, carriers, met, unreachable) if met else (),
-        joint_limits=beyond_limits(robot, tree.q, motion.t),
-        unresolved=unresolved,
-    )
-
-
-def _crossings(
-    robot: Robot, motion: PlatformMotion, reduced: ReducedDynamics, tree: JointTrajectory
-) -> tuple[list[Crossing], str]:
-    """Return the singularities at and between consistent samples, and why some part cannot be followed, or ""."""
-    margins = signed_margin(scaled(reduced.W, reduced.row_scale, reduced.column_scale))
-    crossings: list[Crossing] = []
-    unresolved = ""
-    for first, stop in runs(reduced.reachable):
-        part, margin = motion[first:stop], margins[first:stop]
-        if not part.t[-1] > part.t[0] or not _may_meet(robot, part, margin, _NEAR):
-            continue
-        checked = PlatformMotion(part.t, part.x, part.xd, part.xdd, check_rates=False)
-        start = tree.state(first) if tree.reachable[first] else None
-        try:
-            crossings += find_crossings(robot, checked, start=start)
-        except RedundancyPinError as error:
-            # the samples can be followed, the motion between them cannot, or is too near a rank loss to search
-            if _may_meet(robot, part, margin, _FAR):
-                unresolved = unresolved or error.message
-    return crossings, unresolved
+    reduced = along.reduce(carriers)
+    efforts = distribute(reduced, lower=lower, upper=upper, preferred=preferred)
+    return InverseDynamics(reduced, efforts, dynamics, along, carriers, unreachable)
 
 
 def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: float) -> bool:

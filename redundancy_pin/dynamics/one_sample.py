@@ -6,15 +6,15 @@ Whoever solves many samples takes ``distribute``; the decisions and their tolera
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack
-from redundancy_pin.dynamics.base import Dynamics, ReducedSample, TorqueSample, one_sample
-from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE, distribute
-from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
+from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
+from redundancy_pin.dynamics.base import Dynamics, ReducedSample, SampleArguments, TorqueSample, one_sample
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
+from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import is_in_range
 from redundancy_pin.robot.loads import wrench_values
@@ -29,40 +29,48 @@ from redundancy_pin.robot.scales import (
 from redundancy_pin.spectrum import UNIT
 from redundancy_pin.status import SampleStatus
 
-SampleArguments: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
-"""x, xd, xdd, s, sd, sdd of ``Dynamics.torque``."""
-
 REFUSALS = (UnreachablePoseError, SingularPoseError, WorkingModeError)
-"""What kinematics raises for a sample that it cannot close; ``status_of`` gives their statuses."""
+"""What kinematics raises for a sample that it cannot close; ``refused`` gives their statuses."""
 
 
-def status_of(error: Exception) -> SampleStatus:
-    """Return the status of a sample that kinematics refuses with one of ``REFUSALS``."""
+def without_answer(robot: Robot, status: SampleStatus, residual: float = math.nan) -> TorqueSample:
+    """Return a sample without W: NaN, a status, and the closure residual, m."""
+    return TorqueSample(np.full(robot.m, np.nan), status, math.nan, np.full(robot.k, np.nan), residual)
+
+
+def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
+    """Return a sample that kinematics refuses with one of ``REFUSALS``."""
     if isinstance(error, UnreachablePoseError):
-        return SampleStatus.UNREACHABLE
-    return SampleStatus.TYPE_I if isinstance(error, SingularPoseError) else SampleStatus.BRANCH_LOST
+        gap = error.details.get("gap")
+        return without_answer(robot, SampleStatus.UNREACHABLE, gap if isinstance(gap, float) else math.nan)
+    singular = isinstance(error, SingularPoseError)
+    return without_answer(robot, SampleStatus.TYPE_I if singular else SampleStatus.BRANCH_LOST)
 
 
-def without_answer(robot: Robot, status: SampleStatus) -> TorqueSample:
-    """Return a sample without W: NaN and a status."""
-    return TorqueSample(np.full(robot.m, np.nan), status, math.nan, np.full(robot.k, np.nan))
-
-
-def is_finite(given: SampleArguments) -> bool:
+def is_finite(given: SampleArguments, t: float) -> bool:
     """Return whether all numbers of a sample are finite; what is no number is left to later checks."""
     try:
-        return all(np.isfinite(np.asarray(part, dtype=np.float64)).all() for part in given)
+        return all(np.isfinite(np.asarray(part, dtype=np.float64)).all() for part in (*given, t))
     except (TypeError, ValueError):
         return True
 
 
-def solve_sample(robot: Robot, sample: ReducedSample, q: Array, given: SampleArguments, t: float) -> TorqueSample:
+@lru_cache(maxsize=64)
+def _unit_of_W(robot: Robot) -> Array:
+    """Return (n, m) the units of W: W times it is D_x⁻¹ W D_a, see ``Distribution``."""
+    return read_only(column_scale(robot) / row_scale(robot)[:, None])
+
+
+def solve_sample(
+    robot: Robot, sample: ReducedSample, q: Array, residual: float, given: SampleArguments, t: float
+) -> TorqueSample:
     """Return the efforts of least norm with W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ), or a status.
 
     Args:
         robot: the robot.
         sample: W (n, m), f (n,) and carrier forces (k,).
         q: (nq,) configuration, m and rad; ranges are checked with the carriers at s.
+        residual: closure residual of q, m.
         given: what the sample is made of.
         t: time, s, for wrenches that depend on it.
 
@@ -71,26 +79,27 @@ def solve_sample(robot: Robot, sample: ReducedSample, q: Array, given: SampleArg
         >>> robot = rp.load_robot("five_bar")
         >>> given = [0.1, 0.4], [0.5, 0.0], [0.0, 1.0], (), (), ()
         >>> sample = rp.RneaDynamics(robot).sample(*given)
-        >>> solve_sample(robot, sample, robot.q_reference, given, 0.0).status.label
+        >>> solve_sample(robot, sample, robot.q_reference, 0.0, given, 0.0).status.label
         'ok'
     """
-    rows, columns = row_scale(robot), column_scale(robot)
-    A, g = sample.W * (columns / rows[:, None]), sample.f / rows
+    A, g = sample.W * _unit_of_W(robot), sample.f / row_scale(robot)
     size = math.sqrt(float(g @ g))
-    if not (math.isfinite(size) and math.isfinite(float(np.abs(A).sum()))):
+    if not (math.isfinite(size) and math.isfinite(float(A.sum()))):
         return without_answer(robot, SampleStatus.NOT_FINITE)
     u, values, vt, failed = lapack().dgesdd(A)
     if failed:
         return without_answer(robot, SampleStatus.NOT_FINITE)
-    rank = int((values > RANK_TOLERANCE * max(float(values[0]), UNIT)).sum())
+    sizes = values.tolist()
+    smallest, margin, s = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1], given[3]
+    rank = sum(value > smallest for value in sizes)
     components = g @ u
-    outside = math.sqrt(float(components[rank:] @ components[rank:]))
-    full, margin = rank == len(values), float(values[-1])
-    s, force = given[3], _force_size(robot, given, t)
-    if outside > CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * force:
-        status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
-        return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force)
-    tau = columns * ((components[:rank] / values[:rank]) @ vt[:rank])
+    outside, full = components[rank:], rank == len(sizes)
+    if len(outside):
+        allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * _force_size(robot, given, t)
+        if math.sqrt(float(outside @ outside)) > allowed:
+            status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
+            return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, residual)
+    tau = column_scale(robot) * ((components[:rank] / values[:rank]) @ vt[:rank])
     if not full:
         status = SampleStatus.SINGULAR_CONSISTENT
     else:
@@ -99,7 +108,7 @@ def solve_sample(robot: Robot, sample: ReducedSample, q: Array, given: SampleArg
     whole[robot.carrier_position] = s if np.size(s) else 0.0
     if not is_in_range(robot, whole):
         status = SampleStatus.OUT_OF_RANGE
-    return TorqueSample(tau, status, margin, sample.carrier_force)
+    return TorqueSample(tau, status, margin, sample.carrier_force, residual)
 
 
 def _force_size(robot: Robot, given: SampleArguments, t: float) -> float:
@@ -128,16 +137,17 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
         InputError: wrong shapes, or a pose that is none.
     """
     robot = dynamics.robot
-    if not is_finite(given):
+    if not is_finite(given, t):
         return without_answer(robot, SampleStatus.NOT_FINITE)
     motion, carriers = one_sample(robot, *given, t=t)
     try:
         reduced = dynamics.along(motion).reduce(carriers)
     except REFUSALS as error:
-        return without_answer(robot, status_of(error))
+        return refused(robot, error)
     efforts = distribute(reduced)
     status = SampleStatus(int(efforts.status[0]))
     tracks = zip(robot.carrier_limits, carriers.s[0], strict=True)
     if status.solved and not all(limits.lower <= s <= limits.upper for limits, s in tracks):
         status = SampleStatus.OUT_OF_RANGE
-    return TorqueSample(efforts.tau[0], status, float(efforts.margin[0]), reduced.carrier_force[0])
+    margin, residual = float(efforts.margin[0]), float(reduced.gap[0])
+    return TorqueSample(efforts.tau[0], status, margin, reduced.carrier_force[0], residual)

@@ -12,9 +12,10 @@ has it; loads of the robot enter as its external forces and as terms of the join
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -27,22 +28,23 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    SampleArguments,
     TorqueSample,
     one_sample,
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, solve_sample, status_of, without_answer
+from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refused, solve_sample, without_answer
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.branch import ClosedState, follower
+from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, is_homogeneous_pose
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale
+from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale, velocity_unit
 from redundancy_pin.robot.whole_turns import TURN, counted_turns
 from redundancy_pin.status import SampleStatus
 
@@ -67,6 +69,10 @@ class RneaSample(Frozen):
     gap: float
     serial_margin_bound: float
 
+    def __iter__(self) -> Iterator[Array]:
+        """Yield W, f and carrier forces, as the samples of other backends do."""
+        return iter((self.W, self.f, self.carrier_force))
+
 
 class RneaDynamics(Dynamics):
     """Closed-chain dynamics through Pinocchio's RNEA and constraint Jacobians, for any declared robot.
@@ -88,7 +94,7 @@ class RneaDynamics(Dynamics):
     def __init__(self, robot: RobotLike, *, progress: Callable[[int, int], None] | None = None) -> None:
         self._robot, self._progress = as_robot(robot), progress
         self._thread = threading.local()
-        """Holds ``last``: the sample of this thread from which ``torque`` goes on."""
+        """Holds ``last``: the closed state of this thread from which ``torque`` goes on."""
 
     def __reduce__(self) -> tuple[Callable[[Robot], RneaDynamics], tuple[Robot]]:
         """Make it again where it is copied or sent to: samples of a thread stay there."""
@@ -135,78 +141,95 @@ class RneaDynamics(Dynamics):
                 f"start is a {type(start).__name__}, expected what an earlier sample of RneaDynamics returned.",
                 remedy="Pass that, or leave it out.",
             )
-        robot, given = self._robot, (x, xd, xdd, s, sd, sdd)
-        sample = self._regular_sample(given, start, t)
-        if sample is not None:
-            return sample
-        motion, carriers = one_sample(robot, *given, t=t)
-        tree = inverse_kinematics(robot, motion, start=None if start is None else start.state)
+        given, here = (x, xd, xdd, s, sd, sdd), None if start is None else start.state
+        sample = self._regular_sample(given, here, t)
+        return sample if isinstance(sample, RneaSample) else self._any_sample(given, here, t)
+
+    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
+        robot = self._robot
+        here: ClosedState | None = getattr(self._thread, "last", None)
+        if start is not None:
+            q = np.asarray(start, dtype=np.float64)
+            if not np.isfinite(q).all():
+                return without_answer(robot, SampleStatus.NOT_FINITE)
+            here = self._state_at(checked(q, "start", robot.q_reference.shape))
+            if here is None:
+                return without_answer(robot, SampleStatus.BRANCH_LOST)
+        sample = self._regular_sample(given, here, t)
+        if isinstance(sample, BranchEnd):
+            return without_answer(robot, sample.status, sample.residual)
+        if sample is None:
+            if not is_finite(given, t):
+                return without_answer(robot, SampleStatus.NOT_FINITE)
+            try:
+                sample = self._any_sample(given, here, t)
+            except REFUSALS as error:
+                return refused(robot, error)
+        self._thread.last = sample.state
+        return solve_sample(robot, sample, sample.state.q, sample.gap, given, t)
+
+    def _state_at(self, start: Array) -> ClosedState | None:
+        """Return the closed state at or next to a configuration (nq,), open by measurement noise at most.
+
+        None where the chains do not close so near that K stays regular on the way: it may be another branch.
+        """
+        robot, own, q = self._robot, follower(self._robot), start.copy()
+        q[robot.carrier_position] = 0.0
+        state = own.state_at(q)
+        if state is None:
+            return None
+        moved = np.abs(pin.difference(robot.model, q, state.q) / velocity_unit(robot)).max(initial=0.0)
+        return state if moved < 0.5 * state.margin else None
+
+    def _any_sample(self, given: SampleArguments, here: ClosedState | None, t: float) -> RneaSample:
+        """Return one sample by the way of whole motions, which passes rank losses and says what is wrong."""
+        motion, carriers = one_sample(self._robot, *given, t=t)
+        tree = inverse_kinematics(self._robot, motion, start=here)
         f, force = RneaAlongMotion(tree).forces(carriers)
         residual, margin = float(tree.gap[0]), float(tree.serial_margin_bound[0])
         return RneaSample(tree.W[0], f[0], force[0], tree.state(0), residual, margin)
 
-    def torque(
-        self,
-        x: ArrayLike,
-        xd: ArrayLike,
-        xdd: ArrayLike,
-        s: ArrayLike = (),
-        sd: ArrayLike = (),
-        sdd: ArrayLike = (),
-        *,
-        t: float = 0.0,
-        start: ArrayLike | None = None,
-    ) -> TorqueSample:
-        """Return the efforts of one sample with a status; see ``Dynamics.torque``."""
-        given = (x, xd, xdd, s, sd, sdd)
-        if start is not None:
-            there = replace(self._robot, q_reference=checked(start, "start", self._robot.q_reference.shape))
-            elsewhere = self.for_robot(there)
-            torque = elsewhere.torque(*given, t=t)
-            self._thread.last = getattr(elsewhere._thread, "last", None)
-            return torque
-        try:
-            sample = self.sample(*given, start=getattr(self._thread, "last", None), t=t)
-        except (InputError, *REFUSALS):
-            if not is_finite(given):
-                return without_answer(self._robot, SampleStatus.NOT_FINITE)
-            try:
-                sample = self.sample(*given, t=t)  # from the reference
-            except REFUSALS as error:
-                return without_answer(self._robot, status_of(error))
-        self._thread.last = sample
-        return solve_sample(self._robot, sample, sample.state.q, given, t)
+    def _regular_sample(
+        self, given: SampleArguments, start: ClosedState | None, t: float
+    ) -> RneaSample | BranchEnd | None:
+        """Return one sample from a state nearby, without a state from the reference, or why its branch ends.
 
-    def _regular_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
-        """Return a sample whose branch is plainly regular and whose input is valid; None for all others."""
+        None where the input is not valid or is given in another way than as arrays of all entries, the pose lies near a
+        rank loss or turns away, or not on the branch of the reference: see ``_any_sample``.
+        """
         robot, own = self._robot, follower(self._robot)
         try:
-            x, xd, xdd, *carriers = (np.array(part, dtype=float) for part in given)
+            x, xd, xdd, *carriers = (np.asarray(part, dtype=float) for part in given)
         except (TypeError, ValueError):
             return None
         s, sd, sdd = (np.zeros(robot.k) if part.shape == (0,) else part for part in carriers)
-        home = own.home if start is None else start.state
-        shapes = [part.shape for part in (x, xd, xdd, s, sd, sdd)]
-        if shapes != [home.x.shape, *[(robot.n,)] * 2, *[(robot.k,)] * 3]:
+        home = own.home if start is None else start
+        shapes = x.shape, xd.shape, xdd.shape, s.shape, sd.shape, sdd.shape
+        if shapes != (home.x.shape, (robot.n,), (robot.n,), (robot.k,), (robot.k,), (robot.k,)):
             return None
-        if not np.isfinite(np.concatenate((x.ravel(), xd, xdd, s, sd, sdd))).all():
+        if not math.isfinite(t + float(np.concatenate((x.ravel(), xd, xdd, s, sd, sdd)).sum())):
+            return None
+        if x.ndim == 2 and not is_homogeneous_pose(x):
             return None
         turned = counted_turns(robot).coordinates
         if len(turned) and (np.abs(x[turned] - home.x[turned]) > TURN).any():
             return None
         reached = own.advance(home, x)
-        if not isinstance(reached, ClosedState) or reached.margin < own.near:
-            return None
-        if start is None and not in_working_mode(robot, reached.q[None])[0]:
+        if isinstance(reached, BranchEnd):
+            return None if start is None else reached
+        if reached.margin < own.near or (start is None and not in_working_mode(robot, reached.q[None])[0]):
             return None
         _, v, a = own.rates(reached, xd, xdd)
-        gamma, q = reached.gamma, reached.q.copy()
-        q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
-        wrenches = [value[0] for value in wrench_values(robot.loads, np.array([t]), x[None], xd[None])]
+        q = reached.q
+        if robot.k:
+            q = q.copy()
+            q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
+        wrenches: list[Array] = []
+        if robot.loads:
+            wrenches += [value[0] for value in wrench_values(robot.loads, np.array([t]), x[None], xd[None])]
         effort = tree_effort(robot, own.chain.data, TreeState(q, v, a, wrenches))
-        parts = gamma[robot.actuated_velocity].T, gamma.T @ effort, effort[robot.carrier_velocity]
-        W, f, force = (read_only(part) for part in parts)
-        return RneaSample(W, f, force, reached, reached.residual, reached.margin)
+        f, force = read_only(reached.gamma.T @ effort), read_only(effort[robot.carrier_velocity])
+        return RneaSample(read_only(reached.W), f, force, reached, reached.residual, reached.margin)
 
 
 class RneaAlongMotion(Frozen):
@@ -217,10 +240,12 @@ class RneaAlongMotion(Frozen):
 
     Attributes:
         robot, motion: the robot, and its platform motion.
+        q, gamma: (N, nq) configurations, carriers at zero, and (N, nv, n) Γ.
     """
 
     def __init__(self, tree: JointTrajectory) -> None:
         self.tree, self.robot, self.motion = tree, tree.robot, tree.motion
+        self.q, self.gamma = tree.q, tree.gamma
 
     def tree_motion(self, carriers: CarrierMotion | None = None) -> tuple[Array, Array, Array]:
         """Return q (N, nq), v (N, nv), a (N, nv) of the tree with the carriers in it, m, rad and s."""

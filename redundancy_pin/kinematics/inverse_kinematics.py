@@ -254,7 +254,8 @@ class _Solution:
         """Return a sample on the branch of a state, or why it is not there."""
         follower, motion = self._follower, self._motion
         x, xd, xdd = motion.x[k], motion.xd[k], motion.xdd[k]
-        reached = follower.advance(here, x)
+        # several joints go straight; of one alone whole turns are multiples of the first
+        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.follow(here, x)
         if isinstance(reached, BranchEnd):
             return reached
         if reached.margin >= follower.near:
@@ -315,6 +316,27 @@ def is_rounded(follower: Follower, solved: Rates) -> bool:
     return False
 
 
+def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
+    """Return the state at coordinates x on the branch of a state, as ``Follower.advance``.
+
+    Whole turns of independent joints are followed one joint after the other, and only until they repeat
+    (``robot.whole_turns``).
+    """
+    end: ClosedState | BranchEnd | None = None
+
+    def follow(q: Array, start: Array, target: Array) -> Array | None:
+        nonlocal end
+        state = here if q is here.q else own.close(q, start)
+        end = None if state is None else own.follow(state, read_only(target.copy()))
+        return end.q if isinstance(end, ClosedState) else None
+
+    try:
+        follow_whole_turns(own.robot, here.q, here.x, x, follow)
+    except UnreachablePoseError as error:  # too many turns that do not repeat
+        return replace(own.diagnose(here, x), status=SampleStatus.UNREACHABLE, reason=error.message)
+    return own.diagnose(here, x) if end is None else end
+
+
 def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> ClosedState:
     """Return a closed state at coordinates, in the robot's working mode.
 
@@ -333,22 +355,14 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     """
     robot, own = system.robot, follower(system.robot)
     home = own.home
-    reached: ClosedState | None = None
-
-    def follow(q: Array, start: Array, target: Array) -> Array | None:
-        nonlocal reached
-        here = home if q is home.q else own.close(q, start)
-        end = None if here is None else own.advance(here, target)
-        reached = end if isinstance(end, ClosedState) else None
-        return None if reached is None else reached.q
-
-    if np.isfinite(home.gamma).all():
-        follow_whole_turns(robot, home.q, home.x, x, follow)
-    if reached is not None:
-        indicator = mode_indicator(robot, reached.q[None])
+    reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
+    if isinstance(reached, ClosedState):
         # a configuration where working modes meet belongs to both
-        if in_working_mode(robot, reached.q[None])[0] or (np.abs(indicator) < SAME_CONFIGURATION).any():
+        between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
+        if between or in_working_mode(robot, reached.q[None])[0]:
             return reached
+    if isinstance(reached, BranchEnd) and reached.reason:
+        raise _too_many_turns(reached, sample)
     q, residual, in_mode = multistart(system, home.q, x)
     closed, pose = residual < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
     if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
@@ -420,6 +434,8 @@ _ALONE = SampleStatus.UNREACHABLE, SampleStatus.TYPE_I
 def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError:
     """Return the error of sample k, which a branch does not lead to."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
+    if end.reason:
+        return _too_many_turns(end, k)
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
     if end.status is SampleStatus.UNREACHABLE:
         return UnreachablePoseError(
@@ -455,6 +471,15 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
         "smooth branch is known to lead across.",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=k,
+    )
+
+
+def _too_many_turns(end: BranchEnd, k: int) -> UnreachablePoseError:
+    return UnreachablePoseError(
+        f"Sample {k}: {end.reason}",
+        remedy="Count the coordinate from a nearer turn, or follow a motion that leads there.",
+        sample=k,
+        gap=end.residual,
     )
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, read_only
 from redundancy_pin.kinematics.closed_state import ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.coordinates import difference, moved
 
@@ -36,7 +36,7 @@ _PASSED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class Passage(Frozen):
+class Passage:
     """A smooth part of a branch across a rank loss, by eight regular states on a line in the independent coordinates.
 
     Attributes:

@@ -16,8 +16,9 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedD
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.branch import known_state
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.functions import (
     PIECE_DEGREE,
     SINGULAR_SAMPLE,
@@ -39,7 +40,7 @@ from redundancy_pin.planners.limits import (
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.planners.samples_only import reconstruction_error
-from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.singularities.roots import zeros
 from redundancy_pin.status import ResultStatus, SampleStatus, solved_status
@@ -124,7 +125,7 @@ def finish_plan(
         exceeded = (*exceeded, *motion_broken(judged, position, reconstructed))
     jerks = _jerk_events(along, carriers, position, parameters)
     platform = None if functions is None else functions.platform
-    at_samples = (*limits.violated, *at_samples, *jerks[0], *_ranges_left(robot, along.motion, platform))
+    at_samples = (*limits.violated, *at_samples, *jerks[0], *_ranges_left(along, platform))
     violated = merged_events(at_samples, exceeded)
     overall = ResultStatus.OK if diagnostics.get("optimal", True) else ResultStatus.NOT_CONVERGED
     check = None if between is None else between.check
@@ -221,24 +222,33 @@ INSIDE = 8
 """Parts of a step, at whose ends joints are looked at that come near the end of their range there."""
 
 
-def _ranges_left(robot: Robot, motion: PlatformMotion, platform: ContinuousMotion | None) -> Events:
+def _ranges_left(along: DynamicsAlongMotion, platform: ContinuousMotion | None) -> Events:
     """Return where joints, passive ones too, leave their ranges: at the samples, and between them along a platform."""
+    robot, t, q, gamma = along.robot, along.motion.t, along.q, along.gamma
     joints = joint_ranges(robot)
     if not joints:
         return ()
-    t, q = motion.t, inverse_kinematics(robot, motion, mark_unreachable=True).q
-    known = np.isfinite(q).all(axis=1)
-    if platform is not None and known.sum() > 1:
-        at, near = t[known], np.zeros(known.sum() - 1, dtype=bool)
+    if q is None or gamma is None:  # of a closed form
+        tree = inverse_kinematics(robot, along.motion, mark_unreachable=True)
+        q, gamma = tree.q, tree.gamma
+    known = np.flatnonzero(np.isfinite(q).all(axis=1))
+    if platform is not None and len(known) > 1:
+        at, near = t[known], np.zeros(len(known) - 1, dtype=bool)
         for joint in joints:
             beyond, step = joint.excess(q[known, joint.at], True), np.abs(np.diff(q[known, joint.at]))
             near |= np.maximum(beyond[:-1], beyond[1:]) > -step
         near &= np.diff(at) > 0.0
-        if near.any():
-            parts = np.linspace(0.0, 1.0, INSIDE + 1)[1:-1]
-            inside = (at[:-1, None][near] + np.diff(at)[near, None] * parts).ravel()
-            t = np.sort(np.concatenate([t, inside]))
-            q = inverse_kinematics(robot, platform.sample_at(t), mark_unreachable=True).q
+        bounds = np.flatnonzero(np.diff(near, prepend=False, append=False)).reshape(-1, 2)
+        for first, last in bounds:  # each run of steps from the sample before it
+            own, parts = at[first : last + 1], np.arange(1, INSIDE) / INSIDE
+            inside = (own[:-1, None] + np.diff(own)[:, None] * parts).ravel()
+            times = np.sort(np.concatenate([own[1:], inside]))
+            start = known_state(robot, along.motion.x[known[first]], q[known[first]], gamma[known[first]])
+            between = inverse_kinematics(robot, platform.sample_at(times), mark_unreachable=True, start=start)
+            new = np.isin(times, inside)
+            t, q = np.append(t, times[new]), np.append(q, between.q[new], axis=0)
+        order = np.argsort(t, kind="stable")
+        t, q = t[order], q[order]
     return ranges_left(robot, t, q)
 
 

@@ -26,6 +26,7 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.limits import LIMIT_TOLERANCE, LimitEvent, limit_events
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import (
     PiecewisePolynomial,
@@ -200,6 +201,12 @@ EXACT = 1e-6
 NEAR_PEAK = 0.9
 """Fraction of the largest value from which a piece is one of those."""
 
+ROUNDING = 1e-11
+"""Last coefficients of an effort, relative to the forces of the motion before they cancel, that are its rounding.
+
+Rounding itself is 1e-16 where W is well conditioned. An actuator without load has nothing else, and no halving ends it.
+"""
+
 HALVINGS = 16
 """Of a piece, at most: the spike of a cusp of a micrometre lasts microseconds. Only pieces around spikes get there."""
 
@@ -276,22 +283,26 @@ def peaks_between(
     left, right = edges[:-1], edges[1:]
     beside = np.isin(left, fixed) | np.isin(right, fixed)
     size, points = np.empty(0), 0
+    rounding = np.zeros(dynamics.robot.m + dynamics.robot.k + int(np.isfinite(most).sum()))
     done: list[tuple[Array, ...]] = []
     for halving in range(HALVINGS + 1):
         order = np.argsort(left)
         left, right, beside = left[order], right[order], beside[order]
         ends = np.stack([left, right], axis=1)
         times = chebyshev_points(left, right, PIECE_DEGREE)
-        values = _values(dynamics, functions, times, most).reshape(len(left), PIECE_DEGREE + 1, -1)
+        reduced, flat = _values(dynamics, functions, times, most)
+        values = flat.reshape(len(left), PIECE_DEGREE + 1, -1)
         points += len(times)
         if not size.size:
+            rounding[: dynamics.robot.m + dynamics.robot.k] = _rounding(dynamics.robot, reduced)
             size = np.abs(values).max(axis=(0, 1), initial=0.0, where=np.isfinite(values))
             limited = most[np.isfinite(most)]  # an actuator that stands has a rate of rounding
             size[len(size) - len(limited) :] = np.maximum(size[len(size) - len(limited) :], SMALL * limited)
         finite: BoolArray = np.logical_and.reduce(np.isfinite(values), axis=(1, 2))
         series = chebyshev_series(np.where(finite[:, None, None], values, 0.0))
         tail, largest = np.abs(series[:, -2:]).max(axis=1), np.abs(values).max(axis=1)
-        allowed = np.where(largest > NEAR_PEAK * size, EXACT, RESOLVED) * np.maximum(size, np.finfo(float).tiny)
+        share = np.where(largest > NEAR_PEAK * size, EXACT, RESOLVED)
+        allowed = np.maximum(share * np.maximum(size, np.finfo(float).tiny), rounding)
         settled: BoolArray = np.logical_or(finite & np.logical_and.reduce(tail <= allowed, axis=1), beside)
         rough = ~settled & (halving < HALVINGS)
         kept = ~rough
@@ -330,12 +341,20 @@ def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) 
     return edges
 
 
-def _values(dynamics: Dynamics, functions: PlanFunctions, times: Array, rate: Array) -> Array:
-    """Return (N, c) main efforts, carrier forces and limited rates at (N,) times; NaN where there are none."""
+def _values(dynamics: Dynamics, functions: PlanFunctions, times: Array, rate: Array) -> tuple[ReducedDynamics, Array]:
+    """Return the dynamics and (N, c) main efforts, carrier forces and limited rates at (N,) times, NaN for none."""
     motion = functions.platform.sample_at(times)
     reduced = dynamics.along(motion).reduce(functions.carriers_at(times))
     turning = np.einsum("nim,ni->nm", reduced.W, motion.xd)[:, np.isfinite(rate)]
-    return np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force), turning], axis=1)
+    return reduced, np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force), turning], axis=1)
+
+
+def _rounding(robot: Robot, reduced: ReducedDynamics) -> Array:
+    """Return (m + k,) the rounding of main efforts and carrier forces along a motion, N or N·m."""
+    if reduced.force_size is None:
+        return np.zeros(robot.m + robot.k)
+    arms: Array = np.concatenate([reduced.column_scale, velocity_scale(robot)[robot.carrier_velocity]])
+    return ROUNDING * float(reduced.force_size.max(initial=0.0)) * arms
 
 
 def _crosses(dynamics: Dynamics, functions: PlanFunctions, ends: Array) -> BoolArray:

@@ -8,6 +8,7 @@ next turn does the same. With gears several turns may pass until it does; they a
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -15,14 +16,15 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
+from redundancy_pin.errors import UnreachablePoseError
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.robot.types import Robot, slides
 
 TURN = 2.0 * np.pi
 
-MOST_TURNS = 1_000
-"""Turns that are followed one by one where they do not repeat: ten seconds. Generated code follows ten times as
-many."""
+MOST_TURNS = 10_000
+"""Turns that are followed one by one where they do not repeat: a hundred seconds in Python, 0.1 s by generated code."""
 
 WHOLE = 1e-9
 """rad or characteristic lengths by which joints may miss whole turns; Newton's method comes to 1e-13."""
@@ -74,6 +76,9 @@ def follow_whole_turns(robot: Robot, q: Array, x: Array, target: Array, follow: 
         x: (n,) its coordinates, or a pose.
         target: (n,) coordinates, or a pose.
         follow: what follows the branch.
+
+    Raises:
+        UnreachablePoseError: more than ``MOST_TURNS`` turns that do not repeat: nobody knows the branch there.
     """
     turns = counted_turns(robot)
     if np.abs(target[turns.coordinates]).max(initial=0.0) > FARTHEST:
@@ -94,13 +99,17 @@ def follow_whole_turns(robot: Robot, q: Array, x: Array, target: Array, follow: 
 def _advance_turns(robot: Robot, q: Array, at: Array, column: int, count: float, follow: Follow) -> Array | None:
     """Return the configuration so many turns of one coordinate on; ``at`` is moved along."""
     start, here, left, period = q, q, abs(count), 0.0
-    step, followed = np.copysign(TURN, count), 0.0
+    first, step, followed = float(at[column]), np.copysign(TURN, count), 0.0
+    if left > MOST_TURNS and not _may_repeat(robot, robot.independent_joints[column]):
+        raise _too_many_turns(robot, column, count)
     while left:
+        if followed == MOST_TURNS:
+            raise _too_many_turns(robot, column, count)
         before = at.copy()
-        at[column] += step
-        there = follow(here, before, at)
         followed += 1.0
-        if there is None or followed > MOST_TURNS:
+        at[column] = first + (abs(count) - left + 1.0) * step  # a sum of thousands of steps would drift
+        there = follow(here, before, at)
+        if there is None:
             return None
         here, left = there, left - 1.0
         shift = None if period or not left else _whole_turns_between(robot, start, here)
@@ -109,9 +118,35 @@ def _advance_turns(robot: Robot, q: Array, at: Array, column: int, count: float,
             further = here + repeats * shift
             keeps = counted_turns(robot).kept | (np.abs(further) < EXACT)
             here = np.where(keeps, further, here - shift)
-            at[column] += repeats * period * step
             left -= repeats * period
+            at[column] = first + (abs(count) - left) * step
     return here
+
+
+def _too_many_turns(robot: Robot, column: int, count: float) -> UnreachablePoseError:
+    return UnreachablePoseError(
+        f"The pose lies {abs(count):.0f} turns of {robot.independent_joints[column]!r} away, which do not repeat; at "
+        f"most {MOST_TURNS} of such turns are followed.",
+        remedy="Count the coordinate from a nearer turn, or follow a motion that leads there.",
+        turns=count,
+    )
+
+
+def _may_repeat(robot: Robot, joint: str) -> bool:
+    """Return whether whole turns of a joint can bring back all joints that are geared to it within ``MOST_TURNS``.
+
+    A gear ratio must be a fraction of whole numbers; what is coupled by a curve, or slides, does not come back.
+    """
+    for coupling in robot.couplings:
+        if coupling.of != joint or not any(coupling.polynomial[1:]):
+            continue
+        slope = coupling.polynomial[1]
+        turns = Fraction(slope).limit_denominator(MOST_TURNS).denominator
+        off = turns * slope - round(turns * slope)
+        curved, sliding = any(coupling.polynomial[2:]), slides(find_joint(robot.model, coupling.joint))
+        if curved or sliding or abs(off) * TURN > WHOLE:
+            return False
+    return True
 
 
 def _whole_turns_between(robot: Robot, start: Array, end: Array) -> Array | None:

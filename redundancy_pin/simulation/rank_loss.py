@@ -22,7 +22,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from scipy.linalg import qr
 
-from redundancy_pin.arrays import Array, Frozen, IntArray
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.kinematics.branch import LONGEST_STEP, ClosedState, Follower, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import with_independent_joints
@@ -72,7 +72,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet(Frozen):
+class Sheet:
     """A smooth branch of closed configurations across a rank loss, d joints independent.
 
     Attributes:

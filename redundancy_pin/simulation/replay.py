@@ -133,7 +133,7 @@ def replay(
         name: of the plan, for the result.
         motion: the trajectory that was planned for.
         sampling: of the controllers.
-        backend: makes the ``dynamics`` of ``simulate`` and of controllers for the plan's robot, ``default_dynamics`` to
+        backend: makes the ``dynamics`` of ``simulate`` and of controllers for the plan's robot, ``as_dynamics`` to
             be fast.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.dynamics.default import default_dynamics
+from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.base_wrench import load_at_rest
 from redundancy_pin.planners.plan import Plan
@@ -172,7 +172,7 @@ def task_record(task: str, method: str, case: Case, outcome: Plan | InfeasiblePl
         "peak": float(outcome.peak_effort.max()),
         "stroke": float(np.ptp(carriers.s, axis=0).max(initial=0.0)),
         "base_force": float(np.linalg.norm(push[:, :3], axis=1).max()),
-        "replay": replay(outcome, backend=default_dynamics).largest,
+        "replay": replay(outcome, backend=as_dynamics).largest,
         "base_moment": float(np.linalg.norm(push[:, 3:], axis=1).max()),
         "singular_instants": list(outcome.diagnostics.get("singular_instants", ())),  # type: ignore[call-overload]
     }

@@ -26,7 +26,7 @@ from markdown_it.token import Token
 import redundancy_pin
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import CrossCheckReport
-from redundancy_pin.dynamics.default import default_dynamics
+from redundancy_pin.dynamics.default import as_dynamics
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.planners.plan import Plan
@@ -238,7 +238,7 @@ def run_replays(plans: Plans, extent: cases.Extent, tell: Callable[[str], None])
 
 
 def _replay(replayed: cases.Replayed, plan: Plan, drive: Drive) -> Replay:
-    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory(), backend=default_dynamics)
+    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory(), backend=as_dynamics)
 
 
 # --- files ---------------------------------------------------------------------------------------------------------

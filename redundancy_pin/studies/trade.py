@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Frozen, one_of, whole
-from redundancy_pin.errors import InfeasiblePlanError, InputError, optional
+from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.base_wrench import load_at_rest
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
@@ -118,7 +118,6 @@ def trade_off(
         InputError: an unknown quantity, twice the same, bounds that are none, a motion whose time cannot be changed.
         InfeasiblePlanError: the motion has no plan at all.
     """
-    optional("casadi", "Planning over the whole trajectory needs", "Install the extra `optimal`.")
     one_of(x, "x", BOUNDED)
     one_of(y, "y", MINIMISED)
     if x == y:

@@ -295,11 +295,12 @@ def test_what_cannot_be_said_is_refused_by_name() -> None:
         Dynamics.for_robot(VirtualWork(robot), robot)
 
 
-def test_backends_keep_their_settings_under_other_loads() -> None:
+def test_robots_and_backends_keep_loads_and_settings() -> None:
     robot, weight = machine("2rpr"), Payload("end_effector", 1.0)
-    own = CompiledDynamics(robot, threads=3).with_external(weight)
+    own = CompiledDynamics(robot, threads=3).with_external(weight).with_external(JointForces("slide_1", 1.0))
     assert own.threads == 3
-    assert own.robot.loads[-1] is weight
+    assert len(own.robot.loads) == 2
+    assert replace(own.robot, name="other").loads == own.robot.loads
 
 
 def test_damping_of_balls_is_the_same_in_both_backends(tmp_path: Path) -> None:
@@ -313,16 +314,6 @@ def test_damping_of_balls_is_the_same_in_both_backends(tmp_path: Path) -> None:
     for given in ({"friction": 1.0}, {"stiffness": 1.0}, {"rotor_inertia": 1.0}):
         with pytest.raises(UnsupportedRobotError, match=r"'ball' has 3 freedoms.*can have damping"):
             robot.loaded(JointForces("ball", **given))
-
-
-def test_backends_of_other_dimensions_are_those_of_the_other_machine() -> None:
-    """Co-design goes from one to the next."""
-    motion = rp.trajectory.from_points([[1.0], [2.0]], [0.0, 1.0], ends="rest").sample(0.2)
-    for own in (CompiledDynamics("four_bar"), RneaDynamics("four_bar")):
-        for length in (0.1, 0.12):
-            robot = rp.load_robot("four_bar", crank_length=length)
-            expected = RneaDynamics(robot).reduce(motion).f
-            np.testing.assert_allclose(own.for_robot(robot).reduce(motion).f, expected, atol=1e-9)
 
 
 def test_symbols_hold_constant_wrenches_only() -> None:
@@ -472,12 +463,6 @@ def test_wrenches_agree_with_mujoco_on_a_closed_chain() -> None:
         system = np.block([[mass, -J.T], [J, np.zeros((len(J), len(J)))]])
         moved = np.linalg.lstsq(system, np.concatenate([applied - data.qfrc_bias, -bias]), rcond=1e-12)[0][:nv]
         np.testing.assert_allclose(moved[order], a[k], atol=1e-6 * np.abs(a[k]).max())  # differences of the rows
-
-
-def test_a_robot_keeps_its_loads() -> None:
-    robot = machine("3rrr").loaded(Payload("platform", 1.0)).loaded(JointForces("base_1", 1.0))
-    assert len(robot.loads) == 2
-    assert replace(robot, name="other").loads == robot.loads
 
 
 def test_rotors_obey_lagrange_on_a_spatial_tree() -> None:

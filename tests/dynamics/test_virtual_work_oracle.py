@@ -165,33 +165,3 @@ def test_jacobian_is_the_derivative_of_the_actuated_joints(case):
         difference = derivative(lambda h, step=step: np.exp(1j * actuated(x + h * step)))
         want = (difference / (1j * np.exp(1j * actuated(x)))).real
         assert_close(case.legs.jacobian[column].T, want)
-
-
-def test_leg_angular_momentum_gives_the_two_rpr_its_force():
-    """Massless links, no gravity: f = Σ n h/d with h the rate of m[(L² + s²) θ̇ + σ L ṡ] (Parsa 2014, eq. 2.17)."""
-    rng = np.random.default_rng(5)
-    L, m = 0.1, 1.7
-    parameters = {"base_distance": 0.5, "track_offset": L, "carrier_mass": m, "end_effector_mass": 0.0}
-    parameters |= {
-        "cylinder_mass": 0.0,
-        "cylinder_length": 0.3,
-        "piston_mass": 0.0,
-        "piston_length": 0.3,
-        "carriers": True,
-    }
-    mechanism = TwoRprMechanism(parameters, (0.0, 0.0, 0.0), (1, 1))
-    x, v, a = np.array([[0.1, 0.4]]), rng.normal(size=(1, 2)), rng.normal(size=(1, 2))
-    s, sd, sdd = rng.normal(size=(3, 2, 1))
-    f = mechanism.along(mechanism.legs(x), x, v, a).efforts((s, sd, sdd)).f
-    want = np.zeros(2)
-    for leg, (side, A) in enumerate([(1, np.array([0.0, 0.0])), (-1, np.array([0.5, 0.0]))]):
-
-        def angular_momentum(t, leg=leg, side=side, A=A):
-            r = (x + v * t + a * t**2 / 2)[0] - A
-            theta_rate = (r[0] * (v + a * t)[0, 1] - r[1] * (v + a * t)[0, 0]) / (r @ r)
-            st, sdt = (s + sd * t + sdd * t**2 / 2)[leg, 0], (sd + sdd * t)[leg, 0]
-            return np.asarray(m * ((L**2 + st**2) * theta_rate + side * L * sdt))
-
-        r = x[0] - A
-        want += np.array([-r[1], r[0]]) / (r @ r) * derivative(angular_momentum)
-    assert_close(f[:, 0], want)

@@ -15,6 +15,7 @@ from written import J, urdf_of, write_robot
 import redundancy_pin as rp
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.errors import UnreachablePoseError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 
@@ -117,11 +118,30 @@ def test_gears_do_not_come_round_with_every_turn(backend: str, turns: int) -> No
     near(found, holding(x, 0.2, 2.5), x, 10.0)
 
 
-@pytest.mark.parametrize("polynomial", [(0.2, 0.1234), (0.2, 1.0, 1e-5)], ids=["incommensurate", "curved"])
+@pytest.mark.parametrize("polynomial", [(0.2, 0.1 * 2.0**0.5), (0.2, 1.0, 1e-5)], ids=["incommensurate", "curved"])
 def test_turns_that_never_repeat_are_followed_one_by_one(polynomial: tuple[float, ...]) -> None:
-    x = angle_after(790)
-    found = CompiledDynamics(geared(*polynomial)).reduce(motion_at(x)).f[0, 0]
-    near(found, holding(x, *polynomial), x, 10.0)
+    x, dynamics = angle_after(790), CompiledDynamics(geared(*polynomial))
+    near(dynamics.reduce(motion_at(x)).f[0, 0], holding(x, *polynomial), x, 10.0)
+    with pytest.raises(UnreachablePoseError, match=r"1000000 turns of 'first' away, which do not repeat"):
+        dynamics.reduce(motion_at(angle_after(1_000_000)))
+
+
+def test_more_turns_than_are_followed_are_marked_or_named() -> None:
+    robot, x = geared(0.2, 0.1 * 2.0**0.5), np.array([[HERE], [angle_after(20_000)], [HERE + 0.1]])
+    motion = rp.PlatformMotion(np.arange(3.0), x, 0.0 * x, 0.0 * x, check_rates=False)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
+    assert tree.reachable.tolist() == [True, False, True]
+    np.testing.assert_allclose(tree.q[[0, 2], 1], 0.2 + 0.1 * 2.0**0.5 * x[[0, 2], 0], atol=1e-12)
+    with pytest.raises(UnreachablePoseError, match="which do not repeat") as caught:
+        inverse_kinematics(robot, motion)
+    assert caught.value.details["sample"] == 1
+
+
+def test_gears_that_come_round_after_thousands_of_turns_reach_any_number() -> None:
+    """A ratio of 617 to 5000."""
+    x = angle_after(1_000_000)
+    found = CompiledDynamics(geared(0.2, 0.1234)).reduce(motion_at(x)).f[0, 0]
+    near(found, holding(x, 0.2, 0.1234), x, 10.0)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

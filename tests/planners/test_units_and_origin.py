@@ -27,8 +27,6 @@ from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, circle_pat
 ROUNDED = 1e-10
 """Relative; 1e-12 is reached."""
 
-SEARCHED = 1e-8
-"""Relative tolerance of IPOPT: rounding decides where within it a search ends."""
 SAMPLED = 1e-6
 """Of what comes from samples of the motion, and of plans on line, whose ticks start from each other."""
 
@@ -253,7 +251,15 @@ WITH_UNITS = {
             units,
             name,
             id=f"{label}-{name}",
-            marks=[pytest.mark.xfail(strict=True, reason="absolute tolerances of this planner"), pytest.mark.long]
+            # on line a plan is sampled every 2.5 ms: over the slow motion that is more than the memory holds
+            marks=[
+                pytest.mark.xfail(
+                    strict=True,
+                    reason="absolute tolerances of this planner",
+                    run=(label, name) != ("slow", "online"),
+                ),
+                pytest.mark.long,
+            ]
             if name in WITH_UNITS[units]
             else pytest.mark.long_for("small-peak", "slow-effort"),
         )
@@ -263,4 +269,4 @@ WITH_UNITS = {
 )
 def test_a_plan_is_the_same_for_machines_of_any_size(units: Units, name: str) -> None:
     planner, share = PLANNERS[name]
-    require_same(planner(units), plain(name)[0], units, max(share, SEARCHED))
+    require_same(planner(units), plain(name)[0], units, share)

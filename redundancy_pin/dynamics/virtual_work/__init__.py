@@ -14,6 +14,7 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    SampleArguments,
     TorqueSample,
     require_choice,
     require_matching_carriers,
@@ -30,7 +31,7 @@ from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.named import require_matching
-from redundancy_pin.robot.scales import sample_scales
+from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
@@ -91,23 +92,9 @@ class VirtualWork(Dynamics):
             legs = self._mechanism.legs(np.where(reachable[:, None], motion.x, np.nan))
         return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, gap, reachable)
 
-    def torque(
-        self,
-        x: ArrayLike,
-        xd: ArrayLike,
-        xdd: ArrayLike,
-        s: ArrayLike = (),
-        sd: ArrayLike = (),
-        sdd: ArrayLike = (),
-        *,
-        t: float = 0.0,
-        start: ArrayLike | None = None,
-    ) -> TorqueSample:
-        """Return the efforts of one sample with a status; see ``Dynamics.torque``.
-
-        The closed form has one branch, that of the working mode, and needs no ``start``.
-        """
-        return solve_batch_of_one(self, (x, xd, xdd, s, sd, sdd), t)
+    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
+        # the closed form has one branch, that of the working mode, and needs no start
+        return solve_batch_of_one(self, given, t)
 
 
 class VirtualWorkAlongMotion(Frozen):
@@ -118,25 +105,22 @@ class VirtualWorkAlongMotion(Frozen):
 
     Attributes:
         robot, motion: the robot, and its platform motion.
+        q, gamma: None, there is no tree.
     """
 
     def __init__(
         self, robot: Robot, mechanism: Mechanism, motion: PlatformMotion, legs: Any, gap: Array, reachable: BoolArray
     ) -> None:
         self.robot, self.motion = robot, motion
-        self._reachable = read_only(reachable)
-        self._all_reachable = bool(reachable.all())
-        self._gap = read_only(gap)
+        self.q = self.gamma = None
+        self._reachable, self._gap = read_only(reachable), read_only(gap)
         self._dynamics = mechanism.along(legs, motion.x, motion.xd, motion.xdd)
         self._W = read_only(np.ascontiguousarray(legs.jacobian.transpose(2, 0, 1)))
-        length = robot.characteristic_length
-        self._row_scale = read_only(np.where(mechanism.angular_rows, length, 1.0))
-        self._column_scale = read_only(np.where(mechanism.angular_columns, length, 1.0))
 
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
         moved, k = self._leg_major(carriers), self.robot.k
-        efforts = self._efforts(moved)
+        efforts, moving = self._efforts(moved), (self.motion.xd, self.motion.xdd, moved[1][:k].T, moved[2][:k].T)
         return ReducedDynamics(
             t=self.motion.t,
             f=self._result(np.ascontiguousarray(efforts.f.T)),
@@ -144,12 +128,10 @@ class VirtualWorkAlongMotion(Frozen):
             carrier_force=self._result(np.ascontiguousarray(efforts.force[:k].T)),
             reachable=self._reachable,
             gap=self._gap,
-            row_scale=self._row_scale,
-            column_scale=self._column_scale,
+            row_scale=row_scale(self.robot),
+            column_scale=column_scale(self.robot),
             out_of_range=self._out_of_range,
-            force_size=sample_scales(
-                self.robot, self.motion.xd, self.motion.xdd, moved[1][:k].T, moved[2][:k].T, self._wrenches
-            ).force,
+            force_size=sample_scales(self.robot, *moving, self._wrenches).force,
         )
 
     @cached_property
@@ -170,11 +152,7 @@ class VirtualWorkAlongMotion(Frozen):
         return CarrierDerivatives(*of_f, *of_force)
 
     def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
-        """Return (N, 6) the wrench of the robot on its base: weight less the rate of momentum.
-
-        Shaking force, N, and moment about the world origin, N·m, world axes. Gravity out of the plane enters here,
-        and here alone.
-        """
+        """Return (N, 6) the wrench on the base, N and N·m; gravity out of the plane enters here, and here alone."""
         return self._result(self._efforts(self._leg_major(carriers)).ground)
 
     def energy(self, carriers: CarrierMotion | None = None) -> Array:
@@ -203,19 +181,16 @@ class VirtualWorkAlongMotion(Frozen):
         return matched.s.T.copy(), matched.sd.T.copy(), matched.sdd.T.copy()
 
     def _result(self, array: Array) -> Array:
-        if not self._all_reachable:
-            array[~self._reachable] = np.nan
+        array[~self._reachable] = np.nan
         return read_only(array)
 
 
 def _mechanism_of(robot: Robot) -> Mechanism:
-    kinds: dict[tuple[str | None, int], type[Mechanism]] = {
-        ("2rpr", 2): TwoRprMechanism,
-        ("3rrr", 3): ThreeRrrMechanism,
-    }
-    kind = kinds.get((robot.closed_form, len(robot.working_mode)))
-    if kind is not None:
-        return kind(robot.parameters, tuple(float(component) for component in robot.gravity), robot.working_mode)
+    known = robot.parameters, robot.gravity.tolist(), robot.working_mode
+    if (robot.closed_form, len(robot.working_mode)) == ("2rpr", 2):
+        return TwoRprMechanism(*known)
+    if (robot.closed_form, len(robot.working_mode)) == ("3rrr", 3):
+        return ThreeRrrMechanism(*known)
     raise UnsupportedRobotError(
         "Virtual work is written out for the 2-RPR and the 3-RRR, their motors, modes and carriers in their order; "
         f"{robot.name} does not declare one of these closed forms, or has other motors, modes or carriers.",

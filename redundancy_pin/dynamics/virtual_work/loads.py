@@ -23,7 +23,7 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     wrench_on_ground,
 )
 from redundancy_pin.errors import UnsupportedRobotError
-from redundancy_pin.robot import JointForces, Load, Payload, Robot, Spring, Wrench
+from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
 
 
@@ -34,21 +34,16 @@ def require_known(robot: Robot, frames: Sequence[str], joints: Sequence[str]) ->
         UnsupportedRobotError: it has not.
     """
     for load in robot.loads:
-        known = joints if isinstance(load, JointForces) else frames
-        for name in _names(load):
-            if name not in known:
+        in_joint, between = isinstance(load, JointForces), isinstance(load, Spring)
+        known = joints if in_joint else frames
+        for name in ("joint",) if in_joint else ("frame_a", "frame_b") if between else ("frame",):
+            if getattr(load, name) not in known:
                 raise UnsupportedRobotError(
                     f"The closed form of {robot.name} does not cover {load!r}.",
                     remedy=f"It has the links {', '.join(frames)} and the joints {', '.join(joints)}; RneaDynamics has "
                     "all.",
-                    name=name,
+                    name=getattr(load, name),
                 )
-
-
-def _names(load: Load) -> tuple[str, ...]:
-    if isinstance(load, JointForces):
-        return (load.joint,)
-    return (load.frame_a, load.frame_b) if isinstance(load, Spring) else (load.frame,)
 
 
 def add_loads(
@@ -90,16 +85,18 @@ def add_loads(
     for forces in of_kind(robot.loads, JointForces):
         joint = dynamics.joint(forces.joint, carriers)
         revolute, momentum = joint.axis is None, forces.rotor_inertia * forces.gear
-        position = _counted(joint.position, _reference(robot, forces.joint)) if revolute else joint.position
+        home = float(robot.q_reference[list(robot.model.names)[1:].index(forces.joint)])  # a coordinate per joint
+        position = _counted(joint.position, home) if revolute else joint.position
         turning = joint.link.spin_rate if revolute else 0.0
         effort = forces.resistance(position, joint.rate) + momentum * (forces.gear * joint.acceleration + turning)
         efforts.f += effort * joint.unit_rate
         efforts.energy += 0.5 * forces.stiffness * (position - forces.rest) ** 2
         efforts.energy += 0.5 * momentum * forces.gear * joint.rate**2
         if joint.carrier is not None:
-            efforts.add_to_carrier(
-                joint.carrier, effort, forces.stiffness, forces.resistance_rate(joint.rate), momentum * forces.gear
-            )
+            efforts.force[joint.carrier] += effort
+            by_motion = forces.stiffness, forces.resistance_rate(joint.rate), momentum * forces.gear
+            for derivative, part in zip(efforts.by_force, by_motion if efforts.derivatives else (), strict=False):
+                derivative[joint.carrier, joint.carrier] += part
         if joint.axis is None:
             efforts.f += momentum * joint.acceleration * joint.link.G
             efforts.energy += momentum * joint.rate * joint.link.spin
@@ -136,10 +133,6 @@ def _spring(
             parts = [one + other for one, other in zip(changes[end.carrier], parts, strict=True)]
         changes[end.carrier] = parts
     return size * along, changes, 0.5 * spring.stiffness * (length - spring.length) ** 2
-
-
-def _reference(robot: Robot, joint: str) -> float:
-    return float(robot.q_reference[list(robot.model.names)[1:].index(joint)])  # a coordinate a joint
 
 
 def _counted(angle: Array, reference: float) -> Array:

@@ -141,10 +141,11 @@ class Efforts:
         energy: (N,) kinetic plus potential energy, J; that of weight is zero at the world origin.
         by_f: (3, n, legs, N) derivatives of f by s, ṡ, s̈ of each carrier.
         by_force: (3, legs, legs, N) derivatives of each carrier's force likewise.
+        derivatives: whether the last two are wanted.
     """
 
     def __init__(self, n: int, legs: int, samples: int, *, derivatives: bool = False) -> None:
-        self.f, self.force, self._derivatives = np.zeros((n, samples)), np.zeros((legs, samples)), derivatives
+        self.f, self.force, self.derivatives = np.zeros((n, samples)), np.zeros((legs, samples)), derivatives
         self.ground, self.energy = np.zeros((samples, 6)), np.zeros(samples)
         self.by_f = np.zeros((3, n, legs, samples if derivatives else 0))
         self.by_force = np.zeros((3, legs, legs, samples if derivatives else 0))
@@ -168,7 +169,7 @@ class Efforts:
         track, own = point.track, point.carrier
         if track is not None and own is not None:
             self.force[own] -= (np.conj(push) * track).real
-        if not self._derivatives:
+        if not self.derivatives:
             return
         for carrier, parts in (changes or {}).items():
             for order, part in enumerate(parts):
@@ -177,13 +178,6 @@ class Efforts:
                     self.by_force[order, own, carrier] -= (np.conj(part) * track).real
         if track is not None and own is not None:
             self.by_f[0, :, own] -= (np.conj(push) * 1j * point.G * track).real  # H moves with the carrier
-
-    def add_to_carrier(self, carrier: int, effort: Array, *derivatives: Array | float) -> None:
-        """Add to the force of one carrier's actuator, (N,), with its derivatives by its own s, ṡ, s̈."""
-        self.force[carrier] += effort
-        if self._derivatives:
-            for order, part in enumerate(derivatives):
-                self.by_force[order, carrier, carrier] += part
 
 
 def wrench_on_ground(

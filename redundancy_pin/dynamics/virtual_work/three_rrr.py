@@ -8,15 +8,12 @@ so that the cosine and sine of α are the only trigonometric functions.
 
 The corner moves with v_A = v + α̇ (A - P)⊥, so that θ̇ = -e·v_A/c and l2² β̇ = e⊥·(v_A - θ̇ b⊥). Read per unit of each
 platform rate they are the link Jacobians G of eqs. 2.39 to 2.44; H of the elbow is b⊥ times that of θ.
-
-Arrays that differ from leg to leg are leg-major, (3, N).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -131,15 +128,6 @@ class ThreeRrrLegs(Frozen):
         return read_only(np.stack([rows.real, rows.imag, (np.conj(self.arm) * rows).imag]))
 
 
-class ThreeRrrRates(NamedTuple):
-    """Rates, (3, N) each, of the angles of the proximal and of the distal links, rad/s and rad/s²."""
-
-    theta_rate: Array
-    theta_acceleration: Array
-    beta_rate: Array
-    beta_acceleration: Array
-
-
 def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequence[int] = (1, 1, 1)) -> ThreeRrrLegs:
     """Return the legs that put the platform at ``pose`` (Parsa 2014, eq. 2.18-2.27).
 
@@ -174,31 +162,6 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
     return ThreeRrrLegs(geometry, *map(read_only, (arm, b, e, c, gap)))
 
 
-def leg_rates(legs: ThreeRrrLegs, velocity: Array, acceleration: Array) -> ThreeRrrRates:
-    """Return the rates of the link angles (Parsa 2014, eq. 2.28-2.38).
-
-    The corner moves with v_A = v + α̇ (A - P)⊥ and a_A = a + α̈ (A - P)⊥ - α̇² (A - P). Since |A - B| = l2:
-    e·(v_A - v_B) = 0 and e·(a_A - a_B) + l2² β̇² = 0, with v_B = θ̇ b⊥, a_B = θ̈ b⊥ - θ̇² b and e·b⊥ = -c.
-    Across the distal link, l2² β̇ = e⊥·(v_A - v_B) and l2² β̈ = e⊥·(a_A - a_B).
-
-    Velocity and acceleration are (N, 3), those of the platform's coordinates in the base frame.
-    """
-    v, a = velocity, acceleration
-    b, across, over_length = legs.b, np.conj(legs.e), 1.0 / legs.geometry.distal_length**2
-    corner_v = planar(v) + 1j * v[:, 2] * legs.arm
-    corner_a = planar(a) + (1j * a[:, 2] - v[:, 2] ** 2) * legs.arm
-    # along e and across it: the real and the imaginary part of ē z
-    with np.errstate(divide="ignore", invalid="ignore"):
-        over_c = -1.0 / legs.c
-        theta_rate = (across * corner_v).real * over_c
-        across_v = (across * (corner_v - 1j * theta_rate * b)).imag
-        beta_rate = across_v * over_length
-        pull = corner_a + theta_rate**2 * b
-        theta_acceleration = ((across * pull).real + across_v * beta_rate) * over_c
-        beta_acceleration = (across * (pull - 1j * theta_acceleration * b)).imag * over_length
-    return ThreeRrrRates(*map(read_only, (theta_rate, theta_acceleration, beta_rate, beta_acceleration)))
-
-
 class ThreeRrrMechanism:
     """The 3-RRR in one working mode.
 
@@ -218,8 +181,6 @@ class ThreeRrrMechanism:
         *("platform_arm", "platform", "corner_2", "corner_3"),
     )
     joints = (*(f"{kind}_{leg}" for kind in ("base", "elbow", "carrier") for leg in (1, 2, 3)), "wrist_1")
-    angular_rows: tuple[bool, ...] = (False, False, True)
-    angular_columns: tuple[bool, ...] = (True, True, True)
     least_margin = LEAST_ELBOW_SINE
 
     def __init__(self, parameters: Parameters, gravity: Sequence[float], mode: Sequence[int]) -> None:
@@ -252,33 +213,43 @@ class ThreeRrrMechanism:
 
 
 class ThreeRrrAlongMotion(PlanarDynamics):
-    """Dynamics of the 3-RRR along one motion."""
+    """Dynamics of the 3-RRR along one motion, whose poses, velocities and accelerations are (N, 3) each.
+
+    The corner moves with v_A = v + α̇ (A - P)⊥ and a_A = a + α̈ (A - P)⊥ - α̇² (A - P). Since |A - B| = l2:
+    e·(v_A - v_B) = 0 and e·(a_A - a_B) + l2² β̇² = 0, with v_B = θ̇ b⊥, a_B = θ̈ b⊥ - θ̇² b and e·b⊥ = -c.
+    Across the distal link, l2² β̇ = e⊥·(v_A - v_B) and l2² β̈ = e⊥·(a_A - a_B) (Parsa 2014, eq. 2.28-2.38).
+    """
 
     def __init__(
         self, mechanism: ThreeRrrMechanism, legs: ThreeRrrLegs, pose: Array, velocity: Array, acceleration: Array
     ) -> None:
         self.bodies, self.gravity, geometry = mechanism.bodies, mechanism.gravity, mechanism.geometry
-        self.shape = 3, *legs.c.shape
-        self._geometry = geometry
-        rates = leg_rates(legs, velocity, acceleration)
-        b, e, unit = legs.b, legs.e, np.ones(legs.c.shape)
+        self.shape, self._geometry, v, a = (3, *legs.c.shape), geometry, velocity, acceleration
+        b, e, across, over_length = legs.b, legs.e, np.conj(legs.e), 1.0 / geometry.distal_length**2
+        corner_v = planar(v) + 1j * v[:, 2] * legs.arm
+        corner_a = planar(a) + (1j * a[:, 2] - v[:, 2] ** 2) * legs.arm
+        # along e and across it: the real and the imaginary part of ē z
+        with np.errstate(divide="ignore", invalid="ignore"):
+            over_c = -1.0 / legs.c
+            w1 = (across * corner_v).real * over_c  # of the proximal link, θ̇; w2 of the distal one, β̇
+            across_v = (across * (corner_v - 1j * w1 * b)).imag
+            w2 = across_v * over_length
+            pull = corner_a + w1**2 * b
+            wd1 = ((across * pull).real + across_v * w2) * over_c
+            wd2 = (across * (pull - 1j * wd1 * b)).imag * over_length
         # per unit of ẋ, ẏ, α̇: velocity of the corner (E_A of eq. 2.43), θ̇ (eq. 2.39) and β̇ (eq. 2.44)
+        unit, unit_theta = np.ones(legs.c.shape), legs.jacobian
         corner = np.stack([unit, 1j * unit, 1j * legs.arm])
-        unit_theta = legs.jacobian
-        unit_beta = (np.conj(e) * (corner - 1j * unit_theta * b)).imag / geometry.distal_length**2
-        w, wd = rates.theta_rate, rates.theta_acceleration
+        unit_beta = (across * (corner - 1j * unit_theta * b)).imag * over_length
         hinge = fixed_frame(geometry.hinges + 0j * legs.c, 1.0, 3, moves=True)
-        self._proximal = replace(hinge, axis=b / geometry.proximal_length, spin=w, spin_rate=wd, G=unit_theta)
+        self._proximal = replace(hinge, axis=b / geometry.proximal_length, spin=w1, spin_rate=wd1, G=unit_theta)
         elbow = self._proximal.point(geometry.proximal_length)
-        self._distal = replace(
-            elbow, axis=e / geometry.distal_length, spin=rates.beta_rate, spin_rate=rates.beta_acceleration,
-            G=unit_beta,
-        )  # fmt: skip
+        self._distal = replace(elbow, axis=e / geometry.distal_length, spin=w2, spin_rate=wd2, G=unit_beta)
         still = np.zeros(len(pose), dtype=np.complex128)
         H = np.stack([still + 1.0, still + 1j, still])
         G = np.stack([still.real, still.real, still.real + 1.0])
-        centre = planar(pose), planar(velocity), planar(acceleration)
-        self._platform = PlanarFrame(*centre, np.exp(1j * pose[:, 2]), velocity[:, 2], acceleration[:, 2], H, G)
+        centre = planar(pose), planar(v), planar(a)
+        self._platform = PlanarFrame(*centre, np.exp(1j * pose[:, 2]), v[:, 2], a[:, 2], H, G)
 
     def frame(self, name: str, carriers: Carriers) -> PlanarFrame:
         """Return a link's frame."""

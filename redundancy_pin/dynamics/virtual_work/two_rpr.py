@@ -7,15 +7,12 @@ vector, x + iy, and n is iu.
 Leg i turns about A_i by θ̇ = n·ẋ/d and stretches by ḋ = u·ẋ: these are the link Jacobians (eqs. 2.10 to 2.12). Bodies of
 a leg, in its own axes (u, n) from A: cylinder rod, centre at half its length; piston rod, centre at d less half its
 length; carrier at (L, σ s), with σ = +1, -1 on legs 1, 2. The end-effector is a point at B.
-
-Arrays that differ from leg to leg are leg-major, (2, N).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,23 +55,9 @@ class TwoRprLegs(Frozen):
         return np.abs(self.d)
 
     @property
-    def theta(self) -> Array:
-        """(2, N) angle of u against the base line, rad, in (-π, π]."""
-        return read_only(np.angle(self.u))
-
-    @property
     def jacobian(self) -> Array:
         """(2, 2, N) ḋ of each leg per unit of ẋ and ẏ: u_i (Parsa 2014, eq. 2.2)."""
         return read_only(np.stack([self.u.real, self.u.imag]))
-
-
-class TwoRprRates(NamedTuple):
-    """Rates, (2, N) each, of the leg lengths, m/s and m/s², and of the leg angles, rad/s and rad/s²."""
-
-    d_rate: Array
-    d_acceleration: Array
-    theta_rate: Array
-    theta_acceleration: Array
 
 
 def base_hinges(base_distance: float) -> Array:
@@ -101,23 +84,6 @@ def inverse_displacement(base_distance: float, point: ArrayLike, mode: Sequence[
     return TwoRprLegs(*map(read_only, (d, u, gap)))
 
 
-def leg_rates(legs: TwoRprLegs, velocity: Array, acceleration: Array) -> TwoRprRates:
-    """Return the rates of the legs (Parsa 2014, eq. 2.2-2.9).
-
-    From B = A + d u: v = ḋ u + d θ̇ n and a = (d̈ - d θ̇²) u + (d θ̈ + 2 ḋ θ̇) n, read along u and n.
-
-    Velocity and acceleration are (N, 2), those of the end-effector's coordinates in the base frame.
-    """
-    # along u and across it: the real and the imaginary part
-    v = np.conj(legs.u) * planar(velocity)
-    a = np.conj(legs.u) * planar(acceleration)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        theta_rate = v.imag / legs.d
-        d_acceleration = a.real + legs.d * theta_rate**2
-        theta_acceleration = (a.imag - 2.0 * v.real * theta_rate) / legs.d
-    return TwoRprRates(*map(read_only, (v.real, d_acceleration, theta_rate, theta_acceleration)))
-
-
 class TwoRprMechanism:
     """The 2-RPR in one working mode.
 
@@ -134,8 +100,6 @@ class TwoRprMechanism:
         "end_effector",
     )
     joints = tuple(f"{kind}_{leg}" for kind in ("swivel", "slide", "carrier") for leg in (1, 2))
-    angular_rows: tuple[bool, ...] = (False, False)
-    angular_columns: tuple[bool, ...] = (False, False)
 
     def __init__(self, parameters: Parameters, gravity: Sequence[float], mode: Sequence[int]) -> None:
         self.base_distance = float(parameters["base_distance"])
@@ -164,22 +128,32 @@ class TwoRprMechanism:
 
 
 class TwoRprAlongMotion(PlanarDynamics):
-    """Dynamics of the 2-RPR along one motion."""
+    """Dynamics of the 2-RPR along one motion, whose positions, rates and accelerations are (N, 2) each.
+
+    From B = A + d u follow v = ḋ u + d θ̇ n and a = (d̈ - d θ̇²) u + (d θ̈ + 2 ḋ θ̇) n, which are read along u and n
+    (Parsa 2014, eq. 2.2-2.9).
+    """
 
     def __init__(
         self, mechanism: TwoRprMechanism, legs: TwoRprLegs, point: Array, velocity: Array, acceleration: Array
     ) -> None:
-        self.bodies, self.gravity, self._offset = mechanism.bodies, mechanism.gravity, mechanism.track_offset
-        self.shape = 2, *legs.d.shape
-        self._legs, self._rates = legs, leg_rates(legs, velocity, acceleration)
+        self.bodies, self.gravity, d = mechanism.bodies, mechanism.gravity, legs.d
+        self.shape, self._legs = (2, *d.shape), legs
+        # along u and across it: the real and the imaginary part
+        v, a = np.conj(legs.u) * planar(velocity), np.conj(legs.u) * planar(acceleration)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            theta_rate = v.imag / d
+            theta_acceleration = (a.imag - 2.0 * v.real * theta_rate) / d
+        self._d_rate, self._d_acceleration = v.real, a.real + d * theta_rate**2
         # per unit of ẋ and ẏ: θ̇ = n·ẋ/d (eq. 2.11)
-        self._unit_theta = np.stack([-legs.u.imag, legs.u.real]) / legs.d
-        base = fixed_frame(base_hinges(mechanism.base_distance) + 0j * legs.d, 1.0, 2, moves=True)
-        rates = self._rates
-        self._cylinders = replace(
-            base, axis=legs.u, spin=rates.theta_rate, spin_rate=rates.theta_acceleration, G=self._unit_theta
-        )
-        self._tracks = self._cylinders.point(self._offset)
+        unit_theta = np.stack([-legs.u.imag, legs.u.real]) / d
+        base = fixed_frame(base_hinges(mechanism.base_distance) + 0j * d, 1.0, 2, moves=True)
+        self._cylinders = replace(base, axis=legs.u, spin=theta_rate, spin_rate=theta_acceleration, G=unit_theta)
+        self._tracks = self._cylinders.point(mechanism.track_offset)
+
+    def _slide(self, leg: int) -> tuple[Array, Array, Array, Array]:
+        """Return d, ḋ, d̈ of a leg (N,), and ḋ per unit of each platform rate (2, N)."""
+        return self._legs.d[leg], self._d_rate[leg], self._d_acceleration[leg], self._legs.jacobian[:, leg]
 
     def frame(self, name: str, carriers: Carriers) -> PlanarFrame:
         """Return a link's frame."""
@@ -191,10 +165,7 @@ class TwoRprAlongMotion(PlanarDynamics):
             return self._tracks.carried(leg, 1j * SIDE[leg, 0], carriers)
         if kind in ("cylinder", "track"):
             return (self._cylinders if kind == "cylinder" else self._tracks).of(leg)
-        d, rates = self._legs.d[leg], self._rates
-        return self._cylinders.of(leg).point(
-            d, rates.d_rate[leg], rates.d_acceleration[leg], self._legs.jacobian[:, leg]
-        )
+        return self._cylinders.of(leg).point(*self._slide(leg))
 
     def joint(self, name: str, carriers: Carriers) -> PlanarJoint:
         """Return a joint's motion."""
@@ -203,7 +174,6 @@ class TwoRprAlongMotion(PlanarDynamics):
         if kind == "swivel":
             return revolute(self.frame("base", carriers), link)
         if kind == "slide":
-            moving = self._legs.d[leg], self._rates.d_rate[leg], self._rates.d_acceleration[leg]
-            return PlanarJoint(*moving, self._legs.jacobian[:, leg], link, axis=link.axis)
+            return PlanarJoint(*self._slide(leg), link, axis=link.axis)
         s, sd, sdd = (part[leg] for part in carriers)
         return PlanarJoint(s, sd, sdd, 0.0 * link.G, link, axis=1j * SIDE[leg, 0] * link.axis, carrier=leg)

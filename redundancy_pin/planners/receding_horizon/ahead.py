@@ -198,6 +198,9 @@ class _Memory:
 class Ahead:
     """Coefficients and singular instants along a preview, as far as it is in sight.
 
+    Nothing is evaluated behind an instant that the machine cannot be at: no plan leads past it. Those instants count
+    as unreachable, until it is past.
+
     Args:
         dynamics: a backend.
         preview: the platform's motion.
@@ -232,6 +235,7 @@ class Ahead:
         """Forget all but the instants before a time, s, around which the nodes stay."""
         self._memory = _Memory()
         self.known = self._memory.known
+        self._blocked = np.inf  # the first unreachable instant, s
         self.edges = np.empty(0)
         step = PARTS * self.spacing
         self.roots = self.roots[(self.roots < keep) & (self.roots >= keep - KEPT * step)]
@@ -248,7 +252,8 @@ class Ahead:
         """
         preview, spacing = self.preview, self.spacing
         start, end = max(float(start), preview.start), min(float(end), preview.end)
-        if preview.changing or (len(self.edges) and not self.edges[0] <= start <= self.edges[-1] + SAME):
+        in_sight = self.edges[0] <= start <= min(self.edges[-1], self._blocked) + SAME if len(self.edges) else True
+        if preview.changing or not in_sight:
             self._clear(start if preview.changing else -np.inf)
         seen = self.edges
         past = start - KEPT * PARTS * spacing
@@ -317,11 +322,18 @@ class Ahead:
         return np.unique(np.concatenate([nodes, grid[away], breaks - BESIDE, breaks + BESIDE]))
 
     def _add(self, times: Array) -> None:
-        read = self._read(times)
-        if isfinite(sum(read.constant.ravel().tolist())):
-            reachable: BoolArray | bool = True
+        count = int(times.searchsorted(self._blocked, "right"))
+        if count:
+            read = self._read(times[:count])
         else:
-            reachable = np.asarray(np.isfinite(read.constant).all(axis=1))
+            read = CarrierTerms(*(np.full((0, *part.shape[1:]), np.nan) for part in self.known[2:]))
+        reachable: BoolArray | bool = True
+        if count < len(times) or not isfinite(sum(read.constant.ravel().tolist())):
+            behind = len(times) - count
+            read = CarrierTerms(*(np.concatenate([part, np.full((behind, *part.shape[1:]), np.nan)]) for part in read))
+            finite: BoolArray = np.asarray(np.isfinite(read.constant).all(axis=1))
+            self._blocked = min(self._blocked, times[~finite][0])
+            reachable = finite
             read = CarrierTerms(*map(np.nan_to_num, read))
         self.known = self._memory.add(times, reachable, read)
 

@@ -26,7 +26,7 @@ from redundancy_pin.robot import Robot
 
 def casadi() -> Any:
     """Return the optional solver library."""
-    remedy = "Install it with `pip install 'redundancy_pin[optimal]'`."
+    remedy = "Install it with `pip install casadi`."
     return optional("casadi", "Planning over the whole trajectory needs", remedy)
 
 

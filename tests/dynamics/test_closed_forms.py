@@ -1,0 +1,134 @@
+"""Closed forms of the 2-RPR and the 3-RRR: closure in all modes, reach, rates against differences of positions."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+import zoo
+from hypothesis import given
+from hypothesis import strategies as st
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import CLOSURE_TOLERANCE
+from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
+from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
+
+ROUNDING = 1e-13
+"""A few hundred roundings of lengths of a few metres."""
+GAP_ROUNDING = 1e-12
+"""m: where the border is touched the gap is a difference of lengths that went through their squares."""
+
+THESIS = ThreeRrrGeometry(1.0, 0.25, 1.0, 1.0)
+UNEQUAL = ThreeRrrGeometry(0.9, 0.3, 1.2, 0.9)
+PHI = np.array([np.pi / 6, 5 * np.pi / 6, -np.pi / 2])
+
+coordinate = st.floats(-3, 3)
+
+
+def u(angle):
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def corners(geometry, pose):
+    return pose[:2] - geometry.platform_radius * u(pose[2] + PHI)
+
+
+@given(x=coordinate, y=coordinate, mode=st.tuples(*[st.sampled_from([1, -1])] * 2))
+def test_legs_of_the_two_rpr_close_the_loops_in_their_mode(x, y, mode):
+    legs = two_rpr.inverse_displacement(0.5, [[x, y]], mode)
+    away = np.hypot([x, x - 0.5], y) > 1e-6
+    np.testing.assert_array_equal(np.sign(legs.d[away, 0]), np.array(mode)[away])
+    tip = np.array([[0.0, 0.0], [0.5, 0.0]]) + legs.d * u(np.angle(legs.u[:, 0]))
+    np.testing.assert_allclose(tip[away], np.tile([x, y], (2, 1))[away], atol=ROUNDING)
+    assert np.all(legs.gap[away] < ROUNDING)
+
+
+@given(
+    pose=st.tuples(st.floats(-1, 2.5), st.floats(-1, 2.5), st.floats(-np.pi, np.pi)),
+    geometry=st.sampled_from([THESIS, UNEQUAL]),
+)
+def test_all_modes_of_the_three_rrr_close_or_report_how_far_the_corner_is(pose, geometry):
+    pose = np.array(pose)
+    A, G = corners(geometry, pose), geometry.base_points
+    rho = np.hypot(*(A - G).T)
+    l1, l2 = geometry.proximal_length, geometry.distal_length
+    short = np.maximum(np.maximum(rho - l1 - l2, abs(l1 - l2) - rho), 0.0)
+    within = short == 0.0
+    for mode in product((1, -1), repeat=3):
+        legs = inverse_displacement(geometry, pose[None], mode)
+        tip = G + l1 * u(legs.theta[:, 0]) + l2 * u(legs.beta[:, 0])
+        np.testing.assert_allclose(tip[within], A[within], atol=ROUNDING)
+        np.testing.assert_allclose(np.abs(legs.b)[within], l1, atol=ROUNDING)
+        np.testing.assert_allclose(np.abs(legs.e)[within], l2, atol=ROUNDING)
+        np.testing.assert_allclose(legs.gap[:, 0], short, atol=GAP_ROUNDING)
+        # θ = γ ± ψ: the mode is the side of the line G A on which the elbow lies
+        side = np.sin(legs.theta[:, 0] - np.arctan2(*(A - G).T[::-1]))
+        clear = within & (np.abs(side) > 1e-6)
+        np.testing.assert_array_equal(np.sign(side)[clear], np.array(mode)[clear])
+
+
+def test_thesis_formulas_for_theta_and_jacobian():
+    """Angles by arc cosine and the Jacobian's entries as printed (Parsa 2014, eq. 2.22-2.38)."""
+    pose, mode = np.array([1.0, 0.4, 0.3]), (1, -1, 1)
+    legs = inverse_displacement(UNEQUAL, pose[None], mode)
+    l1, l2, l3 = 1.2, 0.9, 0.3
+    for i in range(3):
+        xA, yA = corners(UNEQUAL, pose)[i] - UNEQUAL.base_points[i]
+        rho = np.hypot(xA, yA)
+        theta = np.arctan2(yA, xA) + mode[i] * np.arccos((l1**2 + rho**2 - l2**2) / (2 * l1 * rho))
+        phi = pose[2] + PHI[i]
+        a, b = xA - l1 * np.cos(theta), yA - l1 * np.sin(theta)
+        c, d = l1 * (xA * np.sin(theta) - yA * np.cos(theta)), l3 * (a * np.sin(phi) - b * np.cos(phi))
+        assert abs(np.exp(1j * theta) - np.exp(1j * legs.theta[i, 0])) < ROUNDING
+        np.testing.assert_allclose(legs.jacobian[:, i, 0], -np.array([a, b, d]) / c, atol=ROUNDING)
+        np.testing.assert_allclose(legs.c[i, 0], c, atol=ROUNDING)
+
+
+UNEQUAL_LENGTHS = {"base_radius": 0.9, "platform_radius": 0.3, "proximal_length": 1.2, "distal_length": 0.9}
+
+
+CASES = [(mode, {}) for legs in (2, 3) for mode in product((1, -1), repeat=legs)]
+CASES += [(mode, UNEQUAL_LENGTHS) for mode in product((1, -1), repeat=3)]
+
+
+@pytest.mark.parametrize(("mode", "lengths"), CASES)
+def test_rates_of_all_joints_are_differences_of_their_positions(mode, lengths):
+    name, tolerance = ("2rpr", 2e-5) if len(mode) == 2 else ("3rrr", 2e-6)
+    robot = rp.load_robot(name, working_mode=mode, **lengths)
+    path, t, h = zoo.smooth_motion(robot, 2, speed=2.0), np.linspace(0.0, 2.0, 40), 1e-4
+    here = path.at(t)
+    before, middle, after = (rp.VirtualWork(robot).along(path.at(t + k * h))._dynamics for k in (-1, 0, 1))
+    parked = (np.zeros((robot.m, len(t))),) * 3
+    kinds = two_rpr.TwoRprMechanism if name == "2rpr" else three_rrr.ThreeRrrMechanism
+    for joint in kinds.joints:
+        low, now, high = (each.joint(joint, parked) for each in (before, middle, after))
+        # angles are in (−π, π]
+        up, down = (np.remainder(each.position - now.position + np.pi, 2 * np.pi) - np.pi for each in (high, low))
+        # order two: h² = 1e-8 times third and fourth derivatives of up to 1e3 and 1e2; rounding / h² = 1e-8
+        np.testing.assert_allclose(now.rate, (up - down) / (2 * h), atol=tolerance)
+        np.testing.assert_allclose(now.acceleration, (up + down) / h**2, atol=tolerance)
+        np.testing.assert_allclose(np.einsum("jN,Nj->N", now.unit_rate, here.xd), now.rate, atol=ROUNDING * 10)
+
+
+@pytest.mark.parametrize(("beyond", "reached"), [(0.5 * CLOSURE_TOLERANCE, True), (1e-9, False), (0.3, False)])
+def test_reach_ends_at_the_stretched_leg(beyond, reached):
+    """Leg 1 is stretched along its own arm: G, B, A and P on one line at 30 degrees."""
+    legs = inverse_displacement(THESIS, np.append((2.0 + 0.25 + beyond) * u(np.pi / 6), 0.0)[None])
+    assert legs.reachable[0, 0] == reached
+    assert np.isnan(legs.b[0, 0]) != reached
+    np.testing.assert_allclose(legs.gap[0, 0], beyond, atol=1e-14)  # roundings of 2 m
+
+
+def test_legs_without_a_direction_give_no_warning():
+    """A leg of no length, which any direction closes; a folded leg of equal links, which any angle closes: c = 0."""
+    short = two_rpr.inverse_displacement(0.5, [[0.0, 0.0]])
+    assert np.isnan(short.u[0, 0])
+    assert short.u[1, 0] == -1.0
+    np.testing.assert_array_equal(short.gap, 0.0)
+    folded = inverse_displacement(THESIS, np.append(0.25 * u(np.pi / 6), 0.0)[None])
+    assert abs(folded.margin[0, 0]) < 1e-12
+    assert folded.reachable[0, 0]
+    for array in (short.d, short.u, short.jacobian, folded.b, folded.gap, folded.theta, folded.jacobian):
+        assert not array.flags.writeable
