@@ -15,6 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.errors import UnreachablePoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
@@ -57,7 +58,7 @@ class BranchEnd(Frozen):
         q: (nq,) the configuration that Newton's method ends at.
         residual: the closure residual there, m.
         rank_lost: whether the closure rows themselves lose rank there, for ``TYPE_I``.
-        reason: why the way there is not followed at all, for ``UNREACHABLE``; otherwise empty.
+        turns: what says that whole turns lead there which do not repeat, for ``BRANCH_LOST``; otherwise None.
 
     Example:
         >>> import redundancy_pin as rp
@@ -73,7 +74,7 @@ class BranchEnd(Frozen):
     q: Array
     residual: float
     rank_lost: bool = False
-    reason: str = ""
+    turns: UnreachablePoseError | None = None
 
     @property
     def is_final(self) -> bool:
