@@ -460,6 +460,8 @@ class Dynamics(Protocol):
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants.
 
+        Instants that cannot be reached are NaN; behind the first of them others may be, too.
+
         Tracks are assumed to be straight; ``planners.carrier_model`` tests that. The branch may be followed from the
         last instants of this thread, if they are near, instead of the reference.
 

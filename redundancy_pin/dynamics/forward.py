@@ -188,16 +188,13 @@ class ForwardKernel(Protocol):
     def robot(self) -> Robot:
         """The robot."""
 
-    def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
-        """Return the tree acceleration (nv,) at a closed state under generalised forces (nv,).
+    def accelerations(
+        self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
+    ) -> Accelerations | None:
+        """Return what acts at a closed state under generalised forces (nv,).
 
         None where the closures have lost rank or a free motion has no inertia; ``ForwardDynamics`` tells them apart.
         """
-
-    def loads(
-        self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
-    ) -> Accelerations | None:
-        """Return the same with the forces that go with it."""
 
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
         """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""

@@ -15,7 +15,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, read_only
-from redundancy_pin.errors import UnreachablePoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
@@ -58,7 +57,7 @@ class BranchEnd(Frozen):
         q: (nq,) the configuration that Newton's method ends at.
         residual: the closure residual there, m.
         rank_lost: whether the closure rows themselves lose rank there, for ``TYPE_I``.
-        turns: what says that whole turns lead there which do not repeat, for ``BRANCH_LOST``; otherwise None.
+        reason: why the way there is not followed at all, for ``UNREACHABLE``; otherwise empty.
 
     Example:
         >>> import redundancy_pin as rp
@@ -74,7 +73,7 @@ class BranchEnd(Frozen):
     q: Array
     residual: float
     rank_lost: bool = False
-    turns: UnreachablePoseError | None = None
+    reason: str = ""
 
     @property
     def is_final(self) -> bool:
@@ -153,7 +152,7 @@ class Follower(LoopSolver):
                     break  # the line leaves the workspace: shorter steps would only creep up to its border
                 within_reach = end
             size *= 0.5
-            if size * length < SETTLED_STEP:
+            if size * max(length, 1.0) < SETTLED_STEP:
                 break
         return here if done == 1.0 else self.diagnose(here, x)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -50,6 +51,7 @@ _ROUNDED_SHARE = 1e-16 / 1e-5
 _SAMPLES_PER_REPORT = 500
 """Samples between two calls of ``progress``."""
 
+_FEWER_TURNS = "Count the coordinate from a nearer turn, or follow a motion that leads there."
 _STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
 
@@ -224,7 +226,7 @@ class _Solution:
                 here = self._keep(order[k], reached)
                 k += 1
                 continue
-            if reached.turns is not None:  # nothing is known there; the samples behind it may be near again
+            if reached.reason:  # nothing is known there; the samples behind it may be near again
                 self._measure(order[k : k + 1], here.q)
                 k += 1
                 continue
@@ -337,7 +339,7 @@ def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | B
     try:
         follow_whole_turns(own.robot, here.q, here.x, x, follow)
     except UnreachablePoseError as error:
-        return replace(own.diagnose(here, x), status=SampleStatus.BRANCH_LOST, turns=error)
+        return BranchEnd(SampleStatus.UNREACHABLE, x, here, here.q, math.nan, reason=error.message)
     return own.diagnose(here, x) if end is None else end
 
 
@@ -360,8 +362,8 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     robot, own = system.robot, follower(system.robot)
     home = own.home
     reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
-    if isinstance(reached, BranchEnd) and reached.turns is not None:
-        raise _with_sample(reached.turns, sample)
+    if isinstance(reached, BranchEnd) and reached.reason:
+        raise UnreachablePoseError(reached.reason, remedy=_FEWER_TURNS, sample=sample)
     if isinstance(reached, ClosedState):
         # a configuration where working modes meet belongs to both
         between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
@@ -440,8 +442,8 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
     """Return the error of sample k, which a branch does not lead to."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
-    if end.turns is not None:
-        return _with_sample(end.turns, k)
+    if end.reason:
+        return UnreachablePoseError(end.reason, remedy=_FEWER_TURNS, sample=k)
     if end.status is SampleStatus.UNREACHABLE:
         return UnreachablePoseError(
             f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m."
@@ -477,11 +479,6 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=k,
     )
-
-
-def _with_sample(error: UnreachablePoseError, k: int) -> UnreachablePoseError:
-    """Return an error that names sample k too."""
-    return UnreachablePoseError(f"Sample {k}: {error.message}", remedy=error.remedy, **{**error.details, "sample": k})
 
 
 def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> WorkingModeError:

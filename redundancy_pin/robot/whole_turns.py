@@ -127,7 +127,6 @@ def _too_many_turns(robot: Robot, column: int, count: float) -> UnreachablePoseE
     return UnreachablePoseError(
         f"The pose lies {abs(count):.0f} turns of {robot.independent_joints[column]!r} away, which do not repeat; at "
         f"most {MOST_TURNS} of such turns are followed.",
-        remedy="Count the coordinate from a nearer turn, or follow a motion that leads there.",
         turns=count,
     )
 

@@ -113,7 +113,6 @@ def _defined(topology: Topology) -> Definition:
         "drives": ([chain.q, positions], [_missed(chain, positions)]),
         "project": (projected, reduced),
         "derivatives": (projected, derivatives),
-        "efforts": (motion, [everything]),
         "base_wrench": (motion, [-ground]),
         "energy": (motion, [energy]),
     }
