@@ -165,7 +165,8 @@ class RneaDynamics(Dynamics):
             except REFUSALS as error:
                 return refused(robot, error)
         self._thread.last = sample.state
-        return solve_sample(robot, sample, sample.state.q, sample.gap, given, t)
+        kinematics = sample.gap, sample.serial_margin_bound
+        return solve_sample(robot, sample, sample.state.q, kinematics, given, t)
 
     def _state_at(self, start: Array) -> ClosedState | None:
         """Return the closed state at or next to a configuration (nq,), open by measurement noise at most.

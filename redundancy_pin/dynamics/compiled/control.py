@@ -177,7 +177,8 @@ class SampleCall:
         ends = np.cumsum([n * m, n, k, 2, m, 3]).tolist()
         self._results = np.zeros(ends[-1])
         self._W, self._f, self._force, _, self._tau, _ = np.split(self._results, ends[:-1])
-        self._residual, self._margin = (partial(self._results.item, at) for at in (ends[2], ends[4] + 1))
+        places = ends[2], ends[2] + 1, ends[4] + 1
+        self._residual, self._serial, self._margin = (partial(self._results.item, at) for at in places)
         self._ranges = range_table(robot)
         self._call = self._function(code)
 
@@ -269,7 +270,8 @@ class TorqueCall(SampleCall):
         code = self._call()
         if code not in _WITHOUT_RESULT:
             self._branch.known = True
-            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), self._residual())
+            margins = self._residual(), self._serial()
+            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), *margins)
         solved = False
         try:
             answer = self._answer(code, t)
@@ -306,7 +308,7 @@ class TorqueCall(SampleCall):
         branch.begin(tree.q[0])
         self._passed = Start(tree.q[0], tree.gamma[0])
         given = x.reshape(self._shape), xd, xdd, s, sd, sdd
-        return solve_sample(robot, sample, tree.q[0], float(reduced.gap[0]), given, t)
+        return solve_sample(robot, sample, tree.q[0], (float(tree.gap[0]), float(tree.margin[0])), given, t)
 
 
 class JointStateCall:
