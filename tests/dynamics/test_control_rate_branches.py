@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
-from flat_linkages import row_of_four_bars
+from flat_linkages import parallelogram, row_of_four_bars
 from folding import folding_four_bar, joint, rocker_angle
 
 import redundancy_pin as rp
@@ -159,7 +159,7 @@ def _off(branch: Any, robot: Robot, rocker: int) -> float:
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_whatever_is_not_finite_is_a_status(backend: type[Dynamics], bad: float) -> None:
-    """In every argument, also where no result depends on it: the position of a carrier on a straight track."""
+    """In every argument, and in the time."""
     robot = zoo.robot_of("3rrr").loaded(Wrench("platform", lambda t, x, xd: np.zeros((len(t), 6))))
     dynamics = backend(zoo.robot_of("3rrr") if backend is rp.VirtualWork else robot)
     given = [zoo.home_of(robot), np.ones(3), np.ones(3), np.zeros(3), np.zeros(3), np.zeros(3)]
@@ -171,6 +171,14 @@ def test_whatever_is_not_finite_is_a_status(backend: type[Dynamics], bad: float)
             assert dynamics.torque(*wrong).status is SampleStatus.NOT_FINITE
     assert dynamics.torque(*given, t=bad).status is SampleStatus.NOT_FINITE
     assert dynamics.torque(*given).status is SampleStatus.OK
+
+
+@BOTH
+def test_numbers_that_are_not_finite_are_found_where_no_result_depends_on_them(backend: type[Dynamics]) -> None:
+    """The position of a carrier on a rail of the base, across gravity."""
+    dynamics = backend(parallelogram("rail"))
+    for s, status in ((0.1, SampleStatus.OK), (np.nan, SampleStatus.NOT_FINITE), (-0.1, SampleStatus.OK)):
+        assert dynamics.torque([1.3], [1.0], [2.0], [s], [0.2], [0.3]).status is status
 
 
 def test_states_and_motors_that_are_not_finite_are_a_status() -> None:
