@@ -353,33 +353,11 @@ static int project(const double *numbers, double *y, double wanted, double *befo
 
 int rp_projected(const double *numbers, double *y, double wanted, double *gaps) { return project(numbers, y, wanted, gaps, gaps + 1); }
 
-/* Smallest over largest singular value of rows S (R x NP), which are overwritten: Jacobi's rotations make them orthogonal. */
+/* Smallest over largest singular value of rows S (R x NP), which are overwritten. */
 static double rank_ratio(double *S) {
-  for (int sweep = 0; sweep < 30; ++sweep) {
-    double off = 0.0;
-    for (int i = 1; i < R; ++i)
-      for (int k = 0; k < i; ++k) {
-        double a = 0.0, b = 0.0, c = 0.0, *x = S + i * NP, *y = S + k * NP;
-        for (int j = 0; j < NP; ++j) a += x[j] * x[j], b += y[j] * y[j], c += x[j] * y[j];
-        if (!(fabs(c) > 1e-14 * sqrt(a * b))) continue;
-        off = fmax(off, fabs(c) / sqrt(a * b));
-        double zeta = (b - a) / (2.0 * c), t = (zeta < 0.0 ? -1.0 : 1.0) / (fabs(zeta) + sqrt(1.0 + zeta * zeta));
-        double cosine = 1.0 / sqrt(1.0 + t * t), sine = cosine * t;
-        for (int j = 0; j < NP; ++j) {
-          double u = x[j], w = y[j];
-          x[j] = cosine * u - sine * w;
-          y[j] = sine * u + cosine * w;
-        }
-      }
-    if (off < 1e-7) break; /* converges quadratically: squares are then good to rounding */
-  }
-  double least = INFINITY, most = 0.0;
-  for (int i = 0; i < R; ++i) {
-    double sum = 0.0;
-    for (int j = 0; j < NP; ++j) sum += S[i * NP + j] * S[i * NP + j];
-    least = fmin(least, sum);
-    most = fmax(most, sum);
-  }
+  double square[R + 1], least = INFINITY, most = 0.0;
+  orthogonalise(S, R, NP, NP, square);
+  for (int i = 0; i < R; ++i) least = fmin(least, square[i]), most = fmax(most, square[i]);
   return R ? sqrt(least / most) : 1.0;
 }
 
