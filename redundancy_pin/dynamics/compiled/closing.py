@@ -22,7 +22,7 @@ from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.compiled.build import Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
 from redundancy_pin.errors import WorkingModeError
-from redundancy_pin.kinematics.branch import ClosedState, follower, known_state
+from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower, known_state
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
@@ -239,3 +239,12 @@ def waypoints(home: Array, x: Array, is_pose: bool) -> list[Array]:
     poses[:, :3, 3] = first[:3, 3] + shares[:, None] * (last[:3, 3] - first[:3, 3])
     poses[-1] = last
     return [pose.ravel() for pose in poses]
+
+
+def branch_ends(robot: Robot, q: Array, x0: Array, x: Array) -> bool:
+    """Return whether no configuration at x continues the branch of q (nq,), which is closed at x0 nearby."""
+    own, configuration = follower(robot), q.copy()
+    configuration[robot.carrier_position] = np.array(robot.q_reference)[robot.carrier_position]
+    here = own.close(configuration, x0)
+    reached = None if here is None else own.advance(here, x)
+    return isinstance(reached, BranchEnd) and reached.is_final
