@@ -106,8 +106,6 @@ static void terms_of(const double *numbers, const Pose *pose, const double *v, c
    other side of a type I singularity, or where Newton's method does not contract, it ends with LOST and says nothing:
    the way there is for rp_lift. out: W, constant and terms, those of all samples side by side. sizes: three numbers a
    sample of memory. Afterwards near[] holds the first and the last sample. */
-enum { NEIGHBOURS = 8 }; /* as in carrier_terms.py */
-
 int rp_terms(const double *numbers, int samples, const double *in, int width, double *near, double *out, double *sizes) {
   enum { SUM = N + NK };
   double *W = out, *constant = W + (long)samples * N * M, *terms = constant + (long)samples * SUM;
