@@ -207,10 +207,7 @@ class FollowedPath:
         self.t = _sampling_times(system.robot, law, spacing)
         x = law.sample_at(self.t).x
         first = 0
-        if start is not None:
-            reached = self._follower.advance(start, x[0])
-            start = reached if isinstance(reached, ClosedState) else start
-        else:
+        if start is None:
             try:
                 start = point_on_branch(system, x[0])
             except SingularPoseError:  # a motion may start on a type I singularity; the next sample is regular

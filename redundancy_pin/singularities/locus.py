@@ -297,9 +297,8 @@ class _SingularPoints:
             step = np.linalg.lstsq(rows * self.step_unit, -residual, rcond=1e-12)[0]
             size = float(np.abs(step).max())
             full = np.zeros((1, self.robot.model.nv))
-            full[0, self.columns] = (
-                step * self.step_unit / max(size, 1.0)
-            )  # the linear model of a turn holds to a radian
+            # the linear model of a turn holds to a radian
+            full[0, self.columns] = step * self.step_unit / max(size, 1.0)
             q = integrate(self.robot.model, q[None], full)[0]
             if size < SETTLED_STEP:
                 break
