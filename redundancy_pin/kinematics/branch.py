@@ -57,6 +57,7 @@ class BranchEnd(Frozen):
         q: (nq,) the configuration that Newton's method ends at.
         residual: the closure residual there, m.
         rank_lost: whether the closure rows themselves lose rank there, for ``TYPE_I``.
+        reason: why the way there is not followed at all, for ``UNREACHABLE``; otherwise empty.
 
     Example:
         >>> import redundancy_pin as rp
@@ -72,6 +73,7 @@ class BranchEnd(Frozen):
     q: Array
     residual: float
     rank_lost: bool = False
+    reason: str = ""
 
     @property
     def is_final(self) -> bool:
