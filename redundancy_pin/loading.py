@@ -26,7 +26,7 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
-from redundancy_pin.kinematics.multistart import multistart_nearest
+from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
 from redundancy_pin.robot import Closure, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
@@ -172,14 +172,17 @@ def robot_with(
             closed_form=None,  # it is written in the arguments, which say something else now
             notes=(*robot.notes, f"{_CHANGED} {', '.join([*masses, *lengths])}", *_lengths_only(robot, lengths)),
         )
-        require_still_joined(robot, new)
         for bound in ("lower", "upper"):
             for what in ("Position", "Velocity", "Effort"):
                 setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
-        closed = _closed(
-            new, declaration, lambda: reference_coordinates(new, declaration.coordinates(robot.parameters))
-        )
-        return _with_added(closed, robot.loads)
+        if lengths:
+            require_still_joined(robot, new)
+            new = _closed(
+                new, declaration, lambda: reference_coordinates(new, declaration.coordinates(robot.parameters))
+            )
+        else:  # masses close no loop: the reference is that of the robot
+            new = replace(new, q_reference=robot.q_reference, characteristic_length=robot.characteristic_length)
+        return _with_added(new, robot.loads)
 
 
 def _with_added(robot: Robot, loads: tuple[Load, ...]) -> Robot:
@@ -316,7 +319,8 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
     else:
         goal = target()[0]
         _require_radians(robot, dict(zip(robot.independent_joints, goal.tolist(), strict=False)), "reference.joints")
-        q, gap, closed = multistart_nearest(system, guess, goal, columns, _prescribed(robot, guess, goal))
+        prescribed = _prescribed(robot, guess, goal)
+        q, gap, closed = multistart(system, guess, goal, known=columns, prescribed=prescribed)
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),

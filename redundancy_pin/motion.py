@@ -429,12 +429,12 @@ def is_homogeneous_pose(x: Array) -> bool:
         >>> is_homogeneous_pose(np.eye(4)), is_homogeneous_pose(2.0 * np.eye(4))
         (True, False)
     """
-    return bool(_pose_errors(x[None])[0] <= _POSE_TOLERANCE)
+    return bool(_pose_errors(x[None])[0] <= POSE_TOLERANCE)
 
 
 def _require_poses(x: Array) -> None:
     error = _pose_errors(x)
-    if not error.max() <= _POSE_TOLERANCE:
+    if not error.max() <= POSE_TOLERANCE:
         k = int(error.argmax())
         raise InputError(
             f"x[{k}] is not a homogeneous pose: it misses orthonormality by {error[k]:.2g}.",
@@ -443,5 +443,5 @@ def _require_poses(x: Array) -> None:
         )
 
 
-_POSE_TOLERANCE = 1e-9
+POSE_TOLERANCE = 1e-9
 """Rounding of a product of a few rotations stays near 1e-15; text with nine digits passes too."""

@@ -17,9 +17,10 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, positive
 from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import require_writable, write_text
-from redundancy_pin.kinematics.closing import close, scattered
+from redundancy_pin.kinematics.closing import close
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, JointForces, Payload, Robot
@@ -220,7 +221,7 @@ def _idle(robot: Robot, closure: Closure) -> set[str]:
     state = whole.evaluate(np.array([pin.integrate(robot.model, np.array(robot.q_reference), d) for d in steps]))
     moved = np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)
     system, q = ConstraintSystem(robot), np.array(robot.q_reference)
-    reached = [close(system, each) for each in scattered(system, q, _TRIALS, _AROUND, rng)]
+    reached = [close(system, each) for each in draw_starts(system, q, _TRIALS, rng, turn=_AROUND, slide=_AROUND)]
     closed = np.array([q, *(each for each, gap in reached if gap < closure_tolerance(robot))])
     apart = np.abs(whole.evaluate(closed).phi).max(axis=0)
     still = (moved < _STILL) | ((apart < _ROUNDED) & (len(closed) > 1))

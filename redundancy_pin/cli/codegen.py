@@ -14,7 +14,6 @@ from redundancy_pin.cli.options import (
 )
 from redundancy_pin.cli.output import report
 from redundancy_pin.codegen import write_c
-from redundancy_pin.dynamics.compiled.symbols import casadi
 from redundancy_pin.io.files import require_replaceable
 
 
@@ -36,7 +35,6 @@ def codegen(robot: RobotOptions, out: str, prefix: str | None, motion: MotionOpt
       redundancy-pin codegen --robot 3rrr --out controller
     """
     require_replaceable(out)  # before the robot is loaded
-    casadi()
     loaded = robot.load()
     moves = motion.sampled("The test program", loaded) if motion.path else None
     written = write_c(loaded, out, prefix=prefix, motion=moves, carriers=motion.carriers(loaded))

@@ -76,7 +76,6 @@ def write_c(
             actuators.
         OutputError: the folder cannot be written, or holds other files.
         UnsupportedRobotError: a joint of a type that is not covered; wrenches on the robot.
-        RedundancyPinError: casadi is not installed.
     """
     robot = as_robot(robot)
     require_replaceable(folder)

@@ -14,7 +14,7 @@ import redundancy_pin
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN
 from redundancy_pin.codegen.names import add_prefix
 from redundancy_pin.codegen.recorded import Recorded
-from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source, sample_source
+from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source, text_of
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, mode_name
@@ -53,7 +53,7 @@ def source(robot: Robot, prefix: str) -> str:
             f'#include "{prefix}.h"',
             driver_source(definition, functions, "static"),
             f"static const double REFERENCE[] = {_listed(robot.q_reference)};",
-            sample_source(),
+            text_of("sample.c"),
             f"static const double NUMBERS[] = {_listed(parameter_vector(robot))};",
             named,
         ]

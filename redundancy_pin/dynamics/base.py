@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, TypeVar, cast
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, peak, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, checked, peak, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError, millimetres
 from redundancy_pin.motion import (
@@ -21,6 +21,7 @@ from redundancy_pin.motion import (
 )
 from redundancy_pin.robot import Load, Robot
 from redundancy_pin.robot.joint_ranges import track_slack
+from redundancy_pin.robot.named import is_pose
 from redundancy_pin.status import SampleStatus
 
 OnUnreachable = Literal["raise", "mark"]
@@ -524,21 +525,18 @@ def one_sample(
     Raises:
         InputError: wrong shapes, or values that are not finite.
     """
-    still = np.zeros(robot.k)
-    carriers = CarrierMotion(*(_stacked(_each(still, part)) for part in (s, sd, sdd)))
-    motion = PlatformMotion([t], *(_stacked(part) for part in (x, xd, xdd)))
-    return motion, require_matching_carriers(robot, carriers, 1)
+    pose = (4, 4) if is_pose(robot) else (robot.n,)
+    platform = zip((x, xd, xdd), ("x", "xd", "xdd"), (pose, (robot.n,), (robot.n,)), strict=True)
+    motion = PlatformMotion([t], *(checked(part, name, shape)[None] for part, name, shape in platform))
+    tracks = zip((s, sd, sdd), ("s", "sd", "sdd"), strict=True)
+    carriers = CarrierMotion(*(_each(robot.k, part, name)[None] for part, name in tracks))
+    return motion, carriers
 
 
-def _each(still: Array, part: ArrayLike) -> ArrayLike:
+def _each(k: int, part: ArrayLike, name: str) -> Array:
     """Return (k,) what is given for the carriers: nothing for carriers at rest, one number for all of them."""
     shape = np.shape(part)
-    return still if shape == (0,) else np.full(len(still), part) if shape == () else part
-
-
-def _stacked(part: ArrayLike) -> ArrayLike:
-    """Return one sample with a leading axis of length one; ``PlatformMotion`` checks it."""
-    return cast(ArrayLike, [part])
+    return checked(np.zeros(k) if shape == (0,) else np.full(k, part) if shape == () else part, name, (k,))
 
 
 def require_choice(unreachable: str) -> None:

@@ -117,7 +117,6 @@ class Rules:
         tolerance, largest_residual: m; closure residual that a projection must reach, and must not leave.
         velocity_change, velocity_floor: a projection may change a velocity by this share of the largest one, plus this
             amount, m/s or rad/s.
-        rank_tolerance, least_inertia: below which closures count as lost, and a motion as massless.
     """
 
     method: str
@@ -140,8 +139,6 @@ class Rules:
     largest_residual: float
     velocity_change: float
     velocity_floor: float
-    rank_tolerance: float
-    least_inertia: float
 
 
 @dataclass(eq=False)

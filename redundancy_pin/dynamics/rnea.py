@@ -175,8 +175,7 @@ class RneaDynamics(Dynamics):
         """
         robot, own, q = self._robot, follower(self._robot), start.copy()
         q[robot.carrier_position] = 0.0
-        own.chain.place(q)
-        state = own.close(q, own.chain.coordinates(q))
+        state = own.state_at(q)
         if state is None:
             return None
         moved = np.abs(pin.difference(robot.model, q, state.q) / velocity_unit(robot)).max(initial=0.0)

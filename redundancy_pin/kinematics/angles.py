@@ -25,11 +25,8 @@ from redundancy_pin.robot.lookup import find_link_index
 
 ROLL, PITCH, ABOUT = "roll", "pitch", "about"
 
-_PARALLEL = 1e-15
-"""Sine of the angle between a joint axis and a base axis below which it is rounding."""
-
 _SMALLEST = 1e-30
-"""Least |p|² that is divided by: p itself is rounding there, and K singular."""
+"""Square of a sine, or of |p|, that is rounding: p is not divided by a smaller one, and K is singular there."""
 
 
 def angle_rows(robot: Robot) -> dict[int, tuple[str, int]]:
@@ -59,7 +56,7 @@ def _turns_about(robot: Robot, platform: Platform, k: int) -> bool:
     world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     jacobian = pin.computeFrameJacobian(model, data, np.array(robot.q_reference), frame, world)
     across = np.delete(np.reshape(jacobian, (6, -1))[3:], k, axis=0)
-    return bool(np.abs(across).max(initial=0.0) <= _PARALLEL)
+    return bool((across**2).max(initial=0.0) <= _SMALLEST)
 
 
 def direction(kinds: list[tuple[str, int]], order: int, axis: list[Array]) -> Array:

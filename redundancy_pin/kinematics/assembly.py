@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, read_only
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode, joint_position
 from redundancy_pin.robot.joint_ranges import out_of_range
@@ -25,9 +25,8 @@ SETTLED_STEP = 1e-8
 """A Newton step this small (rad, or characteristic lengths) leaves an error of its square: below rounding."""
 
 _SUFFICIENT_DECREASE = 1e-4
-
-_LONGEST_STEP = 1.0
-"""Longest Newton step, rad or characteristic lengths: beyond it the linear model of a turning joint is useless."""
+"""Armijo's constant: part of the decrease that the linear model promises (Nocedal and Wright, "Numerical Optimization",
+2006, section 3.1)."""
 
 TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
@@ -35,12 +34,6 @@ TURNED_OVER = 1.0
 SINGULAR_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity. At a stretched leg two configurations meet in a
 square root: one that is closed to within the tolerance is known no better than this."""
-
-_REDUNDANT = 1e-8
-"""Relative singular value below which rows count as dependent where that is expected."""
-
-_HOPELESS = 1e12
-"""Condition number that no matrix K with a margin above ``SINGULAR_MARGIN`` comes near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,18 +178,6 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     return Projection(inverse, gamma, margin)
 
 
-def rates(
-    system: ConstraintSystem, state: ConstraintState, projection: Projection, xd: Array, xdd: Array
-) -> tuple[Array, Array]:
-    """Return v = Γ ẋ and a (N, nv): K a = (−J̇_c v, ẍ − J̇_x v), for rates (N, n) of the independent coordinates."""
-    v = np.einsum("nvi,ni->nv", projection.gamma, xd)
-    bias_c, bias_x = system.bias(state, v)
-    a = np.zeros_like(v)
-    rest = np.concatenate([-bias_c, xdd - bias_x], axis=1)
-    a[:, system.pose_columns] = np.einsum("npr,nr->np", projection.inverse, rest)
-    return v, a
-
-
 def integrate(model: pin.Model, q: Array, step: Array) -> Array:
     """Return q ⊕ step for (N, nq) configurations and (N, nv) tangent steps."""
     if model.nq == model.nv:
@@ -252,11 +233,7 @@ class _Equations:
             matrix = np.concatenate([matrix, selection], axis=1)
         step = np.zeros((len(residual), robot.model.nv))
         unit, matrix = self.system.step_unit, matrix * (self.system.step_unit / self.unit[:, None])
-        if self.redundant:
-            inverse = np.linalg.pinv(matrix, rcond=_REDUNDANT)
-            step[:, columns] = np.einsum("nvr,nr->nv", inverse, residual / self.unit) * unit
-        else:
-            step[:, columns] = _solve(matrix, residual / self.unit) * unit
+        step[:, columns] = _solve(matrix, residual / self.unit, regular=not self.redundant) * unit
         return step
 
 
@@ -268,11 +245,14 @@ class _Reached(NamedTuple):
 
 
 def _line_search(equations: _Equations, q: Array, step: Array, residual: Array, shortest_step: float) -> _Reached:
-    """Halve the step where it does not shorten the residual; a step at rounding level is taken whole."""
+    """Halve the step where it does not shorten the residual; a step at rounding level is taken whole.
+
+    No joint moves by more than 1 rad or characteristic length: beyond that the linear model of a turn is useless.
+    """
     system = equations.system
     size = np.linalg.norm(residual / equations.unit, axis=1)
     longest = np.abs(step / velocity_unit(system.robot)).max(axis=1, initial=0.0)
-    scale = 1.0 / np.maximum(longest / _LONGEST_STEP, 1.0)
+    scale = 1.0 / np.maximum(longest, 1.0)
     fine = longest < SETTLED_STEP
     while True:
         state = system.evaluate(integrate(system.robot.model, q, step * scale[:, None]))
@@ -284,19 +264,14 @@ def _line_search(equations: _Equations, q: Array, step: Array, residual: Array, 
         scale = np.where(ok | stalled, scale, scale / 2.0)
 
 
-def _solve(matrix: Array, rhs: Array) -> Array:
-    if matrix.shape[1] == matrix.shape[2]:
-        try:
-            solution = np.asarray(np.linalg.solve(matrix, rhs[:, :, None])[:, :, 0], dtype=np.float64)
-        except np.linalg.LinAlgError:  # an exactly singular sample spoils the whole stack
-            singular = np.linalg.slogdet(matrix)[0] == 0.0
-            solution = np.full(rhs.shape, np.nan)
-            solution[~singular] = np.linalg.solve(matrix[~singular], rhs[~singular, :, None])[:, :, 0]
-        bad = ~np.isfinite(solution).all(axis=1)
-    else:
-        solution, bad = np.empty((len(rhs), matrix.shape[2])), np.ones(len(rhs), dtype=bool)
-    if bad.any():
-        solution[bad] = (np.linalg.pinv(matrix[bad], rcond=1e-10) @ rhs[bad, :, None])[:, :, 0]
+def _solve(matrix: Array, rhs: Array, *, regular: bool) -> Array:
+    """Return (N, p) the solutions of square regular systems, and those of least norm of all others."""
+    solution = np.full((len(rhs), matrix.shape[2]), np.nan)
+    if regular and matrix.shape[1] == matrix.shape[2]:
+        solution = np.einsum("nvr,nr->nv", inverses(matrix), rhs)
+    rest = ~np.isfinite(solution).all(axis=1)
+    if rest.any():
+        solution[rest] = np.einsum("nvr,nr->nv", np.linalg.pinv(matrix[rest], rcond=RANK_TOLERANCE), rhs[rest])
     return solution
 
 
@@ -305,8 +280,7 @@ def inverses(matrices: Array) -> Array:
     try:
         return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
     except np.linalg.LinAlgError:  # LAPACK gives up on the whole stack for one
-        singular = np.linalg.cond(matrices) > _HOPELESS
-        safe = np.where(singular[:, None, None], np.eye(matrices.shape[1]), matrices)
-        result = np.asarray(np.linalg.inv(safe), dtype=np.float64)
-        result[singular] = np.nan
+        singular = np.linalg.slogdet(matrices)[0] == 0.0
+        result = np.full(matrices.shape, np.nan)
+        result[~singular] = np.linalg.inv(matrices[~singular])
         return result

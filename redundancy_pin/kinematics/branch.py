@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, read_only
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
@@ -96,12 +96,20 @@ class Follower(LoopSolver):
     def home(self) -> ClosedState:
         """The reference configuration, whose Γ is NaN where it is singular."""
         q = np.array(self.robot.q_reference)
-        self.chain.place(q)
-        x = self.chain.coordinates(q)
-        closed = self.close(q, x)
+        closed = self.state_at(q)
         if closed is not None and closed.margin > 0.0:
-            return replace(closed, x=read_only(x), q=read_only(q))
-        return self.singular_state(x, q, np.full((self.robot.model.nv, self.robot.n), np.nan))
+            return replace(closed, q=read_only(q))
+        self.chain.place(q)
+        gamma = np.full((self.robot.model.nv, self.robot.n), np.nan)
+        return self.singular_state(read_only(self.chain.coordinates(q)), q, gamma)
+
+    def state_at(self, q: Array) -> ClosedState | None:
+        """Return the closed state at the coordinates of a configuration (nq,); None where it is not nearly closed.
+
+        Newton's method keeps the independent coordinates and moves the other joints.
+        """
+        self.chain.place(q)
+        return self.close(q, read_only(self.chain.coordinates(q)))
 
     # --- along a branch ----------------------------------------------------------------------------------------------
 
@@ -114,8 +122,13 @@ class Follower(LoopSolver):
         Args:
             here: a state of the branch.
             x: (n,) coordinates, m and rad, or a pose (4, 4), base frame.
+
+        Raises:
+            InputError: coordinates of another shape.
         """
-        x = read_only(np.array(x))
+        x = read_only(np.array(x, dtype=np.float64))
+        if x.shape != here.x.shape:
+            checked(x, "x", here.x.shape)  # which raises
         start, whole = here.x, difference(self.robot, x, here.x)
         length = float(np.linalg.norm(whole / self.unit))
         if not (math.isfinite(length) and np.isfinite(here.gamma).all()):

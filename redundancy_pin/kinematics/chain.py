@@ -1,76 +1,54 @@
-"""One state, or one pose after another, fast: what a simulation and a controller ask for tens of thousands of times.
-
-The rows are those of ``kinematics.closure``, whose batched evaluator walks the tree in numpy; at one configuration
-Pinocchio's joint Jacobian and its rate are there already, an order of magnitude faster (``ClosedChain``).
-
-"""
+"""Closure rows and platform rows at a single state, for simulation and control loops."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.closure import PlacedRows, constraint_system
 from redundancy_pin.kinematics.coordinates import readings
+from redundancy_pin.kinematics.tree import TreePlacement, frame_placement
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.named import is_pose
 
 
-class ClosedChain:
+class ClosedChain(TreePlacement):
     """Closure rows and platform rows of a robot at one state.
 
-    An evaluator with a workspace: ``update`` sets the state, the other methods answer for it. It holds Pinocchio data,
-    so each thread or process makes its own.
+    An evaluator with a workspace: ``update`` sets the state, the other methods answer for it. ``place`` alone is for
+    those who place rows of their own.
 
     Args:
         robot: the robot.
 
     Attributes:
-        system: the batched evaluator of the same rows.
+        system: the rows.
         rows: number r of closure rows.
         pose_columns: velocity indices that move the pose.
         closures: the closure rows, placed at the last state.
-        vectors: (12 F,) axes and origin of each of Pinocchio's F frames, world axes, at the last state.
-        J, dJ: (6, nv) joint Jacobian about the world origin and its rate, at the last state.
     """
 
     closures: PlacedRows
 
     def __init__(self, robot: Robot) -> None:
+        super().__init__(robot.model)
         self.robot = robot
-        self.model = model = robot.model
-        self.data = data = model.createData()
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
-        pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
-        self.vectors, self._copied = _frame_memory(model, data)
-        platform = None
+        self._platform_pose: tuple[Array, Array] | None = None  # views
         if robot.platform is not None:
-            platform = data.oMf[find_link_index(model, robot.platform.frame)]
-        self._platform_pose = None if platform is None else (platform.rotation, platform.translation)
+            self._platform_pose = frame_placement(self.vectors, find_link_index(self.model, robot.platform.frame))
         self._is_pose = is_pose(robot)
         self._readings = readings(robot)
-        joints = (find_joint(model, name) for name in robot.independent_joints)
+        joints = (find_joint(self.model, name) for name in robot.independent_joints)
         self._joints = [(int(joint.idx_q), joint.nq == 2) for joint in joints]
-        self.J, self.dJ = (part.reshape(6, -1) for part in (data.J, data.dJ))  # Pinocchio drops the axis of one column
 
     def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot]]:
         """Make another one where this is copied or sent to: views into Pinocchio's memory would not be views there."""
         return ClosedChain, (self.robot,)
-
-    def place(self, q: Array) -> None:
-        """Set ``vectors`` and ``J`` at q (nq,), and nothing else: for those who place rows of their own."""
-        pin.computeJointJacobians(self.model, self.data, q)
-        self._update_frames()
-
-    def place_moving(self, q: Array, v: Array) -> None:
-        """Set ``vectors``, ``J`` and ``dJ`` at q (nq,) and v (nv,)."""
-        pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
-        self._update_frames()
 
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
@@ -78,11 +56,6 @@ class ClosedChain:
         self.q, self.v = q, v
         self.closures = self.system.closures.place(self.vectors, q)
         self._platform: PlacedRows | None = None  # closures alone are what most calls need
-
-    def _update_frames(self) -> None:
-        pin.updateFramePlacements(self.model, self.data)
-        for target, source in self._copied:
-            target[:] = source
 
     def residual(self) -> Array:
         """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
@@ -140,29 +113,3 @@ class ClosedChain:
         if self._platform_pose is None:
             return np.zeros_like(self.system.independent)
         return self.platform_rows().jacobian_rate(self.J, self.dJ, self.v)
-
-
-def _frame_memory(model: pin.Model, data: pin.Data) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return (12 F,) axes and origin of each frame, and what is to be copied into them after each update.
-
-    Pinocchio keeps a placement as three axes and an origin, and one placement behind the other: its memory is the array
-    itself. To copy it out frame by frame takes longer than all the arithmetic with it. Where the layout is another one
-    (that of an alignment beyond eight bytes), it is copied all the same.
-    """
-    parts = [(data.oMf[i].rotation, data.oMf[i].translation) for i in range(model.nframes)]
-    first = parts[0][0]
-    start = _address(first)
-    for i, (rotation, translation) in enumerate(parts):
-        places = _address(rotation) - start, _address(translation) - start
-        if places != (96 * i, 96 * i + 72) or rotation.strides != (8, 24) or translation.strides != (8,):
-            break
-    else:
-        return np.lib.stride_tricks.as_strided(first, (12 * len(parts),), (8,), writeable=False), []
-    vectors = np.zeros((len(parts), 4, 3))
-    copied = [pair for v, (R, p) in zip(vectors, parts, strict=True) for pair in ((v[:3].T, R), (v[3], p))]
-    return vectors.reshape(-1), copied
-
-
-def _address(array: Array) -> int:
-    address: int = array.__array_interface__["data"][0]  # ``array.ctypes.data`` takes ten times as long
-    return address

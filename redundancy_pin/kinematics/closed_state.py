@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, lapack
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -27,7 +27,6 @@ from redundancy_pin.kinematics.closure import OPEN, constraint_system, with_all_
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 CONTINUITY = 0.25
@@ -131,8 +130,7 @@ class LoopSolver:
         self._scale = self._step_unit / self._row_unit[:, None]
         self.unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
-        ids = {name: 12 * find_link_index(robot.model, name) for name in chain.system.tree.support}
-        self._aligned = [(ids[a] + 3 * k, ids[b] + 3 * k) for a, b, k in chain.system.aligned]
+        self._aligned = self.system.aligned
 
     @cached_property
     def blocks(self) -> Sequence[tuple[IntArray, IntArray]]:
@@ -285,8 +283,12 @@ class LoopSolver:
             xdd: (n,) their second rates.
 
         Raises:
+            InputError: rates of another shape, or not finite.
             SingularPoseError: K is singular there, so that it does not determine a; ``pass_through`` interpolates it.
         """
+        for name, given in (("xd", xd), ("xdd", xdd)):
+            if given.shape != (self.robot.n,) or not math.isfinite(given.sum()):
+                checked(given, name, (self.robot.n,))  # which raises
         if state.interpolated:
             raise SingularPoseError(
                 f"K is singular at x = {np.array2string(state.x, precision=4)} and does not determine accelerations.",

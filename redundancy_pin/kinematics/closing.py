@@ -14,29 +14,26 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.multistart import SEED, draw_starts
+from redundancy_pin.kinematics.tree import frame_placement
 from redundancy_pin.robot import AXES, Closure, Robot
-from redundancy_pin.robot.scales import velocity_unit
+from redundancy_pin.robot.lookup import find_link_index
 
-SEED = 2014
-"""Of all that is random here and in the choice of rows: the same answer every time."""
+_SPREADS = np.linspace(0.2, 1.5, 30)
+"""rad or characteristic lengths: how far further starts are away, up to a quarter turn."""
 
-_ITERATIONS = 100
-"""Most steps of Newton's method."""
-
-_RESTARTS = 30
-"""Further starts where the first does not close, further and further away."""
-
-_STEPS, _ALL_STEPS = 200, 600
-"""Levenberg–Marquardt's method: most steps from one start, and from all."""
+_STEPS = 100
+"""Most steps of either method: half a turn takes Levenberg–Marquardt's seven, where nothing is in the way. Newton's
+converges linearly where redundant rows lose rank."""
 
 _NEAR = 1e-3
-"""Characteristic lengths: the size of the residual from which Newton goes on."""
+"""Characteristic lengths or rad: the residual from which Newton goes on, which converges from ten times that."""
 
 _LONGEST = 0.5
-"""rad or characteristic lengths: the longest step of a joint."""
+"""rad or characteristic lengths: the longest step of a joint, of which the linear model is right to an eighth."""
 
 _NO_GAIN = 1e-5
-"""Share of what is open that a step has to close."""
+"""Least relative decrease of the residual per step: slower, the method is at a minimum that is open."""
 
 
 def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) -> Array:
@@ -49,23 +46,24 @@ def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) ->
             rounding.
 
     Raises:
-        DeclarationError: the loops do not close from there.
+        DeclarationError: the loops do not close from there; carries the smallest residual, m.
+
+    Example:
+        >>> q = closed_near(robot, pin.neutral(robot.model))
     """
     system, rng = ConstraintSystem(robot), np.random.default_rng(SEED)
     tolerance *= robot.characteristic_length
-    closed, gap = close(system, q)
-    left, best = _ALL_STEPS, gap
-    for spread in (0.0, *np.linspace(0.2, 1.5, _RESTARTS)):
-        if gap < tolerance:
-            return closed
-        near, steps, size = brought_near(system, q if spread == 0.0 else scattered(system, q, 1, spread, rng)[0])
+    closed, best = close(system, q)
+    if best < tolerance:
+        return closed
+    for spread in (0.0, *_SPREADS):
+        near, _, size = brought_near(system, draw_starts(system, q, 1, rng, turn=spread, slide=spread)[0])
+        best = min(best, size)
         if size < _NEAR * robot.characteristic_length:
             closed, gap = close(system, near)
-        left, best = left - steps, min(best, gap, size)
-        if left < 0:
-            break
-    if gap < tolerance:
-        return closed
+            if gap < tolerance:
+                return closed
+            best = min(best, gap)
     raise DeclarationError(
         f"The loops of {robot.name} do not close near the reference: the closure residual is {best:.3g} m.",
         remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",
@@ -75,18 +73,9 @@ def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) ->
 
 def close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
     """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the closure residual, m."""
-    reached = assemble(system, q[None], redundant=True, max_iterations=_ITERATIONS)
+    reached = assemble(system, q[None], redundant=True, max_iterations=_STEPS)
     closed: Array = reached.q[0]
     return closed, float(reached.gap[0])
-
-
-def scattered(system: ConstraintSystem, q: Array, count: int, spread: float, rng: np.random.Generator) -> Array:
-    """Return configurations (count, nq) around q; carriers stay."""
-    robot = system.robot
-    steps = rng.uniform(-spread, spread, (count, robot.model.nv))
-    steps *= velocity_unit(robot)
-    steps[:, robot.carrier_velocity] = 0.0
-    return integrate(robot.model, np.repeat(q[None], count, axis=0), steps)
 
 
 def brought_near(system: ConstraintSystem, q: Array) -> tuple[Array, int, float]:
@@ -135,12 +124,9 @@ def _turn(
     system: ConstraintSystem, state: ConstraintState, closure: Closure, turning: list[int]
 ) -> tuple[Array, Array]:
     """Return (3,) the rotation vector from frame a to b, of a hinge that of its axes, and (3, nv) its rate."""
-    A, B = (state.pose.frame_rotation[frame][:, :, 0] for frame in (closure.frame_a, closure.frame_b))
-    rates = np.zeros((2, 3, system.robot.model.nv))
-    for rate, frame in zip(rates, (closure.frame_a, closure.frame_b), strict=True):
-        columns = list(system.tree.support[frame])
-        rate[:, columns] = state.pose.jacobian[3:, columns, 0]
-    relative: Array = A.T @ (rates[1] - rates[0])
+    frames = closure.frame_a, closure.frame_b
+    A, B = (frame_placement(state.vectors[:, 0], find_link_index(system.robot.model, each))[0] for each in frames)
+    relative: Array = A.T @ (state.columns[0, 3:] * (system.support[frames[1]] - system.support[frames[0]]))
     if len(turning) == 3:
         return pin.log3(A.T @ B), relative
     free = 3 - sum(turning)

@@ -6,7 +6,7 @@ along a, σ = 1), or an axis b of frame B that is normal to a when closed (a rot
     Φ = a · (c − σ p_A).
 
 It acts as a wrench w on frame B, and as −w on frame A, about the world origin. With V_A, V_B the spatial velocities of
-the two bodies and A_A, A_B their accelerations at v̇ = 0 (see ``kinematics.tree``), J the joint Jacobian, and a mask of
+the two bodies and A_A, A_B their accelerations at v̇ = 0, J the joint Jacobian (see ``kinematics.tree``), and a mask of
 +1 where a joint moves B only, −1 where it moves A only,
 
     w = (σ a, c × a),          Φ̇ = w · (V_B − V_A),           J_c = mask ∘ (w · J),
@@ -26,24 +26,25 @@ turn.
 Couplings of joints are rows too (``kinematics.coupling``), behind those of the closures: among the rows between frames
 an empty one, which nothing moves, stands in the place of each.
 
-Arrays of rows are component-major: vectors (3, R) at one state, (3, R, N) at N of them. ``kinematics.chain`` has the
-joint Jacobian at one state from Pinocchio, ``ConstraintSystem`` at many from ``kinematics.tree``.
+Vectors of rows are component-major: (3, R) at one configuration, (3, R, N) at N of them.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, IntArray, blocks
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
-from redundancy_pin.kinematics.tree import AFTER, NEXT, TreeKinematics, TreePose, cross
+from redundancy_pin.kinematics.tree import TreePlacement, is_covered
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
@@ -60,8 +61,21 @@ _ORIGIN = 3
 """Column of a frame's origin, behind its three axes."""
 
 
+_BLOCK = 128
+"""Configurations evaluated at once: their rows stay in the cache."""
+
 _PAIRED = np.array([0, 1, 1, 0])
 """Of axis and partner, what ȧ, ċ, Δω × c and a × Δω are made with."""
+
+_NEXT, _AFTER = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
+"""Components of both factors of the six products of a cross product."""
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross product of (3, ...) vectors; numpy's own takes ten times as long on a few."""
+    products = a.take(_NEXT, 0) * b.take(_AFTER, 0)
+    difference: Array = products[:3] - products[3:]
+    return difference
 
 
 class Row(NamedTuple):
@@ -105,70 +119,42 @@ class RowSet:
         # axes of all rows, then their partners
         pairs = np.array([[row.axis for row in rows], [row.partner for row in rows]], dtype=np.intp).reshape(2, size, 2)
         frames, columns = pairs[:, :, 0], pairs[:, :, 1]
-        self._vectors = 4 * frames + columns
         self._carried = support[frames.ravel()]
         signs, moving = np.array([row.sign for row in rows]), (columns == _ORIGIN).astype(float)
         self.sliding = bool(moving[1].all())
         """Whether all rows are translations."""
         self._signs, self._moving = signs if (signs < 0.0).any() else None, moving
-        # at one state: both vectors, the factors of c × a (c's, then a's), and p_A, by one look-up
+        # both vectors, the factors of c × a (c's, then a's), and p_A, by one look-up
         axis, partner, origin = (
             12 * ids[frame] + 3 * column + np.arange(3)[:, None]
             for frame, column in (*zip(frames, columns, strict=True), (frames[0], _ORIGIN))
         )
         both = np.stack([axis, partner], axis=1).reshape(6, size)
-        self._taken = np.concatenate([both, partner[NEXT], axis[AFTER], origin])
+        self._taken = np.concatenate([both, partner[_NEXT], axis[_AFTER], origin])
         self._taken_signs = np.where(np.isin(np.arange(21), [0, 2, 4, *range(12, 18)])[:, None], signs, 1.0)
         first, second = np.array([row[2:4] for row in rows], dtype=np.intp).reshape(size, 2).T
         self.mask = support[second] - support[first]
         self._moved = np.concatenate([self._carried, self.mask, -self.mask])
         self._slides = np.stack([*moving, moving[1], np.zeros(size)])
-        self.groups = [
-            (part, frames[:, part.start], first[part.start], second[part.start])
-            for part in _runs(np.stack([*frames, first, second], axis=1))
-        ]
-        """Rows between the same bodies: frames of axis and partner, first and second frame."""
-        self._blocks = [
-            (part, column, float(self.mask[part.start, column]))
-            for part in _runs(self.mask)
-            for column in np.flatnonzero(self.mask[part.start]).tolist()
-        ]
 
     def place(self, vectors: Array, q: Array) -> PlacedRows:
-        """Return the rows at one configuration.
+        """Return the rows at one configuration, or at N.
 
         Args:
-            vectors: (12 F',) three axes and the origin of each of Pinocchio's frames, world axes.
-            q: (nq,) the configuration.
+            vectors: (12 F',) or (12 F', N) axes and origin of each of Pinocchio's frames, world axes.
+            q: (nq,) or (N, nq) configurations.
         """
-        taken = vectors.take(self._taken)
+        taken, one = vectors.take(self._taken, 0), vectors.ndim == 1
         if self._signs is not None:
-            taken *= self._taken_signs
-        pairs = taken[:6].reshape(3, 2, self.size)
+            taken *= self._taken_signs if one else self._taken_signs[..., None]
+        moving = self._moving if one else self._moving[..., None]
+        pairs = taken[:6].reshape(3, 2, *taken.shape[1:])
         products = taken[6:12] * taken[12:18]
-        wrench = np.empty((6, self.size))
-        np.multiply(pairs[:, 0], self._moving[1], out=wrench[:3])
+        wrench = np.empty((6, *taken.shape[1:]))
+        np.multiply(pairs[:, 0], moving[1], out=wrench[:3])
         np.subtract(products[:3], products[3:], out=wrench[3:])
         self.set_angles(wrench, 0, pairs[:, 0])
-        return PlacedRows(self, pairs, taken[18:], self._moving, wrench, q)
-
-    def place_many(self, vectors: list[Array], q: Array) -> PlacedRows:
-        """Return the rows at N configurations q (nq, N), from 4 F vectors (3, N).
-
-        ``origins`` are left out: they take memory.
-        """
-        shape = (3, 2, self.size, vectors[0].shape[-1])
-        pairs, wrench = np.empty(shape), np.empty((6, *shape[2:]))
-        for side, which in enumerate(self._vectors.tolist()):
-            for row, index in enumerate(which):
-                pairs[:, side, row] = vectors[index]
-        if self._signs is not None:
-            pairs[:, 0] *= self._signs[:, None]
-        axis, partner = pairs[:, 0], pairs[:, 1]
-        np.multiply(axis, self._moving[1, :, None], out=wrench[:3])
-        cross(partner, axis, wrench[3:])
-        self.set_angles(wrench, 0, axis)
-        return PlacedRows(self, pairs, vectors[0][:, :0], self._moving[:, :, None], wrench, q)
+        return PlacedRows(self, pairs, taken[18:], moving, wrench, q)
 
     def set_angles(self, moments: Array, order: int, *axis: Array) -> None:
         """Set the last three components (3, R) or (3, R, N) of rows of angles to g or a time derivative of it.
@@ -183,32 +169,10 @@ class RowSet:
                 self._kinds, order, [part[:, self._at_angles] for part in axis]
             )
 
-    def residuals(self, placed: PlacedRows, vectors: list[Array]) -> Array:
-        """Return (R, N) Φ at N configurations; the rows are the first of the placed ones."""
-        phi = np.empty((self.size, placed.pairs.shape[-1]))
-        for part, _, first, _ in self.groups:
-            axis, offset, moving = placed.pairs[:, 0, part], placed.pairs[:, 1, part], self._moving[1, part, None]
-            if moving.any():
-                origin = vectors[4 * first + _ORIGIN][:, None]
-                offset = offset - (origin if moving.all() else origin * moving)
-            np.einsum("krn,krn->rn", axis, offset, out=phi[part])
-        if self.couplings is not None:
-            phi[self.couplings.at] = self.couplings.residual(placed.q)
-        return phi
-
-    def times(self, wrench: Array, J: Array, out: Array | None = None) -> Array:
-        """Return mask ∘ (w · J), (R, nv) or (R, nv, N), for joint columns J (6, nv) or (6, nv, N); no couplings."""
-        if J.ndim == 2:
-            rows: Array = self.mask * wrench.T.dot(J)
-            return rows
-        result = np.zeros((self.size, *J.shape[1:])) if out is None else out
-        for block, column, sign in self._blocks:  # one einsum over all columns takes ten times as long on many samples
-            np.einsum("krn,kn->rn", wrench[:, block], J[:, column], out=result[block, column])
-            if sign < 0.0:
-                # not np.negative(x, out=x): numpy 2.4.6 with AVX-512 loses entries at a stride of 64 bytes
-                # (x = np.ones(16)[::8]; np.negative(x, out=x) makes -1 and -0), as with nv = 8 and one sample
-                result[block, column] *= -1.0
-        return result
+    def times(self, wrench: Array, J: Array) -> Array:
+        """Return mask ∘ (w · J), (R, nv) or (N, R, nv), for joint columns J (6, nv) or (N, 6, nv); no couplings."""
+        rows: Array = self.mask * (wrench.T @ J)
+        return rows
 
     def bias_at(self, placed: PlacedRows, J: Array, dJ: Array, v: Array) -> Array:
         """Return J̇ v (R,) at one state.
@@ -217,7 +181,7 @@ class RowSet:
         """
         moved = (self._moved * v).T
         twists = J.dot(moved).reshape(6, 4, self.size)
-        parts = cross(twists[3:], placed.pairs.take(_PAIRED, 1)) + twists[:3] * self._slides
+        parts = _cross(twists[3:], placed.pairs.take(_PAIRED, 1)) + twists[:3] * self._slides
         products = (parts[:, :2] * parts[:, 2:]).reshape(6, self.size)
         if self._at_angles:
             products[:, self._at_angles] = 0.0
@@ -235,22 +199,16 @@ class RowSet:
         return twists
 
 
-def _runs(values: NDArray[Any]) -> list[slice]:
-    """Return the runs of equal rows."""
-    starts = [i for i in range(len(values)) if i == 0 or (values[i] != values[i - 1]).any()]
-    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(values)], strict=False)]
-
-
 class PlacedRows(NamedTuple):
-    """Rows at a configuration, or at N; made by ``RowSet.place`` and ``RowSet.place_many``.
+    """Rows at a configuration, or at N; made by ``RowSet.place``.
 
     Attributes:
         rows: the rows.
         pairs: (3, 2, R) or (3, 2, R, N) each axis, and each partner.
-        origins: (3, R) p_A, at one configuration.
+        origins: (3, R) or (3, R, N) p_A.
         moving: (2, R) or (2, R, 1) 1 for an origin, 0 for an axis; of the partners it is σ.
         wrench: (6, R) or (6, R, N) w.
-        q: (nq,) or (nq, N) the configurations.
+        q: (nq,) or (N, nq) the configurations.
     """
 
     rows: RowSet
@@ -260,29 +218,29 @@ class PlacedRows(NamedTuple):
     wrench: Array
     q: Array
 
-    def jacobian(self, J: Array, out: Array | None = None) -> Array:
-        """Return the rows, (R, nv) or (R, nv, N), for joint columns J (6, nv) or (6, nv, N)."""
-        rows = self.rows.times(self.wrench, J, out)
+    def jacobian(self, J: Array) -> Array:
+        """Return the rows, (R, nv) or (N, R, nv), for joint columns J (6, nv) or (N, 6, nv)."""
+        rows = self.rows.times(self.wrench, J)
         couplings = self.rows.couplings
         if couplings is not None:
-            rows[couplings.at] = couplings.jacobian(self.q)
+            rows[..., couplings.at, :] = couplings.jacobian(self.q)
         return rows
 
     def residual(self) -> Array:
-        """Return (R,) Φ at one configuration, m; for rotation rows the sine of the angle that is off."""
+        """Return (R,) or (R, N) Φ, m; for rotation rows the sine of the angle that is off."""
         axis, partner = self.pairs[:, 0], self.pairs[:, 1]
         origins = self.origins if self.rows.sliding else self.origins * self.moving[1]
         phi: Array = np.add.reduce(axis * (partner - origins))
         couplings = self.rows.couplings
         if couplings is not None:
-            phi[couplings.at] = couplings.residual(self.q)
+            phi[couplings.at] = couplings.residual(self.q).T
         return phi
 
     def rates(self, twists: Array) -> tuple[Array, Array]:
         """Return ȧ and ċ, and ẇ, for the twists (6, 2, R) of the bodies that carry a and c."""
-        first = cross(twists[3:], self.pairs) + twists[:3] * self.moving
+        first = _cross(twists[3:], self.pairs) + twists[:3] * self.moving
         # ċ × a + c × ȧ = ċ × a − ȧ × c: one call for both
-        parts = cross(first[:, ::-1], self.pairs)
+        parts = _cross(first[:, ::-1], self.pairs)
         rate = np.empty(self.wrench.shape)
         np.multiply(first[:, 0], self.moving[1], out=rate[:3])
         np.subtract(parts[:, 0], parts[:, 1], out=rate[3:])
@@ -303,9 +261,9 @@ class PlacedRows(NamedTuple):
         twists, second_twists = rows.twists(J, v), rows.twists(J, a) + rows.twists(dJ, v)
         first, rate = self.rates(twists)
         # the spatial acceleration at the world origin is the rate of the velocity there
-        second = cross(second_twists[3:], self.pairs) + cross(twists[3:], first) + second_twists[:3] * self.moving
+        second = _cross(second_twists[3:], self.pairs) + _cross(twists[3:], first) + second_twists[:3] * self.moving
         (axis, partner), (da, dc), (dda, ddc) = (np.swapaxes(part, 0, 1) for part in (self.pairs, first, second))
-        curve = cross(ddc, axis) + 2.0 * cross(dc, da) + cross(partner, dda)
+        curve = _cross(ddc, axis) + 2.0 * _cross(dc, da) + _cross(partner, dda)
         bend = np.concatenate((dda * self.moving[1], curve))
         rows.set_angles(bend, 2, axis, da, dda)
         first_rate = rows.times(rate, J) + rows.times(self.wrench, dJ)
@@ -322,35 +280,21 @@ class ConstraintState:
 
     Attributes:
         q: (N, nq) configurations.
-        pose: the tree's placements.
-        rows: closure rows, then platform rows, placed.
+        vectors: (12 F, N) axes and origin of each of Pinocchio's frames, see ``frame_placement``.
+        columns: (N, 6, nv) joint Jacobian about the world origin.
         phi: (N, r) closure residuals Φ, m (rotation rows: sine of the angle that is off).
-        J: (r + n, nv, N) constraint Jacobian dΦ/dv over that of the independent velocities.
-        columns: (p,) the velocities without the carriers'.
+        Jc: (N, r, nv) constraint Jacobian dΦ/dv.
+        Jx: (N, n, nv) Jacobian of the independent velocities (world-aligned platform twist, or named joints).
+        K: (N, r + n, p) both without the carrier columns.
     """
 
     q: Array
-    pose: TreePose
-    rows: PlacedRows
+    vectors: Array
+    columns: Array
     phi: Array
-    J: Array
-    columns: IntArray
-
-    @property
-    def Jc(self) -> Array:
-        """(N, r, nv) constraint Jacobian dΦ/dv."""
-        return self.J[: self.phi.shape[1]].transpose(2, 0, 1)
-
-    @property
-    def Jx(self) -> Array:
-        """(N, n, nv) Jacobian of the independent velocities (world-aligned platform twist, or named joints)."""
-        return self.J[self.phi.shape[1] :].transpose(2, 0, 1)
-
-    @cached_property
-    def K(self) -> Array:
-        """(N, r + n, p) all rows without the carrier columns."""
-        # sample by sample in memory, as LAPACK wants them
-        return np.ascontiguousarray(self.J[:, self.columns].transpose(2, 0, 1))
+    Jc: Array
+    Jx: Array
+    K: Array
 
 
 class ConstraintSystem:
@@ -364,7 +308,8 @@ class ConstraintSystem:
         couplings: what the empty rows stand for, if there are any.
         closures, platform, all_rows: closure rows; rows of the platform's twist (none where the independent velocities
             are those of joints); both.
-        aligned: pairs of frames and the number of an axis that points the same way in both when closed.
+        support: (nv,) by frame name, 1 where a velocity moves that frame.
+        aligned: pairs of places in ``TreePlacement.vectors`` of axes that point the same way when closed.
         pose_columns: velocity indices that move the pose: all but the carriers.
         selection: (m, nv) S, the main actuators among the velocities.
         independent: (n, nv) unit rows of the independent joints; zero where there is a platform.
@@ -372,6 +317,9 @@ class ConstraintSystem:
         equation_unit: (r + n,) the characteristic length, m, for rows of translation and 1 for rows of rotation, of the
             closures and the independent coordinates: residuals over these have no unit.
         step_unit: (p,) the characteristic length, m, for slides and 1 rad for turns, of the pose columns.
+
+    Raises:
+        UnsupportedRobotError: a joint between frames of closures has axes that are not constant.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -379,13 +327,13 @@ class ConstraintSystem:
         frames = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
         if robot.platform is not None:
             frames.append(robot.platform.frame)
-        self.tree = TreeKinematics(robot.model, tuple(dict.fromkeys(frames)))
-        at = {name: i for i, name in enumerate(self.tree.support)}
+        at = {name: i for i, name in enumerate(dict.fromkeys(frames))}
         # the world is one more frame, which nothing moves: Pinocchio's first
         support, ids = np.zeros((len(at) + 1, nv)), np.zeros(len(at) + 1, dtype=np.intp)
-        for name, columns in self.tree.support.items():
-            support[at[name], list(columns)] = 1.0
-            ids[at[name]] = find_link_index(robot.model, name)
+        for name, i in at.items():
+            ids[i] = frame = find_link_index(robot.model, name)
+            support[i] = _moves(robot.model, int(robot.model.frames[frame].parentJoint))
+        self.support = {name: support[i] for name, i in at.items()}
         closures = [_row(closure, axis, at) for closure in robot.closures for axis in closure.axes]
         world = len(at)
         empty = Row((world, 0), (world, 1), world, world, 1.0)
@@ -395,7 +343,11 @@ class ConstraintSystem:
         self.closures = RowSet(self.rows, support, ids, self.couplings)
         self.platform = RowSet(platform, support, ids)
         self.all_rows = RowSet((*self.rows, *platform), support, ids, self.couplings)
-        self.aligned = [(c.frame_a, c.frame_b, k) for c in robot.closures for k in _aligned(c)]
+        self.aligned = [
+            (int(12 * ids[at[c.frame_a]] + 3 * k), int(12 * ids[at[c.frame_b]] + 3 * k))
+            for c in robot.closures
+            for k in _aligned(c)
+        ]
         self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity, assume_unique=True)
         self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
@@ -428,51 +380,24 @@ class ConstraintSystem:
         result: Array = K * (self.step_unit / self.equation_unit[:, None])
         return result
 
+    def closure_rows(self, q: Array) -> Array:
+        """Return J_c (r, p) at one configuration q (nq,), without units and without the carrier columns."""
+        rows: Array = self.relative(self.evaluate(q[None]).K)[0, : len(self.rows)]
+        return rows
+
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
-        pose, r, world = self.tree.pose(q), len(self.rows), np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))
-        vectors = []
-        for name, origin in (*pose.frame_origin.items(), ("", world[:, 0])):  # the world's origin is not needed
-            axes = pose.frame_rotation.get(name, world)
-            vectors += [axes[:, 0], axes[:, 1], axes[:, 2], origin]
-        rows = self.all_rows.place_many(vectors, q.T)
-        jacobian = np.zeros((r + self.robot.n, self.robot.model.nv, pose.samples))
-        rows.jacobian(pose.jacobian, jacobian)
-        if self.robot.platform is None:
-            jacobian[r:] = self.independent[:, :, None]
-        return ConstraintState(q, pose, rows, self.closures.residuals(rows, vectors).T, jacobian, self.pose_columns)
-
-    def bias(self, state: ConstraintState, v: Array) -> tuple[Array, Array]:
-        """Return J̇_c v (N, r) and J̇_x v (N, n) at velocities v (N, nv)."""
-        still, r = np.zeros((6, state.pose.samples)), len(self.rows)
-        motions = [*self.tree.motions(state.pose, v).values(), (still, still)]
-        result = np.zeros((r + self.robot.n, state.pose.samples))
-        for rows, carriers, first, second in self.all_rows.groups:
-            pairs, moving = state.rows.pairs[:, :, rows], state.rows.moving[:, rows]
-            relative, rest = (
-                two[:, None] - one[:, None] for one, two in zip(motions[first], motions[second], strict=True)
-            )
-            total = np.add.reduce(state.rows.wrench[:, rows] * rest)
-            kinds = [kind for kind in self.all_rows.angles[rows] if kind]
-            if kinds:
-                axis = pairs[:, 0]
-                turned = angles.direction(kinds, 1, [axis, cross(relative[3:], axis)])
-                total += np.add.reduce(turned * relative[3:])
-            for k, body in enumerate(carriers):  # the formula of ``RowSet.bias_at``; the world stands still
-                if kinds or body == len(motions) - 1:
-                    continue
-                rate = cross(motions[body][0][3:, None], pairs[:, k])
-                if k == 0:
-                    lever = cross(relative[3:], pairs[:, 1]) + relative[:3] * moving[1]
-                else:
-                    rate += motions[body][0][:3, None] * moving[1]
-                    lever = cross(pairs[:, 0], relative[3:])
-                rate *= lever
-                total += np.add.reduce(rate)
-            result[rows] = total
-        if self.couplings is not None:
-            result[self.couplings.at] = self.couplings.bias(state.q.T, v.T)
-        return result[:r].T, result[r:].T
+        tree, r, n = _placement(self.robot, threading.get_ident()), len(self.rows), len(self.independent)
+        vectors, columns = np.empty((len(q), len(tree.vectors))), np.empty((len(q), *tree.J.shape))
+        phi, J = np.empty((len(q), r)), np.empty((len(q), r + n, self.robot.model.nv))
+        J[:, r:] = self.independent
+        for part in blocks(len(q), _BLOCK):
+            for k in range(part.start, part.stop):
+                tree.place(q[k])
+                vectors[k], columns[k] = tree.vectors, tree.J
+            placed = self.all_rows.place(vectors[part].T, q[part])
+            J[part, : self.all_rows.size], phi[part] = placed.jacobian(columns[part]), placed.residual()[:r].T
+        return ConstraintState(q, vectors.T, columns, phi, J[:, :r], J[:, r:], J[:, :, self.pose_columns])
 
     def misalignment(self, state: ConstraintState) -> Array:
         """Return (N,) the largest angle, rad, between two axes of a closure that must point the same way.
@@ -481,12 +406,36 @@ class ConstraintSystem:
         where all rows vanish this is 0 for a true closure and at least π/2 for a false one. Closures with less than
         two rotation rows have no such axes.
         """
-        angle = np.zeros(state.pose.samples)
-        for frame_a, frame_b, k in self.aligned:
-            a, b = (state.pose.frame_rotation[frame][:, k] for frame in (frame_a, frame_b))
-            cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-            angle = np.maximum(angle, np.arccos(np.clip(cosine, -1.0, 1.0)))
-        return angle
+        cosines = [(state.vectors[a : a + 3] * state.vectors[b : b + 3]).sum(axis=0) for a, b in self.aligned]
+        turned: Array = np.arccos(np.reshape(cosines, (len(cosines), len(state.q))).clip(-1.0, 1.0))
+        worst: Array = turned.max(axis=0, initial=0.0)
+        return worst
+
+
+@lru_cache(maxsize=32)
+def _placement(robot: Robot, thread: int) -> TreePlacement:
+    """Return the workspace of a robot in a thread."""
+    return TreePlacement(robot.model)
+
+
+def _moves(model: pin.Model, joint: int) -> Array:
+    """Return (nv,) 1 for each velocity that moves what a joint carries.
+
+    Raises:
+        UnsupportedRobotError: one of the joints on the way is not covered.
+    """
+    moves = np.zeros(model.nv)
+    for index in model.supports[joint].tolist()[1:]:
+        if not is_covered(model, index):
+            raise UnsupportedRobotError(
+                f"Joint {model.names[index]!r} has type {model.joints[index].shortname()}, which closed-chain "
+                "kinematics does not cover.",
+                remedy="Build it from revolute, continuous, prismatic, planar, ball or floating joints.",
+                joint=model.names[index],
+                type=str(model.joints[index].shortname()),
+            )
+        moves[model.joints[index].idx_v : model.joints[index].idx_v + model.joints[index].nv] = 1.0
+    return moves
 
 
 def independent_velocity(robot: Robot) -> list[int]:
@@ -560,8 +509,6 @@ def made_up(robot: Robot, q: Array) -> bool:
     """
     if not robot.all_closures:
         return False
-    rank, values = len(constraint_system(robot).rows), []
-    for system in (constraint_system(robot), constraint_system(with_all_rows(robot))):
-        rows = system.evaluate(q[None]).Jc[0][:, system.pose_columns] * system.step_unit / system.closure_unit[:, None]
-        values.append(np.linalg.svd(rows, compute_uv=False)[rank - 1])
-    return bool(values[1] > _FULL * values[0])
+    some, every = constraint_system(robot), constraint_system(with_all_rows(robot))
+    least, least_of_all = (np.linalg.svd(each.closure_rows(q), compute_uv=False) for each in (some, every))
+    return bool(least_of_all[len(some.rows) - 1] > _FULL * least[-1])

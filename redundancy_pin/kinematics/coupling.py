@@ -16,11 +16,9 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.types import slides
 
-_DERIVATIVES = 3
-
 
 class CouplingRows:
-    """The C couplings of a robot; configurations and velocities are component-major, (nq,) or (nq, N).
+    """The C couplings of a robot, at one configuration (nq,) or at many (N, nq).
 
     Args:
         robot: the robot.
@@ -45,31 +43,31 @@ class CouplingRows:
         for row, each in enumerate(robot.couplings):
             powers[row, : len(each.polynomial)] = each.polynomial
         self._powers = [powers]
-        for _ in range(_DERIVATIVES):
+        for _ in range(3):  # derivatives
             powers = np.concatenate([powers[:, 1:] * np.arange(1, degree), np.zeros((len(ends), 1))], axis=1)
             self._powers.append(powers)
 
     def _value(self, derivative: int, q: Array) -> Array:
-        """Return p, or one of its derivatives, (C,) or (C, N), by Horner's rule."""
-        at = q[self._of_q]
+        """Return p, or one of its derivatives, (C,) or (N, C), by Horner's rule."""
+        at = q[..., self._of_q]
         result = np.zeros(at.shape)
         for power in self._powers[derivative].T[::-1]:
-            result = result * at + (power if at.ndim == 1 else power[:, None])
+            result = result * at + power
         return result
 
     def residual(self, q: Array) -> Array:
-        """Return (C,) or (C, N) Φ."""
-        phi: Array = q[self._q] - self._value(0, q)
+        """Return (C,) or (N, C) Φ."""
+        phi: Array = q[..., self._q] - self._value(0, q)
         return phi
 
     def jacobian(self, q: Array) -> Array:
-        """Return (C, nv) or (C, nv, N) the rows."""
+        """Return (C, nv) or (N, C, nv) the rows."""
         rows = self._in_column(-self._value(1, q))
-        rows[self._rows, self._v] += 1.0
+        rows[..., self._rows, self._v] += 1.0
         return rows
 
     def bias(self, q: Array, v: Array) -> Array:
-        """Return (C,) or (C, N) J̇ v."""
+        """Return (C,) J̇ v at one state."""
         bias: Array = -self._value(2, q) * v[self._of_v] ** 2
         return bias
 
@@ -83,6 +81,6 @@ class CouplingRows:
         return self._in_column(-(self._value(3, q) * rate**2 + self._value(2, q) * second))
 
     def _in_column(self, values: Array) -> Array:
-        rows = np.zeros((len(self._rows), self._nv, *values.shape[1:]))
-        rows[self._rows, self._of_v] = values
+        rows = np.zeros((*values.shape, self._nv))
+        rows[..., self._rows, self._of_v] = values
         return rows

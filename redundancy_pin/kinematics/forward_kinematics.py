@@ -10,9 +10,8 @@ With rates u̇ of the motors and v = Γ' u̇
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -31,41 +30,38 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
-from redundancy_pin.kinematics.branch import ClosedState, known_state
+from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState, known_state
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position
-from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
-from redundancy_pin.kinematics.multistart import wrapped
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.mobility import independent_columns
+from redundancy_pin.kinematics.multistart import SEED, SHORTEST_STEP, draw_starts, wrapped
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.joint_ranges import out_of_range, random_spread, range_excess, range_slack
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.joint_ranges import out_of_range, range_excess, range_slack
+from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
+from redundancy_pin.robot.whole_turns import FARTHEST, TURN, counted_turns
 from redundancy_pin.status import SampleStatus, solved_status
 
 _AGREE = 1e-8
-"""Largest contradiction between positions of redundant motors, in characteristic lengths or rad: rounding."""
+"""Largest contradiction between positions of redundant motors, characteristic lengths or rad: a thousand times the
+closure tolerance, for what margins of 1e-3 make of it."""
 
 _WEAKER = 0.5
-"""Of the margin at which redundant motors began to be followed: below it others are looked for."""
+"""Part of the margin at which redundant motors began to be followed, below which others are looked for."""
 
-_STARTS, _MOST_STARTS, _IN_VAIN = 128, 2048, 512
-"""Random starts of a round, of all rounds, and of all where none closes."""
+_STARTS, _IN_VAIN = 128, 512
+"""Random starts of a round, and of all where none closes."""
+
 _SEEN, _OFTEN = 1e-3, 6
 """Random starts go on until one more has a chance below the first of finding a mode that none has found, and each mode
-was found as often as the second on average."""
+was found as often as the second on average: one that is half as likely as the mean is missed with chance e⁻³."""
 
-_SHORTEST_STEP = 2.0**-5
-_SAME_MODE = 1e-6
-"""Configurations whose frames are nearer than this, in characteristic lengths, are the same mode."""
-
-_SEED = 20141
-
-_FEW_TURNS, _MOST_TURNS = 3, 100
-"""Turns between samples that are followed as they are; of several motors at most, which takes seconds."""
-_SAME_TURN = 1e-6
-"""rad; configurations this near, turns apart, are one."""
+_MOST_TURNS = 100
+"""Whole turns of several motors between samples, which are followed one by one: a few seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +134,8 @@ def forward_kinematics(
         start: (nq,) a closed configuration; ``robot.q_reference`` when left out.
 
     Raises:
-        InputError: wrong shapes, a start that is not closed, angles beyond 8e9 rad, more than a hundred
-            turns between samples of several motors, or of one that is not back after a turn.
+        InputError: wrong shapes, a start that is not closed, angles beyond 3e7 rad, more than a hundred
+            turns of several motors between samples.
         UnsupportedRobotError: fewer motors than freedoms.
         SingularPoseError: the start is a type II singularity, where branches meet.
     """
@@ -151,93 +147,67 @@ def forward_kinematics(
     )
     system = constraint_system(robot)
     q0 = np.array(robot.q_reference if start is None else checked(start, "start", (robot.model.nq,)))
-    stretches, followed, path = [], _followed(system, q0), (u, ud, udd)
+    segments, followed = [], _followed(system, q0)
     while True:
-        stretch = _stretch(system, path, q0, followed)
-        kept, others = _handed_over(system, stretch, followed)
-        stretches.append([part[:kept] for part in stretch])
+        segment = _follow(system, (u, ud, udd), q0, followed)
+        kept, others = _handed_over(system, segment, followed)
+        segments.append([getattr(segment, field.name)[:kept] for field in fields(segment)[1:]])
         if others is None:
             return ForwardKinematics(
-                robot, *(read_only(np.concatenate(parts)) for parts in zip(*stretches, strict=True))
+                robot, *(read_only(np.concatenate(parts)) for parts in zip(*segments, strict=True))
             )
-        q0, followed, path = stretch.q[kept - 1], others, (path[0][kept:], path[1][kept:], path[2][kept:])
+        q0, followed = segment.q[kept - 1], others
+        u, ud, udd = u[kept:], ud[kept:], udd[kept:]
 
 
-class _Stretch(NamedTuple):
-    """What ``ForwardKinematics`` has, of samples along which the same motors are followed."""
-
-    x: Array
-    xd: Array
-    xdd: Array
-    q: Array
-    jacobian: Array
-    status: IntArray
-    gap: Array
-    margin: Array
-    excess: Array
-
-
-def _handed_over(system: ConstraintSystem, stretch: _Stretch, followed: IntArray) -> tuple[int, IntArray | None]:
-    """Return how many samples of a stretch count, and which motors are followed behind them; None for no others.
+def _handed_over(
+    system: ConstraintSystem, segment: ForwardKinematics, followed: IntArray
+) -> tuple[int, IntArray | None]:
+    """Return how many samples of a segment count, and which motors are followed behind them; None for no others.
 
     Of redundant motors those that are followed may come to a singularity of theirs where all of them are well: others
     take over on the way there, or where the last sample is that they lead to.
     """
-    count, reference = len(stretch.status), stretch.margin[:1]
-    good = int(np.argmin(np.append(solved_status(stretch.status), False)))
-    for i in range(min(good, count - 1)) if system.robot.m > system.robot.n else ():
-        if stretch.margin[i] < _WEAKER * reference[0] or i == good - 1:
-            others = _followed(system, stretch.q[i])
+    reference = segment.margin[:1]
+    good = int(np.argmin(np.append(segment.known, False)))
+    for i in range(min(good, len(segment) - 1)) if system.robot.m > system.robot.n else ():
+        if segment.margin[i] < _WEAKER * reference[0] or i == good - 1:
+            others = _followed(system, segment.q[i])
             if not np.array_equal(others, followed):
                 return i + 1, others
-            reference = stretch.margin[i : i + 1]
-    return count, None
+            reference = segment.margin[i : i + 1]
+    return len(segment), None
 
 
-def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Array, followed: IntArray) -> _Stretch:
-    """Return where motors at ``given`` positions, rates and accelerations take the platform from a configuration."""
-    robot, (u, ud, udd) = system.robot, given
+def _follow(
+    system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Array, followed: IntArray
+) -> ForwardKinematics:
+    """Return where motors at ``given`` positions, rates and accelerations (N, m) take the platform from q0 (nq,)."""
+    robot, u = system.robot, given[0]
     driven = _driven(robot, tuple(robot.actuated[j] for j in followed))
-    motors = constraint_system(driven)
-    home = assemble(motors, q0[None], max_iterations=0)
-    if not home.closed[0]:
-        raise InputError(
-            f"start does not close the chains of {robot.name}: they stay open by {home.gap[0]:.3g} m.",
-            remedy="Pass a configuration of inverse_kinematics, assembly_modes or forward_kinematics.",
-        )
-    if home.projection.margin[0] == 0.0:
-        raise SingularPoseError(
-            f"The start is a type II singularity of {robot.name}: branches meet there, and the motors do not say which "
-            "one is meant.",
-            remedy="Start beside it.",
-        )
-    u0 = coordinates(driven, home.state)
-    before = u0, np.zeros(u0.shape), np.zeros(u0.shape)  # the motors come from the start
-    path = [np.concatenate([first, part[:, followed]]) for first, part in zip(before, (u, ud, udd), strict=True)]
-    first = known_state(driven, u0[0], q0, home.gamma[0])
-    route = _without_whole_turns(driven, path[0])
-    tree, branch = _lifted(driven, route, path, first)
-    if not route.leads_back(branch):  # as behind a gear: few turns are followed as they are
-        route = _every_turn(driven, path[0], "and a turn of its motor does not lead back to the same configuration")
-        tree, branch = _lifted(driven, route, path, first)
-    places = route.places[1:]
-    v, a, gamma, gap, margin = (
-        part[places] for part in (tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
+    first = _start(driven, q0)
+    still = np.zeros(driven.n)  # the motors come from the start
+    before = first.x, still, still
+    path = [np.concatenate([start[None], part[:, followed]]) for start, part in zip(before, given, strict=True)]
+    _require_few_turns(driven, path[0])
+    motion = PlatformMotion(np.arange(len(path[0])), *path, check_rates=False)
+    tree = inverse_kinematics(driven, motion, mark_unreachable=True, start=first)
+    # what inverse_kinematics takes up again behind a gap is on any branch
+    end = int(np.logical_and.accumulate(tree.reachable).sum()) - 1
+    q, v, a, gamma, gap, margin = (
+        np.array(part[1:]) for part in (tree.q, tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
     )
-    end = int(np.isfinite(branch[places]).all(axis=1).sum())
     status: IntArray = np.full(len(u), int(SampleStatus.OK))
-    q = branch[places]
+    for part in (q, v, a, gamma):
+        part[end:] = np.nan
     if end < len(u):
-        v[end:], a[end:], gamma[end:] = np.nan, np.nan, np.nan
         rest = q[end:], status[end:], gap[end:], margin[end:]
-        _judge_rest(motors, route.u[places[end:]], tree.q[route.places[end]], rest)
-        branch[places[end:]] = q[end:]
-    x = _platform_at(system, branch)
-    xd, xdd = platform_rates(system, q, v, a)
+        _judge_rest(constraint_system(driven), path[0][end + 1 :], tree.q[end], rest)
+    x = _platform_at(system, q)
+    xd, xdd = platform_rates(robot, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
-    q, x = route.turned(branch, q), x[places] if is_pose(robot) else route.turned(x, x[places])
     gap = np.fmax(gap, _contradiction(system, followed, u, q))
     contradicted = (status == SampleStatus.OK) & (gap > _AGREE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
@@ -245,7 +215,30 @@ def _stretch(system: ConstraintSystem, given: tuple[Array, Array, Array], q0: Ar
         part[contradicted] = np.nan
     excess = range_excess(robot, q)
     status[(status == SampleStatus.OK) & (excess > range_slack(robot)).any(axis=1)] = SampleStatus.OUT_OF_RANGE
-    return _Stretch(x, xd, xdd, q, J, status, gap, margin, excess)
+    return ForwardKinematics(robot, x, xd, xdd, q, J, status, gap, margin, excess)
+
+
+def _start(driven: Robot, q: Array) -> ClosedState:
+    """Return the state of motors at a configuration (nq,).
+
+    Raises:
+        InputError: it is not closed.
+        SingularPoseError: it is a type II singularity.
+    """
+    motors = constraint_system(driven)
+    home = assemble(motors, q[None], max_iterations=0)
+    if not home.closed[0]:
+        raise InputError(
+            f"start does not close the chains of {driven.name}: they stay open by {home.gap[0]:.3g} m.",
+            remedy="Pass a configuration of inverse_kinematics, assembly_modes or forward_kinematics.",
+        )
+    if home.projection.margin[0] == 0.0:
+        raise SingularPoseError(
+            f"The start is a type II singularity of {driven.name}: branches meet there, and the motors do not say "
+            "which one is meant.",
+            remedy="Start from a configuration nearby.",
+        )
+    return known_state(driven, coordinates(driven, home.state)[0], q, home.gamma[0])
 
 
 @lru_cache(maxsize=64)
@@ -264,13 +257,9 @@ def _followed(system: ConstraintSystem, q: Array) -> IntArray:
         )
     if robot.m == robot.n:
         return np.arange(robot.m)
-    from scipy.linalg import qr
-
-    columns = system.pose_columns
-    closures = system.evaluate(q[None]).Jc[0][:, columns] * system.step_unit / system.closure_unit[:, None]
-    free = np.linalg.svd(closures)[2][-robot.n :]
-    chosen = qr(free[:, np.searchsorted(columns, robot.actuated_velocity)], mode="r", pivoting=True)[1][: robot.n]
-    return np.sort(chosen)
+    free = np.linalg.svd(system.closure_rows(q))[2][-robot.n :]
+    motors = free[:, np.searchsorted(system.pose_columns, robot.actuated_velocity)]
+    return np.sort(np.array(independent_columns(motors, 0.0), dtype=np.intp))
 
 
 def _contradiction(system: ConstraintSystem, followed: IntArray, u: Array, q: Array) -> Array:
@@ -293,104 +282,30 @@ def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Arr
     q[:passed], gap[:], margin[:] = solved.q[:passed], solved.gap, np.where(singular, 0.0, np.nan)
 
 
-class _Route(NamedTuple):
-    """Positions u (A, n) of the motors that are followed, and ``places`` (N + 1,) of the samples, the start first.
+def _require_few_turns(driven: Robot, u: Array) -> None:
+    """Check that positions of motors (N, n) do not turn too often.
 
-    ``jumps`` say where whole turns are left out: places before and behind one turn, and how many more follow.
-    """
-
-    u: Array
-    places: IntArray
-    jumps: tuple[tuple[int, int, int], ...]
-
-    def leads_back(self, along: Array) -> bool:
-        """Return whether values (A, d) on the way are whole turns apart before and behind turns that stand for more."""
-        steps = np.diff(along[np.array([jump[:2] for jump in self.jumps], dtype=int).reshape(-1, 2)], axis=1)
-        return not bool((np.abs(steps - _whole(steps)) > _SAME_TURN).any())
-
-    def turned(self, along: Array, values: Array) -> Array:
-        """Return values (N, d) at the samples with whole turns that were left out, from values (A, d) on the way."""
-        result = np.array(values)
-        for before, behind, count in self.jumps:
-            once = _whole(along[behind] - along[before])
-            result[self.places[1:] >= behind] += count * np.where(np.isfinite(once), once, 0.0)
-        return result
-
-
-def _whole(angles: Array) -> Array:
-    return np.asarray(2.0 * np.pi * np.round(angles / (2.0 * np.pi)))
-
-
-def _lifted(driven: Robot, route: _Route, path: list[Array], first: ClosedState) -> tuple[JointTrajectory, Array]:
-    """Return the motion along a route, rates of the path at samples, and its (A, nq), NaN where the branch ends."""
-    rate, second = np.zeros((2, *route.u.shape))
-    rate[route.places], second[route.places] = path[1:]
-    motion = PlatformMotion(np.arange(len(route.u)), route.u, rate, second, check_rates=False)
-    tree = inverse_kinematics(driven, motion, mark_unreachable=True, start=first)
-    good = np.logical_and.accumulate(tree.reachable)
-    return tree, np.where(
-        good[:, None], tree.q, np.nan
-    )  # what inverse_kinematics takes up again behind a gap is on any branch
-
-
-def _whole_turns(driven: Robot, u: Array) -> IntArray:
-    """Return (N, n) the whole turns of the motors between positions (N + 1, n).
-
-    Raises:
-        InputError: positions too large to say where in a turn they are.
-    """
-    joints = [find_joint(driven.model, name) for name in driven.independent_joints]
-    turning = np.array([bool(turning_velocities(driven)[each.idx_v]) and each.nq == 1 for each in joints])
-    angles = np.where(turning, u, 0.0)
-    largest = float(np.abs(angles).max(initial=0.0))
-    if np.spacing(largest) > _SAME_TURN:
-        raise InputError(
-            f"The motors of {driven.name} are at up to {largest:.3g} rad: such a number does not say where in a turn.",
-            remedy="Take whole turns off.",
-        )
-    return (np.abs(np.diff(angles, axis=0)) // (2.0 * np.pi)).astype(int)
-
-
-def _every_turn(driven: Robot, u: Array, why: str) -> _Route:
-    """Return the route along positions (N + 1, n) as they are.
-
-    Raises:
-        InputError: the motors turn too often between samples.
-    """
-    turns = int(_whole_turns(driven, u).max(axis=1).sum())
-    if turns > _MOST_TURNS:
-        raise InputError(
-            f"The motors of {driven.name} make {turns} whole turns between samples, {why}.",
-            remedy="Pass samples in between, or take whole turns off.",
-            turns=turns,
-        )
-    return _Route(u, np.arange(len(u)), ())
-
-
-def _without_whole_turns(driven: Robot, u: Array) -> _Route:
-    """Return the route along positions of motors (N + 1, n), the start first, in bounded length.
-
-    One motor that turns comes to the same place after a turn, if it does after the first: all but this one and the last
-    are left out. What several motors do has no such period.
+    One motor that turns comes to the same place after some turns, which ``inverse_kinematics`` finds. What several
+    motors do has no such period.
 
     Raises:
         InputError: several motors turn too often between samples, or positions are too large.
     """
-    whole = _whole_turns(driven, u)
-    if whole.max(initial=0) < _FEW_TURNS:
-        return _Route(u, np.arange(len(u)), ())
-    if driven.n > 1 or driven.model.nq != driven.model.nv:
-        return _every_turn(driven, u, "which has to be followed turn by turn")
-    route, places, jumps, away = [u[0]], [0], [], 0.0
-    for target, last, count in zip(u[1:], u[:-1], whole[:, 0].tolist(), strict=True):
-        if count >= _FEW_TURNS:
-            turn = np.copysign(2.0 * np.pi, target - last)
-            jumps.append((len(route) - 1, len(route), count - 1))
-            route.append(route[-1] + turn)
-            away = away + (count - 1) * turn
-        route.append(target - away)
-        places.append(len(route) - 1)
-    return _Route(np.array(route), np.array(places), tuple(jumps))
+    angles = u[:, counted_turns(driven).coordinates]
+    largest = float(np.abs(angles).max(initial=0.0))
+    if largest > FARTHEST:
+        raise InputError(
+            f"The motors of {driven.name} are at up to {largest:.3g} rad: such a number does not say where in a turn.",
+            remedy="Take whole turns off.",
+        )
+    turns = int((np.abs(np.diff(angles, axis=0)) // TURN).max(axis=1, initial=0.0).sum())
+    if driven.n > 1 and turns > _MOST_TURNS:
+        raise InputError(
+            f"The motors of {driven.name} make {turns} whole turns between samples, which has to be followed turn by "
+            "turn.",
+            remedy="Pass samples in between, or take whole turns off.",
+            turns=turns,
+        )
 
 
 def _platform_at(system: ConstraintSystem, q: Array) -> Array:
@@ -403,13 +318,14 @@ def _platform_at(system: ConstraintSystem, q: Array) -> Array:
     return x
 
 
-def platform_rates(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-    """Return ẋ and ẍ (N, n) of the independent coordinates at states (N, nq), (N, nv), (N, nv); NaN where q is."""
-    robot, known = system.robot, np.isfinite(q).all(axis=1)
-    state = system.evaluate(q[known])
+def platform_rates(robot: Robot, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """Return ẋ = J_x v and ẍ = J_x a + J̇_x v (N, n) at states q (N, nq), v and a (N, nv); NaN where q is."""
+    chain = ClosedChain(robot)
     xd, xdd = np.full((2, len(q), robot.n), np.nan)
-    xd[known] = np.einsum("ijv,iv->ij", state.Jx, v[known])
-    xdd[known] = np.einsum("ijv,iv->ij", state.Jx, a[known]) + system.bias(state, v[known])[1]
+    for k in np.flatnonzero(np.isfinite(q).all(axis=1)):
+        chain.update(q[k], v[k])
+        rows = chain.platform_jacobian()
+        xd[k], xdd[k] = rows @ v[k], rows @ a[k] + chain.platform_jacobian_rate() @ v[k]
     return xd, xdd
 
 
@@ -417,23 +333,44 @@ def _turns(system: ConstraintSystem, q: Array) -> Array:
     """Return (N, n) the whole turns, rad, that the platform's angles are away from (−π, π] at configurations (N, nq).
 
     Joints that count their turns say it: of straight lines between configurations, from the reference on, each is
-    divided until no part of it can turn anything by more than a right angle. The loops may open on the way.
+    divided until no part of it can turn anything by more than a right angle. The loops may open on the way. Whole turns
+    of a joint are as many times what one turn of it does.
     """
     robot, columns = system.robot, angle_columns(system.robot)
     turns = np.zeros((len(q), robot.n))
-    if not len(columns):
+    if not columns or not len(q):
         return turns
-    before = np.concatenate([np.array(robot.q_reference)[None], q[:-1]])
-    step = configuration_difference(robot.model, before, q)
+    model, reference = robot.model, np.array(robot.q_reference)[None]
+    before = np.concatenate([reference, q[:-1]])
+    step = configuration_difference(model, before, q)
+    counted = [joint.idx_v for joint in model.joints[1:] if counted_turns(robot).angles[joint.idx_q]]
+    whole = np.trunc(step[:, counted] / TURN)
+    step[:, counted] -= TURN * whole
+    once = np.zeros((len(counted), len(columns)))
+    for k in np.flatnonzero(whole.any(axis=0)):
+        turn = np.zeros((1, model.nv))
+        turn[0, counted[k]] = TURN
+        there, _ = _angles_along(system, reference, turn)
+        once[k] = TURN * np.round((there[1] - there[0]) / TURN)
+    followed, short = _angles_along(system, before, step)
+    turns[:, columns] = (followed - short)[1:] + np.cumsum(whole, axis=0) @ once
+    return turns
+
+
+def _angles_along(system: ConstraintSystem, before: Array, step: Array) -> tuple[Array, Array]:
+    """Return the platform's angles at the first of ``before`` (N, nq) and after each step (N, nv), two of (N + 1, c).
+
+    The first are followed continuously, the second are in (−π, π].
+    """
+    robot, columns = system.robot, angle_columns(system.robot)
     parts = np.ceil(np.abs(step[:, turning_velocities(robot)]).sum(axis=1) / (0.5 * np.pi)).astype(int).clip(1)
-    first, last = np.repeat(before, parts, axis=0), np.cumsum(parts)
+    last = np.cumsum(parts)
     share = (np.arange(last[-1]) - np.repeat(last - parts, parts) + 1.0) / np.repeat(parts, parts)
-    path = integrate(robot.model, first, share[:, None] * np.repeat(step, parts, axis=0))
+    path = integrate(robot.model, np.repeat(before, parts, axis=0), share[:, None] * np.repeat(step, parts, axis=0))
     between = np.concatenate([before[:1], path])
     x = np.concatenate([coordinates(robot, system.evaluate(between[part])) for part in blocks(len(between))])
-    for column in columns:
-        turns[:, column] = (np.unwrap(x[:, column]) - x[:, column])[last]
-    return turns
+    ends = np.append(0, last)
+    return np.unwrap(x[:, columns], axis=0)[ends], x[ends][:, columns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -464,7 +401,7 @@ class AssemblyModes(Frozen):
         return len(self.q)
 
 
-def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = _MOST_STARTS) -> AssemblyModes:
+def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 2048) -> AssemblyModes:
     """Return the configurations that positions of the motors allow: two of a five-bar, up to forty of a Gough platform.
 
     Newton from random starts, the same ones every time, until another start would hardly find a new mode. Modes are
@@ -473,7 +410,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     Args:
         robot: the robot, or its name or path.
         actuated: (m,) positions of the main actuators, m and rad.
-        most_starts: bound on the number of starts.
+        most_starts: bound on the number of starts; a Gough platform takes up to 2,000.
 
     Raises:
         InputError: wrong shape.
@@ -485,26 +422,23 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     reference, system = np.array(robot.q_reference), constraint_system(robot)
     followed = _followed(system, reference)
     motors = constraint_system(_driven(robot, tuple(robot.actuated[j] for j in followed)))
-    model, columns, rng = robot.model, motors.pose_columns, np.random.default_rng(_SEED)
-    spread = random_spread(robot)[columns]
-    q, keys, hits = np.zeros((0, model.nq)), np.zeros((0, 0)), np.zeros(0, dtype=np.intp)
+    rng, length = np.random.default_rng(SEED), robot.characteristic_length
+    q, keys, hits = np.zeros((0, robot.model.nq)), np.zeros((0, len(_frames(robot, reference)))), np.zeros(0, np.intp)
     gap, starts = np.inf, 0
     while starts < (most_starts if len(q) else min(most_starts, _IN_VAIN)):
-        steps = np.zeros((_STARTS, model.nv))
-        steps[:, columns] = rng.uniform(-1.0, 1.0, (_STARTS, len(columns))) * spread
-        steps[0] *= starts > 0  # the reference itself comes first
-        guess = integrate(model, np.repeat(reference[None], _STARTS, axis=0), steps)
-        solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=_SHORTEST_STEP)
+        guess = draw_starts(motors, reference, _STARTS, rng)
+        if not starts:
+            guess[0] = reference
+        solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=SHORTEST_STEP)
         off = np.fmax(solved.gap, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
         starts, gap = starts + _STARTS, min(gap, float(np.nanmin(off)))
-        for one in solved.q[solved.closed & (off < _AGREE * robot.characteristic_length)]:
-            key = _frames(robot, one)[None]
-            keys = keys.reshape(len(q), key.shape[1])
-            same = np.flatnonzero(np.abs(keys - key).max(axis=1) < _SAME_MODE * robot.characteristic_length)
+        for one in solved.q[solved.closed & (off < _AGREE * length)]:
+            key = _frames(robot, one)
+            same = np.flatnonzero(np.abs(keys - key).max(axis=1, initial=0.0) < SAME_CONFIGURATION * length)
             if len(same):
                 hits[same[0]] += 1
             else:
-                q, keys, hits = np.concatenate([q, one[None]]), np.concatenate([keys, key]), np.append(hits, 1)
+                q, keys, hits = np.vstack([q, one]), np.vstack([keys, key]), np.append(hits, 1)
         if (hits == 1).sum() < _SEEN * hits.sum() and hits.mean() >= _OFTEN:
             break
     if not len(q):
@@ -514,20 +448,16 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
             remedy="Move the motors back towards the reference.",
             gap=gap,
         )
-    q = wrapped(motors.robot, q)
     order = np.argsort(np.abs(keys - _frames(robot, reference)).max(axis=1), kind="stable")
-    q = q[order]
-    margin = project(motors, motors.evaluate(q)).margin
-    unseen = float((hits == 1).sum() / hits.sum())
-    x = coordinates(robot, system.evaluate(q))
-    shown = (
+    q = wrapped(motors.robot, q)[order]
+    parts = (
         read_only(q),
-        read_only(x),
-        margin,
+        read_only(coordinates(robot, system.evaluate(q))),
+        project(motors, motors.evaluate(q)).margin,
         read_only(~out_of_range(robot, q, motion=False)),
         read_only(hits[order]),
     )
-    return AssemblyModes(robot, *shown, unseen)
+    return AssemblyModes(robot, *parts, unseen=float((hits == 1).sum() / hits.sum()))
 
 
 def _frames(robot: Robot, q: Array) -> Array:
@@ -535,9 +465,10 @@ def _frames(robot: Robot, q: Array) -> Array:
     model = robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, q)
-    pose = constraint_system(robot).evaluate(q[None]).pose
+    pin.updateFramePlacements(model, data)
     parts = [*(data.oMi[k].translation for k in range(1, model.njoints))]
-    parts += [origin[:, 0] for origin in pose.frame_origin.values()]
+    parts += [data.oMf[find_link_index(model, name)].translation for name in constraint_system(robot).support]
     if robot.platform is not None:
-        parts.append(robot.characteristic_length * pose.frame_rotation[robot.platform.frame][:, :, 0].ravel())
+        platform = data.oMf[find_link_index(model, robot.platform.frame)]
+        parts.append(robot.characteristic_length * platform.rotation.ravel())
     return np.concatenate(parts)

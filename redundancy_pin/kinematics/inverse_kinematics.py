@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, read_only
 from redundancy_pin.errors import (
     RedundancyPinError,
     SingularPoseError,
@@ -18,7 +18,15 @@ from redundancy_pin.errors import (
     millimetres,
 )
 from redundancy_pin.kinematics.assembly import assemble, project
-from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, Follower, Rates, follower, known_state
+from redundancy_pin.kinematics.branch import (
+    SAME_CONFIGURATION,
+    BranchEnd,
+    ClosedState,
+    Follower,
+    Rates,
+    follower,
+    known_state,
+)
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.multistart import multistart
@@ -31,10 +39,7 @@ from redundancy_pin.robot.whole_turns import follow_whole_turns
 from redundancy_pin.status import SampleStatus
 
 _FAR_STARTS = 5
-"""Samples at which multistart is tried before a motion that Newton closes nowhere from the reference is given up."""
-
-_NO_SIDE = 1e-6
-"""A mode indicator (sine, or characteristic lengths) this small at a pose where modes meet is zero."""
+"""Samples at which multistart is tried where Newton's method closes no sample in the working mode."""
 
 _EVEN = 0.5
 """Least ratio of neighbouring margins along a motion that stays near a rank loss and goes through none."""
@@ -205,27 +210,37 @@ class _Solution:
         near = _reacquire(follower, x, np.array(follower.robot.q_reference))
         if near is not None:
             return near
-        for sample in np.linspace(0, len(x) - 1, _FAR_STARTS).round().astype(int)[1:]:
+        for sample in _spread(np.arange(len(x)))[1:]:
             with contextlib.suppress(*lost):
-                return int(sample), point_on_branch(follower.system, x[sample], int(sample))
+                return sample, point_on_branch(follower.system, x[sample], sample)
         return None
 
     def _follow_marked(self, order: range, here: ClosedState) -> None:
+        """Follow samples; behind a gap the motion is reacquired, and followed back into the gap as far as it goes."""
         k = 0
         while k < len(order):
-            sample = order[k]
-            reached = self._solved(here, sample)
+            reached = self._solved(here, order[k])
             if isinstance(reached, Rates):
-                here = self._keep(sample, reached)
+                here = self._keep(order[k], reached)
                 k += 1
                 continue
             # the chains may close on another branch at once: the sample is marked all the same
             near = _reacquire(self._follower, self._motion.x[order[k:]], here.q)
-            found = len(order) if near is None else k + near[0]
-            self._measure(order[k : max(found, k + 1)], here.q)
+            found = len(order) if near is None else max(k + near[0], k + 1)
+            joined = 0 if near is None else self._follow_back(order[k + 1 : found], near[1])
+            self._measure(order[k : found - joined], here.q)
             if near is None:
                 return
-            here, k = near[1], max(found, k + 1)
+            here, k = near[1], found
+
+    def _follow_back(self, order: range, here: ClosedState) -> int:
+        """Follow samples from the last one towards the first; return how many are on the branch of a state."""
+        for count, sample in enumerate(reversed(order)):
+            reached = self._solved(here, sample)
+            if isinstance(reached, BranchEnd):
+                return count
+            here = self._keep(sample, reached)
+        return len(order)
 
     def _measure(self, samples: Sequence[int], q: Array) -> None:
         """Note the closure residual that is left at samples without a state."""
@@ -239,7 +254,8 @@ class _Solution:
         """Return a sample on the branch of a state, or why it is not there."""
         follower, motion = self._follower, self._motion
         x, xd, xdd = motion.x[k], motion.xd[k], motion.xdd[k]
-        reached = follower.advance(here, x)
+        # several joints go straight; of one alone whole turns are multiples of the first
+        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.advance(here, x)
         if isinstance(reached, BranchEnd):
             return reached
         if reached.margin >= follower.near:
@@ -300,6 +316,24 @@ def is_rounded(follower: Follower, solved: Rates) -> bool:
     return False
 
 
+def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
+    """Return the state at coordinates x on the branch of a state, as ``Follower.advance``.
+
+    Whole turns of independent joints are followed one joint after the other, and only until they repeat
+    (``robot.whole_turns``).
+    """
+    end: ClosedState | BranchEnd | None = None
+
+    def follow(q: Array, start: Array, target: Array) -> Array | None:
+        nonlocal end
+        state = here if q is here.q else own.close(q, start)
+        end = None if state is None else own.advance(state, target)
+        return end.q if isinstance(end, ClosedState) else None
+
+    follow_whole_turns(own.robot, here.q, here.x, x, follow)
+    return own.diagnose(here, x) if end is None else end
+
+
 def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> ClosedState:
     """Return a closed state at coordinates, in the robot's working mode.
 
@@ -318,22 +352,12 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     """
     robot, own = system.robot, follower(system.robot)
     home = own.home
-    reached: ClosedState | None = None
-
-    def follow(q: Array, start: Array, target: Array) -> Array | None:
-        nonlocal reached
-        here = home if q is home.q else own.close(q, start)
-        end = None if here is None else own.advance(here, target)
-        reached = end if isinstance(end, ClosedState) else None
-        return None if reached is None else reached.q
-
-    if np.isfinite(home.gamma).all():
-        follow_whole_turns(robot, home.q, home.x, x, follow)
-    # a configuration where working modes meet belongs to both
-    if reached is not None and (
-        in_working_mode(robot, reached.q[None])[0] or (np.abs(mode_indicator(robot, reached.q[None])) < _NO_SIDE).any()
-    ):
-        return reached
+    reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
+    if isinstance(reached, ClosedState):
+        # a configuration where working modes meet belongs to both
+        between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
+        if between or in_working_mode(robot, reached.q[None])[0]:
+            return reached
     q, residual, in_mode = multistart(system, home.q, x)
     closed, pose = residual < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
     if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
@@ -362,33 +386,40 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
 
 
 def _reacquire(own: Follower, targets: Array, q: Array) -> tuple[int, ClosedState] | None:
-    """Return the first pose that closes in the working mode, from a configuration (nq,) and from the reference.
+    """Return a pose that closes in the working mode, by its index, and its state; None where there is none.
 
-    Where the chains close earlier, but in another mode, multistart looks for the mode at that pose. None when no pose
-    closes.
+    Newton's method starts from a configuration (nq,) and from the reference, at blocks of poses that get longer. Where
+    the chains close in other modes only, multistart looks for the mode at some of the poses. Poses before the one found
+    may close too: they are on its branch.
     """
     system, robot = own.system, own.robot
     start, count = 0, 32
     while start < len(targets):
         part = targets[start : start + count]
-        best: tuple[int, Array] | None = None
-        earliest = len(part)
-        for guess in (q, np.array(robot.q_reference)):
-            solution = assemble(system, np.repeat(guess[None], len(part), axis=0), part, shortest_step=2.0**-3)
-            if solution.regular.any():
-                earliest = min(earliest, int(np.argmax(solution.regular)))
-            k = int(np.argmax(solution.usable))
-            if solution.usable[k] and (best is None or k < best[0]):
-                best = k, solution.q[k]
-        if earliest < (best[0] if best else len(part)):
-            solved = multistart(system, q, part[earliest])
-            if solved.in_mode:
-                best = earliest, solved.q
-        state = None if best is None else own.close(best[1], part[best[0]])
-        if best is not None and state is not None and state.margin > 0.0:
-            return start + best[0], state
+        guesses = np.array([q, robot.q_reference])
+        solutions = [
+            assemble(system, np.repeat(guess[None], len(part), axis=0), part, shortest_step=2.0**-3)
+            for guess in guesses
+        ]
+        for k in np.flatnonzero(np.any([solution.usable for solution in solutions], axis=0)).tolist():
+            for solution in solutions:
+                state = own.close(solution.q[k], part[k]) if solution.usable[k] else None
+                if state is not None and state.margin > 0.0:
+                    return start + k, state
+        closed = np.flatnonzero(np.any([solution.regular for solution in solutions], axis=0))
+        for k in _spread(closed):
+            solved = multistart(system, q, part[k])
+            state = own.close(solved.q, part[k]) if solved.in_mode else None
+            if state is not None and state.margin > 0.0:
+                return start + k, state
         start, count = start + count, 2 * count
     return None
+
+
+def _spread(samples: IntArray) -> list[int]:
+    """Return the first and the last of some samples, and some between them, each once."""
+    places = np.linspace(0, len(samples) - 1, min(_FAR_STARTS, len(samples))).round().astype(int)
+    return [int(samples[place]) for place in places]
 
 
 _ALONE = SampleStatus.UNREACHABLE, SampleStatus.TYPE_I

@@ -1,21 +1,19 @@
-"""Whether a mechanism has the freedoms that are declared: Grübler's count, and the rank of rows at the reference."""
+"""Whether a mechanism has the degrees of freedom that are declared: Grübler's count, and the rank of rows."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE
+from redundancy_pin.arrays import RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, project
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import with_pointer
-
-_MOVES = 1e-6
-"""Part of a unit motion, scaled, that a joint must have in it to be said to move."""
 
 
 def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
@@ -36,7 +34,7 @@ def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
     if freedoms == robot.n:
         return
     reference = assemble(system, np.array(robot.q_reference)[None])
-    rank, redundant = _rank(system, reference.state)
+    rank, redundant = _rank(system, reference.q[0])
     if freedoms < robot.n:
         kind, only = "over", ""
         where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
@@ -71,7 +69,7 @@ def _left_free(system: ConstraintSystem) -> str:
     rows = system.relative(state.K)[0]
     values, basis = np.linalg.svd(rows)[1:]
     free = np.abs(basis[int((values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-300)).sum()) :])
-    moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > _MOVES)}
+    moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > RANK_TOLERANCE)}
     names = [
         str(name)
         for name, joint in zip(robot.model.names, robot.model.joints, strict=True)
@@ -90,8 +88,7 @@ def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> 
         DeclarationError: it is; names the rows.
     """
     robot = system.robot
-    state = system.evaluate(np.array(robot.q_reference)[None])
-    rank, redundant = _rank(system, state)
+    rank, redundant = _rank(system, np.array(robot.q_reference))
     if redundant:
         raise DeclarationError(
             f"Grübler's count gives {robot.name} {robot.n} freedoms, but its closure rows have rank {rank} of "
@@ -105,8 +102,7 @@ def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> 
             "same, say `redundant_rows: true`.",
             rank=rank,
         )
-    projection = project(system, state)
-    if projection.margin[0] == 0.0:
+    if project(system, system.evaluate(np.array(robot.q_reference)[None])).margin[0] == 0.0:
         raise DeclarationError(
             f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
             "joint velocities.",
@@ -144,21 +140,58 @@ def other_axes(robot: Robot) -> str:
     return _fitting(replace(robot, q_reference=near.q[0]), robot.n).strip()
 
 
-def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[str]]:
-    """Return the rank of the closure rows and the names of those that depend on the others (pivoted QR of Jᵀ)."""
-    jacobian = state.Jc[0][:, system.pose_columns] * system.step_unit / system.closure_unit[:, None]
-    if min(jacobian.shape) == 0:
-        return 0, []
-    singular = np.linalg.svd(jacobian, compute_uv=False)
-    if len(singular) == len(jacobian) and singular[-1] > RANK_TOLERANCE * singular[0]:
-        return len(jacobian), []  # the diagonal below lies between these two: its verdict is the same
-    from scipy.linalg import qr  # imported where rows are to be named only: it takes as long as all of Pinocchio
+def independent_columns(
+    matrix: Array,
+    apart: float = RANK_TOLERANCE,
+    *,
+    taken: Sequence[int] = (),
+    among: Sequence[int] | None = None,
+    most: int | None = None,
+) -> list[int]:
+    """Return columns that are independent of one another, the farthest from the span of those before it first.
 
-    _, triangle, order = qr(jacobian.T, pivoting=True, mode="economic")
-    diagonal = np.abs(np.diag(triangle))
-    rank = int((diagonal > RANK_TOLERANCE * max(diagonal.max(initial=0.0), np.finfo(float).tiny)).sum())
-    names = row_names(system.robot)
-    return rank, [names[row] for row in sorted(order[rank:])]
+    It is the QR decomposition with column pivoting (Golub and Van Loan, "Matrix Computations", 2013, section 5.4.2).
+
+    Args:
+        matrix: (r, c).
+        apart: smallest distance of a column from the span of the others, relative to the longest column.
+        taken: columns that are chosen already; they come first.
+        among: columns to choose from, all when left out.
+        most: number of columns at which to stop.
+
+    Example:
+        >>> independent_columns(np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 1.0]]))
+        [1, 2]
+    """
+    basis, longest = np.zeros((len(matrix), 0)), np.linalg.norm(matrix, axis=0).max(initial=0.0)
+    chosen, waiting = list(taken), list(range(matrix.shape[1]) if among is None else among)
+    most = min(matrix.shape) if most is None else most
+
+    def extend(column: Array) -> None:
+        nonlocal basis
+        for _ in range(2):  # once leaves the rounding of a column that is nearly dependent
+            column = column - basis @ (basis.T @ column)
+            column = column / np.linalg.norm(column)
+        basis = np.column_stack([basis, column])
+
+    for index in chosen:
+        extend(matrix[:, index])
+    while len(chosen) < most:
+        waiting = [index for index in waiting if index not in chosen]
+        rest = matrix[:, waiting] - basis @ (basis.T @ matrix[:, waiting])
+        lengths = np.linalg.norm(rest, axis=0)
+        if not lengths.max(initial=0.0) > apart * longest:
+            break
+        # the first of equals, whatever their rounding
+        chosen.append(waiting[int(np.argmax(lengths > (1.0 - RANK_TOLERANCE) * lengths.max()))])
+        extend(matrix[:, chosen[-1]])
+    return chosen
+
+
+def _rank(system: ConstraintSystem, q: Array) -> tuple[int, list[str]]:
+    """Return the rank of the closure rows at q (nq,) and the names of those that depend on the others."""
+    kept = independent_columns(system.closure_rows(q).T)
+    return len(kept), [name for row, name in enumerate(row_names(system.robot)) if row not in kept]
 
 
 def row_names(robot: Robot) -> list[str]:

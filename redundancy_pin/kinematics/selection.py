@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.closing import SEED, close, closed_near, scattered
+from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
-from redundancy_pin.kinematics.mobility import row_names
+from redundancy_pin.kinematics.mobility import independent_columns, row_names
+from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_index
 
@@ -132,9 +133,9 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
 def rows_at(robot: Robot, q: Array) -> Robot:
     """Return a robot whose redundant rows were left out with those rows that say most at a closed configuration."""
     full = with_all_rows(robot)
-    rows = _rows(constraint_system(full), q)
+    rows = constraint_system(full).closure_rows(q)
     keep = np.zeros(len(rows), dtype=bool)
-    keep[_pivots(rows.T, len(constraint_system(robot).rows))] = True
+    keep[independent_columns(rows.T, most=len(constraint_system(robot).rows))] = True
     return replace(_with_rows(full, keep)[0], all_closures=robot.all_closures)
 
 
@@ -198,12 +199,11 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> R
 def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot, tuple[str, ...], float]:
     """Return the robot with the rows that count, the names of the others, and how far these open (at ``most``)."""
     system = ConstraintSystem(robot)
-    rows = [_rows(system, each) for each in _neighbours(system, q, most)]
-    ranks = [_rank(each) for each in rows]
     # at a singular reference the rank is lower than around it, and the choice is made where it is not
-    best = int(np.argmax(ranks))
+    rows = [system.closure_rows(each) for each in _neighbours(system, q, most)]
+    chosen = max((independent_columns(each.T, _REDUNDANT) for each in rows), key=len)
     keep = np.zeros(len(system.rows), dtype=bool)
-    keep[_pivots(rows[best].T, ranks[best])] = True
+    keep[chosen] = True
     if keep.all():
         return robot, (), 0.0
     fewer, left_out = _with_rows(robot, keep)
@@ -214,42 +214,21 @@ def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot,
         return fewer, left_out, float(opened.max())
     wide = [name for name, gap in zip(row_names(robot), opened, strict=True) if gap > most]
     raise DeclarationError(
-        f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {ranks[best]}, but where "
+        f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {len(chosen)}, but where "
         f"{', '.join(left_out)} are left out the loops open, by {opened.max():.3g} in {', '.join(wide)}.",
         remedy="It moves against Grübler's count. Give a joint of the loop the freedom that it needs, such as a "
         "ball in place of a hinge.",
-        rank=ranks[best],
+        rank=len(chosen),
         gap=float(opened.max()),
     )
 
 
 def _neighbours(system: ConstraintSystem, q: Array, tolerance: float = CLOSURE_TOLERANCE) -> Array:
     """Return configurations (N, nq) closed to a relative tolerance, the first of them q itself."""
-    around = scattered(system, q, _NEIGHBOURS, _SPREAD, np.random.default_rng(SEED))
+    around = draw_starts(system, q, _NEIGHBOURS, np.random.default_rng(SEED), turn=_SPREAD, slide=_SPREAD)
     reached = [close(system, each) for each in (q, *around)]
     closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
     return np.array(closed) if closed else q[None]
-
-
-def _rows(system: ConstraintSystem, q: Array) -> Array:
-    """Return (r, p) the closure rows at a configuration, in scaled units."""
-    columns = system.pose_columns
-    rows: Array = system.evaluate(q[None]).Jc[0][:, columns] * system.step_unit / system.closure_unit[:, None]
-    return rows
-
-
-def _rank(matrix: Array) -> int:
-    values = np.linalg.svd(matrix, compute_uv=False)
-    return int((values > _REDUNDANT * values.max(initial=0.0)).sum()) if values.size else 0
-
-
-def _pivots(matrix: Array, count: int) -> IntArray:
-    """Return the columns that pivoting takes first."""
-    from scipy.linalg import qr
-
-    _, _, order = qr(matrix, pivoting=True, mode="economic")
-    chosen: IntArray = order[:count]
-    return chosen
 
 
 def _with_rows(robot: Robot, keep: BoolArray) -> tuple[Robot, tuple[str, ...]]:
@@ -276,7 +255,7 @@ def _independent(robot: Robot, q: Array) -> tuple[tuple[str, ...], tuple[str, ..
     """
     model, system = robot.model, ConstraintSystem(robot)
     columns = system.pose_columns.tolist()
-    rows = _rows(system, q) if len(system.rows) else np.zeros((0, len(columns)))
+    rows = system.closure_rows(q)
     owner = {}
     for index in range(1, model.njoints):
         joint = model.joints[index]
@@ -295,25 +274,15 @@ def _independent(robot: Robot, q: Array) -> tuple[tuple[str, ...], tuple[str, ..
 
 
 def _dependent(rows: Array, classes: Sequence[Sequence[int]]) -> set[int]:
-    """Return as many columns as the rows have rank, independent of one another, from the first classes where it can be.
+    """Return as many columns as the rows have rank, independent of one another, from the first classes where possible.
 
-    Two rounds: columns that are nearly dependent on the ones taken already wait for the second.
+    Each column counts in its own length. Columns that are nearly dependent on the ones taken already wait until all
+    classes were asked.
     """
-    rank = _rank(rows)
-    taken: list[int] = []
-    basis, size = np.zeros((len(rows), 0)), np.linalg.norm(rows, axis=0)
-    own = np.maximum(size, max(_SHORT * size.max(initial=0.0), 1e-300))
+    size = np.linalg.norm(rows, axis=0)
+    own = np.where(size < RANK_TOLERANCE, np.inf, np.maximum(size, _SHORT * size.max(initial=0.0)))
+    rank, taken = len(independent_columns(rows.T, _REDUNDANT)), list[int]()
     for apart in (_WELL_APART, RANK_TOLERANCE):
         for group in classes:
-            waiting = [i for i in group if i not in taken]
-            while waiting and len(taken) < rank:
-                rest = rows[:, waiting] - basis @ (basis.T @ rows[:, waiting])
-                lengths = np.where(size[waiting] < RANK_TOLERANCE, 0.0, np.linalg.norm(rest, axis=0) / own[waiting])
-                best = int(np.argmax(lengths))
-                if lengths[best] <= apart:
-                    break
-                direction = rest[:, best] / np.linalg.norm(rest[:, best])
-                direction = direction - basis @ (basis.T @ direction)
-                basis = np.column_stack([basis, direction / np.linalg.norm(direction)])
-                taken.append(waiting.pop(best))
+            taken = independent_columns(rows / own, apart, taken=taken, among=group, most=rank)
     return set(taken)

@@ -39,7 +39,8 @@ def changed_urdf(urdf: str, masses: Mapping[str, float], lengths: Mapping[str, A
     links = {str(link.get("name")): link for link in root.findall("link")}
     joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
     for name, value in _items(masses, "masses"):
-        _scale_mass(_named(name, links, "link"), name, value)
+        moved = joints[name].find("child").get("link") if name in joints and name not in links else ""  # type: ignore[union-attr]
+        _scale_mass(_named(name, links, "link", f"The joint {name} moves {moved}. " if moved else ""), name, value)
     for name, value in _items(lengths, "lengths"):
         _place(_named(name, joints, "joint"), name, value)
     return ElementTree.tostring(root, encoding="unicode")
@@ -53,11 +54,11 @@ def _items(values: Mapping[str, Any], what: str) -> list[tuple[str, Any]]:
     return list(values.items())
 
 
-def _named(name: str, known: Mapping[str, Any], what: str) -> Any:
+def _named(name: str, known: Mapping[str, Any], what: str, hint: str = "") -> Any:
     if name not in known:
         raise InputError(
             f"The robot has no {what} {shown(name)}.",
-            remedy=f"{did_you_mean(name, known)}It has: {', '.join(known)}.",
+            remedy=f"{hint or did_you_mean(name, known)}It has: {', '.join(known)}.",
             name=name,
         )
     return known[name]

@@ -1,4 +1,4 @@
-"""Joints: how far random starts scatter them, their ranges, and where a motion leaves these.
+"""Ranges of joints, and where a motion leaves them.
 
 All comparisons of positions with limits allow the same slack, ``JointRange.slack``, which has no unit of its own.
 """
@@ -14,7 +14,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
-from redundancy_pin.robot.scales import turning_velocities
 from redundancy_pin.robot.types import Robot, slides
 
 ROUNDING = 1e-9
@@ -25,18 +24,6 @@ Newton's method closes loops to 1e-11 of that length."""
 
 _A_TURN = 2.0 * np.pi + 0.01
 """rad; limits farther apart count turns."""
-
-
-@lru_cache(maxsize=64)
-def random_spread(robot: Robot) -> Array:
-    """Return (nv,) the half-width of the range in which random starts lie about a configuration.
-
-    It is π for rotations and the robot's characteristic length for translations, so that the scale of a robot does not
-    decide whether a start finds a branch. Carriers have none: they do not change the pose.
-    """
-    spread = np.where(turning_velocities(robot), np.pi, robot.characteristic_length)
-    spread[robot.carrier_velocity] = 0.0
-    return read_only(spread)
 
 
 @dataclass(frozen=True)

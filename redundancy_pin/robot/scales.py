@@ -7,6 +7,7 @@ units, gets the same statuses.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -79,10 +80,10 @@ def force_terms(robot: Robot) -> ForceTerms:
     """Return what the forces of a robot are compared with."""
     model, length = robot.model, robot.characteristic_length
     mass = 0.0
-    for index in range(1, model.njoints):
-        body = model.inertias[index]
-        mass += float(body.mass) + float(np.trace(body.inertia)) / length**2
-    mass += float((model.armature / np.where(turning_velocities(robot), length**2, 1.0)).sum())
+    for body in itertools.islice(model.inertias, 1, None):
+        mass += float(body.mass) + float(body.inertia.trace()) / length**2
+    if model.armature.any():
+        mass += float((model.armature / np.where(turning_velocities(robot), length**2, 1.0)).sum())
     viscous = static = 0.0
     for load in robot.loads:
         if isinstance(load, JointForces):
@@ -149,15 +150,9 @@ def turning_coordinates(robot: Robot) -> list[bool]:
 @lru_cache(maxsize=64)
 def turning_velocities(robot: Robot) -> BoolArray:
     """Return (nv,) which tree velocities are rotations."""
-    model = robot.model
-    turning = np.zeros(model.nv, dtype=bool)
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    for index in range(1, model.njoints):
-        joint = model.joints[index]
-        subspace = np.reshape(data.joints[index].S, (6, joint.nv))
-        turning[joint.idx_v : joint.idx_v + joint.nv] = np.abs(subspace[3:]).max(axis=0) > 0
-    return read_only(turning)
+    data = robot.model.createData()
+    pin.computeJointJacobians(robot.model, data, pin.neutral(robot.model))
+    return read_only(data.J[3:].any(axis=0))
 
 
 @lru_cache(maxsize=64)

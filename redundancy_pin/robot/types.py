@@ -247,7 +247,8 @@ class Robot(Frozen):
         lengths are changed has no closed form any more (``VirtualWork`` refuses it): that is written in the arguments.
 
         Args:
-            masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays.
+            masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays. (Derivatives
+                by ``"JOINT.mass"`` hold the inertia about the centre: ``dynamics.compiled.design_of``.)
             lengths: by joint, its distance from the joint before it, m; or (3,) its place in the frame of its parent
                 link, m. This moves joints and frames only: masses, centres and moments of inertia of the links stay as
                 they were, which ``notes`` and the log say. Xacro arguments of a file change both.

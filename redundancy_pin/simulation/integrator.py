@@ -24,8 +24,8 @@ import pinocchio as pin
 from scipy.integrate import DOP853, RK45, OdeSolver, Radau
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.dynamics.forward import LEAST_INERTIA, Advance, ForwardKernel, Integration, Rules
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.forward import Advance, ForwardKernel, Integration, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.kinematics.closure import made_up
 from redundancy_pin.kinematics.selection import rows_at
@@ -320,8 +320,6 @@ class OrdinarySteps:
             largest_residual=LARGEST_RESIDUAL,
             velocity_change=_JUMP,
             velocity_floor=_STIR,
-            rank_tolerance=RANK_TOLERANCE,
-            least_inertia=LEAST_INERTIA,
         )
         self._code: Integration = kernel.integration(rules)
 

@@ -14,7 +14,6 @@ from scipy.interpolate import CubicHermiteSpline
 from redundancy_pin.arrays import Array, Frozen, checked, peak
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.archive import read_archive, write_archive
-from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.forward_kinematics import platform_rates
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.robot_record import RobotRecord, read_robot, robot_of_record
@@ -164,7 +163,7 @@ class Simulation(Frozen):
         machine = robot_of_record(self.robot, robot)
         efforts = np.concatenate([self.tau, self.carrier_force], axis=1)
         about = {"format": FORMAT, "version": VERSION, "robot": self.robot.name, "status": self.status.value}
-        xdd = platform_rates(constraint_system(machine), self.q, self.v, self.a)[1]
+        xdd = platform_rates(machine, self.q, self.v, self.a)[1]
         states = (self.t, self.x, self.xd, xdd, self.q, self.v, self.a, efforts)
         return table_of_states(machine, self.robot, states, about)
 

@@ -7,22 +7,29 @@ that reaches zero: a motion in one working mode can touch it, not cross it.
 
 from __future__ import annotations
 
+from bisect import bisect
 from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, frozen
-from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError, millimetres
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate
-from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState
+from redundancy_pin.errors import (
+    InputError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+    millimetres,
+)
+from redundancy_pin.kinematics.assembly import Assembly, assemble
+from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.named import require_matching
-from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, position_unit, row_scale, velocity_unit
+from redundancy_pin.robot.scales import coordinate_unit, row_scale
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
 from redundancy_pin.singularities.roots import Zero, zeros
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
@@ -44,18 +51,6 @@ _PROBE = 1e-2
 
 _FEWEST_STEPS = 400
 """Sampling steps in time at least, however short the path."""
-
-_OVERSHOOT = 0.5
-"""Change of a joint over one sampling step, rad or characteristic lengths, that is no motion along the branch: Newton's
-method overshot next to a singularity. A sampling step is a hundredth of the robot's size."""
-
-_NO_SIDE = 1e-6
-"""Mode indicator (sine or metres) that counts as zero: Newton's method leaves as much at a type I singularity."""
-
-_SLOW_NEWTON = 80
-"""Newton iterations at a type I singularity. There the error only halves in each; 50 halvings reach rounding."""
-
-_STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +120,7 @@ def find_crossings(
         if not 0.0 < value < 1.0:
             raise InputError(f"{name} is {value}.", remedy="Pass a number between 0 and 1.", name=name)
     robot = as_robot(robot)
-    path = follow_law(constraint_system(robot), motion_of(robot, motion), spacing, start)
+    path = FollowedPath(constraint_system(robot), motion_of(robot, motion), spacing, start)
 
     def parallel(times: Array) -> Array:
         margins = path.margins(times)
@@ -214,77 +209,106 @@ def motion_of(robot: Robot, source: PlatformMotion | TimedTrajectory) -> Continu
     return continuous_motion(PlatformMotion(source.t, x, source.xd, source.xdd, check_rates=source.check_rates))
 
 
-@dataclass(frozen=True, eq=False)
 class FollowedPath:
-    """Closed configurations along a platform path, close enough to each other for interpolation.
+    """Closed configurations along a platform path, on one branch: each from the nearest one that is known.
 
-    Attributes:
+    Args:
         system: closures and platform rows.
         law: the platform's motion.
-        t: (N,) times, s.
-        q: (N, nq) configurations.
-    """
+        spacing: longest step between two samples, characteristic lengths; rotations count with that length.
+        start: a point of the branch at or near the first pose; otherwise found from the reference configuration.
 
-    system: ConstraintSystem
-    law: ContinuousMotion
-    t: Array
-    q: Array
-
-    def configurations(self, times: Array) -> Array:
-        """Return (M, nq) configurations at increasing times between the first and the last, by Newton from a neighbour.
-
-        Raises:
-            UnreachablePoseError: the path leaves the workspace between two samples; carries the time.
-            WorkingModeError: Newton reaches another branch.
-        """
-        model, unit = self.system.robot.model, velocity_unit(self.system.robot)
-        left = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
-        span = configuration_difference(model, self.q[left], self.q[left + 1])
-        u = ((times - self.t[left]) / (self.t[left + 1] - self.t[left]))[:, None]
-        guess = integrate(model, self.q[left], u * span)
-        solution = assemble(self.system, guess, self.law.sample_at(times).x, max_iterations=_SLOW_NEWTON)
-        miss, size = (
-            np.abs(part / unit).max(axis=1) for part in (configuration_difference(model, guess, solution.q), span)
-        )
-        # near a type I singularity q goes with a square root: on the branch it lies within half of the span
-        lost = np.flatnonzero(~solution.closed | (miss > np.maximum(size, SAME_CONFIGURATION)))
-        if len(lost):
-            k = int(lost[0])
-            if size[k] <= _OVERSHOOT:
-                _require_closed(self.system.robot, times[k : k + 1], solution.gap[k : k + 1])
-            raise WorkingModeError(
-                f"At t = {times[k]:.9g} s the configuration between two samples lies on another branch: the path "
-                "passes through or next to a type I singularity.",
-                remedy=f"{_STAY_AWAY} Next to one, a finer spacing helps.",
-                time=float(times[k]),
-            )
-        return solution.q
-
-    def margins(self, times: Array) -> Margins:
-        """Return the margins at increasing times; errors as ``configurations``."""
-        return margins_of(self.system, self.system.evaluate(self.configurations(times)))
-
-
-def follow_law(
-    system: ConstraintSystem, law: ContinuousMotion, spacing: float, start: ClosedState | None = None
-) -> FollowedPath:
-    """Return a path, solved on the robot's branch at steps of at most ``spacing`` characteristic lengths.
-
-    Rotations count with the characteristic length. ``start`` is a point of the branch at or near the first pose.
+    Attributes:
+        t: (N,) times of the samples, s.
 
     Raises:
-        UnreachablePoseError: a pose cannot be reached; carries the time at which the path leaves the workspace.
-        WorkingModeError: the path cannot be followed in the robot's working mode.
+        UnreachablePoseError: the path leaves the workspace; carries the time.
+        SingularPoseError, WorkingModeError: the path cannot be followed in the robot's working mode.
     """
-    robot, t = system.robot, _sampling_times(system.robot, law, spacing)
-    still, x = np.zeros((len(t), robot.n)), law.sample_at(t).x
-    motion = PlatformMotion(t, x, still, still)
-    tree = inverse_kinematics(robot, motion, mark_unreachable=True, start=start, positions_only=True)
-    path = FollowedPath(system, law, t, np.array(tree.q))
-    _drop_overshoots(path.q, position_unit(robot))
-    if np.isnan(path.q).any():
-        _fill_in(path, tree.gap)
-    return path
+
+    def __init__(
+        self, system: ConstraintSystem, law: ContinuousMotion, spacing: float, start: ClosedState | None = None
+    ) -> None:
+        self.system, self.law, self._follower = system, law, follower(system.robot)
+        self.t = _sampling_times(system.robot, law, spacing)
+        x = law.sample_at(self.t).x
+        first = 0
+        if start is None:
+            try:
+                start = point_on_branch(system, x[0])
+            except SingularPoseError:  # a motion may start on a type I singularity; the next sample is regular
+                first, start = 1, point_on_branch(system, x[1])
+        self._known, self._states, self._q = [float(self.t[first])], [start], dict[float, Array]()
+        self.configurations(self.t)
+
+    def configurations(self, times: Array) -> Array:
+        """Return (M, nq) configurations at times of the motion: on the branch, or closed at a type I singularity.
+
+        At a type I singularity the branch ends: the chains are closed from the nearest state on it.
+
+        Raises:
+            UnreachablePoseError, WorkingModeError: as of the class.
+        """
+        new = np.array([t for t in times.tolist() if t not in self._q])
+        x = self.law.sample_at(new).x if len(new) else new
+        beyond = [
+            k for k, t in enumerate(new.tolist()) if not self._keep(t, self._follower.step(self._nearest(t), x[k]))
+        ]
+        if beyond:
+            starts = np.array([self._nearest(t).q for t in new[beyond].tolist()])
+            ends = assemble(self.system, starts, x[beyond])
+            for end, k in enumerate(beyond):
+                self._finish(float(new[k]), x[k], ends, end)
+        return np.array([self._q[t] for t in times.tolist()])
+
+    def _nearest(self, t: float) -> ClosedState:
+        """Return the state on the branch that is nearest in time."""
+        after = bisect(self._known, t)
+        around = range(max(after - 1, 0), min(after + 1, len(self._known)))
+        return self._states[min(around, key=lambda k: abs(self._known[k] - t))]
+
+    def _keep(self, t: float, reached: ClosedState | BranchEnd | None) -> bool:
+        """Note a state on the branch, if there is one; return whether there is."""
+        if not isinstance(reached, ClosedState):
+            return False
+        after = bisect(self._known, t)
+        self._known.insert(after, t)
+        self._states.insert(after, reached)
+        self._q[t] = reached.q
+        return True
+
+    def _finish(self, t: float, x: Array, ends: Assembly, end: int) -> None:
+        """Note the configuration at a time that is no single step from a known one."""
+        state = self._nearest(t)
+        if not ends.closed[end]:
+            self._raise_border(t, state, float(ends.gap[end]))
+        if ends.projection.margin[end] == 0.0:
+            self._q[t] = ends.q[end]
+        elif not self._keep(t, self._follower.advance(state, x)):
+            raise WorkingModeError(
+                f"The path cannot be followed in working mode {mode_name(self.system.robot.working_mode)} at "
+                f"t = {t:.9g} s.",
+                remedy="Keep the legs away from full stretch, full fold and zero length.",
+                time=t,
+            )
+
+    def _raise_border(self, t: float, state: ClosedState, residual: float) -> NoReturn:
+        """Raise UnreachablePoseError with the time before t at which the path leaves the workspace."""
+        inside, outside = self._known[bisect(self._known, t) - 1], t
+        while (middle := 0.5 * (inside + outside)) not in (inside, outside):
+            closed = assemble(self.system, state.q[None], self.law.sample_at(np.array([middle])).x).closed[0]
+            inside, outside = (middle, outside) if closed else (inside, middle)
+        raise UnreachablePoseError(
+            f"The path leaves the workspace at t = {inside:.9g} s: at t = {t:.6g} s the closure residual is "
+            f"{residual:.3g} m.{millimetres(residual, self.system.robot.characteristic_length)}",
+            remedy="Keep the motion inside the workspace; its border is a type I singularity.",
+            time=inside,
+            gap=residual,
+        )
+
+    def margins(self, times: Array) -> Margins:
+        """Return the margins at increasing times; errors as of the class."""
+        return margins_of(self.system, self.system.evaluate(self.configurations(times)))
 
 
 def _sampling_times(robot: Robot, law: ContinuousMotion, spacing: float) -> Array:
@@ -294,79 +318,3 @@ def _sampling_times(robot: Robot, law: ContinuousMotion, spacing: float) -> Arra
     steps = np.linalg.norm(difference(robot, x[1:], x[:-1]) / coordinate_unit(robot), axis=1)
     nodes = np.concatenate([[0.0], np.cumsum(np.maximum(np.ceil(steps / spacing), 1.0))])
     return np.interp(np.arange(nodes[-1] + 1.0), nodes, t)
-
-
-def _drop_overshoots(q: Array, unit: Array) -> None:
-    """Set samples (N, nq) to NaN that are too far from the last sample before them to lie on its branch."""
-    last: int | None = None
-    for k in np.flatnonzero(np.isfinite(q[:, 0])).tolist():
-        if last is not None and np.abs((q[k] - q[last]) / unit).max() > _OVERSHOOT * (k - last):
-            q[k] = np.nan
-        else:
-            last = k
-
-
-def _fill_in(path: FollowedPath, residual: Array) -> None:
-    """Solve the samples (NaN in q) at or next to a type I singularity, each from its nearest neighbour.
-
-    The inverse kinematics leaves them out: its predicted step would end on the other side of a square root. Newton's
-    method without a prediction stays on its own side.
-
-    Args:
-        path: the path.
-        residual: (N,) closure residuals that the inverse kinematics left, m.
-    """
-    system, robot, q = path.system, path.system.robot, path.q
-    known, missing = np.flatnonzero(~np.isnan(q[:, 0])), np.flatnonzero(np.isnan(q[:, 0]))
-    if len(known) == 0:
-        _require_closed(robot, path.t, residual)
-        raise WorkingModeError(
-            f"No sample of the path lies in working mode {mode_name(robot.working_mode)}.",
-            remedy=_STAY_AWAY,
-            time=float(path.t[0]),
-        )
-    nearest = known[np.abs(missing[:, None] - known).argmin(axis=1)]
-    solution = assemble(system, q[nearest], path.law.sample_at(path.t[missing]).x, max_iterations=_SLOW_NEWTON)
-    q[missing] = solution.q
-    for k in np.flatnonzero(~solution.closed)[:1]:
-        _raise_border(path, int(missing[k]), float(solution.gap[k]))
-    other = (mode_indicator(robot, solution.q) * np.array(robot.working_mode) < -_NO_SIDE).any(axis=1)
-    for lost in path.t[missing[other]].tolist():
-        raise WorkingModeError(
-            f"The path cannot be followed in working mode {mode_name(robot.working_mode)} at t = {lost:.9g} s.",
-            remedy=_STAY_AWAY,
-            time=lost,
-        )
-
-
-def _raise_border(path: FollowedPath, bad: int, residual: float) -> NoReturn:
-    """Raise UnreachablePoseError with the time at which the path leaves the workspace before the sample ``bad``."""
-    robot, t = path.system.robot, path.t
-    if bad == 0:
-        _require_closed(robot, t[:1], np.array([residual]))
-    inside, outside, q = float(t[bad - 1]), float(t[bad]), path.q[bad - 1]
-    while len(times := np.unique(np.linspace(inside, outside, 17))) > 2:
-        poses = path.law.sample_at(times[1:-1]).x
-        solution = assemble(path.system, np.repeat(q[None], len(poses), axis=0), poses, max_iterations=_SLOW_NEWTON)
-        reached = int(np.argmin(np.append(solution.closed, False)))
-        inside, outside = float(times[reached]), float(times[reached + 1])
-        q = solution.q[reached - 1] if reached else q
-    raise UnreachablePoseError(
-        f"The path leaves the workspace at t = {inside:.9g} s: at t = {t[bad]:.6g} s the closure residual is "
-        f"{residual:.3g} m.{millimetres(residual, robot.characteristic_length)}",
-        remedy="Keep the motion inside the workspace; its border is a type I singularity.",
-        time=inside,
-        gap=residual,
-    )
-
-
-def _require_closed(robot: Robot, times: Array, residual: Array) -> None:
-    """Raise UnreachablePoseError for the first pose with a closure residual (N,), m, above the tolerance."""
-    for k in np.flatnonzero(~(residual < closure_tolerance(robot)))[:1]:
-        raise UnreachablePoseError(
-            f"The pose at t = {times[k]:.9g} s cannot be reached: the closure residual is {residual[k]:.3g} m."
-            f"{millimetres(float(residual[k]), robot.characteristic_length)}",
-            remedy="Keep the motion inside the workspace.",
-            time=float(times[k]),
-            gap=float(residual[k]),
-        )

@@ -11,18 +11,20 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import label
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, blocks, checked, frozen, read_only
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, project
 from redundancy_pin.kinematics.branch import follows
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
+from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import is_pose
-from redundancy_pin.robot.scales import is_revolute, turning_velocities, velocity_unit
+from redundancy_pin.robot.scales import is_revolute, velocity_unit
 from redundancy_pin.singularities.classify import Margins, margins_of
 
 _FARTHEST = 1e9
@@ -37,9 +39,6 @@ _COARSE, _COARSE_IN_SPACE = 61, 15
 _BORDER = 0.03
 """Room left around the workspace, as a fraction of its size."""
 
-_NEWTON = 10
-"""Newton iterations per node: a neighbour in reach needs three to six."""
-
 _SHORTEST_STEP = 2.0**-3
 """Fraction of a Newton step below which a node is left to a nearer neighbour."""
 
@@ -47,11 +46,8 @@ _LONGEST_STEP = 2.0
 """Largest change of a joint between neighbours, rad or characteristic lengths. A leg near its base hinge turns by up to
 π/2; a leg that Newton's method moved to another turn turns by more."""
 
-_TRIED, _STARTS, _SEED = 60, 6, 20141
-"""Nodes at which islands are searched, random starts at each, and a fixed seed of the random numbers."""
-
-_SLIDE = 0.6
-"""Largest change of a sliding joint at random starts, characteristic lengths."""
+_STARTS = 360
+"""Random configurations from which islands are searched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,19 +201,18 @@ def positions(x: Array, free: tuple[int, ...]) -> Array:
 def solve_grid(place: Slice, axes: tuple[Array, ...], *, islands: bool = False) -> WorkspaceGrid:
     """Return the configurations over a grid, flooded from the start of a slice.
 
-    Only the part of the workspace that is connected to the start within the slice is found; with ``islands`` also nodes
-    connected by the corner of a cell only, and parts that random starts meet.
+    Only the part of the workspace that is connected to the start within the slice is found, by sides or corners of
+    cells; with ``islands`` also parts that random starts meet.
     """
     mesh = np.meshgrid(*axes, indexing="ij")
     nodes = np.repeat(place.x[None], mesh[0].size, axis=0)
     for column, values in zip(place.free, mesh, strict=True):
         nodes[(slice(None), column, 3) if nodes.ndim == 3 else (slice(None), column)] = values.ravel()
-    flood = _Flood(place.system, nodes, mesh[0].shape, across_corners=islands and len(axes) > 1)
-    flood.run(place.x, place.q)
+    flood = _Flood(place, nodes, mesh[0].shape)
     if islands:
-        flood.find_islands(place, axes)
+        flood.find_islands(axes)
     grid_axes = tuple(read_only(np.array(axis)) for axis in axes)
-    return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.part)))
+    return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.parts())))
 
 
 def grid_margins(place: Slice, grid: WorkspaceGrid) -> Margins:
@@ -230,129 +225,116 @@ def grid_margins(place: Slice, grid: WorkspaceGrid) -> Margins:
 
 
 class _Flood:
-    """State of the flooding; used up by one run."""
+    """The flooding of a grid: every node that closes is where Newton's method starts for its neighbours.
 
-    def __init__(self, system: ConstraintSystem, nodes: Array, shape: tuple[int, ...], *, across_corners: bool) -> None:
-        self.system, self.nodes, self.shape, self.across_corners = system, nodes, shape, across_corners
-        self.q = np.full((len(nodes), system.robot.model.nq), np.nan)
-        self.gamma = np.zeros((len(nodes), system.robot.model.nv, system.robot.n))
+    The part that is connected to the start of the slice is solved at once.
+    """
+
+    def __init__(self, place: Slice, nodes: Array, shape: tuple[int, ...]) -> None:
+        self.place, self.system, self.robot, self.nodes, self.shape = (
+            place,
+            place.system,
+            place.system.robot,
+            nodes,
+            shape,
+        )
+        self.q = np.full((len(nodes), self.robot.model.nq), np.nan)
+        self.gamma = np.zeros((len(nodes), self.robot.model.nv, self.robot.n))
         self.solved = np.zeros(len(nodes), dtype=bool)
-        self.part = np.full(len(nodes), -1)
-
-    def run(self, x: Array, q: Array) -> None:
-        """Solve the nodes nearest to the start, then outward in waves until no new node closes."""
-        gamma = project(self.system, self.system.evaluate(q[None])).gamma
-        distance = np.abs(difference(self.system.robot, self.nodes, np.repeat(x[None], len(self.nodes), axis=0)))
-        nearest = np.argsort(distance.max(axis=1), kind="stable")[: 4 ** len(self.shape)]
-        start = (part.repeat(len(nearest), axis=0) for part in (x[None], q[None], gamma))
-        self._spread(self._reach(nearest, *start))
-        self.part[self.solved] = 0
-
-    def find_islands(self, place: Slice, axes: tuple[Array, ...]) -> None:
-        """Search islands from random starts, at some nodes not reached, and spread from the nodes that close.
-
-        A random start is closed by itself first: it meets a small island more often than a node of the grid does.
-        """
-        robot, columns = self.system.robot, self.system.pose_columns
-        unsolved = np.flatnonzero(~self.solved)
-        targets = np.repeat(unsolved[:: max(1, len(unsolved) // _TRIED)], _STARTS)
-        spread = np.where(turning_velocities(robot)[columns], np.pi, _SLIDE) * self.system.step_unit
-        steps = np.zeros((len(targets), robot.model.nv))
-        steps[:, columns] = np.random.default_rng(_SEED).uniform(-1.0, 1.0, (len(targets), len(columns))) * spread
-        guess = integrate(robot.model, np.repeat(place.q[None], len(targets), axis=0), steps)
-        closed = assemble(self.system, guess)
-        x = positions(coordinates(robot, closed.state), place.free)
-        origin, cell = np.array([axis[:2] for axis in axes]).T
-        near = np.rint((x - origin) / (cell - origin))
-        inside = ((near >= 0) & (near < self.shape)).all(axis=1) & closed.closed
-        hit = np.ravel_multi_index(tuple(near[inside].astype(int).T), self.shape)
-        targets, guess = np.append(targets, hit), np.concatenate([guess, closed.q[inside]])
-        targets, guess = targets[~self.solved[targets]], guess[~self.solved[targets]]
-        found = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
-        for k in np.flatnonzero(found.usable):
-            if not self.solved[targets[k]]:
-                self.q[targets[k]], self.gamma[targets[k]] = found.q[k], found.gamma[k]
-                earlier = self.solved.copy()
-                self.solved[targets[k]] = True
-                self._spread(targets[k : k + 1])
-                self._number(np.flatnonzero(self.solved & ~earlier))
-        self.part = np.unique(np.append(self.part, [-1, 0]), return_inverse=True)[1][:-2] - 1  # without gaps
-        self.q[self.part < 0] = np.nan
-
-    def _number(self, new: IntArray) -> None:
-        """Number new nodes. An island that touches another part belongs to it, if working modes tell branches apart.
-
-        Without working modes it is another branch. The larger part stays: a start near a stretched leg may lead to a
-        node or two of the other branch, and no further.
-        """
-        touched = np.unique(self.part[self._neighbours(new, corners=True)[0]])
-        touched = touched[touched >= 0]
-        others = np.isin(self.part, touched)
-        if self.system.robot.working_modes is None and len(touched):
-            if touched[0] == 0 or len(new) <= others.sum():
-                return
-            self.part[others] = -1
-            touched = touched[:0]
-        self.part[new] = self.part[others] = touched[0] if len(touched) else self.part.max() + 1
+        start = tuple(part[None] for part in (place.x, place.q))
+        away = np.abs(difference(self.robot, nodes, np.repeat(start[0], len(nodes), axis=0))).max(axis=1)
+        nearest = np.argsort(away, kind="stable")[: 4 ** len(shape)]
+        gamma = project(self.system, self.system.evaluate(start[1])).gamma
+        self._spread(self._step(nearest, *(part.repeat(len(nearest), axis=0) for part in (*start, gamma))))
+        self.start = int(nearest[self.solved[nearest].argmax()])
 
     def _spread(self, front: IntArray) -> None:
-        """Solve the neighbours of solved nodes, outward in waves until no new node closes.
-
-        Neighbours across corners are tried last, if at all: a strip may be narrower than a cell.
-        """
-        fresh = [front]
+        """Solve the neighbours of solved nodes, at sides and corners, outward in waves until no new node closes."""
         while len(front):
-            front = self._wave(front, corners=False)
-            fresh.append(front)
-            if not len(front) and self.across_corners:
-                front = self._wave(np.concatenate(fresh), corners=True)
-                fresh = [front]
+            around = (
+                np.stack(np.unravel_index(front, self.shape))[:, None, :] + _neighbours(len(self.shape))[:, :, None]
+            )
+            inside = ((around >= 0) & (around < np.array(self.shape)[:, None, None])).all(axis=0)
+            targets = np.ravel_multi_index(tuple(around[:, inside]), self.shape)
+            sources = np.broadcast_to(front, inside.shape)[inside]
+            targets, first = np.unique(targets, return_index=True)
+            sources = sources[first][~self.solved[targets]]
+            targets = targets[~self.solved[targets]]
+            front = self._step(targets, self.nodes[sources], self.q[sources], self.gamma[sources])
 
-    def _wave(self, front: IntArray, *, corners: bool) -> IntArray:
-        """Solve the unsolved neighbours of nodes, each from one of them; return those that closed."""
-        targets, sources = self._neighbours(front, corners=corners)
-        unsolved = ~self.solved[targets]
-        targets, first = np.unique(targets[unsolved], return_index=True)
-        sources = sources[unsolved][first]
-        return self._reach(targets, self.nodes[sources], self.q[sources], self.gamma[sources])
+    def _step(self, targets: IntArray, x: Array, q: Array, gamma: Array) -> IntArray:
+        """Solve nodes from states nearby, and return those that are on the branch of their state.
 
-    def _neighbours(self, front: IntArray, *, corners: bool) -> tuple[IntArray, IntArray]:
-        """Return the neighbours of nodes along each axis, or at corners too, and the node each is a neighbour of."""
-        targets, sources = [], []
-        index = np.stack(np.unravel_index(front, self.shape))
-        for step in product((-1, 0, 1), repeat=len(self.shape)):
-            if any(step) and (corners or sum(map(abs, step)) == 1):
-                moved = index + np.array(step)[:, None]
-                inside = ((moved >= 0) & (moved < np.array(self.shape)[:, None])).all(axis=0)
-                targets.append(np.ravel_multi_index(tuple(moved[:, inside]), self.shape))
-                sources.append(front[inside])
-        return np.concatenate(targets), np.concatenate(sources)
-
-    def _reach(self, targets: IntArray, x: Array, q: Array, gamma: Array) -> IntArray:
-        """Solve nodes from configurations nearby, with a predicted step and, where that fails, without."""
-        increment = difference(self.system.robot, self.nodes[targets], x)
-        step = np.einsum("nvi,ni->nv", gamma, increment)
-        size = np.abs(step / velocity_unit(self.system.robot)).max(axis=1, initial=0.0)
-        step *= np.minimum(1.0, 0.5 * _LONGEST_STEP / np.maximum(size, np.finfo(float).tiny))[:, None]
-        for part in (step, np.zeros_like(step)):
-            again = np.flatnonzero(~self.solved[targets])
-            if len(again):
-                self._attempt(targets[again], q[again], part[again], gamma[again], increment[again])
-        return targets[self.solved[targets]]
-
-    def _attempt(self, targets: IntArray, q: Array, step: Array, gamma: Array, increment: Array) -> None:
-        """Solve nodes from guesses q ⊕ step, and keep the configurations on the branch of q."""
-        robot, model = self.system.robot, self.system.robot.model
-        guess = integrate(model, q, step)
-        solution = assemble(
-            self.system, guess, self.nodes[targets], max_iterations=_NEWTON, shortest_step=_SHORTEST_STEP
-        )
-        change = configuration_difference(model, q, solution.q)
-        if robot.working_modes is None:
-            # nothing but continuity tells the branches apart
+        The first step of Newton's method is the prediction by Γ. A working mode tells the branch, except for whole
+        turns of a joint; without modes only continuity does.
+        """
+        solution = assemble(self.system, q, self.nodes[targets], shortest_step=_SHORTEST_STEP)
+        change = configuration_difference(self.robot.model, q, solution.q)
+        if self.robot.working_modes is None:
+            increment = difference(self.robot, self.nodes[targets], x)
             same = follows(self.system, change, gamma, solution.gamma, increment)
         else:
-            same = solution.in_mode & (np.abs(change / velocity_unit(robot)).max(axis=1) < _LONGEST_STEP)
+            same = solution.in_mode & (
+                np.abs(change / velocity_unit(self.robot)).max(axis=1, initial=0.0) < _LONGEST_STEP
+            )
         good = solution.regular & same
         chosen = targets[good]
         self.q[chosen], self.gamma[chosen], self.solved[chosen] = solution.q[good], solution.gamma[good], True
+        return chosen
+
+    def find_islands(self, axes: tuple[Array, ...]) -> None:
+        """Search parts that are not connected to the start: from random configurations, closed at a node nearby.
+
+        A random configuration is closed by itself first: it meets a small island more often than a node of the grid
+        does. Without working modes a part that touches another is another branch of it. The larger one stays: a
+        configuration near a stretched leg may lead to a node or two of the other branch, and no further.
+        """
+        guess = draw_starts(self.system, self.place.q, _STARTS, np.random.default_rng(20141))
+        closed = assemble(self.system, guess)
+        free = positions(coordinates(self.robot, closed.state), self.place.free)
+        origin, cell = np.array([axis[:2] for axis in axes]).T
+        near = np.rint((free - origin) / (cell - origin))
+        inside = ((near >= 0) & (near < self.shape)).all(axis=1) & closed.closed
+        targets = np.ravel_multi_index(tuple(near[inside].astype(int).T), self.shape)
+        guess = closed.q[inside][~self.solved[targets]]
+        targets = targets[~self.solved[targets]]
+        found = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
+        kept = self.solved.copy()
+        for k in np.flatnonzero(found.usable):
+            node = targets[k]
+            if self.solved[node]:
+                continue
+            before = self.solved.copy()
+            self.q[node], self.gamma[node], self.solved[node] = found.q[k], found.gamma[k], True
+            self._spread(targets[k : k + 1])
+            new = self.solved & ~before
+            if self.robot.working_modes is None:
+                joined = self._labelled(kept | new)
+                others = kept & (joined == joined[node])
+                if others[self.start] or new.sum() <= others.sum():
+                    continue
+                kept &= ~others
+            kept |= new
+        self.solved = kept
+        self.q[~kept] = np.nan
+
+    def _labelled(self, flags: BoolArray) -> IntArray:
+        """Return (G,) the numbers, from 1, of connected sets of nodes; 0 for others."""
+        everything: Array = np.ones((3,) * len(self.shape))
+        numbers: IntArray = label(flags.reshape(self.shape), everything)[0].ravel()
+        return numbers
+
+    def parts(self) -> IntArray:
+        """Return (G,) the part of each node, as in ``WorkspaceGrid``."""
+        numbers = self._labelled(self.solved)
+        own = numbers[self.start]
+        result: IntArray = np.where(numbers > own, numbers - 1, numbers)
+        result[numbers == own] = 0
+        result[numbers == 0] = -1
+        return result
+
+
+def _neighbours(axes: int) -> IntArray:
+    """Return (axes, 3^axes − 1) the steps to the neighbours of a node of a grid, those along an axis first."""
+    steps = [step for step in product((-1, 0, 1), repeat=axes) if any(step)]
+    return np.array(sorted(steps, key=lambda step: sum(map(abs, step)))).T

@@ -185,7 +185,7 @@ def _minimum(function: Function, a: float, b: float, sign: float = 1.0) -> tuple
 
     Parabolic searches stop at the square root of machine precision, which suits smooth minima only.
     """
-    best = (a, np.inf)
+    best, least = (a, np.inf), 1e-15 * max(abs(a), abs(b))
     while True:
         times = np.unique(np.linspace(a, b, _ZOOM + 1))
         values = sign * function(times)
@@ -193,7 +193,7 @@ def _minimum(function: Function, a: float, b: float, sign: float = 1.0) -> tuple
         if values[i] < best[1]:
             best = (float(times[i]), float(values[i]))
         narrower = (float(times[max(i - 1, 0)]), float(times[min(i + 1, len(times) - 1)]))
-        if not narrower[1] - narrower[0] < b - a or b - a < 1e-15 * max(abs(a), abs(b)):
+        if not narrower[1] - narrower[0] < b - a or b - a < least:
             return best
         a, b = narrower
 

@@ -8,7 +8,6 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 import threading
 from dataclasses import replace
 from functools import cache
@@ -603,13 +602,6 @@ def test_a_motion_of_ones_own(tmp_path: Path) -> None:
     with pytest.raises(RedundancyPinError):
         codegen.write_c(robot, tmp_path / "other", motion=away)
     assert not (tmp_path / "other").exists()
-
-
-def test_without_casadi_there_is_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(RedundancyPinError, match="casadi"):
-        codegen.write_c(robot_of("four_bar"), tmp_path / "code")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.long

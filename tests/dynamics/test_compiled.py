@@ -6,7 +6,6 @@ Neither judge shares code with it: not its kinematics, not its Newton-Euler recu
 from __future__ import annotations
 
 import copy
-import importlib.metadata
 import os
 import pickle
 import subprocess
@@ -40,12 +39,11 @@ from redundancy_pin import (
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.compiled.closing import Loops, lifted
-from redundancy_pin.dynamics.compiled.parameters import parameter_vector
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.errors import (
     CompilerError,
     InputError,
-    RedundancyPinError,
     SingularPoseError,
     UnreachablePoseError,
 )
@@ -198,7 +196,7 @@ def test_every_type_of_joint_is_pinocchios() -> None:
         q = pin.integrate(model, pin.neutral(model), rng.uniform(-3.0, 3.0, model.nv))
         v, a = rng.normal(size=(2, model.nv))
         step = 1e-5 * v
-        got = evaluate(q, chain.trig_at(q[None])[0], v, a, step, parameter_vector(nothing))
+        got = evaluate(q, trig_at(nothing, q[None])[0], v, a, step, parameter_vector(nothing))
         efforts, base, energy, rate, moved = (np.array(part)[:, 0] for part in got)
         # from the inertia matrix: in it armature stands in every version of Pinocchio
         inertia = pin.crba(model, data, q)
@@ -434,12 +432,12 @@ def test_the_second_one_is_loaded_and_a_broken_one_built_again(
     monkeypatch.setenv(CACHE, str(tmp_path / "kept"))
     assert works(four_bar)
     (library,) = (tmp_path / "kept").iterdir()
-    size, kept = library.stat().st_size, copy.copy(library.stat().st_ino)
-    assert works(four_bar)
+    size, kept = library.stat().st_size, library.stat().st_ino
+    assert built(tmp_path / "kept") == [library]
     assert library.stat().st_ino == kept
     library.unlink()  # what this process has loaded stays mapped
     library.write_bytes(b"half a file")
-    assert built(tmp_path / "kept") == library.name
+    assert built(tmp_path / "kept") == [library]
     assert library.stat().st_size == size
 
 
@@ -450,10 +448,10 @@ def test_another_robots_library_under_the_right_name_is_built_again(
     monkeypatch.setenv(CACHE, str(tmp_path / "kept"))
     assert works(load_robot("five_bar"))
     (other,) = (tmp_path / "kept").iterdir()
-    right = other.with_name(built(tmp_path / "kept"))
+    (right,) = {*built(tmp_path / "kept")} - {other}
     other.replace(right)  # sound machine code, of another topology
     changed = right.read_bytes()
-    assert built(tmp_path / "kept") == right.name
+    assert built(tmp_path / "kept") == [right]
     assert right.read_bytes() != changed
     motion = zoo.smooth_motion(four_bar, 0).at(np.linspace(0.0, 1.0, 5))
     assert_equal(CompiledDynamics(four_bar).reduce(motion).f, RneaDynamics(four_bar).reduce(motion).f, "f")
@@ -470,16 +468,11 @@ def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics(
         assert_equal(getattr(mine, name), getattr(theirs, name), name)
 
 
-def built(folder: Path) -> str:
-    """Build the four-bar in a process of its own, and return the name of its library."""
-    code = (
-        "import redundancy_pin as rp; from redundancy_pin.dynamics.compiled import CompiledDynamics\n"
-        "c = CompiledDynamics(rp.load_robot('four_bar')); print(c.kernel.path.name)"
-    )
-    environment = {**os.environ, CACHE: str(folder)}
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
-    ).stdout.strip()
+def built(folder: Path) -> list[Path]:
+    """Build the four-bar in a process of its own, and return the libraries that there are then."""
+    code = "import redundancy_pin as rp; rp.CompiledDynamics('four_bar')"
+    subprocess.run([sys.executable, "-c", code], env={**os.environ, CACHE: str(folder)}, check=True)
+    return list(folder.iterdir())
 
 
 def test_copies_and_pickles_compute_the_same(four_bar: Robot) -> None:
@@ -491,19 +484,3 @@ def test_copies_and_pickles_compute_the_same(four_bar: Robot) -> None:
     again = pickle.loads(pickle.dumps(along)).reduce()
     np.testing.assert_array_equal(again.f, along.reduce().f)
     assert not again.f.flags.writeable
-
-
-@pytest.mark.parametrize("has_compiler", [False, True])
-def test_without_casadi_there_is_one_clear_error(
-    has_compiler: bool, four_bar: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def version(name: str) -> str:
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    monkeypatch.setattr(importlib.metadata, "version", version)
-    if not has_compiler:
-        monkeypatch.setenv("PATH", "")
-        monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(RedundancyPinError, match="casadi" if has_compiler else "compiler"):
-        CompiledDynamics(four_bar)

@@ -383,6 +383,8 @@ def test_parameters_that_are_none() -> None:
     for name in ("elbow_1.inertia.xw", "elbow_1.centre", "nobody.mass", "elbow_1.origin.r"):
         with pytest.raises(InputError, match="no design parameter"):
             design_of(robot, [name])
+    with pytest.raises(InputError, match=r"distal_1 is a link, moved by the joint elbow_1: 'elbow_1\.mass'"):
+        design_of(robot, ["distal_1.mass"])
     with pytest.raises(UnsupportedRobotError, match="not loaded"):
         design_of(dataclasses.replace(robot, source=""), ["distal_length"])
 

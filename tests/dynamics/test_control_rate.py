@@ -20,6 +20,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, TorqueSample
 from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.branch import BranchEnd, follower
 from redundancy_pin.machine_code import find_compiler
 from redundancy_pin.robot import JointForces, Payload, Robot, Wrench
 from redundancy_pin.robot.lookup import find_joint, find_link
@@ -88,9 +89,9 @@ LONG = ("gough", "3rps", "two_arms")
 def test_torques_of_random_samples_are_those_of_reduce_and_distribute(backend: Backend, name: str) -> None:
     """Poses about the reference and far out of reach, in random motion; carriers on their tracks."""
     robot, dynamics, rng = robot_of(name), backend(robot_of(name)), np.random.default_rng(5)
-    seen = set()
-    for trial in range(60):
-        step = rng.uniform(-1.0, 1.0, robot.n) * zoo.reach_of(robot) * (1.0 if trial % 3 else 6.0)
+    seen, home = set(), follower(robot_of(name)).home
+    for trial in range(30):
+        step = rng.uniform(-1.0, 1.0, robot.n) * zoo.reach_of(robot) * (1.0 if trial % 5 else 6.0)
         x = zoo.home_of(robot).copy()
         if x.ndim == 1:
             x += step
@@ -98,8 +99,14 @@ def test_torques_of_random_samples_are_those_of_reduce_and_distribute(backend: B
             x[:3, 3] += step[:3]
         rates, tracks = rng.normal(size=(2, robot.n)), rng.uniform(-0.05, 0.05, (3, robot.k))
         got = dynamics.torque(x, *rates, *tracks, start=robot.q_reference)
-        assert_same(got, *batch(dynamics, x, *rates, *tracks))
         seen.add(got.status)
+        if got.status in NOT_REDUCED and backend is not rp.VirtualWork:  # whose closed form needs no branch
+            end = follower(robot).advance(home, x)
+            assert isinstance(end, BranchEnd)
+            assert got.status is end.status
+            assert np.isnan([*got.tau, got.margin, *got.carrier_force]).all()
+        else:
+            assert_same(got, *batch(dynamics, x, *rates, *tracks))
     if name == "fewer actuators":
         assert SampleStatus.UNDERACTUATED in seen
     else:
@@ -274,7 +281,7 @@ def test_accelerations_are_pinocchio_s(name: str) -> None:
         np.testing.assert_allclose(a, want, rtol=0.0, atol=1e-8 * np.abs(want).max())
 
 
-@pytest.mark.parametrize("name", ["3rrr", "two_arms", "continuous"])
+@pytest.mark.parametrize("name", ["3rrr", "continuous", LARGE[2]])
 def test_accelerations_under_the_torques_of_a_motion_are_those_of_the_motion(name: str) -> None:
     robot, dynamics = robot_of(name), dynamics_of(name)
     t = np.linspace(0.0, 1.0, 12)
@@ -418,7 +425,7 @@ def test_motors_without_a_pose_have_a_status() -> None:
 
 
 def test_calls_leave_no_memory_behind() -> None:
-    """1e5 calls, a third of them without an answer, and nothing allocated is left."""
+    """2e4 calls, a quarter of them without an answer, and nothing allocated is left."""
     robot, dynamics, zero = robot_of("3rrr"), dynamics_of("3rrr"), np.zeros(3)
     home, nowhere, motors = (
         zoo.home_of(robot),
@@ -434,12 +441,12 @@ def test_calls_leave_no_memory_behind() -> None:
             dynamics.acceleration(q, v, tau)
             dynamics.joint_state(motors, zero)
 
-    calls(1000)
+    calls(100)
     gc.collect()
     tracemalloc.start()
     calls(100)
     before = tracemalloc.get_traced_memory()[0]
-    calls(25_000)
+    calls(5_000)
     after = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
-    assert after - before < 10_000
+    assert after - before < 2_000

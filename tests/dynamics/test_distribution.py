@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.optimize
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -52,21 +51,6 @@ def test_near_a_singularity_the_residual_stays_at_rounding_and_the_efforts_lose_
     assert (np.linalg.norm(d.tau - tau, axis=1) <= 1e-14 * d.condition * np.linalg.norm(tau, axis=1)).all()
 
 
-def test_status_changes_at_the_near_singular_margin():
-    W = np.diag([1.0, 1.0])[None] * np.array([0.049, 0.051, 0.2])[:, None, None]
-    assert distribute(reduced(W, np.ones((3, 2)))).status_labels.tolist() == ["near_singular", "ok", "ok"]
-    labels = distribute(reduced(W, np.ones((3, 2))), near_singular=0.1).status_labels.tolist()
-    assert labels == ["near_singular", "near_singular", "ok"]
-
-
-@pytest.mark.parametrize(("n", "m"), [(1, 2), (2, 3), (3, 5)])
-def test_least_norm_equals_the_pseudo_inverse(n, m):
-    rng = np.random.default_rng(3)
-    W, f = rng.normal(size=(N, n, m)), rng.normal(size=(N, n))
-    expected = times(np.linalg.pinv(W), f)
-    assert distribute(reduced(W, f)).tau == pytest.approx(expected, rel=0.0, abs=1e-11 * np.abs(expected).max())
-
-
 @examples(60)
 @given(
     n=st.integers(1, 4),
@@ -89,31 +73,13 @@ def test_weighted_norm_is_stationary_along_the_null_space(n, extra, exponents, s
     assert np.abs(along).max() <= 1e-12 * np.sqrt(np.ptp(weights) / weights.min() + 1.0) * weights.max()
 
 
-def test_weighted_optimum_against_a_general_optimiser():
-    rng = np.random.default_rng(4)
-    W, f, weights = rng.normal(size=(1, 2, 4)), rng.normal(size=(1, 2)), np.array([1.0, 5.0, 0.2, 2.0])
-    other = scipy.optimize.minimize(
-        lambda tau: weights @ tau**2,
-        np.zeros(4),
-        jac=lambda tau: 2.0 * weights * tau,
-        constraints={"type": "eq", "fun": lambda tau: W[0] @ tau - f[0], "jac": lambda tau: W[0]},
-        method="SLSQP",
-        options={"ftol": 1e-15},
-    )
-    # SLSQP stops on the cost, so its minimiser is good to the square root of 1e-15
-    assert distribute(reduced(W, f), weights=weights).tau[0] == pytest.approx(other.x, abs=1e-6)
-
-
 def test_default_weights_count_a_torque_as_the_force_at_the_characteristic_length():
     # one freedom; a linear actuator and a motor whose lever is the characteristic length share the force equally
     length = 0.25
     d = distribute(reduced([[[1.0, 1.0 / length]]], [[10.0]], column_scale=[1.0, length]))
     assert d.tau[0] == pytest.approx([5.0, 5.0 * length])
-
-
-def test_equal_weights_on_torques_are_not_the_default():
-    d = distribute(reduced([[[1.0, 4.0]]], [[17.0]], column_scale=[1.0, 0.25]), weights=[1.0, 1.0])
-    assert d.tau[0] == pytest.approx([1.0, 4.0])  # the pseudo-inverse of the row (1, 4)
+    equal = distribute(reduced([[[1.0, 4.0]]], [[17.0]], column_scale=[1.0, length]), weights=[1.0, 1.0])
+    assert equal.tau[0] == pytest.approx([1.0, 4.0])  # the pseudo-inverse of the row (1, 4)
 
 
 @examples(40)
@@ -183,17 +149,6 @@ def test_unreachable_samples_are_marked_and_leave_their_neighbours_alone():
     assert (d.rank[gone] == 0).all()
     assert (d.status[there] == clean.status[there]).all()
     assert np.array_equal(d.tau[there], clean.tau[there])
-
-
-def test_many_samples_and_few_give_the_same():
-    # from a thousand samples on the singular values come from another algorithm
-    rng = np.random.default_rng(8)
-    W, f = rng.normal(size=(3000, 3, 3)), rng.normal(size=(3000, 3))
-    many = distribute(reduced(W, f))
-    few = [distribute(reduced(W[k : k + 10], f[k : k + 10])) for k in range(0, 3000, 10)]
-    assert np.array_equal(many.tau, np.concatenate([d.tau for d in few]))
-    assert np.array_equal(many.status, np.concatenate([d.status for d in few]))
-    assert many.margin == pytest.approx(np.concatenate([d.margin for d in few]), rel=0.0, abs=1e-14)
 
 
 @pytest.mark.parametrize(("n", "m"), SHAPES)

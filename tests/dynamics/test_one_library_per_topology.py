@@ -14,6 +14,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.dynamics.compiled.parameters import topology_of
+from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE
 from redundancy_pin.robot import Robot
 
@@ -90,6 +91,43 @@ def test_another_number_is_not_another_library(
         assert dynamics.forward() is not None
         assert_backends_agree(dynamics)
         assert libraries(tmp_path) == loaded
+
+
+def test_robots_of_a_topology_share_one_object_that_is_looked_up_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither another object for a robot, nor one for another mass, looks for a compiler, reads a file or loads one."""
+    robot = rp.load_robot("four_bar")
+    first = rp.CompiledDynamics(robot)
+    motion = zoo.smooth_motion(robot, 3).at(np.linspace(0.0, 1.0, 3))
+    forward, force = first.forward(), first.reduce(motion).f
+    assert forward is not None
+
+    def refuse(*given: object) -> None:
+        raise AssertionError("the library was not kept")
+
+    monkeypatch.setattr("redundancy_pin.dynamics.compiled.build.built", refuse)
+    for i in range(100):
+        model = robot.model.copy()
+        model.inertias[1].mass += 0.01 * i
+        heavier = dataclasses.replace(robot, model=model)
+        other = first.for_robot(heavier) if i % 2 else rp.CompiledDynamics(heavier)
+        assert other.kernel.library is first.kernel.library
+        own = other.forward()
+        assert own is not None
+        assert own.library is forward.library
+        assert np.array_equal(other.reduce(motion).f, force) is (i == 0)
+
+
+def test_another_folder_or_compiler_counts_from_when_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rp.CompiledDynamics("four_bar")
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    rp.CompiledDynamics("four_bar")
+    assert libraries(tmp_path) == 1
+    monkeypatch.setenv("CC", "no such compiler")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(CompilerError):
+        rp.CompiledDynamics("four_bar")
 
 
 def test_both_working_modes_share_a_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -224,40 +224,31 @@ def test_carrier_derivatives_are_derivatives(name: str, tmp_path: Path) -> None:
             np.testing.assert_allclose(force_by[:, :, j], expected, atol=1e-9)
 
 
-def stacked_carriers(folder: Path) -> Robot:
-    """Return a two-link arm with a carrier that carries a second one: their accelerations load each other."""
-    tree = [
+def arm_with(folder: Path, *carriers: J) -> Robot:
+    """Return a two-link arm with carriers on its second link, or on one another."""
+    arm = [
         J("shoulder", "revolute", "base", "upper"),
         J("elbow", "revolute", "upper", "lower", (0.5, 0, 0)),
         J("mount", "fixed", "lower", "hand", (0.5, 0, 0)),
-        J("slide_1", "prismatic", "lower", "mass_1", axis=(1, 0, 0)),
-        J("slide_2", "prismatic", "mass_1", "mass_2", axis=(0.6, 0.8, 0)),
     ]
-    carriers = [{"joint": joint, "position": [-0.2, 0.2]} for joint in ("slide_1", "slide_2")]
     declaration = {
         "actuated": ["shoulder", "elbow"],
-        "carriers": carriers,
+        "carriers": [{"joint": joint.name, "position": [-0.2, 0.2]} for joint in carriers],
         "independent": {"platform": "hand", "axes": ["x", "y"]},
         "reference": {"platform": [0.3, 0.6], "guess": {"shoulder": 1.8, "elbow": -1.5}},
     }
-    return load_robot(write_robot(folder, urdf_of(tree), declaration))
+    return load_robot(write_robot(folder, urdf_of([*arm, *carriers]), declaration))
+
+
+def stacked_carriers(folder: Path) -> Robot:
+    """A carrier carries a second one: their accelerations load each other."""
+    first = J("slide_1", "prismatic", "lower", "mass_1", axis=(1, 0, 0))
+    return arm_with(folder, first, J("slide_2", "prismatic", "mass_1", "mass_2", axis=(0.6, 0.8, 0)))
 
 
 def test_derivatives_of_loads_on_a_carrier_that_turns(tmp_path: Path) -> None:
     """A wrench in world axes turns in the frame of its body: against differences of sixth order."""
-    tree = [
-        J("shoulder", "revolute", "base", "upper"),
-        J("elbow", "revolute", "upper", "lower", (0.5, 0, 0)),
-        J("mount", "fixed", "lower", "hand", (0.5, 0, 0)),
-        J("turn", "revolute", "lower", "mass", axis=(0.6, 0.0, 0.8)),
-    ]
-    declaration = {
-        "actuated": ["shoulder", "elbow"],
-        "carriers": [{"joint": "turn", "position": [-1.0, 1.0]}],
-        "independent": {"platform": "hand", "axes": ["x", "y"]},
-        "reference": {"platform": [0.3, 0.6], "guess": {"shoulder": 1.8, "elbow": -1.5}},
-    }
-    robot = load_robot(write_robot(tmp_path, urdf_of(tree), declaration)).loaded(
+    robot = arm_with(tmp_path, J("turn", "revolute", "lower", "mass", axis=(0.6, 0.0, 0.8))).loaded(
         Wrench("mass", [3.0, -2.0, 1.0, 0.5, -0.7, 0.9], "world", (0.3, 0.1, 0.2)),
         Spring("base", "mass", 40.0, 3.0, 0.2, (0.1, 0.2, 0.0), (0.2, 0.0, 0.1)),
         JointForces("turn", 0.4, 0.3, 0.5, 2.0, 0.1, 0.02, -6.0),

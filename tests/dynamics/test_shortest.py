@@ -106,12 +106,6 @@ def test_a_bound_that_nothing_moves_counts_as_it_stands():
     assert not shortest(np.ones((1, 2)), np.ones(1), none, np.array([0.5]), np.array([1.0]))[1]
 
 
-def test_of_those_that_miss_least_it_is_the_shortest():
-    y, within = shortest(np.array([[1.0, 0.0, 0.0]]), np.array([3.0]), np.eye(3), np.full(3, -1.0), np.full(3, 1.0))
-    assert within
-    assert np.allclose(y, [1.0, 0.0, 0.0], atol=1e-9)
-
-
 def test_what_the_equations_leave_open_is_shortest_also_where_bounds_forbid_them():
     """y₀ = 2 is out of reach; y₁ + y₂ ≥ 3 is met by the shortest pair, (3/2, 3/2)."""
     bounded = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])

@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from command_line import call
 from generated_c import COMPILERS, Code
 from tilting_platforms import HOME, NAMES, actuators, in_coordinates, motion, poses, robot_called, slopes
 
@@ -168,22 +167,6 @@ def test_generated_c_agrees() -> None:
         )
         near(feet.x, along.x[k])
         near(feet.xd, along.xd[k], 1e-9)
-
-
-def test_the_commands_take_it(tmp_path: Path) -> None:
-    way = tmp_path / "way.csv"
-    way.write_text("t,z,rx,ry\n0,0.5,0,0\n0.2,0.53,0.1,-0.1\n0.4,0.5,0,0.2\n", encoding="utf-8")
-    assert "z, rx, ry of platform" in call("info", "--robot", "3rps").stdout
-    for given in (
-        ("inverse-dynamics", "--dt", "0.02", "--out", str(tmp_path / "efforts.csv")),
-        ("singularities",),
-    ):
-        done = call(*given, "--robot", "3rps", "--trajectory", str(way))
-        assert done.exit_code == 0, done.stderr
-    assert call("workspace", "--robot", "3rps", "--resolution", "9").exit_code == 0
-    page = tmp_path / "page.html"
-    assert call("show", "--robot", "3rps", "--html", str(page)).exit_code == 0
-    assert page.stat().st_size > 1000
 
 
 @pytest.mark.parametrize("axes", [("x", "y", "z"), ("rx", "ry", "rz"), ("y", "z", "rx"), ("z", "rx")], ids="-".join)

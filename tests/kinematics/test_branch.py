@@ -15,7 +15,7 @@ from flat_linkages import row_of_four_bars
 from folding import folding_four_bar
 
 import redundancy_pin as rp
-from redundancy_pin.errors import SingularPoseError
+from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.branch import LONGEST_STEP, BranchEnd, ClosedState, Follower, follower, follows
 from redundancy_pin.kinematics.coordinates import moved
@@ -115,6 +115,16 @@ def test_a_branch_that_ends_says_why_and_where(x: np.ndarray, status: SampleStat
     assert 0.0 <= done < 1.0
     np.testing.assert_allclose(end.last.x, own.home.x + done * way, atol=1e-12)
     assert isinstance(own.advance(own.home, end.last.x), ClosedState)
+
+
+def test_coordinates_and_rates_of_another_shape_are_refused() -> None:
+    own = follower(zoo.robot_of("five_bar"))
+    with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
+        own.advance(own.home, along(0.4))
+    with pytest.raises(InputError, match=r"xd has shape \(\), expected \(2,\)"):
+        own.rates(own.home, np.array(1.0), along(0.0, 0.0))
+    with pytest.raises(InputError, match="xdd has 1 value"):
+        own.rates(own.home, along(0.0, 0.0), along(np.nan, 0.0))
 
 
 def test_where_the_closures_lose_rank_and_no_branch_goes_on_it_is_said(

@@ -15,9 +15,12 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from spatial_chains import CHAINS, chain_of
 
 from redundancy_pin.kinematics.assembly import integrate
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, Row, RowSet
+from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.robot import AXES, Closure, Platform, Robot
 
 MASKS = tuple(mask for size in range(1, 7) for mask in itertools.combinations(AXES, size))
@@ -27,6 +30,8 @@ PLACEMENT_B = pin.SE3(Rotation.from_rotvec([-0.4, 0.1, 0.7]).as_matrix(), np.arr
 STEP = 1e-5
 # Central differences with STEP on functions of order one: truncation STEP², rounding 1e-16 / STEP.
 DIFFERENCES = 2e-9
+BENDS = 50 * DIFFERENCES  # the same of Jacobians along a velocity of order one
+ONE_OF_MANY = 1e-13  # sums of a dozen products of order one, in another order
 
 EMPTY = np.array([], dtype=np.intp)
 
@@ -141,17 +146,32 @@ def assert_derivatives(system: ConstraintSystem, q: np.ndarray, rng: np.random.G
         before = system.evaluate(integrate(model, q, -step)).phi
         np.testing.assert_allclose(state.Jc[:, :, column], (after - before) / (2 * STEP), atol=DIFFERENCES)
     v = rng.uniform(-1.0, 1.0, (len(q), model.nv))
-    bias_c, bias_x = system.bias(state, v)
     after, before = (system.evaluate(integrate(model, q, sign * STEP * v)) for sign in (1.0, -1.0))
-    for bias, j1, j0 in ((bias_c, after.Jc, before.Jc), (bias_x, after.Jx, before.Jx)):
-        expected = np.einsum("nrv,nv->nr", j1 - j0, v) / (2 * STEP)
-        np.testing.assert_allclose(bias, expected, atol=50 * DIFFERENCES)
+    chain = ClosedChain(system.robot)
+    for k in range(len(q)):
+        chain.update(q[k], v[k])
+        for one, many in ((chain.residual(), state.phi), (chain.jacobian(), state.Jc)):
+            np.testing.assert_allclose(one, many[k], atol=ONE_OF_MANY)
+        np.testing.assert_allclose(chain.bias(), chain.jacobian_rate() @ v[k], atol=ONE_OF_MANY)
+        np.testing.assert_allclose(chain.jacobian_rate(), (after.Jc[k] - before.Jc[k]) / (2 * STEP), atol=BENDS)
+        np.testing.assert_allclose(chain.platform_jacobian(), state.Jx[k], atol=ONE_OF_MANY)
+        np.testing.assert_allclose(
+            chain.platform_jacobian_rate(), (after.Jx[k] - before.Jx[k]) / (2 * STEP), atol=BENDS
+        )
 
 
-def test_derivatives_on_shipped_robots(shipped: Robot) -> None:
-    open_q, _ = zoo.random_tree(shipped, 4, 3)
-    q = np.concatenate([open_q, zoo.random_closed(shipped, 4, 3)])
-    assert_derivatives(zoo.system_of(shipped), q, np.random.default_rng(5))
+@pytest.mark.parametrize("name", [*zoo.SHIPPED, "3rps", *CHAINS])
+def test_derivatives_on_robots_closed_and_open(name: str) -> None:
+    robot = chain_of(name) if name in CHAINS else zoo.robot_of(name)
+    q, v = zoo.random_tree(robot, 4, 3)
+    if name in zoo.SHIPPED:
+        q = np.concatenate([q, zoo.random_closed(robot, 4, 3)])
+    system, chain = zoo.system_of(robot), ClosedChain(robot)
+    assert_derivatives(system, q, np.random.default_rng(5))
+    places = coordinates(robot, system.evaluate(q))
+    for each, place in zip(q, places, strict=True):
+        chain.update(each, v[0])
+        np.testing.assert_allclose(chain.platform_position(), place, atol=ONE_OF_MANY)
 
 
 @pytest.mark.parametrize("joints", range(2, 18))
@@ -275,16 +295,14 @@ def test_rows_times_columns_are_the_masked_products(nv: int, samples: int) -> No
     support[:, 0] = [1.0, 0.0, 0.0]  # at least one velocity moves the first frame alone
     chosen = [Row((0, k), (1, 3), 0, 1, 1.0) for k in range(3)] + [Row((0, 0), (1, 1), 0, 1, -1.0)]
     rows = RowSet(chosen, support, np.array([1, 2, 0]))
-    vectors = rng.normal(size=(12, 3, samples))
-    J = rng.normal(size=(6, nv, samples))
-    placed = rows.place_many(list(vectors), np.zeros((nv, samples)))
-    got = placed.jacobian(J)
+    vectors = rng.normal(size=(3, 4, 3, samples))  # the world is Pinocchio's first frame
+    J = rng.normal(size=(samples, 6, nv))
+    got = rows.place(vectors.reshape(36, samples), np.zeros((samples, nv))).jacobian(J)
     for i, row in enumerate(chosen):
-        axis, partner = vectors[row.axis[1]] * row.sign, vectors[4 + row.partner[1]]
+        axis, partner = vectors[1, row.axis[1]] * row.sign, vectors[2, row.partner[1]]
         wrench = np.concatenate([axis * (not row.rotation), np.cross(partner, axis, axis=0)])
-        expected = (support[1] - support[0])[:, None] * np.einsum("kn,kvn->vn", wrench, J)
-        np.testing.assert_allclose(got[i], expected, rtol=1e-13, atol=1e-13)
+        expected = (support[1] - support[0]) * np.einsum("kn,nkv->nv", wrench, J)
+        np.testing.assert_allclose(got[:, i], expected, rtol=1e-13, atol=1e-13)
         for n in range(samples):
-            flat = np.concatenate([np.zeros(12), vectors[:8, :, n].ravel()])  # the world is Pinocchio's first frame
-            one = rows.place(flat, np.zeros(nv))
-            np.testing.assert_allclose(one.jacobian(J[:, :, n])[i], expected[:, n], rtol=1e-13, atol=1e-13)
+            one = rows.place(vectors[..., n].ravel(), np.zeros(nv))
+            np.testing.assert_allclose(one.jacobian(J[n])[i], expected[n], rtol=1e-13, atol=1e-13)

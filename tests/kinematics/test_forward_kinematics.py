@@ -349,9 +349,9 @@ def test_thousands_of_turns_of_one_motor_take_no_longer_than_three() -> None:
     assert many.status_labels.tolist() == ["out_of_range"]
 
 
-@pytest.mark.parametrize(("ratio", "turns_back"), [(2.0, True), (-3.0, True), (0.5, False)])
-def test_what_turns_with_the_motor_turns_as_often(ratio: float, turns_back: bool) -> None:
-    """A gear of ratio 1 : 2 is back after a turn of the motor; with 2 : 1 a turn leads to another configuration."""
+@pytest.mark.parametrize("ratio", [2.0, -3.0, 0.5])
+def test_what_turns_with_the_motor_turns_as_often(ratio: float) -> None:
+    """A gear of ratio 1 : 2 is back after a turn of the motor, one of 2 : 1 after two."""
     model = pin.Model()
     for name in ("motor", "geared"):
         joint = model.addJoint(model.njoints - 1, pin.JointModelRZ(), pin.SE3.Identity(), name)
@@ -366,10 +366,6 @@ def test_what_turns_with_the_motor_turns_as_often(ratio: float, turns_back: bool
         reference={"platform": [0.1 * (1.0 + ratio)], "guess": {"motor": 0.1, "geared": 0.1 * ratio}},
     )
     u = np.array([[0.7], [20_001.3], [19_990.2]])
-    if not turns_back:
-        with pytest.raises(InputError, match=r"make 6366 whole turns .* does not lead back"):
-            rp.forward_kinematics(robot, [[0.7], [40_001.3]])
-        u = np.array([[30.7], [-11.3], [-39.8]])  # few turns are followed
     solution = rp.forward_kinematics(robot, u)
     np.testing.assert_allclose(solution.q, u * [1.0, ratio], rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(solution.x, u * (1.0 + ratio), rtol=1e-12, atol=1e-9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import zoo
@@ -9,6 +11,9 @@ import zoo
 from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.kinematics import inverse_kinematics as kinematics
+from redundancy_pin.kinematics.assembly import Assembly, assemble
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
@@ -58,6 +63,28 @@ def test_out_of_reach_in_the_middle_is_marked_and_right_again_behind() -> None:
         assert np.isfinite(flat[within]).all()
     assert np.all(tree.gap[~within] > 0.1 * (motion.x[~within, 1] - REACH))
     # the path returns on itself: so do the configurations
+    np.testing.assert_allclose(tree.q[within], tree.q[::-1][within], atol=1e-7)
+
+
+@pytest.mark.parametrize("hidden", [1, 5, 20])
+@pytest.mark.parametrize("found", [True, False])
+def test_samples_behind_a_gap_that_newton_misses_are_followed_back_to(
+    hidden: int, found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the samples behind the gap the first are hidden from Newton's method, or all; multistart then has the rest."""
+    motion, within = out_and_back()
+
+    def blind(system: ConstraintSystem, guess: np.ndarray, target: np.ndarray, **rest: float) -> Assembly:
+        solved = assemble(system, guess, target, **rest)  # type: ignore[arg-type]
+        if len(target) == 1:
+            return solved
+        result = replace(solved)
+        vars(result)["in_mode"] = solved.in_mode & (np.cumsum(solved.closed) > hidden) & found
+        return result
+
+    monkeypatch.setattr(kinematics, "assemble", blind)
+    tree = inverse_kinematics(zoo.robot_of("five_bar"), motion, mark_unreachable=True)
+    np.testing.assert_array_equal(tree.reachable, within)
     np.testing.assert_allclose(tree.q[within], tree.q[::-1][within], atol=1e-7)
 
 

@@ -12,9 +12,9 @@ from written import J, urdf_of, write_robot
 
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.closing import brought_near, scattered
+from redundancy_pin.kinematics.closing import brought_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.multistart import wrapped
+from redundancy_pin.kinematics.multistart import draw_starts, wrapped
 from redundancy_pin.robot import Robot
 
 TURN = 2.0 * np.pi
@@ -76,7 +76,7 @@ def test_scattered_configurations_are_as_far_away_as_is_said(name, spread):
     robot = zoo.robot_of(name)
     system = ConstraintSystem(robot)
     q = np.array(robot.q_reference)
-    away = scattered(system, q, 2000, spread, np.random.default_rng(1)) - q
+    away = draw_starts(system, q, 2000, np.random.default_rng(1), turn=spread, slide=spread) - q
     for number, joint in enumerate(robot.model.joints):
         if not number or joint.nq != 1:
             continue
@@ -137,5 +137,6 @@ def test_hinges_that_start_turned_away_are_turned_back_the_short_way(free: int, 
     assert left < 1e-3
     assert steps <= 10
     # the body's axis is the ground's, and not its opposite
-    end = system.evaluate(near[None]).pose.frame_rotation["end"][:, :, 0]
-    assert end[free, free] > 1.0 - 1e-6
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, near)
+    assert data.oMf[model.getFrameId("end")].rotation[free, free] > 1.0 - 1e-6

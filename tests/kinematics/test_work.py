@@ -35,6 +35,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
     """Run something, and return at how many configurations it evaluates closures."""
 
     def count(action: Callable[[], Any]) -> int:
+        action()  # what is done once per robot does not count
         calls = 0
         evaluate, place = ConstraintSystem.evaluate, ClosedChain.place
 
@@ -90,7 +91,7 @@ def test_a_rank_loss_is_crossed_on_a_line_of_nodes(counted: Callable[..., int], 
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
     angle = np.pi + np.linspace(-1.0, 1.0, 11)[:, None] + 0.033
     motion = rp.PlatformMotion(np.arange(11.0), angle, np.ones((11, 1)), np.zeros((11, 1)), check_rates=False)
-    at_most(counted(lambda: inverse_kinematics(robot, motion)), 460)
+    at_most(counted(lambda: inverse_kinematics(robot, motion)), 291)
 
 
 def test_searches_take_a_few_dozen_starts(counted: Callable[..., int]) -> None:

@@ -42,6 +42,8 @@ def test_masses_of_links_are_those_of_the_argument(robot: Robot) -> None:
     assert np.abs(reduced(changed).f - reduced(robot).f).max() > 0.1
     np.testing.assert_array_equal(changed.gravity, GRAVITY)
     assert changed.working_mode == robot.working_mode
+    np.testing.assert_array_equal(changed.q_reference, robot.q_reference)
+    assert changed.characteristic_length == robot.characteristic_length
     assert "proximal_1" in changed.notes[-1]
 
 
@@ -189,6 +191,10 @@ def test_limits_of_carriers(robot: Robot) -> None:
 
 
 MISTAKES: dict[str, tuple[Callable[[Robot], Any], str]] = {
+    "mass of a joint": (
+        lambda r: r.with_parameters(masses={"elbow_1": 1.0}),
+        "no link 'elbow_1'.*The joint elbow_1 moves distal_1",
+    ),
     "link": (lambda r: r.with_parameters(masses={"proximal": 1.0}), "no link 'proximal'.*Did you mean 'proximal_"),
     "joint": (lambda r: r.with_parameters(lengths={"elbow": 1.0}), "no joint 'elbow'"),
     "negative mass": (lambda r: r.with_parameters(masses={"distal_1": -1.0}), "mass of distal_1 is -1.0"),

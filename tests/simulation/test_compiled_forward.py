@@ -18,7 +18,7 @@ from spatial_chains import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.compiled import CompiledForward, forward_of
+from redundancy_pin.dynamics.compiled import CompiledForward
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
@@ -48,11 +48,7 @@ SAME = 1e-8
 """Two integrations of a second or two to 1e-11 a step, rounded differently."""
 
 
-@functools.cache
-def kernel(robot: Robot) -> CompiledForward:
-    forward, reason = forward_of(robot)
-    assert forward is not None, reason
-    return forward
+kernel = functools.cache(CompiledForward)
 
 
 def compiled(robot: Robot) -> Any:

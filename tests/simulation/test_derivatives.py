@@ -13,6 +13,7 @@ import zoo
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.reference import inverse_dynamics
@@ -54,9 +55,10 @@ class Nearby:
 
     def acceleration(self, state: State, force: Array) -> Array:
         a = self.dynamics.acceleration(state.q, state.v, force)
-        evaluated = self.dynamics.chain.system.evaluate(state.q[None])
-        _, bias = self.dynamics.chain.system.bias(evaluated, state.v[None])
-        return np.concatenate([evaluated.Jx[0] @ a + bias[0], a[self.robot.carrier_velocity]])
+        chain = ClosedChain(self.robot)
+        chain.update(state.q, state.v)
+        second = chain.platform_jacobian() @ a + chain.platform_jacobian_rate() @ state.v
+        return np.concatenate([second, a[self.robot.carrier_velocity]])
 
 
 def require_linearisation(state: State, force: Array) -> None:

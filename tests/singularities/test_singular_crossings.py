@@ -171,11 +171,24 @@ def test_leaving_the_workspace_names_the_time() -> None:
 
 
 @pytest.mark.parametrize("modes", [True, False])
-def test_a_path_through_a_folded_leg_is_refused(modes: bool) -> None:
-    """Within 0.1 mm of its base hinge the leg of a 2-RPR turns by half a turn: no branch continues."""
+def test_a_leg_that_turns_round_within_one_step_is_followed(modes: bool) -> None:
+    """70 µm from its base hinge the leg of a 2-RPR makes half a turn; the path meets the base line behind the hinge."""
     robot = zoo.robot_of("2rpr") if modes else replace(zoo.robot_of("2rpr"), working_modes=None, working_mode=())
-    with pytest.raises(WorkingModeError):
-        find_crossings(robot, along(through_points([[-0.1, 0.1], [0.1001, -0.0999]])))
+    trajectory = along(through_points([[-0.1, 0.1], [0.1001, -0.0999]]))
+    (crossing,) = find_crossings(robot, trajectory)
+    assert crossing.kind == SingularityKind.TYPE_II
+    assert crossing.x == pytest.approx([0.1 * 0.2001 / 0.1999 - 0.1, 0.0], abs=1e-11)
+    swivels = [robot.model.joints[robot.model.getJointId(f"swivel_{leg}")].idx_q for leg in (1, 2)]
+    turned = np.abs(np.angle(np.exp(1j * (crossing.q[swivels] - [0.0, np.pi]))))
+    assert turned.max() < 1e-9
+
+
+@pytest.mark.parametrize("modes", [True, False])
+def test_a_path_through_the_hinge_of_a_leg_is_refused(modes: bool) -> None:
+    """There the leg has no length, and turns by half a turn at once."""
+    robot = zoo.robot_of("2rpr") if modes else replace(zoo.robot_of("2rpr"), working_modes=None, working_mode=())
+    with pytest.raises(WorkingModeError, match="cannot be followed"):
+        find_crossings(robot, along(through_points([[-0.1, 0.13], [0.1, -0.13]])))
 
 
 def test_five_bar_crosses_where_its_distal_links_align() -> None:

@@ -10,14 +10,14 @@ from __future__ import annotations
 import os
 import threading
 import warnings
-from collections.abc import Callable, Sequence
-from functools import cached_property
+from collections.abc import Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only
 from redundancy_pin.dynamics.base import (
     AccelerationSample,
     CarrierDerivatives,
@@ -32,24 +32,20 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.compiled.build import Library, bind, build_library, define
+from redundancy_pin.dynamics.compiled.build import Library, bind, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
-from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
-from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, TorqueCall
+from redundancy_pin.dynamics.compiled.closing import Lifted, Loops, Start, each, follow_motors, lifted, parts_of
+from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, SampleCall, TorqueCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
-from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
-from redundancy_pin.dynamics.compiled.parameters import topology_of
-from redundancy_pin.errors import CompilerError, InputError, SingularPoseError, UnsupportedRobotError
-from redundancy_pin.machine_code import REMEDY
+from redundancy_pin.dynamics.compiled.forward import CompiledForward
+from redundancy_pin.errors import CompilerError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.lookup import find_joint_index
-from redundancy_pin.robot.named import is_pose, require_matching
-from redundancy_pin.robot.scales import sample_scales
-from redundancy_pin.robot.types import slides
+from redundancy_pin.robot.named import require_matching
+from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
 
@@ -66,7 +62,6 @@ class CompiledDynamics(Dynamics):
         threads: threads for many samples; as many as there are processors when left out.
 
     Raises:
-        RedundancyPinError: casadi is not installed.
         CompilerError: there is no C compiler, or it fails.
         UnsupportedRobotError: a joint of a type that is not covered.
     """
@@ -75,12 +70,11 @@ class CompiledDynamics(Dynamics):
         self._robot = as_robot(robot)
         self.threads = threads or os.cpu_count() or 1
         self._local = threading.local()
-        self._kernels: dict[str, Library] = {}
-        self.kernel = self._kernel_of(self._robot)
+        self.kernel = Library(self._robot)
 
-    def __reduce__(self) -> tuple[Callable[..., CompiledDynamics], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[partial[CompiledDynamics], tuple[Robot]]:
         """Build it again, from the cache, where it is copied or sent to."""
-        return _again, (self._robot, self.threads)
+        return partial(CompiledDynamics, threads=self.threads), (self._robot,)
 
     def __repr__(self) -> str:
         """Return the robot."""
@@ -113,20 +107,7 @@ class CompiledDynamics(Dynamics):
         A library serves all robots that differ in numbers: lengths, masses, loads, working modes. A robot of another
         topology is compiled.
         """
-        other = object.__new__(CompiledDynamics)
-        other.threads, other._kernels = self.threads, self._kernels
-        other._robot, other._local, other.kernel = robot, threading.local(), self._kernel_of(robot)
-        return other
-
-    def _kernel_of(self, robot: Robot) -> Library:
-        """Return what evaluates a robot, new where none has been made for one alike."""
-        alike = topology_of(robot).text
-        if alike not in self._kernels:
-            library, reason = build_library(robot)
-            if library is None:
-                raise CompilerError(f"Generated code cannot be compiled: {reason}.", remedy=REMEDY)
-            self._kernels[alike] = library
-        return self._kernels[alike].for_robot(robot)
+        return CompiledDynamics(robot, threads=self.threads)
 
     def sample(
         self,
@@ -142,19 +123,19 @@ class CompiledDynamics(Dynamics):
         """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop needs.
 
         As ``Dynamics.sample``. Newton's method starts from the sample that this thread asked for before, and from the
-        reference where that is too far away; ``along`` and ``reduce`` follow a whole motion, check tracks, and say what
-        is wrong.
+        reference where no straight line leads on from there.
         """
-        one = getattr(self._local, "one", None)
-        if one is None:
-            one = self._local.one = _OneSample(self)
-        return one((x, xd, xdd, s, sd, sdd), t)
+        try:
+            call: SampleCall = self._local.sample
+        except AttributeError:
+            call = self._local.sample = SampleCall(self._robot, self.kernel, self._follow)
+        return call(x, xd, xdd, s, sd, sdd, t)
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
         try:
             call: TorqueCall = self._local.torque
         except AttributeError:
-            call = self._local.torque = TorqueCall(self._robot, self.kernel, self._find)
+            call = self._local.torque = TorqueCall(self._robot, self.kernel, self._follow)
         return call(*given, t, start)
 
     def acceleration(
@@ -164,7 +145,7 @@ class CompiledDynamics(Dynamics):
         try:
             call: AccelerationCall = self._local.acceleration
         except AttributeError:
-            call = self._local.acceleration = AccelerationCall(self._require_forward())
+            call = self._local.acceleration = AccelerationCall(self._forward)
         return call(q, v, tau, carrier_force, t)
 
     def joint_state(
@@ -180,24 +161,17 @@ class CompiledDynamics(Dynamics):
         try:
             call: JointStateCall = self._local.joint_state
         except AttributeError:
-            call = self._local.joint_state = JointStateCall(self._robot, self.kernel)
+            call = self._local.joint_state = JointStateCall(
+                self._robot, self.kernel, partial(follow_motors, self._robot)
+            )
         return call(position, velocity, s, sd, start)
 
-    def _require_forward(self) -> CompiledForward:
-        forward = self.forward()
-        if forward is None:
-            raise self._is_not_compiled()
-        return forward
-
-    def _is_not_compiled(self) -> UnsupportedRobotError:
-        return UnsupportedRobotError(
-            f"The dynamics of {self._robot.name} are not compiled.", remedy="Install a C compiler; $CC names another."
-        )
-
-    def _find(self, motion: PlatformMotion) -> Array:
-        """Return a configuration (nq,) that is closed at a motion of one sample; raises as ``along``."""
-        found: Array = lifted(self._loops, motion, mark=False).q[0]
-        return found
+    def _follow(
+        self, motion: PlatformMotion, carriers: CarrierMotion, start: Start | None
+    ) -> tuple[Lifted, ReducedDynamics]:
+        """Return a motion on the branch of a start, or of the reference, with W and f; raises as ``along``."""
+        tree = lifted(self._loops, motion, mark=False, start=start)
+        return tree, CompiledAlongMotion(self, tree).reduce(carriers)
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, and f as terms of the carriers' motion, at a few instants; see ``Dynamics.carrier_terms``.
@@ -211,16 +185,15 @@ class CompiledDynamics(Dynamics):
 
     def forward(self) -> CompiledForward | None:
         """Return forward dynamics, compiled when they are first asked for; None where that fails, with a warning."""
-        return self._forward
+        try:
+            return self._forward
+        except CompilerError as error:
+            warnings.warn(f"No compiled forward dynamics of {self._robot.name}. {error}", RuntimeWarning, stacklevel=3)
+            return None
 
     @cached_property
-    def _forward(self) -> CompiledForward | None:
-        kernel, reason = forward_of(self._robot)
-        if reason:
-            warnings.warn(
-                f"The forward dynamics of {self._robot.name} are not compiled: {reason}.", RuntimeWarning, stacklevel=4
-            )
-        return kernel
+    def _forward(self) -> CompiledForward:
+        return CompiledForward(self._robot)
 
     @cached_property
     def projection(self) -> Any:
@@ -235,86 +208,6 @@ class CompiledDynamics(Dynamics):
     @cached_property
     def _loops(self) -> Loops:
         return Loops(self._robot, self.kernel, self.threads)
-
-    @cached_property
-    def scales(self) -> tuple[Array, Array]:
-        """(n,) and (m,) the characteristic length for rotations and 1 for translations, of ẋ and of the actuators."""
-        robot, length = self._robot, self._robot.characteristic_length
-        turning = [not slides(joint) for joint in robot.model.joints]
-        if robot.platform is not None:
-            rows = [axis.startswith("r") for axis in robot.platform.axes]
-        else:
-            rows = [turning[find_joint_index(robot.model, name)] for name in robot.independent_joints]
-        columns = [turning[find_joint_index(robot.model, name)] for name in robot.actuated]
-        by_row, by_column = (frozen(np.where(np.array(which, dtype=bool), length, 1.0)) for which in (rows, columns))
-        return by_row, by_column
-
-
-def _again(robot: Robot, threads: int) -> CompiledDynamics:
-    return CompiledDynamics(robot, threads=threads)
-
-
-class _OneSample:
-    """One sample at a time, in fixed memory; one for each thread."""
-
-    def __init__(self, dynamics: CompiledDynamics) -> None:
-        robot = dynamics.robot
-        self._dynamics, n, m, k = dynamics, robot.n, robot.m, robot.k
-        pose = is_pose(robot)
-        self._shapes = [(4, 4) if pose else (n,), (n,), (n,), (k,), (k,), (k,)]
-        width = 16 if pose else n
-        self._wrenches = 6 * len(of_kind(robot.loads, Wrench))
-        self._given, self._result = np.zeros(width + 2 * n + 3 * k + self._wrenches), np.zeros(n * m + n + k + 2)
-        self._state = np.append(np.array(robot.q_reference), 0.0)
-        self._parked = np.zeros(k)
-        self._cuts, self._shape = (n * m, n * m + n, n * m + n + k), (n, m)
-        self._evaluate = dynamics.kernel.sampler(self._state, self._given, self._result)
-
-    def __call__(self, values: tuple[ArrayLike, ...], t: float) -> Sample:
-        try:
-            parts = [np.asarray(value, dtype=np.float64) for value in values]
-        except (TypeError, ValueError):
-            self._refuse(values)
-        if [part.shape for part in parts] != self._shapes:
-            carried = [self._parked if not part.size else part for part in parts[3:]]
-            carried = [np.full(self._parked.shape, part) if part.ndim == 0 else part for part in carried]
-            parts[3:] = carried  # one number stands for all carriers
-            if [part.shape for part in parts] != self._shapes:
-                self._refuse(values)
-        if self._wrenches:
-            x, xd = parts[0][None], parts[1][None]
-            parts += [part[0] for part in wrench_values(self._dynamics.robot.loads, np.array([t]), x, xd)]
-        parts[0] = parts[0].ravel()
-        np.concatenate(parts, out=self._given)
-        if self._evaluate() != CLOSED:
-            self._from_reference(values)
-        result, (a, b, c) = self._result.copy(), self._cuts
-        return Sample(result[:a].reshape(self._shape), result[a:b], result[b:c])
-
-    def _from_reference(self, values: tuple[ArrayLike, ...]) -> None:
-        motion = self._refuse(values)
-        # raises, unless the sample was only too far from the one before
-        self._state[:-1] = lifted(self._dynamics._loops, motion, mark=False).q[0]
-        self._state[-1] = 0.0
-        status = self._evaluate()
-        if status == NOT_FINITE:
-            raise InputError("The efforts of the sample are not finite.", remedy="Its rates are too large.")
-        if status != CLOSED:
-            raise SingularPoseError(
-                "The sample is at a type I singularity: the platform velocity does not determine the joint velocities.",
-                remedy="Keep the legs away from full stretch, full fold and zero length.",
-                sample=0,
-            )
-
-    def _refuse(self, values: tuple[ArrayLike, ...]) -> PlatformMotion:
-        """Return the sample as a motion; raises where it is none."""
-        names = ("x", "xd", "xdd", "s", "sd", "sdd")
-        parts = [
-            checked(value, name, shape)
-            for value, name, shape in zip(values, names, self._shapes, strict=True)
-            if name[0] == "x" or np.size(value)
-        ]
-        return PlatformMotion(np.zeros(1), *(part[None] for part in parts[:3]))
 
 
 class CompiledAlongMotion(Frozen):
@@ -358,7 +251,6 @@ class CompiledAlongMotion(Frozen):
         carriers = require_matching_carriers(self.robot, carriers, len(motion))
         moving = motion.xd, motion.xdd, carriers.sd, carriers.sdd
         f, force = self._mapped("rp_project", carriers, (n, k), gamma=True)
-        rows, columns = self._dynamics.scales
         return ReducedDynamics(
             t=self.motion.t,
             f=read_only(f),
@@ -366,8 +258,8 @@ class CompiledAlongMotion(Frozen):
             carrier_force=read_only(force),
             reachable=self._lifted.reachable,
             gap=self._lifted.gap,
-            row_scale=rows,
-            column_scale=columns,
+            row_scale=row_scale(self.robot),
+            column_scale=column_scale(self.robot),
             out_of_range=self._out_of_range,
             force_size=sample_scales(self.robot, *moving, self._wrenches).force,
         )

@@ -1,7 +1,5 @@
 /* What Python calls: motions, starts, and many samples of one function. It stands behind driver.c. */
 
-const int rp_turnings = NT;
-
 /* The largest rate of the pose columns, rad or characteristic lengths per unit of time. */
 static double largest_rate(const double *numbers, const double *v) {
   double result = 0.0;

@@ -7,15 +7,14 @@ the texts of this package, the compiler and its flags. Numbers of the robot are 
 
 from __future__ import annotations
 
-import copy
 import ctypes
 import functools
 import importlib.metadata
 import importlib.resources
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -24,19 +23,43 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
-from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE
-from redundancy_pin.machine_code import FLAGS, built, digest, loaded
+from redundancy_pin.dynamics.forward import LEAST_INERTIA
+from redundancy_pin.errors import CompilerError
+from redundancy_pin.machine_code import CACHE, FLAGS, REMEDY, built, digest, loaded
+from redundancy_pin.motion import POSE_TOLERANCE
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.robot.whole_turns import counted_turns
+from redundancy_pin.robot.whole_turns import EXACT, FARTHEST, MOST_TURNS, TURN, WHOLE, counted_turns
 from redundancy_pin.status import SampleStatus
 
 LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
 one that is closed to within the tolerance is known no better than this."""
 
-T = TypeVar("T")
+_FASTER = 10
+"""Ratio of the turns that generated code follows one by one to those of ``robot.whole_turns``: they take as long."""
+
+_CONSTANTS = {
+    "TOLERANCE": CLOSURE_TOLERANCE,
+    "LEAST_MARGIN": LEAST_MARGIN,
+    "RANK_TOLERANCE": RANK_TOLERANCE,
+    "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
+    "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
+    "FORCE_TOLERANCE": FORCE_TOLERANCE,
+    "POSE_TOLERANCE": POSE_TOLERANCE,
+    "LEAST_INERTIA": LEAST_INERTIA,
+    "EPSILON": float(np.finfo(float).eps),
+    "TURN": TURN,
+    "MOST_TURNS": _FASTER * MOST_TURNS,
+    "WHOLE": WHOLE,
+    "EXACT": EXACT,
+    "FARTHEST": FARTHEST,
+}
+"""Constants of the package that the C takes over, by their names there."""
+
+_STATUSES = ", ".join(f"STATUS_{status.name} = {int(status)}" for status in SampleStatus)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,24 +75,15 @@ class Definition:
     chain: SymbolicChain
     functions: Mapping[str, Any]
 
-    def shapes(self, name: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the lengths of a function's arguments and results."""
-        function = self.functions[name]
-        return (
-            tuple(function.numel_in(i) for i in range(function.n_in())),
-            tuple(function.numel_out(i) for i in range(function.n_out())),
-        )
-
 
 def define(robot: Robot) -> Definition:
     """Write the functions of a robot's topology. Matrices are laid out row by row, except K, column by column."""
-    casadi()  # says so where it is missing, whatever was written before
     return _defined(topology_of(robot))
 
 
 @functools.lru_cache(maxsize=8)
 def _defined(topology: Topology) -> Definition:
-    ca, robot = casadi(), topology.robot
+    robot = topology.robot
     chain = SymbolicChain(robot)
     carriers = [ca.SX.sym(name, robot.k) for name in ("s", "sd", "sdd")]
     columns = robot.carrier_velocity.tolist()
@@ -97,9 +111,7 @@ def _defined(topology: Topology) -> Definition:
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
         "rows": ([*pose, chain.x], [missing, ca.vec(K), chain.alignment]),  # without units
         "bias": ([*pose, chain.v], [chain.bias]),
-        "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
-        "moved": ([chain.q, chain.step], [chain.moved]),
-        "modes": (pose, [chain.mode_indicators]),
+        **tree_functions(chain),
         "coordinates": (pose, [chain.coordinates]),
         "drives": ([chain.q, positions], [_missed(chain, positions)]),
         "project": (projected, reduced),
@@ -114,9 +126,18 @@ def _defined(topology: Topology) -> Definition:
     return Definition(chain, functions)
 
 
+def tree_functions(chain: SymbolicChain) -> dict[str, tuple[list[Any], list[Any]]]:
+    """Return arguments and results of the functions that both libraries have: ``tree.c`` calls them, and modes."""
+    turns = ca.vertcat(*(function(chain.q[i]) for i in chain.turning for function in (ca.cos, ca.sin)))
+    return {
+        "turns": ([chain.q], [turns]),
+        "moved": ([chain.q, chain.step], [chain.moved]),
+        "modes": ([chain.q, chain.trig], [chain.mode_indicators]),
+    }
+
+
 def function_of(chain: SymbolicChain, name: str, inputs: list[Any], outputs: list[Any]) -> Any:
     """Return a casadi Function with dense results; numbers of the robot, where it needs any, are its last argument."""
-    ca = casadi()
     dense = [ca.densify(part) for part in ca.cse(outputs)]
     depends = ca.depends_on(ca.veccat(*dense), chain.parameters)
     return ca.Function(name, [*inputs, chain.parameters] if depends else inputs, dense)
@@ -124,7 +145,7 @@ def function_of(chain: SymbolicChain, name: str, inputs: list[Any], outputs: lis
 
 def bind(function: Any, robot: Robot) -> Any:
     """Return a function of a definition with the numbers of a robot in it, which are no arguments any more."""
-    ca, vector = casadi(), parameter_vector(robot)
+    vector = parameter_vector(robot)
     count = function.n_in() - 1
     if function.numel_in(count) != len(vector) or not function.name_in(count):
         return function
@@ -134,7 +155,7 @@ def bind(function: Any, robot: Robot) -> Any:
 
 def _missed(chain: SymbolicChain, positions: Any) -> Any:
     """Return (m,) how far the main actuators are from their positions, m and rad."""
-    ca, missed = casadi(), []
+    missed = []
     for i, name in enumerate(chain.robot.actuated):
         joint = find_joint(chain.robot.model, name)
         q = chain.q[joint.idx_q : joint.idx_q + joint.nq]
@@ -146,17 +167,14 @@ def _missed(chain: SymbolicChain, positions: Any) -> Any:
     return ca.vertcat(ca.SX(0, 1), *missed)
 
 
-def source(definition: Definition) -> str:
+def source(robot: Robot) -> str:
     """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
-    chain = definition.chain
-    turning = ", ".join(map(str, chain.turning)) or "0"
+    definition = define(robot)
     return "\n".join(
         [
             driver_source(definition, definition.functions.values()),
-            f"const int rp_turning[] = {{{turning}}};",
-            sample_source(),
-            _table("static const int CARRIERS", chain.robot.carrier_velocity),
-            _table("static const int CARRIED", chain.robot.carrier_position),
+            text_of("sample.c"),
+            *carrier_tables(robot),
             text_of("calls.c"),
             text_of("batch.c"),
         ]
@@ -181,20 +199,6 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
     return "\n".join([*tables(chain, functions, storage), *counted, text_of("driver.c")])
 
 
-def sample_source() -> str:
-    """Return the C of one sample, ``sample.c``, with its constants; it follows ``driver_source``."""
-    constants = {
-        "RANK_TOLERANCE": RANK_TOLERANCE,
-        "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
-        "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
-        "FORCE_TOLERANCE": FORCE_TOLERANCE,
-    }
-    statuses = ", ".join(f"STATUS_{status.name} = {int(status)}" for status in SampleStatus)
-    text = [f"enum {{ {statuses} }};"]
-    text += [f"#define {name} {value!r}" for name, value in constants.items()]
-    return "\n".join([*text, text_of("sample.c")])
-
-
 def _table(declared: str, values: Any) -> str:
     listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
     return f"{declared}[] = {{{listed or '0'}}};"
@@ -215,17 +219,22 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
         "NX": chain.x.numel(),
         "LEGS": chain.mode_indicators.numel(),
         "NALIGN": chain.alignment.numel(),
-        "TOLERANCE": CLOSURE_TOLERANCE,
-        "LEAST_MARGIN": LEAST_MARGIN,
+        "NWRENCH": chain.external.numel(),
     }
     tables = {
         "static const int COLUMNS": chain.pose_columns,
         "static const int ACTUATED": robot.actuated_velocity,
     }
     text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
-    text += [f"#define {name} {value!r}" for name, value in sizes.items()]
-    text += chain.layout.macros
-    return [*text, *(_table(name, values) for name, values in tables.items())]
+    text += [f"#define {name} {value!r}" for name, value in {**sizes, **_CONSTANTS}.items()]
+    text += [f"enum {{ {_STATUSES}, STATUSES }};", *chain.layout.macros]
+    return [*text, *(_table(name, values) for name, values in tables.items()), text_of("tree.c")]
+
+
+def carrier_tables(robot: Robot) -> list[str]:
+    """Return the C of two more tables, the indices of the carriers in v and in q."""
+    indices = {"CARRIERS": robot.carrier_velocity, "CARRIED": robot.carrier_position}
+    return [_table(f"static const int {name}", values) for name, values in indices.items()]
 
 
 def text_of(name: str) -> str:
@@ -233,120 +242,102 @@ def text_of(name: str) -> str:
     return importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-_WRITTEN = (
-    "symbols.py",
-    "load_symbols.py",
-    "parameters.py",
-    "build.py",
-    "emit.py",
-    "driver.c",
-    "sample.c",
-    "calls.c",
-    "batch.c",
-)
-"""Files that decide what is compiled: who changes one gets a new library."""
+# --- libraries --------------------------------------------------------------------------------------------------------
 
 
-def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Sequence[str] = FLAGS) -> str:
-    """Return what tells one library from another: a hash of all that goes into it. Numbers of the robot do not."""
-    try:
-        version = importlib.metadata.version("casadi")  # without the time that an import takes
-    except importlib.metadata.PackageNotFoundError:
-        version = str(casadi().__version__)  # installed by other means than pip, or not at all
-    constants = repr((CLOSURE_TOLERANCE, RANK_TOLERANCE, NEAR_SINGULAR_MARGIN, CONSISTENCY_TOLERANCE, FORCE_TOLERANCE))
-    texts = (text_of(name) for name in files)
-    return digest([topology_of(robot).text, version, str(pin.__version__), constants, *files, *texts, compiler, *flags])
+@dataclass(frozen=True)
+class Recipe:
+    """How a library of a topology is made: there are two of them, for inverse and for forward dynamics.
 
-
-class Library:
-    """A compiled topology with the numbers of one robot: functions called with arrays.
-
-    Args:
-        path: the shared library.
-        robot: the robot.
+    Attributes:
+        name: what tells it from others.
+        write: returns its C for a robot.
+        flags: of the compiler.
     """
 
-    def __init__(self, path: Path, robot: Robot) -> None:
-        self.path = path
-        self.library = loaded(path)
-        for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project", "rp_terms"):
-            getattr(self.library, name)  # AttributeError where the file is another one
-        turning = ctypes.c_int.in_dll(self.library, "rp_turnings").value
-        self.trigs = 2 * turning
-        self._turning = list((ctypes.c_int * turning).in_dll(self.library, "rp_turning"))
-        self._set_numbers(robot)
+    name: str
+    write: Callable[[Robot], str]
+    flags: tuple[str, ...] = FLAGS
 
-    def _set_numbers(self, robot: Robot) -> None:
+
+def library_of(recipe: Recipe, robot: Robot) -> ctypes.CDLL:
+    """Return a compiled library of a robot's topology: the one of this process, that on disk, or a new one.
+
+    Raises:
+        CompilerError: there is no C compiler, or it fails.
+        UnsupportedRobotError: a joint of a type that is not covered.
+    """
+    # another compiler or folder, named while the process runs, counts from then on
+    return _library_of(recipe, topology_of(robot), tuple(map(os.environ.get, ("CC", "PATH", CACHE))))
+
+
+@functools.cache  # nothing that is loaded is ever unloaded
+def _library_of(recipe: Recipe, topology: Topology, _environment: tuple[str | None, ...]) -> ctypes.CDLL:
+    library, reason = built(
+        lambda compiler: digest([recipe.name, topology.text, *_sources(), compiler, *recipe.flags]),
+        lambda: recipe.write(topology.robot),
+        loaded,
+        recipe.flags,
+    )
+    if library is None:
+        raise CompilerError(f"Generated code cannot be compiled: {reason}.", remedy=REMEDY)
+    return library
+
+
+@functools.cache
+def _sources() -> tuple[str, ...]:
+    """Return what decides beside the topology what is compiled: versions, constants, and the texts of this package."""
+    folder = importlib.resources.files(__package__)
+    names = sorted(file.name for file in folder.iterdir() if file.name.endswith((".py", ".c")))
+    versions = importlib.metadata.version("casadi"), str(pin.__version__)  # without the time that an import takes
+    return (*versions, repr(_CONSTANTS), _STATUSES, *names, *map(text_of, names))
+
+
+class Code:
+    """A compiled topology with the numbers of one robot.
+
+    Args:
+        recipe: which of its libraries.
+        robot: the robot.
+
+    Attributes:
+        robot: the robot.
+        library: its functions, the same object for all robots of the topology.
+        numbers: the address of the robot's ``parameters.parameter_vector``, the first argument of the functions.
+    """
+
+    def __init__(self, recipe: Recipe, robot: Robot) -> None:
+        self.robot, self.library = robot, library_of(recipe, robot)
         self._numbers = parameter_vector(robot)
-        self.numbers = ctypes.c_void_p(self._numbers.ctypes.data)
+        self.numbers = address(self._numbers)
 
-    def for_robot(self, robot: Robot) -> Library:
-        """Return the same functions with the numbers of another robot of the topology; nothing is compiled."""
-        other = copy.copy(self)
-        other._set_numbers(robot)
-        return other
 
-    def trig_at(self, q: Array) -> Array:
-        """Return (N, T) the cosines and sines at configurations (N, nq) that the functions take."""
-        angles = q[:, self._turning]
-        return np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
+def address(array: Array) -> ctypes.c_void_p:
+    """Return where an array is in memory; who keeps the address has to keep the array."""
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+_INVERSE = Recipe("inverse", source)
+
+
+class Library(Code):
+    """Inverse dynamics and the closing of loops of one robot: functions called with arrays."""
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(_INVERSE, robot)
 
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the driver with arrays and integers."""
-        return int(getattr(self.library, name)(self.numbers, *(_as_c(value) for value in arguments)))
+        given = (address(value) if isinstance(value, np.ndarray) else value for value in arguments)
+        return int(getattr(self.library, name)(self.numbers, *given))
 
     def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate a generated function for many samples, the first axis of all arrays; outputs are written to."""
-        pointer = ctypes.cast(getattr(self.library, name), ctypes.c_void_p)
-        packed = [_pointers(arrays) for arrays in (inputs, outputs)]
-        sizes = [
-            (ctypes.c_long * max(len(arrays), 1))(*(array[0].size if array.strides[0] else 0 for array in arrays))
-            for arrays in (inputs, outputs)
-        ]
-        count = ctypes.c_long(samples)
-        self.library.rp_map(
-            self.numbers, pointer, count, len(inputs), packed[0], sizes[0], len(outputs), packed[1], sizes[1]
-        )
-
-    def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
-        """Return a function that evaluates one sample from and into fixed arrays: addresses are looked up once."""
-        function = self.library.rp_sample
-        arguments = (self.numbers, *(_as_c(array) for array in (state, given, result)))
-
-        def sample(_alive: tuple[Array, ...] = (self._numbers, state, given, result)) -> int:
-            status: int = function(*arguments)
-            return status
-
-        return sample
-
-
-def _as_c(value: object) -> object:
-    return ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value
-
-
-def _pointers(arrays: Sequence[Array]) -> Any:
-    return (ctypes.c_void_p * max(len(arrays), 1))(*(array.ctypes.data for array in arrays))
-
-
-def build_library(robot: Robot) -> tuple[Library | None, str]:
-    """Return the compiled robot, from disk or new; or None and the reason why there is none."""
-    return built_for(robot, _WRITTEN, lambda: source(define(robot)), lambda path: Library(path, robot))
-
-
-def built_for(
-    robot: Robot,
-    files: Sequence[str],
-    write: Callable[[], str],
-    load: Callable[[Path], T],
-    flags: Sequence[str] = FLAGS,
-) -> tuple[T | None, str]:
-    """Return a library of a robot, as ``machine_code.built`` does.
-
-    Args:
-        robot: the robot.
-        files: those of this package that decide what is compiled.
-        write: returns the C.
-        load: opens a library.
-        flags: of the compiler.
-    """
-    return built(lambda compiler: key(robot, compiler, files, flags), write, load, flags)
+        arguments: list[Any] = []
+        for arrays in (inputs, outputs):
+            count = len(arrays)
+            strides = (array[0].size if array.strides[0] else 0 for array in arrays)
+            arguments += [count, (ctypes.c_void_p * count)(*(array.ctypes.data for array in arrays))]
+            arguments.append((ctypes.c_long * count)(*strides))
+        function = ctypes.cast(getattr(self.library, name), ctypes.c_void_p)
+        self.library.rp_map(self.numbers, function, ctypes.c_long(samples), *arguments)

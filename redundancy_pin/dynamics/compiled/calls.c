@@ -2,45 +2,134 @@
    of its determinant, 0 where unknown: where Newton's method starts, and afterwards where it ended. Calls return a status of
    redundancy_pin.status; only samples that are closed write their results and the state. */
 
-#define TURN_OF_RANGE 6.283185307179586
-
 /* A range of a joint or a track of a carrier (robot/joint_ranges.py): its index in q, whether whole turns count as none, its
    ends and slack. */
 typedef struct {
   double at, turns, lower, upper, slack;
 } Range;
 
+#define PART 0.1         /* least share of the platform in the norm of K's inverse at the end of a branch, no unit: 1e-4 at a rank loss */
+#define MOST_SEARCHES 100 /* steps of Newton's method: half a turn of every joint takes some 50 */
+
+enum { OUT_OF_REACH = NO_POSE + 1 };
+
 static int in_ranges(const double *q, const Range *ranges, int count) {
   for (int i = 0; i < count; ++i) {
     const Range *range = ranges + i;
     double value = q[(int)range->at];
     if (range->turns != 0.0)
-      value -= TURN_OF_RANGE * rint((value - 0.5 * (range->lower + range->upper)) / TURN_OF_RANGE);
+      value -= TURN * rint((value - 0.5 * (range->lower + range->upper)) / TURN);
     if (range->lower - value > range->slack || value - range->upper > range->slack) return 0;
   }
   return 1;
 }
 
+/* Start from a configuration (NQ). The signs (LEGS) of the working mode among the numbers of a call become those of the start, so that
+   in_mode keeps its legs on their sides; declared are those of the robot's own numbers. Returns 0, and does nothing, where the start
+   is not finite. */
+int rp_begin(const double *numbers, const double *declared, const double *start, double *signs, double *state) {
+  double trig[2 * NT + 1], sides[LEGS + 1] = {0.0};
+  if (!finite(start, NQ)) return 0;
+  turns_of(start, trig);
+  sides_of(numbers, start, trig, sides);
+  for (int i = 0; i < LEGS; ++i) signs[i] = declared[i] * ((sides[i] > 0.0) - (sides[i] < 0.0));
+  copy(state, start, NQ);
+  state[NQ] = 0.0;
+  return 1;
+}
+
+/* Whether a pose is next to a rank loss of the closures: the platform then hardly has a part in what K cannot do, and a branch may go
+   on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
+static int may_go_on(const Pose *pose) {
+  double X[NP + 1][NP + 1], all = 0.0, platform = 0.0;
+  invert(pose->lu, pose->pivot, X);
+  for (int i = 0; i < NP; ++i) {
+    all += dot(X[i], X[i], NP);
+    platform += dot(X[i] + R, X[i] + R, N);
+  }
+  return !(platform > PART * PART * all);
+}
+
+/* The largest residual, without unit, that Newton's method with a line search leaves at coordinates x; q is moved. Zero where it does not
+   come to an end: kinematics then look. */
+static double left_open(const double *numbers, double *q, const double *x) {
+  double trig[2 * NT + 1], residual[NP + 1], step[NP + 1], part[NP + 1], K[NP * NP + 1], alignment[NALIGN], from[NQ];
+  int pivot[NP + 1];
+  turns_of(q, trig);
+  rows(numbers, q, trig, x, residual, K, alignment);
+  for (int iteration = 0; iteration < MOST_SEARCHES; ++iteration) {
+    double size = dot(residual, residual, NP), share = 1.0;
+    copy(step, residual, NP);
+    copy(from, q, NQ);
+    if (decompose(K, pivot) == 0.0) return 0.0;
+    solve(K, pivot, step);
+    double longest = largest(step, NP);
+    int last = longest <= FLOOR; /* a step of rounding is taken whole */
+    for (share = fmin(1.0, LONGEST / longest); share > SHORTEST; share *= 0.5) {
+      for (int i = 0; i < NP; ++i) part[i] = share * step[i] * STEP_UNIT[i];
+      copy(q, from, NQ);
+      move(q, part);
+      turns_of(q, trig);
+      rows(numbers, q, trig, x, residual, K, alignment);
+      if (last || dot(residual, residual, NP) < size) break;
+    }
+    if (last || !(share > SHORTEST)) return largest(residual, NP);
+  }
+  return 0.0;
+}
+
+static void keep(const Pose *pose, double *state) {
+  copy(state, pose->q, NQ);
+  state[NQ] = pose->sign;
+}
+
+/* One sample; in and out as rp_sample. Where Newton's method does not get there in one step, the branch of the state is followed, on the
+   straight way, however many turns away. The state is moved where the sample is closed; reached, of the same size, is the last
+   configuration on the way. Returns a status of the driver, or OUT_OF_REACH with the closure residual among out. */
+int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
+  double here[NX];
+  Pose pose;
+  int refused = refusal_of(in);
+  copy(reached, state, NQ + 1);
+  if (refused) return refused;
+  if (state[NQ] == 0.0) { /* a start: its chains have to close, and the sign of its determinant is not known yet */
+    if (pose_at(numbers, state, 0.0, &pose, here)) return LOST;
+    keep(&pose, reached);
+  }
+  int closed = rp_sample(numbers, reached, in, out);
+  if (closed == LOST && pose_at(numbers, reached, reached[NQ], &pose, here) == STATUS_OK) {
+    int there = go_far(numbers, &pose, here, in);
+    keep(&pose, reached);
+    if (there) closed = rp_sample(numbers, reached, in, out);
+    double open = there || may_go_on(&pose) ? 0.0 : left_open(numbers, pose.q, in);
+    out[N * M + N + NK] = open * LENGTH;
+    if (open > TOLERANCE) closed = OUT_OF_REACH;
+  }
+  if (closed == CLOSED) copy(state, reached, NQ + 1);
+  return closed;
+}
+
 #if M
-/* Torques of one sample. in: as rp_sample; out: as rp_sample, then tau (M), residual, margin, condition. */
-int rp_torque(const double *numbers, double *state, const double *in, const Range *ranges, int count, double *out) {
-  double from[NQ + 1], *const f = out + N * M, *const tau = f + N + NK + 2;
+enum { STATUS_NO_POSE = STATUSES };
+
+/* Torques of one sample. out: as rp_sample, then tau (M), residual, margin, condition. Returns a status, or STATUS_NO_POSE. */
+int rp_torque(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
+  double q[NQ], *const f = out + N * M, *const tau = f + N + NK + 2;
   Efforts efforts;
-  copy(from, state, NQ + 1);
-  int closed = rp_sample(numbers, from, in, out);
-  if (closed == LOST) return STATUS_BRANCH_LOST; /* or out of reach, or not finite: for Python to say */
-  if (closed != CLOSED) return status_of(closed);
-  if (!finite(out, N * M + N + NK + 2)) return STATUS_NOT_FINITE;
+  int closed = rp_reach(numbers, state, reached, in, out);
+  if (closed == NO_POSE) return STATUS_NO_POSE;
+  if (closed == OUT_OF_REACH) return STATUS_UNREACHABLE;
+  if (closed != CLOSED) return closed == LOST ? STATUS_BRANCH_LOST : status_of(closed);
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
   if (status == STATUS_NOT_FINITE) return status;
-  copy(state, from, NQ + 1);
   copy(tau, efforts.tau, M);
   tau[M] = efforts.residual;
   tau[M + 1] = efforts.margin;
   tau[M + 2] = efforts.condition;
   if (status > STATUS_SINGULAR_CONSISTENT) return status;
-  for (int i = 0; i < NK; ++i) from[CARRIED[i]] = in[NX + 2 * N + i];
-  return in_ranges(from, ranges, count) ? status : STATUS_OUT_OF_RANGE;
+  copy(q, state, NQ);
+  for (int i = 0; i < NK; ++i) q[CARRIED[i]] = in[NX + 2 * N + i];
+  return in_ranges(q, ranges, count) ? status : STATUS_OUT_OF_RANGE;
 }
 #endif
 
@@ -68,23 +157,25 @@ static int follow_drives(const double *numbers, Pose *pose, const double *positi
 }
 
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
-   q (NQ), v (NV), x (NX), xd (N), singularity margin, closure residual, mismatch of the actuators (M > N). */
-int rp_joint_state(const double *numbers, double *state, const double *in, const Range *ranges, int count, double *out) {
+   q (NQ), v (NV), x (NX), xd (N), singularity margin, closure residual, mismatch of the actuators (M > N). State and reached are
+   as of rp_reach. */
+int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
   double x[NX], *q = out, *v = q + NQ, *last = v + NV + NX + N;
   Pose pose;
   Platform platform;
+  copy(reached, state, NQ + 1);
   if (!finite(in, 2 * M + 2 * NK)) return STATUS_NOT_FINITE;
   copy(pose.q, state, NQ);
   turns_of(pose.q, pose.trig);
   pose.sign = state[NQ];
-  int status = pose.sign == 0.0 ? pose_at(numbers, state, 0.0, &pose, x) : STATUS_OK; /* its sign is known once it was closed */
-  if (status) return status;
+  if (pose.sign == 0.0 && pose_at(numbers, state, 0.0, &pose, x)) return STATUS_BRANCH_LOST; /* a start has to close */
   Pose start = pose;
-  status = platform_of(numbers, &pose, position, velocity, &platform);
+  int status = platform_of(numbers, &pose, position, velocity, &platform);
   if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
     pose = start;
     status = follow_drives(numbers, &pose, position);
+    keep(&pose, reached);
     if (status) return status;
     status = platform_of(numbers, &pose, position, velocity, &platform);
   }
@@ -100,8 +191,7 @@ int rp_joint_state(const double *numbers, double *state, const double *in, const
   last[0] = platform.margin;
   last[1] = platform.gap;
   last[2] = platform.mismatch;
-  copy(state, pose.q, NQ);
-  state[NQ] = pose.sign;
+  keep(&pose, state);
   return in_ranges(q, ranges, count) ? status : STATUS_OUT_OF_RANGE;
 }
 #endif

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -20,14 +20,16 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.compiled.build import Library
-from redundancy_pin.kinematics.branch import BranchEnd, follower
+from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
+from redundancy_pin.errors import WorkingModeError
+from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower, known_state
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import position_unit
 
-CLOSED, _LOST, _SINGULAR, _OTHER_MODE, NOT_FINITE = range(5)
-"""Statuses of the driver."""
+CLOSED, _LOST = range(2)
+"""Statuses of the driver: CLOSED, and the one of samples that it has not come to."""
 
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
@@ -49,8 +51,15 @@ class Loops:
         """The reference configuration (nq,) and its coordinates, (n,) or the 16 of a pose."""
         q, platform = np.array(self.robot.q_reference), self.robot.platform
         x = np.empty(16 if platform is not None and platform.is_pose else self.robot.n)
-        self.kernel.map("rp_coordinates", 1, [q[None], self.kernel.trig_at(q[None])], [x[None]])
+        self.kernel.map("rp_coordinates", 1, [q[None], trig_at(self.robot, q[None])], [x[None]])
         return q, x
+
+
+class Start(NamedTuple):
+    """A configuration q (nq,) to go on from, and its Γ (nv, n) where K may have no inverse, as at a rank loss."""
+
+    q: Array
+    gamma: Array | None
 
 
 class Lifted(NamedTuple):
@@ -68,27 +77,34 @@ class Lifted(NamedTuple):
     reachable: BoolArray
 
 
-def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool) -> Lifted:
-    """Return the tree's motion along one of the platform; with ``mark``, samples that do not close are NaN.
+def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | None = None) -> Lifted:
+    """Return the tree's motion along one of the platform.
+
+    Args:
+        loops: of the robot.
+        motion: the platform's.
+        mark: leave samples that do not close NaN in place of raising.
+        start: where kinematics go on from, in place of the reference.
 
     Raises:
         RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
     """
     robot, samples = loops.robot, len(motion)
-    start = _start(loops, motion, mark)
-    if start is not None:
+    q0 = _start(loops, motion, mark) if start is None else None
+    if q0 is not None:
         x = np.ascontiguousarray(motion.x.reshape(samples, -1))
         nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
-        shapes = ((nq,), (loops.kernel.trigs,), (nv,), (nv,), (nv, n), (n, m), (), ())
+        shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), ())
         arrays = [np.empty((samples, *shape)) for shape in shapes]
         status = np.full(samples, _LOST, dtype=np.intc)
-        _run(loops, motion, x, start, arrays, status)
+        _run(loops, motion, x, q0, arrays, status)
         good: BoolArray = status == CLOSED
         if good.all():
             q, trig, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
             return Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(good))
-    tree = inverse_kinematics(robot, motion, mark_unreachable=mark)
-    trig = read_only(loops.kernel.trig_at(tree.q))
+    state = None if start is None else _state_at(robot, start)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
+    trig = read_only(trig_at(robot, tree.q))
     return Lifted(
         motion, tree.q, trig, tree.v, tree.a, tree.gamma, tree.W, tree.gap, tree.serial_margin_bound, tree.reachable
     )
@@ -110,6 +126,38 @@ def _start(loops: Loops, motion: PlatformMotion, mark: bool) -> Array | None:
         return q
     tree = inverse_kinematics(loops.robot, motion[:1], mark_unreachable=mark)
     return np.array(tree.q[0]) if tree.reachable[0] else None
+
+
+def _state_at(robot: Robot, start: Start) -> ClosedState:
+    own, q = follower(robot), start.q.copy()
+    q[robot.carrier_position] = 0.0
+    own.chain.place(q)
+    x = read_only(own.chain.coordinates(q))
+    if start.gamma is not None:
+        return known_state(robot, x, q, start.gamma)
+    closed = own.close(q, x)
+    if closed is None:
+        raise WorkingModeError(
+            f"The chains of {robot.name} do not close at the start, or K is singular there: no branch goes on from it.",
+            remedy="Start from a closed configuration away from singularities.",
+        )
+    return closed
+
+
+def follow_motors(robot: Robot, q: Array, position: Array) -> Array | None:
+    """Return the configuration (nq,) at positions (m,) of the main actuators on the branch of another one, or None.
+
+    The motors move straight, as the independent coordinates of a robot without a platform.
+    """
+    if robot.m != robot.n:
+        return None
+    driven = replace(robot, platform=None, independent_joints=robot.actuated, working_modes=None, working_mode=())
+    try:
+        here = _state_at(driven, Start(q, None))
+    except WorkingModeError:
+        return None
+    reached = follower(driven).advance(here, position)
+    return np.array(reached.q) if isinstance(reached, ClosedState) else None
 
 
 def _run(

@@ -12,41 +12,44 @@ import ctypes
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
-from typing import Any, Protocol, cast
+from math import isfinite
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, checked
-from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, TorqueSample
+from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
+from redundancy_pin.dynamics.compiled.build import Code
+from redundancy_pin.dynamics.compiled.closing import Lifted, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
-from redundancy_pin.errors import (
-    InputError,
-    SingularPoseError,
-    UnreachablePoseError,
-    UnsupportedRobotError,
-    WorkingModeError,
-)
-from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
+from redundancy_pin.dynamics.one_sample import REFUSALS, refused, solve_sample, without_answer
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.joint_ranges import range_table
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import is_pose, too_few_motors
 from redundancy_pin.status import SampleStatus
 
+Follow: TypeAlias = Callable[[PlatformMotion, CarrierMotion, Start | None], tuple[Lifted, ReducedDynamics]]
+"""Solves a motion of one sample by kinematics, on the branch of a start, or of the reference where that is None."""
+
 _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
 
+_NO_POSE = len(_STATUSES)
+"""Code of ``rp_torque``: x is a matrix, but no homogeneous pose."""
+
 _WITHOUT_RESULT = frozenset(
     {
-        SampleStatus.UNREACHABLE,
-        SampleStatus.BRANCH_LOST,
-        SampleStatus.TYPE_I,
-        SampleStatus.TYPE_II,
-        SampleStatus.NOT_FINITE,
+        *map(int, (SampleStatus.UNREACHABLE, SampleStatus.BRANCH_LOST, SampleStatus.TYPE_I, SampleStatus.TYPE_II)),
+        int(SampleStatus.NOT_FINITE),
+        _NO_POSE,
     }
 )
-"""Statuses of samples that the C writes no results of."""
+"""Codes of samples that the C writes no results of; its state is not moved."""
 
 _OPTIONAL = frozenset({"s", "sd", "sdd", "carrier_force", "velocity"})
 """Arguments that are zero where they are left out, and that one number may stand for."""
@@ -80,121 +83,220 @@ class _Arguments:
             InputError: one of them does not have its shape. Numbers that are not finite are left to the call.
         """
         for part, value, (name, shape) in zip(self.parts, values, self._shapes.items(), strict=False):
-            try:
-                given = np.asarray(value, dtype=np.float64)
-            except (TypeError, ValueError):
-                given = checked(value, name, shape)  # raises, and says why
-            if value is None:  # which numpy takes for NaN
-                checked(value, name, shape)
-            if name in _OPTIONAL and (given.ndim == 0 or not given.size):
-                given = np.full(shape, 0.0 if given.ndim else given)
-            if given.shape != shape:
-                checked(np.nan_to_num(given), name, shape)
-            part[:] = given.ravel()
+            if name in _OPTIONAL and (np.ndim(value) == 0 or not np.size(value)) and value is not None:
+                value = np.full(shape, value if np.ndim(value) == 0 else 0.0)
+            part[:] = _converted(value, name, shape).ravel()
 
 
-class Code(Protocol):
-    """A compiled topology and the address of the numbers of one robot."""
-
-    library: ctypes.CDLL
-    numbers: ctypes.c_void_p
+def _converted(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+    """Return numbers of any kind as an array of a shape; raises InputError. They need not be finite."""
+    try:
+        given = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return checked(value, name, shape)  # raises, and says why
+    if value is None or given.shape != shape:  # numpy takes None for NaN
+        checked(value if value is None else np.nan_to_num(given), name, shape)
+    return given
 
 
 def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
     """Return a function of a library with its arguments, that holds the interpreter's lock; arrays give addresses."""
     function = ctypes.PyDLL(code.library._name, handle=code.library._handle)[name]
     given = [ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value for value in arguments]
-    return partial(function, code.numbers, *given)
+    return partial(function, *given)
 
 
-class TorqueCall:
-    """Torques of one sample; see ``Dynamics.torque``.
+class _Branch:
+    """The branch that a call goes on along, in memory that stays where it is.
 
     Args:
         robot: the robot.
         code: its compiled dynamics.
-        find: returns a configuration (nq,) that is closed at a motion of one sample, or raises what is wrong with it.
-            It is called where Newton's method does not get there from the sample before.
+
+    Attributes:
+        numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
+            the C keeps every leg on its side.
+        state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known.
+        reached: (nq + 1,) the last one on the way to a sample that the C does not get to.
+        known: whether a start or a sample has determined the branch; before that it is the reference's.
     """
 
-    def __init__(self, robot: Robot, code: Code, find: Callable[[PlatformMotion], Array]) -> None:
+    def __init__(self, robot: Robot, code: Code) -> None:
+        self._shape, self.known = robot.q_reference.shape, False
+        self.state, self.reached = np.append(robot.q_reference, 0.0), np.zeros(robot.model.nq + 1)
+        own, topology = parameter_vector(robot), topology_of(robot)
+        places = places_of(robot)["mode",]
+        begin = layout_of(topology).starts["MODEL"] + int(topology.free[: places.start].sum())
+        signs = slice(begin, begin + places.stop - places.start)
+        self.numbers, self._start = own.copy(), np.zeros(robot.model.nq)
+        self._signs, self._given = self.numbers[signs], memoryview(cast(Any, self._start))
+        self._own = own, own[signs]  # which the C reads
+        self._begin = _caller(code, "rp_begin", *self._own, self._start, self._signs, self.state)
+
+    def begin(self, start: ArrayLike) -> bool:
+        """Go on from a configuration (nq,), m and rad; returns False, and does nothing, where it is not finite.
+
+        Raises:
+            InputError: another shape.
+        """
+        try:
+            self._given[:] = cast(Any, start)
+        except _NEEDS_CONVERTING:
+            self._start[:] = _converted(start, "start", self._shape)
+        begun = bool(self._begin())
+        self.known = self.known or begun
+        return begun
+
+    def save(self) -> tuple[Array, Array, bool]:
+        """Return what ``restore`` takes."""
+        return self.state.copy(), self._signs.copy(), self.known
+
+    def restore(self, saved: tuple[Array, Array, bool]) -> None:
+        """Go back to where the branch was."""
+        self.state[:], self._signs[:], self.known = saved
+
+
+class SampleCall:
+    """W, f and carrier forces of one sample; see ``Dynamics.sample``.
+
+    Args:
+        robot: the robot.
+        code: its compiled dynamics.
+        follow: called where the C does not get to a sample; it raises what is wrong with the sample.
+    """
+
+    def __init__(self, robot: Robot, code: Code, follow: Follow) -> None:
         n, m, k, wrenches = robot.n, robot.m, robot.k, 6 * len(of_kind(robot.loads, Wrench))
-        if not m:
-            raise InputError(f"{robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
-        self._robot, self._find, self._loaded = robot, find, bool(wrenches)
-        self._code = code  # which keeps its numbers
+        self._robot, self._follow, self._loaded = robot, follow, bool(wrenches)
         self._carriers, self._none = bool(k), np.zeros(k)
         self._pose, self._shape = is_pose(robot), (4, 4) if is_pose(robot) else (n,)
         sizes = (self._shape, (n,), (n,), (k,), (k,), (k,), (wrenches,))
         self._arguments = _Arguments(dict(zip(("x", "xd", "xdd", "s", "sd", "sdd", "wrench"), sizes, strict=True)))
         self._x, self._xd, self._xdd, self._s, self._sd, self._sdd, _ = self._arguments.views
-        force, tau = n * m + n, n * m + n + k + 2
-        self._results = np.zeros(tau + m + 3)
-        self._force, self._tau = self._results[force : force + k], self._results[tau : tau + m]
-        self._margin, self._residual = (partial(self._results.item, k) for k in (tau + m + 1, force + k))
-        self._state, self._ranges = np.append(robot.q_reference, 0.0), range_table(robot)
-        given = self._state, self._arguments.memory, self._ranges, len(self._ranges), self._results
-        self._call = _caller(code, "rp_torque", *given)
+        self._branch = _Branch(robot, code)
+        ends = np.cumsum([n * m, n, k, 2, m, 3]).tolist()
+        self._results = np.zeros(ends[-1])
+        self._W, self._f, self._force, _, self._tau, _ = np.split(self._results, ends[:-1])
+        self._residual, self._margin = (partial(self._results.item, at) for at in (ends[2], ends[4] + 1))
+        self._ranges = range_table(robot)
+        self._call = self._function(code)
 
-    def __call__(
-        self,
-        x: Any,
-        xd: Any,
-        xdd: Any,
-        s: Any,
-        sd: Any,
-        sdd: Any,
-        t: float,
-        start: ArrayLike | None,
-    ) -> TorqueSample:
-        """Return the torques; see ``Dynamics.torque``."""
+    def _function(self, code: Code, name: str = "rp_reach", *more: Any) -> Callable[[], int]:
+        branch = self._branch
+        given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
+        return _caller(code, name, *given, *more)
+
+    def __call__(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> Sample:
+        """Return W (n, m), f (n,) and carrier forces (k,)."""
+        self._take(x, xd, xdd, s, sd, sdd, t)
+        if not self._call():
+            return Sample(self._W.reshape(len(self._f), -1).copy(), self._f.copy(), self._force.copy())
+        tree, reduced = self._followed(t, None)
+        self._branch.state[:-1], self._branch.state[-1] = tree.q[0], 0.0
+        sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
+        if not all(np.isfinite(part).all() for part in sample):
+            raise InputError("The efforts of the sample are not finite.", remedy="Its rates are too large.")
+        return sample
+
+    def _take(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> None:
+        """Copy the arguments to where the C reads them, and evaluate wrenches; what is not finite the C finds.
+
+        Raises:
+            InputError: wrong shapes.
+        """
         try:
-            self._x[:] = x.ravel() if self._pose else x
+            if not self._pose:
+                self._x[:] = x
+            elif x.shape == (4, 4):
+                self._x[:] = x.ravel()
+            else:
+                raise ValueError
             self._xd[:], self._xdd[:] = xd, xdd
             if self._carriers:
                 none = self._none
                 self._s[:] = none if s is _LEFT_OUT else s
                 self._sd[:] = none if sd is _LEFT_OUT else sd
                 self._sdd[:] = none if sdd is _LEFT_OUT else sdd
+            elif not s is sd is sdd is _LEFT_OUT:
+                raise ValueError
         except _NEEDS_CONVERTING:
             self._arguments.convert(x, xd, xdd, s, sd, sdd)
+        if t != 0.0 and not isfinite(t):
+            self._arguments.memory[0] = np.nan
         if self._loaded:
-            given = np.concatenate(self._arguments.parts[:-1])
-            if not (np.isfinite(given).all() and np.isfinite(t)):  # a wrench may be a function of time and motion
-                self._results.fill(np.nan)
-                return self._result(SampleStatus.NOT_FINITE)
-            at = self._motion(t)
-            wrenches = wrench_values(self._robot.loads, at.t, at.x, at.xd)
-            self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]
-        if start is not None:
-            self._state[:-1], self._state[-1] = checked(start, "start", self._robot.q_reference.shape), 0.0
-        status = _STATUSES[self._call()]
-        if status is SampleStatus.BRANCH_LOST:
-            status = self._find_elsewhere(t)
-        if status in _WITHOUT_RESULT:
-            self._results.fill(np.nan)
-        return self._result(status)
+            self._evaluate_wrenches(t)
 
-    def _result(self, status: SampleStatus) -> TorqueSample:
-        return TorqueSample(self._tau.copy(), status, self._margin(), self._force.copy(), self._residual())
+    def _evaluate_wrenches(self, t: float) -> None:
+        *parts, wrench = self._arguments.parts
+        if np.isfinite(np.concatenate(parts)).all():  # a wrench may be a function of time and motion
+            motion = self._motion(t)
+            values = wrench_values(self._robot.loads, motion.t, motion.x, motion.xd)
+            wrench[:] = np.concatenate(values, axis=1)[0]
 
     def _motion(self, t: float) -> PlatformMotion:
+        """Return the sample as a motion; raises InputError where it is none."""
         x, xd, xdd, *_ = self._arguments.parts
         return PlatformMotion(np.array([t]), x.reshape(1, *self._shape), xd[None], xdd[None], check_rates=False)
 
-    def _find_elsewhere(self, t: float) -> SampleStatus:
-        """Evaluate the sample from a configuration that kinematics finds; return what is wrong where it finds none."""
-        if not np.isfinite(self._arguments.memory).all():
-            return SampleStatus.NOT_FINITE
+    def _followed(self, t: float, start: Start | None) -> tuple[Lifted, ReducedDynamics]:
+        carriers = CarrierMotion(*(part[None] for part in self._arguments.parts[3:6]), check_rates=False)
+        return self._follow(self._motion(t), carriers, start)
+
+
+class TorqueCall(SampleCall):
+    """Torques of one sample; arguments as of ``SampleCall``; see ``Dynamics.torque``.
+
+    What the C does not close is for kinematics: they pass a bifurcation of the branch, or say what is wrong.
+    """
+
+    def __init__(self, robot: Robot, code: Code, follow: Follow) -> None:
+        if not robot.m:
+            raise InputError(f"{robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
+        super().__init__(robot, code, follow)
+        self._passed: Start | None = None  # the last sample that kinematics solved
+
+    def _function(self, code: Code, name: str = "rp_torque", *more: Any) -> Callable[[], int]:
+        return super()._function(code, name, self._ranges, len(self._ranges), *more)
+
+    def __call__(  # type: ignore[override]
+        self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float, start: ArrayLike | None
+    ) -> TorqueSample:
+        """Return the torques; see ``Dynamics.torque``."""
+        self._take(x, xd, xdd, s, sd, sdd, t)
+        saved = None if start is None else self._branch.save()
+        if start is not None and not self._branch.begin(start):
+            return without_answer(self._robot, SampleStatus.NOT_FINITE)
+        code = self._call()
+        if code not in _WITHOUT_RESULT:
+            self._branch.known = True
+            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), self._residual())
+        if code == SampleStatus.UNREACHABLE and self._branch.known:
+            answer = without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
+        elif code == SampleStatus.NOT_FINITE:
+            answer = without_answer(self._robot, SampleStatus.NOT_FINITE)
+        else:
+            answer = self._by_kinematics(t)
+        if saved is not None and int(answer.status) in _WITHOUT_RESULT:
+            self._branch.restore(saved)
+        return answer
+
+    def _by_kinematics(self, t: float) -> TorqueSample:
+        """Return the sample by kinematics, from the last configuration on the way that the C has closed."""
+        robot, branch, passed = self._robot, self._branch, self._passed
+        start = None
+        if branch.known:
+            at_passed = passed is not None and np.array_equal(passed.q, branch.reached[:-1])
+            start = passed if at_passed else Start(branch.reached[:-1].copy(), None)
         try:
-            self._state[:-1], self._state[-1] = self._find(self._motion(t)), 0.0
-        except UnreachablePoseError:
-            return SampleStatus.UNREACHABLE
-        except SingularPoseError:
-            return SampleStatus.TYPE_I
-        except WorkingModeError:
-            return SampleStatus.BRANCH_LOST
-        return _STATUSES[self._call()]
+            tree, reduced = self._followed(t, start)
+        except REFUSALS as error:
+            return refused(robot, error)
+        x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
+        sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
+        branch.begin(tree.q[0])
+        self._passed = Start(tree.q[0], tree.gamma[0])
+        given = x.reshape(self._shape), xd, xdd, s, sd, sdd
+        return solve_sample(robot, sample, tree.q[0], float(reduced.gap[0]), given, t)
 
 
 class JointStateCall:
@@ -203,12 +305,14 @@ class JointStateCall:
     Args:
         robot: the robot.
         code: its compiled dynamics.
+        follow: returns the configuration (nq,) on the branch of another one at positions (m,) of the main actuators, by
+            kinematics, or None; called where the C does not get there.
 
     Raises:
         UnsupportedRobotError: fewer main actuators than degrees of freedom.
     """
 
-    def __init__(self, robot: Robot, code: Code) -> None:
+    def __init__(self, robot: Robot, code: Code, follow: Callable[[Array, Array], Array | None]) -> None:
         few = too_few_motors(robot)
         if few:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
@@ -219,10 +323,10 @@ class JointStateCall:
         self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
         self._results = np.zeros(self._ends[-1] + 3)
-        self._state, self._ranges = np.append(robot.q_reference, 0.0), range_table(robot)
-        given = self._state, self._arguments.memory, self._ranges, len(self._ranges), self._results
-        self._call = _caller(code, "rp_joint_state", *given)
-        self._code = code  # which keeps its numbers
+        branch = self._branch = _Branch(robot, code)
+        self._follow, self._ranges = follow, range_table(robot)
+        given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
+        self._call = _caller(code, "rp_joint_state", *given, self._ranges, len(self._ranges))
 
     def __call__(self, position: Any, velocity: Any, s: Any, sd: Any, start: ArrayLike | None) -> JointStateSample:
         """Return joints and platform; see ``Dynamics.joint_state``."""
@@ -231,17 +335,43 @@ class JointStateCall:
             if self._carriers:
                 self._s[:] = self._none if s is _LEFT_OUT else s
                 self._sd[:] = self._none if sd is _LEFT_OUT else sd
+            elif not s is sd is _LEFT_OUT:
+                raise ValueError
         except _NEEDS_CONVERTING:
             self._arguments.convert(position, velocity, s, sd)
-        if start is not None:
-            self._state[:-1], self._state[-1] = checked(start, "start", (len(self._state) - 1,)), 0.0
-        status = _STATUSES[self._call()]
-        if status in _WITHOUT_RESULT:
-            self._results.fill(np.nan)
+        branch = self._branch
+        saved = None if start is None else branch.save()
+        finite = start is None or branch.begin(start)
+        code = self._call() if finite else int(SampleStatus.NOT_FINITE)
+        if code in _WITHOUT_RESULT:
+            if code == SampleStatus.BRANCH_LOST:
+                code = self._beyond_bifurcation(code)
+            if code in _WITHOUT_RESULT:
+                self._results.fill(np.nan)
+                if saved is not None:
+                    branch.restore(saved)
         results, (q, v, x, xd) = self._results.copy(), self._ends
         return JointStateSample(
-            results[:q], results[q:v], results[v:x].reshape(self._shape), results[x:xd], status, results.item(xd)
+            results[:q],
+            results[q:v],
+            results[v:x].reshape(self._shape),
+            results[x:xd],
+            _STATUSES[code],
+            results.item(xd),
         )
+
+    def _beyond_bifurcation(self, code: int) -> int:
+        """Return the status where kinematics lead the branch through a bifurcation, which the C does not pass."""
+        branch = self._branch
+        q = self._follow(branch.reached[:-1].copy(), self._arguments.parts[0].copy())
+        if q is None:
+            return code
+        before = branch.save()
+        branch.begin(q)
+        code = self._call()
+        if code in _WITHOUT_RESULT:
+            branch.restore(before)
+        return code
 
 
 class AccelerationCall:
@@ -260,7 +390,8 @@ class AccelerationCall:
         self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
         self._read = forward.reader() if wrenches else None
         self._a = np.zeros(model.nv)
-        self._call = _caller(forward, "rp_acceleration", self._arguments.memory, *forward.tolerances, self._a)
+        given = forward.numbers, self._arguments.memory, self._a
+        self._call = _caller(forward, "rp_acceleration", *given)
         self._code = forward  # which keeps its numbers
 
     def __call__(self, q: Any, v: Any, tau: Any, carrier_force: Any, t: float) -> AccelerationSample:
@@ -269,9 +400,13 @@ class AccelerationCall:
             self._q[:], self._v[:], self._tau[:] = q, v, tau
             if self._carriers:
                 self._force[:] = self._none if carrier_force is _LEFT_OUT else carrier_force
+            elif carrier_force is not _LEFT_OUT:
+                raise ValueError
         except _NEEDS_CONVERTING:
             self._arguments.convert(q, v, tau, carrier_force)
-        if self._read is not None:
+        if t != 0.0 and not isfinite(t):
+            self._arguments.memory[0] = np.nan
+        if self._read is not None and np.isfinite(self._arguments.memory[: -len(self._arguments.parts[-1])]).all():
             here = self._read(*self._arguments.parts[:2])
             wrenches = wrench_values(self._loads, np.array([t]), here.x[None], here.xd[None])
             self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]

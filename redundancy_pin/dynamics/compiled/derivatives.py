@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.compiled.design import Design
-from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
-from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
+from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of, trig_at
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, Distribution, distribute
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
@@ -176,7 +176,6 @@ def _written(topology: Topology, count: int, pattern: tuple[tuple[int, int], ...
         count: d, the number of parameters.
         pattern: number of the model and parameter of each derivative of the one by the other.
     """
-    ca = casadi()
     chain = SymbolicChain(topology.robot, topology)
     columns = chain.pose_columns.tolist()
     slopes = ca.SX.sym("slopes", len(pattern))
@@ -226,7 +225,6 @@ def _written(topology: Topology, count: int, pattern: tuple[tuple[int, int], ...
 
 
 def _function(name: str, inputs: list[Any], outputs: list[Any]) -> Any:
-    ca = casadi()
     # transposed: casadi's columns are numpy's rows
     return ca.Function(name, inputs, [ca.densify(part.T) for part in ca.cse(outputs)])
 
@@ -329,7 +327,7 @@ def _block(
         slice(first, last)
         for first, last in ((0, n), (n, 2 * n), (2 * n, 3 * n), (3 * n, 3 * n + 3 * k), (width - d, width))
     )
-    trig = chain.trig_at(q)
+    trig = trig_at(robot, q)
     K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(
         functions.motion, constants, q, trig, x, v, a, external
     )

@@ -16,12 +16,13 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
-from redundancy_pin.dynamics.compiled.parameters import motion_subspaces, numbers_of
+from redundancy_pin.dynamics.compiled.parameters import motion_subspaces, numbers_of, places_of
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.robot import Payload, Robot
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_declaration
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.lookup import find_link, has_link
 from redundancy_pin.robot.urdf import declaration_path, render
 
 _STEP = 0.01
@@ -49,7 +50,8 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
 
     A parameter is a number of its xacro file (``"distal_length"``), or one of the model's own:
 
-    - ``"JOINT.mass"``, of the body that the joint moves, its centre and inertia about the centre held;
+    - ``"JOINT.mass"``, of the body that the joint moves, its centre and inertia about the centre held
+      (``Robot.with_parameters`` takes links, and scales a link's inertia with its mass);
     - ``"JOINT.centre.x"``, ``.y``, ``.z`` in the joint's frame, mass and inertia about the centre held;
     - ``"JOINT.inertia.xx"``, ``.xy``, ... about the centre, axes of the joint's frame;
     - ``"JOINT.origin.x"``, ..., ``.rx``, ``.ry``, ``.rz``: the joint's frame moved along its parent's axes, or turned
@@ -91,48 +93,55 @@ _OF_FRAMES = ("x", "y", "z", "rx", "ry", "rz")
 def by_model(robot: Robot, name: str) -> Array:
     """Return the derivatives (F,) by one number of the model itself."""
     owner, what, axis = _split(name)
-    model, numbers = robot.model, numbers_of(robot)
+    model, numbers, places = robot.model, numbers_of(robot), places_of(robot)
     names = list(model.names)
     joint = names.index(owner) if owner in names else 0
     column = np.zeros(len(numbers.values))
     frame = ("joint", joint) if joint else ("link", owner)
-    if what == "origin" and axis in _OF_FRAMES and (*frame, "origin") in numbers.places:
+    if what == "origin" and axis in _OF_FRAMES and (*frame, "origin") in places:
         along = np.eye(3)[_OF_FRAMES.index(axis) % 3]
         if axis in "xyz":
-            column[numbers.places[(*frame, "origin")]] = along
+            column[places[(*frame, "origin")]] = along
         else:
-            at = numbers.places[(*frame, "rotation")]
+            at = places[(*frame, "rotation")]
             column[at] = (numbers.values[at].reshape(3, 3) @ pin.skew(along)).ravel()
         return column
     slope = _inertial_slope(model.inertias[joint], what, axis) if joint else None
     if slope is not None:
-        for part, values in zip(("mass", "moment", "inertia"), slope, strict=True):
-            column[numbers.places["joint", joint, part]] = np.asarray(values).ravel()
+        column[places["joint", joint, "body"]] = slope
         return column
+    hint = ""
+    if what in ("mass", "centre", "inertia") and has_link(model, owner):
+        moving = model.names[find_link(model, owner).parentJoint]
+        hint = f"{owner} is a link, moved by the joint {moving}: '{moving}{name.removeprefix(owner)}'. "
     arguments = [key for key, value in robot.parameters.items() if not isinstance(value, (bool, str))]
     raise InputError(
         f"{robot.name} has no design parameter {name!r}.",
-        remedy=f"{did_you_mean(name, arguments)}Its numbers: {', '.join(arguments) or 'none'}; of the tree JOINT.mass, "
-        "JOINT.centre.x, JOINT.inertia.xx, JOINT.origin.x or .rx; LINK.origin.x or .rx of closures and platform.",
+        remedy=f"{hint or did_you_mean(name, arguments)}Its numbers: {', '.join(arguments) or 'none'}; of the tree "
+        "JOINT.mass, JOINT.centre.x, JOINT.inertia.xx, JOINT.origin.x or .rx; of closures and platform LINK.origin.x "
+        "or .rx.",
         parameter=name,
     )
 
 
-def _inertial_slope(body: pin.Inertia, what: str, axis: str) -> tuple[float, Array, Array] | None:
-    """Return the derivatives of mass, first moment and inertia about the origin by a number of a body, or None."""
-    mass, centre = float(body.mass), np.array(body.lever) if body.mass else np.zeros(3)
+def _inertial_slope(body: pin.Inertia, what: str, axis: str) -> Array | None:
+    """Return the derivatives (10,) of Pinocchio's dynamic parameters by a number of a body, or None."""
+    mass, centre = float(body.mass), np.array(body.lever)
+    slope, about = np.zeros(10), np.zeros((3, 3))
     if what == "mass" and not axis:
-        return 1.0, centre, centre @ centre * np.eye(3) - np.outer(centre, centre)
-    if what == "centre" and axis in ("x", "y", "z"):
+        slope[0], slope[1:4] = 1.0, centre
+        about = centre @ centre * np.eye(3) - np.outer(centre, centre)
+    elif what == "centre" and axis in ("x", "y", "z"):
         along = np.eye(3)["xyz".index(axis)]
-        about = 2.0 * (along @ centre) * np.eye(3) - np.outer(along, centre) - np.outer(centre, along)
-        return 0.0, mass * along, mass * about
-    if what == "inertia" and len(axis) == 2 and set(axis) <= set("xyz"):
+        slope[1:4] = mass * along
+        about = mass * (2.0 * (along @ centre) * np.eye(3) - np.outer(along, centre) - np.outer(centre, along))
+    elif what == "inertia" and len(axis) == 2 and set(axis) <= set("xyz"):
         i, j = ("xyz".index(letter) for letter in axis)
-        about = np.zeros((3, 3))
         about[i, j] = about[j, i] = 1.0
-        return 0.0, np.zeros(3), about
-    return None
+    else:
+        return None
+    slope[4:] = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]  # xx, xy, yy, xz, yz, zz
+    return slope
 
 
 def _split(name: str) -> tuple[str, str, str]:

@@ -1,6 +1,5 @@
-/* Closing the loops of one robot. The functions rp_turns, rp_rows, rp_bias, rp_moved, rp_modes and rp_project, and the
-   sizes, tables and EXPORTED in capitals, are generated in front of this text, see build.py. No memory is allocated; of the standard library
-   math.h alone is used.
+/* Closing the loops of one robot. The functions rp_rows, rp_bias, rp_modes and rp_project, and the sizes, tables and EXPORTED in
+   capitals, are generated in front of this text, see build.py; so is tree.c.
 
    Newton's method is trusted only while it contracts: each step at most CONTRACTION times the one before. Inside that
    radius there is one solution, so that a sample cannot land on another branch (Deuflhard, "Newton Methods for Nonlinear
@@ -9,16 +8,15 @@
    Residuals, K and Newton's steps have no unit: lengths are over the characteristic length (EQUATION_UNIT, STEP_UNIT). */
 
 
-#define CONTRACTION 0.3
-#define SETTLED 1e-13   /* a step this small, rad or characteristic lengths, is rounding */
-#define ROUNDED 4e-16   /* so are steps that are this share of the largest coordinate and no longer shrink */
-#define FLOOR 1e-9      /* steps below this that no longer shrink are rounding too, next to a singularity */
+#define CONTRACTION 0.3 /* ratio of two steps of Newton's method, no unit; below 1/2 one solution is in reach (Deuflhard) */
 #define LONGEST 0.5     /* longest first step, rad or characteristic lengths: beyond it the linear model says nothing */
-#define SHORTEST 1e-4   /* share of the way to a sample below which it counts as lost */
-#define ITERATIONS 15
+#define FLOOR 1e-9      /* rad or characteristic lengths: smaller steps that no longer shrink are rounding next to a singularity */
+#define SETTLED (0.01 * TOLERANCE) /* so are all steps this small: a hundredth of the tolerance of closures */
+#define ROUNDED (2.0 * EPSILON) /* and steps that are this share of the largest coordinate and no longer shrink */
+#define SHORTEST 1e-4   /* share of the way to a sample, no unit; the way is lost where shorter steps fail */
+#define ITERATIONS 15   /* three times as many as quadratic convergence takes from LONGEST to SETTLED */
 
-
-enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3, NOT_FINITE = 4 };
+enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3, NOT_FINITE = 4, NO_POSE = 5 };
 
 typedef struct {
   double q[NQ];
@@ -28,94 +26,6 @@ typedef struct {
   double sign; /* of det K: it changes across a type I singularity */
   double gap; /* largest residual, in characteristic lengths or rad */
 } Pose;
-
-static void copy(double *to, const double *from, int size) {
-  for (int i = 0; i < size; ++i) to[i] = from[i];
-}
-
-static void clear(double *values, int size) {
-  for (int i = 0; i < size; ++i) values[i] = 0.0;
-}
-
-/* LU decomposition in place, columns one after the other, with partial pivoting; returns the sign of the determinant. */
-static double decompose(double *A, int *pivot) {
-  double sign = 1.0;
-  for (int j = 0; j < NP; ++j) {
-    int best = j;
-    for (int i = j + 1; i < NP; ++i)
-      if (fabs(A[i + j * NP]) > fabs(A[best + j * NP])) best = i;
-    pivot[j] = best;
-    double d = A[best + j * NP];
-    if (!(d != 0.0)) return 0.0;
-    if (best != j) {
-      sign = -sign;
-      for (int k = 0; k < NP; ++k) {
-        double swap = A[j + k * NP];
-        A[j + k * NP] = A[best + k * NP];
-        A[best + k * NP] = swap;
-      }
-    }
-    if (d < 0.0) sign = -sign;
-    double inverse = 1.0 / d;
-    for (int i = j + 1; i < NP; ++i) A[i + j * NP] *= inverse;
-    for (int k = j + 1; k < NP; ++k) {
-      double factor = A[j + k * NP];
-      if (factor != 0.0) /* most entries of a mechanism's K are zero */
-        for (int i = j + 1; i < NP; ++i) A[i + k * NP] -= factor * A[i + j * NP];
-    }
-  }
-  return sign;
-}
-
-static void solve(const double *A, const int *pivot, double *b) {
-  for (int j = 0; j < NP; ++j) {
-    double swap = b[pivot[j]];
-    b[pivot[j]] = b[j];
-    b[j] = swap;
-  }
-  for (int j = 0; j < NP; ++j)
-    if (b[j] != 0.0)
-      for (int i = j + 1; i < NP; ++i) b[i] -= b[j] * A[i + j * NP];
-  for (int j = NP - 1; j >= 0; --j) {
-    b[j] /= A[j + j * NP];
-    if (b[j] != 0.0)
-      for (int i = 0; i < j; ++i) b[i] -= b[j] * A[i + j * NP];
-  }
-}
-
-/* The inverse, row by row: all columns at once, so that the innermost loop runs over neighbours in memory. */
-static void invert(const double *A, const int *pivot, double X[NP + 1][NP + 1]) {
-  int from[NP + 1];
-  for (int i = 0; i < NP; ++i) from[i] = i;
-  for (int j = 0; j < NP; ++j) {
-    int swap = from[j];
-    from[j] = from[pivot[j]];
-    from[pivot[j]] = swap;
-  }
-  clear(&X[0][0], (NP + 1) * (NP + 1));
-  for (int i = 0; i < NP; ++i) X[i][from[i]] = 1.0;
-  for (int j = 0; j < NP; ++j)
-    for (int i = j + 1; i < NP; ++i) {
-      double factor = A[i + j * NP];
-      if (factor != 0.0)
-        for (int c = 0; c < NP; ++c) X[i][c] -= factor * X[j][c];
-    }
-  for (int j = NP - 1; j >= 0; --j) {
-    double inverse = 1.0 / A[j + j * NP];
-    for (int c = 0; c < NP; ++c) X[j][c] *= inverse;
-    for (int i = 0; i < j; ++i) {
-      double factor = A[i + j * NP];
-      if (factor != 0.0)
-        for (int c = 0; c < NP; ++c) X[i][c] -= factor * X[j][c];
-    }
-  }
-}
-
-static void turns_of(const double *q, double *trig) {
-  const double *const arg[] = {q};
-  double *const res[] = {trig};
-  rp_turns(arg, res);
-}
 
 static void rows(const double *numbers, const double *q, const double *trig, const double *x, double *residual, double *K, double *alignment) {
   const double *const arg[] = {q, trig, x, numbers};
@@ -127,26 +37,6 @@ static void bias_of(const double *numbers, const double *q, const double *trig, 
   const double *const arg[] = {q, trig, v, numbers};
   double *const res[] = {bias};
   rp_bias(arg, res);
-}
-
-static void move(double *q, const double *pose_step) {
-  double step[NV] = {0.0}, moved[NQ];
-  const double *const arg[] = {q, step};
-  double *const res[] = {moved};
-  for (int i = 0; i < NP; ++i) step[COLUMNS[i]] = pose_step[i];
-  rp_moved(arg, res);
-  copy(q, moved, NQ);
-}
-
-/* The largest magnitude; NaN where there is one. */
-static double largest(const double *values, int size) {
-  double result = 0.0;
-  for (int i = 0; i < size; ++i)
-    if (!(fabs(values[i]) <= result)) {
-      result = fabs(values[i]);
-      if (isnan(result)) return result; /* no number would be larger than it */
-    }
-  return result;
 }
 
 /* The largest coordinate of a configuration, rad or characteristic lengths. */
@@ -209,12 +99,6 @@ static int follow(const double *numbers, Pose *pose, const double *x) {
 /* --- whole turns: as in robot/whole_turns.py ----------------------------------------------------------------------- */
 
 #if TURNS
-#define TURN 6.283185307179586
-#define MOST_TURNS 10000.0 /* turns that are followed one by one where they do not repeat */
-#define WHOLE 1e-9         /* rad or characteristic lengths by which joints may miss whole turns */
-#define EXACT 32768.0      /* rad beyond which a dependent joint loses its turns */
-#define FARTHEST 33554432.0 /* rad beyond which closures cannot be told to be closed: the angle is known to 7e-9 */
-
 /* Bring a pose so many turns of coordinate c on; at is moved along. A turn that brings all joints back, but for whole
    turns of their own, does so again. With gears several turns may pass until it does. */
 static int go_round(const double *numbers, Pose *pose, double *at, int c, double count) {
@@ -309,26 +193,57 @@ static double rates(const double *numbers, const Pose *pose, const double *xd, c
   return size > 0.0 ? 1.0 / sqrt(size) : INFINITY;
 }
 
-static int in_mode(const double *numbers, const Pose *pose) {
-  double values[LEGS + 1] = {0.0};
-  const double *const arg[] = {pose->q, pose->trig, numbers};
-  double *const res[] = {values};
+/* By leg a number that is positive in the working mode that the numbers say, and zero where modes meet. */
+static void sides_of(const double *numbers, const double *q, const double *trig, double *sides) {
+  const double *const arg[] = {q, trig, numbers};
+  double *const res[] = {sides};
   if (LEGS) rp_modes(arg, res);
+}
+
+static int in_mode(const double *numbers, const Pose *pose) {
+  double sides[LEGS + 1] = {0.0};
+  sides_of(numbers, pose->q, pose->trig, sides);
   for (int i = 0; i < LEGS; ++i)
-    if (!(values[i] > 0.0)) return 0;
+    if (!(sides[i] > 0.0)) return 0;
   return 1;
 }
 
 /* Place a pose at a configuration that is closed at x: what follow() starts from. */
 static int start_at(const double *numbers, Pose *pose, const double *q, const double *x) { return newton(numbers, q, x, 0, pose); }
 
+/* Whether coordinates are a homogeneous pose, as motion.PlatformMotion asks; all are where a robot has no poses. */
+static int is_pose(const double *x) {
+#if NX != N
+  const double *const a = x, *const b = x + 4, *const c = x + 8, *const last = x + 12;
+  double miss = fabs(a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0]) - 1.0);
+  for (int i = 0; i < 3; ++i)
+    for (int j = i; j < 3; ++j) {
+      const double *row = x + 4 * i, *other = x + 4 * j;
+      miss = fmax(miss, fabs(row[0] * other[0] + row[1] * other[1] + row[2] * other[2] - (i == j)));
+    }
+  for (int i = 0; i < 4; ++i) miss = fmax(miss, fabs(last[i] - (i == 3)));
+  return miss <= POSE_TOLERANCE;
+#else
+  (void)x;
+  return 1;
+#endif
+}
+
+/* Why a sample cannot be evaluated whatever the robot: NOT_FINITE or NO_POSE, or CLOSED where nothing is wrong with it. */
+static int refusal_of(const double *in) {
+  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH)) return NOT_FINITE;
+  return is_pose(in) ? CLOSED : NO_POSE;
+}
+
 /* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
    sample is closed on the same side of every type I singularity. */
-EXPORTED int rp_sample(const double *numbers, double *state, const double *in, double *out) {
+static int rp_sample(const double *numbers, double *state, const double *in, double *out) {
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
   Pose pose;
+  int refused = refusal_of(in);
+  if (refused) return refused;
   if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
   if (margin < LEAST_MARGIN) return SINGULAR;
@@ -336,10 +251,7 @@ EXPORTED int rp_sample(const double *numbers, double *state, const double *in, d
   const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK, numbers};
   double *const res[] = {f, force};
   rp_project(arg, res);
-  for (int i = 0; i < N; ++i)
-    if (!isfinite(f[i])) return NOT_FINITE; /* rates, or carriers, that are not */
-  for (int i = 0; i < NK; ++i)
-    if (!isfinite(force[i])) return NOT_FINITE; /* what f does not depend on: a carrier's s, straight on the base */
+  if (!finite(f, N) || !finite(force, NK)) return NOT_FINITE; /* rates so large that forces overflow */
   copy(state, pose.q, NQ);
   state[NQ] = pose.sign;
   copy(out, W, N * M);

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from redundancy_pin.dynamics.compiled.symbols import casadi
+from redundancy_pin.dynamics.compiled.symbols import ca
 from redundancy_pin.errors import UnsupportedRobotError
 
 _UNARY = {
@@ -61,7 +61,6 @@ def c_functions(functions: Iterable[Any], storage: str = "") -> str:
 
 
 def _function(function: Any, returned: str) -> str:
-    ca = casadi()
     unary = {getattr(ca, name): form for name, form in _UNARY.items()}
     binary = {getattr(ca, name): form for name, form in _BINARY.items()}
     lines: list[str] = []

@@ -1,6 +1,6 @@
-/* Forward dynamics of one robot and its integration in time. The functions rp_equations, rp_closures, rp_rates, rp_moved,
-   rp_turns and rp_modes, the sizes and tables in capitals, and the structures Run and Progress are generated in front of this
-   text, see forward.py.
+/* Forward dynamics of one robot and its integration in time. The functions rp_equations, rp_closures, rp_rates, rp_modes and
+   rp_platform, the sizes and tables in capitals, and the structures Run and Progress are generated in front of this text, see
+   forward.py; so is tree.c.
 
    Accelerations follow from the equations of motion in independent velocities,
 
@@ -17,31 +17,10 @@
 #define MOST_STAGES 17
 #define MOST_LOOKS 64
 #define MOST_WATCHED (2 * NQ + LEGS + 4)
-#define WATCHED(run) ((run)->stops + (LEGS ? LEGS : 1) + (M == N_FREEDOMS) + 1)
+#define WATCHED(run) ((run)->stops + (LEGS ? LEGS : 1) + (M == N) + 1)
 
 enum { FINE = 0, RANK_LOST = 1, ILL_POSED = 2, NOT_FINITE = 3 };
 enum { ARRIVED = 0, LOOK = 1, PAUSED = 2 };
-
-static void copy(double *to, const double *from, int size) {
-  for (int i = 0; i < size; ++i) to[i] = from[i];
-}
-
-/* The largest magnitude; NaN where there is one. */
-static double largest(const double *values, int size) {
-  double result = 0.0;
-  for (int i = 0; i < size; ++i)
-    if (!(fabs(values[i]) <= result)) {
-      result = fabs(values[i]);
-      if (isnan(result)) return result; /* no number would be larger than it */
-    }
-  return result;
-}
-
-static void turns_of(const double *q, double *trig) {
-  const double *const arg[] = {q};
-  double *const res[] = {trig};
-  rp_turns(arg, res);
-}
 
 /* Closure residuals (R), and the rows of closures and platform (NP x NP, column by column). */
 static void closures(const double *numbers, const double *q, double *residual, double *K) {
@@ -100,7 +79,7 @@ static int factorise(double *A, int size) {
   return 1;
 }
 
-static void solve(const double *A, int size, double *b) {
+static void solve_factorised(const double *A, int size, double *b) {
   for (int i = 0; i < size; ++i) {
     for (int k = 0; k < i; ++k) b[i] -= A[i * size + k] * b[k];
     b[i] /= A[i * size + i];
@@ -122,20 +101,19 @@ static void equations(const double *numbers, const double *q, const double *v, c
   rp_equations(arg, res);
 }
 
-/* The same without wrenches, whose forces a simulation adds itself. */
+static const double NONE[NWRENCH + 1] = {0.0}; /* a simulation adds the forces of wrenches itself */
+
 void rp_dynamics(const double *numbers, const double *q, const double *v, double *K, double *bias, double *mass, double *effort) {
-  static const double none[NWRENCH + 1] = {0.0};
-  equations(numbers, q, v, none, K, bias, mass, effort);
+  equations(numbers, q, v, NONE, K, bias, mass, effort);
 }
 
 /* Accelerations of the tree under generalised forces (NV) and wrenches (NWRENCH); `given` are those of carriers driven by
-   motion, or null. *inertia: smallest pivot of the mass matrix over the largest. Closure forces (R) and the unbalanced
-   generalised forces `missing` (NV) are computed unless null. */
+   motion, or null. Closure forces (R) and the unbalanced generalised forces `missing` (NV) are computed unless null. */
 static int accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *wrenches,
-                         const double *given, double rank_tolerance, double least_inertia, double *a, double *inertia,
+                         const double *given, double *a,
                          double *closure_force, double *missing) {
   double K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV], rest[NV];
-  double A[(R + 1) * (NP + 1 + R)], N[NV][FREE + 1] = {{0.0}}, product[NV][FREE + 1], reduced[FREE * FREE + 1], z[FREE + 1];
+  double A[(R + 1) * (NP + 1 + R)], basis[NV][FREE + 1] = {{0.0}}, product[NV][FREE + 1], reduced[FREE * FREE + 1], z[FREE + 1];
   int order[R + 1], dependent[NP + 1] = {0}, width = NP + 1 + (closure_force ? R : 0), d = 0;
   equations(numbers, q, v, wrenches, K, bias, mass, effort);
   for (int i = 0; i < R; ++i) {
@@ -145,7 +123,7 @@ static int accelerations(const double *numbers, const double *q, const double *v
   }
   double ratio = eliminate(A, width, order);
   if (ratio != ratio) return NOT_FINITE;
-  if (!(ratio > rank_tolerance)) return RANK_LOST;
+  if (!(ratio > RANK_TOLERANCE)) return RANK_LOST;
   for (int i = 0; i < NV; ++i) a[i] = 0.0;
   for (int k = 0; k < R; ++k) {
     dependent[order[k]] = 1;
@@ -153,15 +131,15 @@ static int accelerations(const double *numbers, const double *q, const double *v
   }
   for (int j = 0; j < NP; ++j)
     if (!dependent[j]) {
-      N[COLUMNS[j]][d] = 1.0 / VELOCITY_SCALE[COLUMNS[j]];
-      for (int k = 0; k < R; ++k) N[COLUMNS[order[k]]][d] = -A[k * width + j] / VELOCITY_SCALE[COLUMNS[order[k]]];
+      basis[COLUMNS[j]][d] = 1.0 / VELOCITY_SCALE[COLUMNS[j]];
+      for (int k = 0; k < R; ++k) basis[COLUMNS[order[k]]][d] = -A[k * width + j] / VELOCITY_SCALE[COLUMNS[order[k]]];
       ++d;
     }
   for (int j = 0; j < NK; ++j) {
     if (given)
       a[CARRIERS[j]] = given[j];
     else
-      N[CARRIERS[j]][d++] = 1.0 / VELOCITY_SCALE[CARRIERS[j]];
+      basis[CARRIERS[j]][d++] = 1.0 / VELOCITY_SCALE[CARRIERS[j]];
   }
   for (int i = 0; i < NV; ++i) {
     double sum = force[i] - effort[i];
@@ -170,7 +148,7 @@ static int accelerations(const double *numbers, const double *q, const double *v
       double m = mass[i * NV + k];
       if (m == 0.0) continue;
       sum -= m * a[k];
-      for (int j = 0; j < d; ++j) product[i][j] += m * N[k][j];
+      for (int j = 0; j < d; ++j) product[i][j] += m * basis[k][j];
     }
     rest[i] = sum;
   }
@@ -178,7 +156,7 @@ static int accelerations(const double *numbers, const double *q, const double *v
   for (int i = 0; i < d * d; ++i) reduced[i] = 0.0;
   for (int k = 0; k < NV; ++k)
     for (int i = 0; i < d; ++i) {
-      double share = N[k][i];
+      double share = basis[k][i];
       if (share == 0.0) continue;
       z[i] += share * rest[k];
       for (int j = 0; j <= i; ++j) reduced[i * d + j] += share * product[k][j];
@@ -193,11 +171,10 @@ static int accelerations(const double *numbers, const double *q, const double *v
     least = fmin(least, pivot);
     most = fmax(most, pivot);
   }
-  *inertia = !positive ? 0.0 : d ? least / most : 1.0;
-  if (!(*inertia > least_inertia)) return ILL_POSED;
-  solve(reduced, d, z);
+  if (!positive || (d && !(least / most > LEAST_INERTIA))) return ILL_POSED;
+  solve_factorised(reduced, d, z);
   for (int i = 0; i < NV; ++i)
-    for (int j = 0; j < d; ++j) a[i] += N[i][j] * z[j];
+    for (int j = 0; j < d; ++j) a[i] += basis[i][j] * z[j];
   if (!closure_force) return FINE;
   for (int i = 0; i < NV; ++i) {
     missing[i] = effort[i] - force[i];
@@ -214,69 +191,51 @@ static int accelerations(const double *numbers, const double *q, const double *v
 }
 
 /* The same without wrenches. */
-int rp_accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
-                     double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
-  static const double none[NWRENCH + 1] = {0.0};
-  return accelerations(numbers, q, v, force, none, given, rank_tolerance, least_inertia, a, inertia, closure_force, missing);
+int rp_accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *given, double *a,
+                     double *closure_force, double *missing) {
+  return accelerations(numbers, q, v, force, NONE, given, a, closure_force, missing);
 }
 
 /* One state from Python: in = q, v, main efforts, carrier forces, wrenches, side by side; out = accelerations (NV), NaN where
    the answer is not FINE. */
-int rp_acceleration(const double *numbers, const double *in, double rank_tolerance, double least_inertia, double *out) {
+int rp_acceleration(const double *numbers, const double *in, double *out) {
   const double *v = in + NQ, *tau = v + NV, *carrier = tau + M, *wrenches = carrier + NK;
-  double force[NV] = {0.0}, inertia;
-  if (!isfinite(largest(in, NQ + NV + M + NK + NWRENCH))) {
+  double force[NV] = {0.0};
+  if (!finite(in, NQ + NV + M + NK + NWRENCH)) {
     for (int i = 0; i < NV; ++i) out[i] = NAN;
     return NOT_FINITE;
   }
   for (int i = 0; i < M; ++i) force[ACTUATED[i]] = tau[i];
   for (int i = 0; i < NK; ++i) force[CARRIERS[i]] = carrier[i];
-  int status = accelerations(numbers, in, v, force, wrenches, 0, rank_tolerance, least_inertia, out, &inertia, 0, 0);
-  if (status == FINE && !isfinite(largest(out, NV))) status = NOT_FINITE;
+  int status = accelerations(numbers, in, v, force, wrenches, 0, out, 0, 0);
+  if (status == FINE && !finite(out, NV)) status = NOT_FINITE;
   for (int i = 0; status != FINE && i < NV; ++i) out[i] = NAN;
   return status;
 }
 
 /* What controllers read off a state, one after the other: coordinates of the platform and their rates; M and h of
-   M (x'', s'') + h = (W tau, F), (D x D) and (D) with D = N_FREEDOMS + NK; W (N_FREEDOMS x M). Returns 0 at a type I pose,
+   M (x'', s'') + h = (W tau, F), (D x D) and (D) with D = N + NK; W (N x M). Returns 0 at a type I pose,
    where the first two are all there is. */
-int rp_reading(const double *numbers, const double *q, const double *v, double rank_tolerance, double *out) {
-  enum { D = N_FREEDOMS + NK, WIDTH = 2 * NP };
-  double trig[2 * NT + 1], K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV];
-  double A[NP * WIDTH + 1], basis[NV][D + 1] = {{0.0}}, product[NV][D + 1], own[NV] = {0.0};
+int rp_reading(const double *numbers, const double *q, const double *v, double *out) {
+  enum { D = N + NK };
+  double trig[2 * NT + 1], K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV], inverse[NP + 1][NP + 1];
+  double basis[NV][D + 1] = {{0.0}}, product[NV][D + 1], own[NV] = {0.0};
+  int pivot[NP + 1];
   turns_of(q, trig);
   const double *const arg[] = {q, trig, v, numbers};
-  double *const res[] = {out, out + N_COORDINATES};
+  double *const res[] = {out, out + NX};
   rp_platform(arg, res);
-  out += N_COORDINATES + N_FREEDOMS;
-  rp_dynamics(numbers, q, v, K, bias, mass, effort);
-  for (int i = 0; i < NP; ++i)
-    for (int j = 0; j < WIDTH; ++j) A[i * WIDTH + j] = j < NP ? K[i + j * NP] : j - NP == i;
-  for (int k = 0; k < NP; ++k) {
-    int row = k;
-    for (int i = k + 1; i < NP; ++i)
-      if (fabs(A[i * WIDTH + k]) > fabs(A[row * WIDTH + k])) row = i;
-    double pivot = A[row * WIDTH + k];
-    if (!(fabs(pivot) > 0.0)) return 0;
-    for (int j = 0; j < WIDTH; ++j) {
-      double swap = A[row * WIDTH + j];
-      A[row * WIDTH + j] = A[k * WIDTH + j];
-      A[k * WIDTH + j] = swap / pivot;
-    }
-    for (int i = 0; i < NP; ++i) {
-      double factor = A[i * WIDTH + k];
-      if (i != k && factor != 0.0)
-        for (int j = 0; j < WIDTH; ++j) A[i * WIDTH + j] -= factor * A[k * WIDTH + j];
-    }
-  }
-  double most = 0.0;
-  for (int i = 0; i < NP; ++i) most = fmax(most, largest(A + i * WIDTH + NP, NP));
-  if (!(largest(K, NP * NP) * most * rank_tolerance <= 1.0)) return 0;
+  out += NX + N;
+  equations(numbers, q, v, NONE, K, bias, mass, effort);
+  double size = largest(K, NP * NP);
+  if (decompose(K, pivot) == 0.0) return 0;
+  invert(K, pivot, inverse);
+  if (!(size * largest(&inverse[0][0], (NP + 1) * (NP + 1)) * RANK_TOLERANCE <= 1.0)) return 0;
   for (int i = 0; i < NP; ++i) {
-    for (int j = 0; j < N_FREEDOMS; ++j) basis[COLUMNS[i]][j] = A[i * WIDTH + NP + R + j];
-    for (int j = 0; j < NP; ++j) own[COLUMNS[i]] -= A[i * WIDTH + NP + j] * bias[j];
+    for (int j = 0; j < N; ++j) basis[COLUMNS[i]][j] = inverse[i][R + j];
+    for (int j = 0; j < NP; ++j) own[COLUMNS[i]] -= inverse[i][j] * bias[j];
   }
-  for (int j = 0; j < NK; ++j) basis[CARRIERS[j]][N_FREEDOMS + j] = 1.0;
+  for (int j = 0; j < NK; ++j) basis[CARRIERS[j]][N + j] = 1.0;
   for (int i = 0; i < NV; ++i) {
     for (int j = 0; j < D; ++j) product[i][j] = 0.0;
     for (int k = 0; k < NV; ++k) {
@@ -297,7 +256,7 @@ int rp_reading(const double *numbers, const double *q, const double *v, double r
     for (int k = 0; k < NV; ++k) *out += basis[k][i] * effort[k];
     ++out;
   }
-  for (int i = 0; i < N_FREEDOMS; ++i)
+  for (int i = 0; i < N; ++i)
     for (int j = 0; j < M; ++j) *out++ = basis[ACTUATED[j]][i];
   return 1;
 }
@@ -312,28 +271,6 @@ static void polynomials(const double *edges, int pieces, const double *coefficie
   for (int i = 0; i < width; ++i) values[i] = 0.0;
   for (int k = 0; k < terms; ++k)
     for (int i = 0; i < width; ++i) values[i] = values[i] * x + *c++;
-}
-
-/* Makes rows of S orthogonal over their first `columns` by Jacobi's rotations, which turn what stands beside them too. */
-static void orthogonalise(double *S, int rows, int columns, int width) {
-  for (int sweep = 0; sweep < 30; ++sweep) {
-    double off = 0.0;
-    for (int i = 1; i < rows; ++i)
-      for (int k = 0; k < i; ++k) {
-        double a = 0.0, b = 0.0, c = 0.0, *x = S + i * width, *y = S + k * width;
-        for (int j = 0; j < columns; ++j) a += x[j] * x[j], b += y[j] * y[j], c += x[j] * y[j];
-        if (!(fabs(c) > 1e-14 * sqrt(a * b))) continue;
-        off = fmax(off, fabs(c) / sqrt(a * b));
-        double zeta = (b - a) / (2.0 * c), t = (zeta < 0.0 ? -1.0 : 1.0) / (fabs(zeta) + sqrt(1.0 + zeta * zeta));
-        double cosine = 1.0 / sqrt(1.0 + t * t), sine = cosine * t;
-        for (int j = 0; j < width; ++j) {
-          double u = x[j], w = y[j];
-          x[j] = cosine * u - sine * w;
-          y[j] = sine * u + cosine * w;
-        }
-      }
-    if (off < 1e-7) break; /* converges quadratically: squares are then good to rounding */
-  }
 }
 
 /* What acts at an instant: the piece of the polynomials is that of a time before the end of the stretch. */
@@ -355,20 +292,18 @@ static void none(double *rate) {
 }
 
 static void rate(const double *numbers, const Run *run, Progress *at, double t, double end, const double *y, double *result) {
-  double state[NY], out[NV + 3 * NK + 1], inertia;
+  double state[NY], out[NV + 3 * NK + 1];
   ++at->evaluations;
   copy(state, y, NY);
-  for (int i = 0; i < NY; ++i)
-    if (!isfinite(state[i])) {
-      none(result);
-      return;
-    }
+  if (!finite(state, NY)) {
+    none(result);
+    return;
+  }
   const double *q = state, *v = state + NQ, *given = run->prescribed ? out + NV + 2 * NK : 0;
   int known = loads_at(run, at, t, end, q, v, out);
   if (known && run->prescribed)
     for (int i = 0; i < NK; ++i) state[CARRIED[i]] = out[NV + i], state[NQ + CARRIERS[i]] = out[NV + NK + i];
-  if (!known ||
-      rp_accelerations(numbers, q, v, out, given, run->rank_tolerance, run->least_inertia, result + NQ, &inertia, 0, 0)) {
+  if (!known || rp_accelerations(numbers, q, v, out, given, result + NQ, 0, 0)) {
     none(result);
     return;
   }
@@ -379,15 +314,9 @@ static void rate(const double *numbers, const Run *run, Progress *at, double t, 
 
 /* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; the gap before and after. */
 static int project(const double *numbers, double *y, double wanted, double *before, double *left) {
-  double residual[R + 1], K[NP * NP + 1], S[R * NP + 1], G[R * R + 1], moved[NQ], *v = y + NQ;
+  double residual[R + 1], K[NP * NP + 1], S[R * NP + 1], G[R * R + 1], step[NP + 1] = {0.0}, *v = y + NQ;
   for (int iteration = 0; iteration < 9; ++iteration) {
-    double step[NV] = {0.0};
-    if (!iteration && NQ != NV) { /* normalised */
-      const double *const arg[] = {y, step};
-      double *const res[] = {moved};
-      rp_moved(arg, res);
-      copy(y, moved, NQ);
-    }
+    if (!iteration && NQ != NV) move(y, step); /* which normalises */
     closures(numbers, y, residual, K);
     *left = largest(residual, R);
     if (!isfinite(*left)) return 0;
@@ -407,57 +336,44 @@ static int project(const double *numbers, double *y, double wanted, double *befo
         residual[i] = 0.0;
         for (int j = 0; j < NP; ++j) residual[i] += K[i + j * NP] * v[COLUMNS[j]];
       }
-    solve(G, R, residual);
+    solve_factorised(G, R, residual);
     for (int j = 0; j < NP; ++j) {
       double sum = 0.0;
       for (int i = 0; i < R; ++i) sum += S[i * NP + j] * residual[i];
-      step[COLUMNS[j]] = -sum / VELOCITY_SCALE[COLUMNS[j]];
+      step[j] = -sum / VELOCITY_SCALE[COLUMNS[j]];
     }
     if (last) {
-      for (int i = 0; i < NV; ++i) v[i] += step[i];
+      for (int j = 0; j < NP; ++j) v[COLUMNS[j]] += step[j];
       return 1;
     }
-    const double *const arg[] = {y, step};
-    double *const res[] = {moved};
-    rp_moved(arg, res);
-    copy(y, moved, NQ);
+    move(y, step);
   }
   return 0;
 }
 
 int rp_projected(const double *numbers, double *y, double wanted, double *gaps) { return project(numbers, y, wanted, gaps, gaps + 1); }
 
-/* Determinant of a matrix (NP x NP), by partial pivoting; it is overwritten. */
-static double determinant(double *A) {
-  double result = 1.0;
-  for (int k = 0; k < NP; ++k) {
-    int best = k;
-    for (int i = k + 1; i < NP; ++i)
-      if (fabs(A[i * NP + k]) > fabs(A[best * NP + k])) best = i;
-    double pivot = A[best * NP + k];
-    if (best != k) {
-      result = -result;
-      for (int j = k; j < NP; ++j) {
-        double swap = A[best * NP + j];
-        A[best * NP + j] = A[k * NP + j];
-        A[k * NP + j] = swap;
-      }
-    }
-    result *= pivot;
-    if (!(pivot != 0.0)) return pivot;
-    for (int i = k + 1; i < NP; ++i) {
-      double factor = A[i * NP + k] / pivot;
-      if (factor != 0.0)
-        for (int j = k + 1; j < NP; ++j) A[i * NP + j] -= factor * A[k * NP + j];
-    }
-  }
-  return result;
-}
-
-/* Smallest over largest singular value of rows S (R x NP), which are overwritten. */
+/* Smallest over largest singular value of rows S (R x NP), which are overwritten: Jacobi's rotations make them orthogonal. */
 static double rank_ratio(double *S) {
+  for (int sweep = 0; sweep < 30; ++sweep) {
+    double off = 0.0;
+    for (int i = 1; i < R; ++i)
+      for (int k = 0; k < i; ++k) {
+        double a = 0.0, b = 0.0, c = 0.0, *x = S + i * NP, *y = S + k * NP;
+        for (int j = 0; j < NP; ++j) a += x[j] * x[j], b += y[j] * y[j], c += x[j] * y[j];
+        if (!(fabs(c) > 1e-14 * sqrt(a * b))) continue;
+        off = fmax(off, fabs(c) / sqrt(a * b));
+        double zeta = (b - a) / (2.0 * c), t = (zeta < 0.0 ? -1.0 : 1.0) / (fabs(zeta) + sqrt(1.0 + zeta * zeta));
+        double cosine = 1.0 / sqrt(1.0 + t * t), sine = cosine * t;
+        for (int j = 0; j < NP; ++j) {
+          double u = x[j], w = y[j];
+          x[j] = cosine * u - sine * w;
+          y[j] = sine * u + cosine * w;
+        }
+      }
+    if (off < 1e-7) break; /* converges quadratically: squares are then good to rounding */
+  }
   double least = INFINITY, most = 0.0;
-  orthogonalise(S, R, NP, NP);
   for (int i = 0; i < R; ++i) {
     double sum = 0.0;
     for (int j = 0; j < NP; ++j) sum += S[i * NP + j] * S[i * NP + j];
@@ -465,6 +381,14 @@ static double rank_ratio(double *S) {
     most = fmax(most, sum);
   }
   return R ? sqrt(least / most) : 1.0;
+}
+
+/* Determinant of a matrix (NP x NP), or of its transpose; it is overwritten. */
+static double determinant(double *A) {
+  int pivot[NP + 1];
+  double result = decompose(A, pivot);
+  for (int i = 0; i < NP; ++i) result *= fabs(A[i + i * NP]);
+  return result;
 }
 
 /* The functions whose zeros are events, at a configuration: stops, type I, type II, rank of the closures. */
@@ -488,7 +412,7 @@ static int functions(const double *numbers, const Run *run, const double *q, dou
       for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
     values[count++] = determinant(work);
   }
-  if (M == N_FREEDOMS) {
+  if (M == N) {
     for (int i = 0; i < NP; ++i)
       for (int j = 0; j < NP; ++j)
         work[i * NP + j] = (i < R ? K[i + j * NP] : i - R < M && COLUMNS[j] == ACTUATED[i - R]) / VELOCITY_SCALE[COLUMNS[j]];

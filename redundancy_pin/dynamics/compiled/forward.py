@@ -9,20 +9,27 @@ from __future__ import annotations
 import ctypes
 from dataclasses import fields
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.dynamics.compiled.build import built_for, function_of, tables, text_of
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled.build import (
+    Code,
+    Recipe,
+    address,
+    carrier_tables,
+    function_of,
+    tables,
+    text_of,
+    tree_functions,
+)
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.layout import Member, Struct
-from redundancy_pin.dynamics.compiled.parameters import parameter_vector, pose_columns
-from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
+from redundancy_pin.dynamics.compiled.parameters import pose_columns
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.forward import (
-    LEAST_INERTIA,
     Accelerations,
     Advance,
     Equations,
@@ -32,22 +39,11 @@ from redundancy_pin.dynamics.forward import (
     Rules,
 )
 from redundancy_pin.errors import UnsupportedRobotError
-from redundancy_pin.machine_code import FLAGS, loaded
+from redundancy_pin.machine_code import FLAGS
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.named import is_pose
-
-_WRITTEN = (
-    "symbols.py",
-    "load_symbols.py",
-    "parameters.py",
-    "build.py",
-    "emit.py",
-    "layout.py",
-    "forward.py",
-    "forward.c",
-)
 
 _LOOK = 1
 """Status of ``rp_advance``: the next step is for its caller."""
@@ -96,8 +92,6 @@ _RUN = Struct(
         Member("largest_residual", "double", "m; closure residual that it must not leave"),
         Member("velocity_change", "double", "by a projection, at most this share of the largest velocity"),
         Member("velocity_floor", "double", "and this amount, m/s or rad/s"),
-        Member("rank_tolerance", "double", "ratio of pivots below which the closures have lost rank"),
-        Member("least_inertia", "double", "ratio of pivots below which a free motion has no inertia"),
     ),
     {"Loads": _LOADS},
 )
@@ -118,6 +112,9 @@ _PROGRESS = Struct(
     ),
 )
 
+_SHARED = tuple(field.name for field in fields(Advance) if field.name not in ("y", "values"))
+"""Members of ``Progress`` that ``dynamics.forward.Advance`` has too."""
+
 _DECLARATIONS = "\n".join(
     [
         "/* Generalised forces (NV) at a state, then s, s', s'' (NK each) where the carriers' motion is given;",
@@ -131,7 +128,7 @@ _DECLARATIONS = "\n".join(
 
 def source(robot: Robot) -> str:
     """Return the C of a robot's forward dynamics."""
-    ca, chain = casadi(), SymbolicChain(robot)
+    chain = SymbolicChain(robot)
     pose, motion = [chain.q, chain.trig], [chain.q, chain.trig, chain.v]
     efforts = chain.efforts[0]
     at_rest = ca.substitute(efforts, chain.a, ca.SX.zeros(chain.model.nv))
@@ -140,45 +137,36 @@ def source(robot: Robot) -> str:
         "equations": ([*motion, chain.external], [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
         "closures": (pose, [chain.closure_rows, ca.vec(chain.K)]),
         "rates": ([chain.q, chain.v], [chain.configuration_rate]),
-        "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
-        "moved": ([chain.q, chain.step], [chain.moved]),
-        "modes": (pose, [chain.mode_indicators]),
+        **tree_functions(chain),
         "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
     }
     functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
-    text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
-    text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
-    text.append(f"#define NWRENCH {chain.external.numel()}")
-    text.append(f"#define N_FREEDOMS {robot.n}")
-    for name, values in {
-        "int CARRIERS": robot.carrier_velocity,
-        "int CARRIED": robot.carrier_position,
-    }.items():
-        listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
-        text.append(f"static const {name}[] = {{{listed or '0'}}};")
+    text = [*tables(chain, functions, "static"), *carrier_tables(robot)]
     return "\n".join([*text, _DECLARATIONS, text_of("forward.c")])
 
 
-class CompiledForward:
+# as fast with -O2, and compiled in half the time
+_FORWARD = Recipe("forward", source, tuple("-O2" if flag == "-O3" else flag for flag in FLAGS))
+
+
+class CompiledForward(Code):
     """Forward dynamics of one robot; ``dynamics.forward.ForwardKernel``.
 
     Args:
-        path: the library, which serves all robots of the topology.
         robot: the robot.
+
+    Raises:
+        CompilerError: there is no C compiler, or it fails.
     """
 
-    def __init__(self, path: Path, robot: Robot) -> None:
-        self.robot = robot
-        self.library = loaded(path)
-        self._numbers = parameter_vector(robot)
-        self.numbers = _address(self._numbers)
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(_FORWARD, robot)
         self._accelerations, self._projected = self.library.rp_accelerations, self.library.rp_projected
         self._dynamics, self._advance = self.library.rp_dynamics, self.library.rp_advance
         model = robot.model
         self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
         self._rows = self._p - robot.n
         self._nothing = ctypes.c_void_p(None)
-        self.tolerances = ctypes.c_double(RANK_TOLERANCE), ctypes.c_double(LEAST_INERTIA)
 
     def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
         """Return the tree acceleration (nv,); see ``ForwardKernel.acceleration``."""
@@ -194,19 +182,17 @@ class CompiledForward:
     def _evaluated(
         self, q: Array, v: Array, force: Array, given: Array | None, closure_force: Array | None
     ) -> Accelerations | None:
-        a, inertia, missing = np.empty(self._nv), ctypes.c_double(), np.empty(self._nv)
+        a, missing = np.empty(self._nv), np.empty(self._nv)
         # held by name until the call is over: ctypes keeps addresses only
         inputs = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v, force)]
         carriers = None if given is None else np.ascontiguousarray(given, dtype=np.float64)
         status = self._accelerations(
             self.numbers,
-            *(_address(part) for part in inputs),
-            self._nothing if carriers is None else _address(carriers),
-            *self.tolerances,
-            _address(a),
-            ctypes.byref(inertia),
-            self._nothing if closure_force is None else _address(closure_force),
-            _address(missing),
+            *(address(part) for part in inputs),
+            self._nothing if carriers is None else address(carriers),
+            address(a),
+            self._nothing if closure_force is None else address(closure_force),
+            address(missing),
         )
         return (
             Accelerations(a, np.empty(0) if closure_force is None else closure_force, missing) if not status else None
@@ -215,7 +201,7 @@ class CompiledForward:
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
         """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
         state, gaps = np.array(y, dtype=np.float64), np.zeros(2)
-        if not self._projected(self.numbers, _address(state), ctypes.c_double(tolerance), _address(gaps)):
+        if not self._projected(self.numbers, address(state), ctypes.c_double(tolerance), address(gaps)):
             return None
         return state, float(gaps[0]), float(gaps[1])
 
@@ -224,7 +210,7 @@ class CompiledForward:
         K, bias = np.empty((self._p, self._p), order="F"), np.empty(self._p)
         mass, effort = np.empty((self._nv, self._nv), order="F"), np.empty(self._nv)
         state = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v)]
-        self._dynamics(self.numbers, *(_address(part) for part in (*state, K, bias, mass, effort)))
+        self._dynamics(self.numbers, *(address(part) for part in (*state, K, bias, mass, effort)))
         return Equations(K, bias, mass, effort)
 
     def reader(self) -> CompiledReader:
@@ -286,7 +272,7 @@ class CompiledReader:
         self._state, self._out = np.zeros(forward._nq + forward._nv), np.full(self._ends[-1], np.nan)
         v = ctypes.c_void_p(self._state.ctypes.data + 8 * self._nq)
         self._forward = forward  # whose numbers the code reads
-        self._given = forward.numbers, _address(self._state), v, ctypes.c_double(RANK_TOLERANCE), _address(self._out)
+        self._given = forward.numbers, address(self._state), v, address(self._out)
         self._read = forward.library.rp_reading
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -348,9 +334,8 @@ class CompiledIntegration:
     def advance(self, at: Advance, end: float, most: int) -> bool:
         """Take ordinary steps up to a time, s, at most so many; return whether the next one is not ordinary."""
         progress, rules = self._at, self._rules
-        progress.t, progress.near, progress.next_step = at.t, at.near, at.next_step
-        progress.largest_correction, progress.sample = at.largest_correction, at.sample
-        progress.steps, progress.evaluations, progress.restarts = at.steps, at.evaluations, at.restarts
+        for name in _SHARED:
+            setattr(progress, name, getattr(at, name))
         progress.next_break = int(np.searchsorted(rules.breaks, at.t, side="right"))
         self._run.breaks = int(np.searchsorted(rules.breaks, end, side="right"))
         y, values = np.array(at.y, dtype=np.float64), np.array(at.values, dtype=np.float64)
@@ -358,20 +343,16 @@ class CompiledIntegration:
             self._forward.numbers,
             ctypes.byref(self._run),
             ctypes.byref(progress),
-            _address(y),
-            _address(values),
+            address(y),
+            address(values),
             ctypes.c_long(most),
         )
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-        at.t, at.y, at.values, at.near = progress.t, y, values, progress.near
-        at.next_step, at.largest_correction, at.sample = (
-            progress.next_step,
-            progress.largest_correction,
-            progress.sample,
-        )
-        at.steps, at.evaluations, at.restarts = progress.steps, progress.evaluations, progress.restarts
+        at.y, at.values = y, values
+        for name in _SHARED:
+            setattr(at, name, getattr(progress, name))
         return bool(status == _LOOK)
 
     def _act(self, edges: Array, coefficients: Array) -> None:
@@ -431,13 +412,3 @@ class CompiledIntegration:
         run.stages, run.order = count, method.error_estimator_order
         for table, values in (("A", A), ("B", method.B), ("C", C), ("E", E), ("P", P)):
             self._point(table, values)
-
-
-def _address(array: Array) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
-
-
-def forward_of(robot: Robot) -> tuple[CompiledForward | None, str]:
-    """Return the compiled forward dynamics of a robot, from disk or new; or None and the reason why there are none."""
-    flags = ["-O2" if flag == "-O3" else flag for flag in FLAGS]  # as fast here, in half the time
-    return built_for(robot, _WRITTEN, lambda: source(robot), lambda path: CompiledForward(path, robot), flags)

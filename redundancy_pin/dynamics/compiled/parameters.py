@@ -6,40 +6,28 @@ first moments, inertias, armatures, gravity, coupling polynomials, loads, signs 
 that differ in them share one library. Of a platform with mass, and of a link with a payload, all inertial numbers are
 parameters, also those that are zero.
 
-Inertial numbers are the mass m, the first moment m c and the inertia about the joint's origin, in the axes of the
-joint's frame: forces are linear in them, also at bodies without mass (Featherstone, "Rigid Body Dynamics Algorithms",
-2008, section 2.13).
+Inertial numbers are Pinocchio's dynamic parameters: the mass m, the first moment m c, and the inertia Ixx, Ixy, Iyy,
+Ixz, Iyz, Izz about the joint's origin, in the axes of the joint's frame. Forces are linear in them, also at bodies
+without mass (Featherstone, "Rigid Body Dynamics Algorithms", 2008, section 2.13).
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, read_only
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
-from redundancy_pin.robot.lookup import find_joint, find_link
-from redundancy_pin.robot.scales import (
-    column_scale,
-    coordinate_unit,
-    force_terms,
-    position_unit,
-    row_scale,
-    turning_coordinates,
-    turning_velocities,
-    velocity_scale,
-    velocity_unit,
-)
+from redundancy_pin.robot.lookup import find_joint, find_link, find_link_index
+from redundancy_pin.robot.scales import force_terms, turning_coordinates, turning_velocities
 from redundancy_pin.robot.types import slides
-from redundancy_pin.robot.whole_turns import counted_turns
 
 Key = tuple[Any, ...]
 """What a number belongs to: ("joint", 2, "origin"), ("link", "tool", "rotation"), ("coupling", 0), ..."""
@@ -47,9 +35,6 @@ Key = tuple[Any, ...]
 _ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Share of a size below which a number is zero, and distance at which an entry of a rotation is 1: rounding of a sum of
 a few products."""
-
-_SIZE, _ENTRY, _FREE = range(3)
-"""Which values are compiled: zero; zero, 1 and −1; none."""
 
 JOINT_NUMBERS = ("damping", "friction", "friction_speed", "stiffness", "rest", "rotor_inertia", "gear")
 SPRING_NUMBERS = ("stiffness", "damping", "length")
@@ -60,16 +45,14 @@ class Numbers(Frozen):
     """All numbers of a robot's model, whether compiled or not, in an order that its topology determines.
 
     Attributes:
-        places: by key, where its numbers are.
-        values: (F,) the numbers, SI units.
+        values: (F,) the numbers, SI units; ``places_of`` says where each one is.
         structural: (F,) whether a number is a structural zero, 1 or −1, which is compiled.
 
     Example:
         >>> numbers = numbers_of(robot)
-        >>> numbers.values[numbers.places["joint", 1, "mass"]]  # kg, of the body that the first joint moves
+        >>> numbers.values[places_of(robot)["joint", 1, "body"]][0]  # kg, of the body that the first joint moves
     """
 
-    places: Mapping[Key, slice]
     values: Array
     structural: BoolArray
 
@@ -77,91 +60,85 @@ class Numbers(Frozen):
 @lru_cache(maxsize=64)
 def numbers_of(robot: Robot) -> Numbers:
     """Return the numbers of a robot's model."""
-    places: dict[Key, slice] = {}
-    values: list[Array] = []
-    kinds: list[IntArray] = []
-    end = 0
-    for key, part, what, size in _listed(robot):
-        flat = np.array(part, dtype=np.float64).ravel()
-        flat[np.abs(flat) <= _ROUNDING * size] = 0.0
-        if what == _ENTRY:
-            whole = np.round(flat)
-            flat = np.where(np.abs(flat - whole) <= _ROUNDING, whole, flat)
-        places[key] = slice(end, end + len(flat))
-        end += len(flat)
-        values.append(flat)
-        kinds.append(np.full(len(flat), what))
-    whole, kind = np.concatenate(values), np.concatenate(kinds)
-    structural = (kind != _FREE) & ((whole == 0.0) | ((kind == _ENTRY) & (np.abs(whole) == 1.0)))
-    return Numbers(MappingProxyType(places), read_only(whole), read_only(structural))
-
-
-def _listed(robot: Robot) -> Iterator[tuple[Key, Any, int, float]]:
-    """Return keys, numbers, kind, and the size beside which smaller ones are rounding."""
     model, length = robot.model, robot.characteristic_length
-    yield ("gravity",), model.gravity.linear, _SIZE, 0.0
-    yield ("armature",), model.armature, _SIZE, 0.0
-    subspaces = motion_subspaces(robot)
+    links = [model.frames[index] for _, index, _ in links_of(robot)]
+    placements = [*model.jointPlacements, *(link.placement for link in links)][1:]
+    frames = np.array([placement.homogeneous for placement in placements])
+    bodies = np.array([body.toDynamicParameters() for body in model.inertias])[1:]
+
+    entries = np.concatenate([frames[:, :3, :3].ravel(), *(part.ravel() for part in motion_subspaces(robot))])
+    rounded = np.round(entries)
+    is_whole = np.abs(entries - rounded) <= _ROUNDING
+
+    origins, size = frames[:, :3, 3], np.zeros(bodies.shape)
+    size[:, 1:4] = bodies[:, :1] * length
+    size[:, 4:] = np.abs(bodies[:, 4:]).max(axis=1, keepdims=True, initial=0.0)
     # payloads are put on the platform: their centres and inertias do not make another topology
-    links = [robot.platform.frame] if robot.platform else []
-    links += [load.frame for load in of_kind(robot.loads, Payload)]
-    loaded = {int(find_link(model, name).parentJoint) for name in links}
-    for index in range(1, model.njoints):
-        placement, body = model.jointPlacements[index], model.inertias[index]
-        yield ("joint", index, "rotation"), placement.rotation, _ENTRY, 1.0
-        yield ("joint", index, "origin"), placement.translation, _SIZE, length
-        yield ("joint", index, "subspace"), subspaces[index], _ENTRY, 1.0
-        mass, first, inertia = moments(body)
-        yield ("joint", index, "mass"), mass, _SIZE, 0.0
-        kind = _FREE if mass and index in loaded else _SIZE
-        yield ("joint", index, "moment"), first, kind, mass * length
-        yield ("joint", index, "inertia"), inertia, kind, float(np.abs(inertia).max())
-    for name in links_of(robot):
-        placement = find_link(model, name).placement
-        yield ("link", name, "rotation"), placement.rotation, _ENTRY, 1.0
-        yield ("link", name, "origin"), placement.translation, _SIZE, length
-    for i, coupling in enumerate(robot.couplings):
-        yield ("coupling", i), coupling.polynomial, _SIZE, 0.0
-    for i, load in enumerate(robot.loads):
-        if isinstance(load, Wrench):
-            yield ("load", i, "point"), load.point, _SIZE, 0.0
-        elif isinstance(load, JointForces):
-            for name in JOINT_NUMBERS:
-                yield ("load", i, name), getattr(load, name), _SIZE, 0.0
-        elif isinstance(load, Spring):
-            for name in (*SPRING_NUMBERS, "point_a", "point_b"):
-                yield ("load", i, name), getattr(load, name), _SIZE, 0.0
+    named = [robot.platform.frame] if robot.platform else []
+    named += [load.frame for load in of_kind(robot.loads, Payload)]
+    loaded = [int(find_link(model, name).parentJoint) - 1 for name in named]
+    is_free = np.zeros(bodies.shape, dtype=bool)
+    is_free[[index for index in loaded if index >= 0 and bodies[index, 0]], 1:] = True
+    origins = np.where(np.abs(origins) <= _ROUNDING * length, 0.0, origins)
+    bodies = np.where((np.abs(bodies) <= _ROUNDING * size) & ~is_free, 0.0, bodies)
+
+    others = np.concatenate([model.gravity.linear, model.armature, *_of_loads(robot).values()])
+    signs = _mode_signs(robot)
+    values = [np.where(is_whole, rounded, entries), origins.ravel(), bodies.ravel(), others, signs]
+    structural = [is_whole, *((part == 0.0).ravel() for part in (origins, bodies, others, signs))]
+    structural[2] &= ~is_free.ravel()
+    return Numbers(read_only(np.concatenate(values)), read_only(np.concatenate(structural)))
+
+
+def _mode_signs(robot: Robot) -> Array:
+    """Return (legs,) the signs of the indicators of the working mode, times the robot's own mode."""
     modes = robot.working_modes
     signs = [sign * own for sign, own in zip(modes.signs, robot.working_mode, strict=True)] if modes else []
-    yield ("mode",), signs, _FREE, 0.0
+    return np.array(signs, dtype=np.float64)
 
 
-def links_of(robot: Robot) -> list[str]:
-    """Return the links whose frames closures, the platform, wrenches and springs are made of."""
-    links = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
-    links += [robot.platform.frame] if robot.platform else []
-    links += [load.frame for load in of_kind(robot.loads, Wrench)]
-    links += [name for load in of_kind(robot.loads, Spring) for name in (load.frame_a, load.frame_b)]
-    return list(dict.fromkeys(links))
+def _of_loads(robot: Robot) -> dict[Key, Array]:
+    """Return by key the coefficients of couplings, and the numbers of loads."""
+    numbers: dict[Key, Any] = {("coupling", i): coupling.polynomial for i, coupling in enumerate(robot.couplings)}
+    names = {Wrench: ("point",), JointForces: JOINT_NUMBERS, Spring: (*SPRING_NUMBERS, "point_a", "point_b")}
+    for i, load in enumerate(robot.loads):
+        for name in names.get(type(load), ()):
+            numbers["load", i, name] = getattr(load, name)
+    return {key: np.array(value, dtype=np.float64).ravel() for key, value in numbers.items()}
+
+
+def places_of(robot: Robot) -> Mapping[Key, slice]:
+    """Return by key where its numbers are in ``numbers_of``: matrices row by row, a body's ten numbers as above."""
+    model = robot.model
+    joints = [("joint", index) for index in range(1, model.njoints)]
+    frames: list[Key] = [*joints, *(("link", name) for name, *_ in links_of(robot))]
+    sizes: dict[Key, int] = {(*frame, "rotation"): 9 for frame in frames}
+    sizes |= {(*joint, "subspace"): 6 * model.joints[joint[1]].nv for joint in joints}
+    sizes |= {(*frame, "origin"): 3 for frame in frames}
+    sizes |= {(*joint, "body"): 10 for joint in joints}
+    sizes |= {("gravity",): 3, ("armature",): model.nv}
+    sizes |= {key: len(numbers) for key, numbers in _of_loads(robot).items()}
+    sizes["mode",] = len(_mode_signs(robot))
+    ends = list(itertools.accumulate(sizes.values(), initial=0))
+    return MappingProxyType({key: slice(*end) for key, end in zip(sizes, itertools.pairwise(ends), strict=True)})
+
+
+@lru_cache(maxsize=64)
+def links_of(robot: Robot) -> tuple[tuple[str, int, int], ...]:
+    """Return the links that closures, the platform, wrenches and springs name: name, index, and joint that moves it."""
+    names = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
+    names += [robot.platform.frame] if robot.platform else []
+    names += [load.frame for load in of_kind(robot.loads, Wrench)]
+    names += [name for load in of_kind(robot.loads, Spring) for name in (load.frame_a, load.frame_b)]
+    model = robot.model
+    found = [(name, find_link_index(model, name)) for name in dict.fromkeys(names)]
+    return tuple((name, index, int(model.frames[index].parentJoint)) for name, index in found)
 
 
 def motion_subspaces(robot: Robot) -> list[Array]:
-    """Return by joint (6, nv of the joint) its motion subspace, in its own frame; of the base none."""
-    model, data = robot.model, robot.model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    subspaces = [np.zeros((6, 0))]
-    for index in range(1, model.njoints):
-        joint = model.joints[index]
-        local = np.reshape(pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL), (6, model.nv))
-        subspaces.append(local[:, joint.idx_v : joint.idx_v + joint.nv].copy())
-    return subspaces
-
-
-def moments(body: pin.Inertia) -> tuple[float, Array, Array]:
-    """Return mass, kg, first moment (3), kg m, and inertia about the origin (3, 3), kg m², of a body."""
-    mass, centre = float(body.mass), np.array(body.lever) if body.mass else np.zeros(3)
-    about = np.array(body.inertia) + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return mass, mass * centre, about
+    """Return by joint (6, nv of the joint) its motion subspace, in its own frame, without the base."""
+    joints = itertools.islice(robot.model.joints, 1, None)
+    return [np.reshape(joint.createData().S, (6, joint.nv)) for joint in joints]
 
 
 # --- what is compiled -------------------------------------------------------------------------------------------------
@@ -190,42 +167,24 @@ class Topology:
 @lru_cache(maxsize=64)
 def topology_of(robot: Robot) -> Topology:
     """Return the topology of a robot."""
-    model, numbers, turns = robot.model, numbers_of(robot), counted_turns(robot)
-    joints = [
-        (
-            str(model.names[i]),
-            str(joint.shortname()),
-            int(model.parents[i]),
-            joint.idx_q,
-            joint.nq,
-            joint.idx_v,
-            joint.nv,
-        )
-        for i, joint in itertools.islice(enumerate(model.joints), 1, None)
-    ]
+    model, numbers = robot.model, numbers_of(robot)
     parts = [
-        joints,
-        [(name, int(find_link(model, name).parentJoint)) for name in links_of(robot)],
+        (list(model.names), [joint.shortname() for joint in model.joints], list(model.parents)),
+        [(name, joint) for name, _, joint in links_of(robot)],
         [(closure.frame_a, closure.frame_b, closure.axes) for closure in robot.closures],
         [(coupling.joint, coupling.of, len(coupling.polynomial)) for coupling in robot.couplings],
         (robot.platform, robot.independent_joints, robot.actuated, robot.carriers),
         robot.working_modes.joints if robot.working_modes else (),
         [_kind_of(load) for load in robot.loads if not isinstance(load, Payload)],  # a payload is in the inertias
-        (turns.coordinates.tolist(), turns.angles.tolist(), turns.kept.tolist()),
         np.packbits(numbers.structural).tobytes().hex(),
-        numbers.values[numbers.structural].astype(int).tolist(),
+        numbers.values[numbers.structural].astype(np.int8).tobytes().hex(),
     ]
     return Topology(repr(parts), robot, read_only(~numbers.structural))
 
 
 def _kind_of(load: Any) -> tuple[str, ...]:
-    if isinstance(load, Wrench):
-        return "Wrench", load.frame, load.reference
-    if isinstance(load, JointForces):
-        return "JointForces", load.joint
-    if isinstance(load, Spring):
-        return "Spring", load.frame_a, load.frame_b
-    return (type(load).__name__,)
+    names = {Wrench: ("frame", "reference"), JointForces: ("joint",), Spring: ("frame_a", "frame_b")}[type(load)]
+    return (type(load).__name__, *(getattr(load, name) for name in names))
 
 
 # --- the vector that generated code takes -----------------------------------------------------------------------------
@@ -236,10 +195,13 @@ class Layout(Frozen):
     """Sections of the vector ``numbers`` of generated code, the same for all robots of a topology.
 
     Attributes:
-        sizes: by name in C, how many numbers a section has. The last is MODEL.
+        sizes: by name in C, how many numbers a section has: first those of ``robot.scales.ForceTerms``, SI units, last
+            MODEL, the numbers of the model that are parameters, and between them scales that are a length or 1.
+        is_length: (S,) which of the latter are the characteristic length, m; the others are 1.
     """
 
     sizes: Mapping[str, int]
+    is_length: BoolArray
 
     @cached_property
     def starts(self) -> Mapping[str, int]:
@@ -255,36 +217,38 @@ class Layout(Frozen):
     @property
     def macros(self) -> list[str]:
         """The lines of C that name the sections of a vector called ``numbers``."""
-        scalars = {name for name, size in self.sizes.items() if size == 1 and name in _SCALARS}
         return [
-            f"#define {name} numbers[{start}]" if name in scalars else f"#define {name} (numbers + {start})"
+            f"#define {name} numbers[{start}]" if name in _SCALARS else f"#define {name} (numbers + {start})"
             for name, start in self.starts.items()
         ]
 
 
 _SCALARS = ("LENGTH", "MASS", "GRAVITY", "VISCOUS", "STATIC")
-"""Sections of one number: the characteristic length, m, and ``robot.scales.ForceTerms``, SI."""
+"""Sections of one number."""
 
 
-def _sections(robot: Robot) -> dict[str, Array]:
-    """Return the sections of scales, by name in C."""
-    terms = force_terms(robot)
-    return {
-        **{name: np.array([getattr(terms, name.lower())]) for name in _SCALARS},
-        "STEP_UNIT": velocity_unit(robot)[pose_columns(robot)],
-        "EQUATION_UNIT": np.concatenate([np.where(turning_rows(robot), 1.0, terms.length), coordinate_unit(robot)]),
-        "POSITION_UNIT": position_unit(robot),
-        "VELOCITY_SCALE": velocity_scale(robot),
-        "ROW_SCALE": row_scale(robot),
-        "COLUMN_SCALE": column_scale(robot),
-        "CARRIER_UNIT": velocity_unit(robot)[robot.carrier_velocity],
-    }
-
-
+@lru_cache(maxsize=64)
 def layout_of(topology: Topology) -> Layout:
     """Return the layout of the vector for a topology."""
-    sizes = {name: len(values) for name, values in _sections(topology.robot).items()}
-    return Layout(MappingProxyType({**sizes, "MODEL": int(topology.free.sum())}))
+    robot = topology.robot
+    slide = ~turning_velocities(robot)
+    slide_rows, slide_coordinates = ~turning_rows(robot), ~np.array(turning_coordinates(robot), dtype=bool)
+    actuated = [slides(find_joint(robot.model, name)) for name in robot.actuated]
+    position = np.zeros(robot.model.nq, dtype=bool)
+    for joint in itertools.islice(robot.model.joints, 1, None):  # translations come first, in q as in v
+        position[joint.idx_q : joint.idx_q + int(slide[joint.idx_v : joint.idx_v + joint.nv].sum())] = True
+    is_length = {
+        "STEP_UNIT": slide[pose_columns(robot)],
+        "EQUATION_UNIT": np.concatenate([slide_rows, slide_coordinates]),
+        "POSITION_UNIT": position,
+        "VELOCITY_SCALE": ~slide,
+        "ROW_SCALE": ~slide_coordinates,
+        "COLUMN_SCALE": ~np.array(actuated, dtype=bool),
+        "CARRIER_UNIT": slide[robot.carrier_velocity],
+    }
+    sizes = {name: len(which) for name, which in is_length.items()}
+    whole = {**dict.fromkeys(_SCALARS, 1), **sizes, "MODEL": int(topology.free.sum())}
+    return Layout(MappingProxyType(whole), read_only(np.concatenate(list(is_length.values()))))
 
 
 def parameter_vector(robot: Robot, topology: Topology | None = None) -> Array:
@@ -294,8 +258,11 @@ def parameter_vector(robot: Robot, topology: Topology | None = None) -> Array:
         robot: the robot.
         topology: its own, or one with more parameters.
     """
-    free = (topology or topology_of(robot)).free
-    return read_only(np.concatenate([*_sections(robot).values(), numbers_of(robot).values[free]]))
+    topology = topology or topology_of(robot)
+    terms, is_length = force_terms(robot), layout_of(topology).is_length
+    scalars = [getattr(terms, name.lower()) for name in _SCALARS]
+    scales = np.where(is_length, terms.length, 1.0)
+    return read_only(np.concatenate([scalars, scales, numbers_of(robot).values[topology.free]]))
 
 
 def pose_columns(robot: Robot) -> IntArray:
@@ -303,18 +270,26 @@ def pose_columns(robot: Robot) -> IntArray:
     return np.setdiff1d(np.arange(robot.model.nv), robot.carrier_velocity)
 
 
-def turning_rows(robot: Robot) -> list[bool]:
+def turning_joints(robot: Robot) -> list[int]:
+    """Return the entries of q that are angles of joints that turn: cosines and sines of them are computed once.
+
+    Carriers, whose positions are arguments, and joints that turn without end, whose entries are cosine and sine, have
+    none.
+    """
+    carried = set(robot.carrier_position.tolist())
+    joints = itertools.islice(robot.model.joints, 1, None)
+    bounded = [joint.idx_q for joint in joints if joint.nq == 1 and joint.shortname().startswith("JointModelR")]
+    return [index for index in bounded if index not in carried]
+
+
+def trig_at(robot: Robot, q: Array) -> Array:
+    """Return (N, 2 · turning joints) the cosines and sines at configurations (N, nq) that generated functions take."""
+    angles = q[:, turning_joints(robot)]
+    return np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
+
+
+def turning_rows(robot: Robot) -> BoolArray:
     """Return (r,) which closure rows are angles: those of rotation axes, and couplings of turning joints."""
     rows = [axis.startswith("r") for closure in robot.closures for axis in closure.axes]
-    return rows + [not slides(find_joint(robot.model, coupling.joint)) for coupling in robot.couplings]
-
-
-def turning_equations(robot: Robot) -> list[bool]:
-    """Return (r + n,) which closure rows and independent coordinates are angles."""
-    return turning_rows(robot) + turning_coordinates(robot)
-
-
-def turning_steps(robot: Robot) -> list[bool]:
-    """Return (p,) which velocities that move the pose are rotations."""
-    turning: list[bool] = turning_velocities(robot)[pose_columns(robot)].tolist()
-    return turning
+    rows += [not slides(find_joint(robot.model, coupling.joint)) for coupling in robot.couplings]
+    return np.array(rows, dtype=bool)

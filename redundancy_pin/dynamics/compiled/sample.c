@@ -7,15 +7,16 @@
 #define SHORT (N < M ? N : M)
 #define LONG (N < M ? M : N)
 
-static int finite(const double *values, int size) {
-  for (int i = 0; i < size; ++i)
-    if (!isfinite(values[i])) return 0;
-  return 1;
+static double dot(const double *a, const double *b, int size) {
+  double sum = 0.0;
+  for (int i = 0; i < size; ++i) sum += a[i] * b[i];
+  return sum;
 }
 
 /* The status of a sample that the driver did not close. */
 static int status_of(int closed) {
-  static const int STATUS[] = {STATUS_OK, STATUS_UNREACHABLE, STATUS_TYPE_I, STATUS_BRANCH_LOST, STATUS_NOT_FINITE};
+  static const int STATUS[] = {STATUS_OK,          STATUS_UNREACHABLE, STATUS_TYPE_I,
+                               STATUS_BRANCH_LOST, STATUS_NOT_FINITE,  STATUS_UNREACHABLE}; /* what is no pose is out of reach */
   return STATUS[closed];
 }
 
@@ -50,12 +51,6 @@ typedef struct {
   int rank;
   double margin, condition;
 } Spectrum;
-
-static double dot(const double *a, const double *b, int size) {
-  double sum = 0.0;
-  for (int i = 0; i < size; ++i) sum += a[i] * b[i];
-  return sum;
-}
 
 static void rotate(double *x, double *y, int size, double cosine, double sine) {
   for (int i = 0; i < size; ++i) {
@@ -172,7 +167,10 @@ static double force_size_of(const double *numbers, const double *in) {
     rate = fmax(rate, fabs(sd[i]) / CARRIER_UNIT[i]);
     acceleration = fmax(acceleration, fabs(sdd[i]) / CARRIER_UNIT[i]);
   }
-  return MASS * (GRAVITY + LENGTH * (rate * rate + acceleration)) + VISCOUS * rate + STATIC;
+  double external = 0.0;
+  for (const double *wrench = sdd + NK; wrench < sdd + NK + NWRENCH; wrench += 6)
+    external += fmax(largest(wrench, 3), largest(wrench + 3, 3) / LENGTH);
+  return MASS * (GRAVITY + LENGTH * (rate * rate + acceleration)) + VISCOUS * rate + STATIC + external;
 }
 
 /* Efforts of one sample; residual, margin and condition as in redundancy_pin.Distribution. */

@@ -13,7 +13,7 @@ from typing import Any
 from redundancy_pin.arrays import Frozen
 from redundancy_pin.dynamics.compiled.load_symbols import constant_wrenches
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector
-from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 
 
@@ -91,10 +91,8 @@ def symbolic(robot: RobotLike) -> SymbolicRobot:
         robot: any declared robot.
 
     Raises:
-        RedundancyPinError: casadi is not installed.
         UnsupportedRobotError: a joint of a type that is not covered.
     """
-    ca = casadi()
     robot = as_robot(robot)
     chain = SymbolicChain(robot)
     q, v, a = chain.q, chain.v, chain.a

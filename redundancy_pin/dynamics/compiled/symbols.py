@@ -20,18 +20,18 @@ from typing import Any, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import IntArray
 from redundancy_pin.dynamics.compiled.load_symbols import LoadSymbols
 from redundancy_pin.dynamics.compiled.parameters import (
     Topology,
     layout_of,
     numbers_of,
+    places_of,
     pose_columns,
     topology_of,
-    turning_equations,
-    turning_steps,
+    turning_joints,
 )
-from redundancy_pin.errors import UnsupportedRobotError, optional
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.robot import AXES, Closure, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.lookup import find_joint, find_link
@@ -42,14 +42,16 @@ SX: TypeAlias = Any
 """casadi.SX; casadi has no type hints."""
 
 
-def casadi() -> Any:
-    """Return the library of symbols, which is an optional one.
+class _Casadi:
+    """The library casadi, imported at its first use: an import takes 0.2 s, and robots in the cache need none."""
 
-    Raises:
-        RedundancyPinError: it is not installed.
-    """
-    remedy = "Install it with `pip install casadi`, or use RneaDynamics."
-    return optional("casadi", "Compiled dynamics need", remedy)
+    def __getattr__(self, name: str) -> Any:
+        import casadi
+
+        return getattr(casadi, name)
+
+
+ca: Any = _Casadi()
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +96,14 @@ class SymbolicChain:
     """
 
     def __init__(self, robot: Robot, topology: Topology | None = None) -> None:
-        ca = casadi()
         self.robot, self.model = robot, robot.model
-        self.topology, self._numbers = topology or topology_of(robot), numbers_of(robot)
+        self.topology, self._places = topology or topology_of(robot), places_of(robot)
         self.layout = layout_of(self.topology)
         self.parameters = ca.SX.sym("parameters", self.layout.size)
-        self.length = self.parameters[self.layout.starts["LENGTH"]]
-        self.model_numbers = ca.SX(self._numbers.values)
+        self.length = self._section("LENGTH")
+        self.model_numbers = ca.SX(numbers_of(robot).values)
         free = np.flatnonzero(self.topology.free).tolist()
-        self.model_numbers[free] = self.parameters[self.layout.starts["MODEL"] :]
+        self.model_numbers[free] = self._section("MODEL")
         self.q, self.v, self.a = (
             ca.SX.sym(name, size) for name, size in (("q", self.model.nq), ("v", self.model.nv), ("a", self.model.nv))
         )
@@ -111,28 +112,29 @@ class SymbolicChain:
         self.step = ca.SX.sym("step", self.model.nv)
         self.external = ca.SX.sym("external", 6 * len(of_kind(robot.loads, Wrench)))
         self._loads = LoadSymbols(self, ca, self.external)
-        carried = set(robot.carrier_position.tolist())
-        revolute = [joint for joint in self.model.joints if joint.nq == 1 and _kind(joint).startswith("R")]
-        self.turning = [int(joint.idx_q) for joint in revolute if joint.idx_q not in carried]
+        self.turning = turning_joints(robot)
         self.trig = ca.SX.sym("trig", 2 * len(self.turning))
         self._joints = [self._joint(index) for index in range(1, self.model.njoints)]
         self.pose_columns: IntArray = pose_columns(robot)
-        turning = turning_equations(robot)
-        self.rows = len(turning) - robot.n
-        self.equation_unit = ca.vertcat(*(1.0 if turns else self.length for turns in turning))
-        self.step_unit = ca.vertcat(*(1.0 if turns else self.length for turns in turning_steps(robot)))
+        self.equation_unit, self.step_unit = (self._section(name) for name in ("EQUATION_UNIT", "STEP_UNIT"))
+        self.rows = self.equation_unit.numel() - robot.n
         self._place()
 
+    def _section(self, name: str) -> SX:
+        """Return a section of the parameters, as a column."""
+        start = self.layout.starts[name]
+        return self.parameters[start : start + self.layout.sizes[name]]
+
     def number(self, *key: Any) -> SX:
-        """Return the numbers of a key of ``parameters.numbers_of``, as a column."""
-        return self.model_numbers[self._numbers.places[key]]
+        """Return the numbers of a key of ``parameters.places_of``, as a column."""
+        return self.model_numbers[self._places[key]]
 
     def _matrix(self, *key: Any) -> SX:
         """Return numbers that stand row by row as a matrix of three columns."""
-        return casadi().reshape(self.number(*key), 3, 3).T
+        return ca.reshape(self.number(*key), 3, 3).T
 
     def _joint(self, index: int) -> _Joint:
-        ca, model, joint = casadi(), self.model, self.model.joints[index]
+        model, joint = self.model, self.model.joints[index]
         kind = _kind(joint)
         at_q, at_v = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
         subspace = ca.reshape(self.number("joint", index, "subspace"), joint.nv, 6).T
@@ -186,11 +188,10 @@ class SymbolicChain:
 
     def _inertia(self, index: int) -> tuple[SX, SX, SX]:
         """Return mass, first moment (3) and inertia about the joint's origin (3, 3) of a body."""
-        return (
-            self.number("joint", index, "mass"),
-            self.number("joint", index, "moment"),
-            self._matrix("joint", index, "inertia"),
-        )
+        body = self.number("joint", index, "body")
+        xx, xy, yy, xz, yz, zz = ca.vertsplit(body[4:])
+        columns = [ca.vertcat(*column) for column in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))]
+        return body[0], body[1:4], ca.horzcat(*columns)
 
     def _inertial_force(self, index: int, motion: tuple[SX, SX, SX, SX]) -> tuple[SX, SX]:
         """Return force and moment (3) that give a body its motion, about its joint's origin, in its frame.
@@ -199,7 +200,7 @@ class SymbolicChain:
             index: the joint that moves the body.
             motion: angular velocity, velocity of the origin, and the rates of both, Featherstone's.
         """
-        ca, (w, u, dw, du) = casadi(), motion
+        (w, u, dw, du) = motion
         mass, first, inertia = self._inertia(index)
         momentum = mass * u + ca.cross(w, first)
         push = mass * du + ca.cross(dw, first)
@@ -212,17 +213,10 @@ class SymbolicChain:
         if index in self.turning:
             at = 2 * self.turning.index(index)
             return self.trig[at], self.trig[at + 1]
-        ca = casadi()
         return ca.cos(self.q[index]), ca.sin(self.q[index])
-
-    def trig_at(self, q: Array) -> Array:
-        """Return (N, 2 · turning) the cosines and sines at configurations (N, nq)."""
-        angles = q[:, self.turning]
-        return np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
 
     def _place(self) -> None:
         """Place the frames of closures and platform in the world, and give them their velocities."""
-        ca = casadi()
         world = {0: (ca.SX.eye(3), ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3))}
         for joint in self._joints:
             rotation, origin, spin, speed = world[joint.parent]
@@ -235,7 +229,6 @@ class SymbolicChain:
 
     def frame(self, name: str) -> tuple[SX, SX, SX, SX]:
         """Return rotation (3, 3), origin (3), angular velocity (3) and velocity of the origin (3) of a link, world."""
-        ca = casadi()
         frame = find_link(self.model, name)
         rotation, origin, spin, speed = self._world[int(frame.parentJoint)]
         turned, arm = self._matrix("link", name, "rotation"), rotation @ self.number("link", name, "origin")
@@ -244,12 +237,12 @@ class SymbolicChain:
     @cached_property
     def configuration_rate(self) -> SX:
         """(nq) q̇ = E(q) v."""
-        return casadi().vertcat(*(joint.rate for joint in self._joints))
+        return ca.vertcat(*(joint.rate for joint in self._joints))
 
     @cached_property
     def rates(self) -> SX:
         """Rates of q and trig, linear in v."""
-        ca, q_rate = casadi(), self.configuration_rate
+        q_rate = self.configuration_rate
         rates = [q_rate]
         for i, index in enumerate(self.turning):
             rates += [-self.trig[2 * i + 1] * q_rate[index], self.trig[2 * i] * q_rate[index]]
@@ -257,18 +250,16 @@ class SymbolicChain:
 
     def rate_of(self, expression: SX) -> SX:
         """Return the rate of an expression in q and trig (and v, held), ∂/∂q · E v."""
-        ca = casadi()
         return ca.jtimes(expression, ca.vertcat(self.q, self.trig), self.rates)
 
     def by_tangent(self, expression: SX) -> SX:
         """Return the derivative (rows, nv) of an expression in q and trig by a tangent step of the tree."""
-        ca = casadi()
         return ca.jacobian(expression, ca.vertcat(self.q, self.trig)) @ ca.jacobian(self.rates, self.v)
 
     @cached_property
     def closure_rows(self) -> SX:
         """(r) closure residuals, m; of rotation rows the sine of the angle that is off; then those of couplings."""
-        ca, robot = casadi(), self.robot
+        robot = self.robot
         rows = [self._closure_row(closure, axis) for closure in robot.closures for axis in closure.axes]
         for i, each in enumerate(robot.couplings):
             joint, of = (find_joint(self.model, name).idx_q for name in (each.joint, each.of or each.joint))
@@ -277,7 +268,6 @@ class SymbolicChain:
         return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
     def _closure_row(self, closure: Closure, axis: str) -> SX:
-        ca = casadi()
         (rotation_a, origin_a, *_), (rotation_b, origin_b, *_) = (
             self.frame(closure.frame_a),
             self.frame(closure.frame_b),
@@ -300,7 +290,6 @@ class SymbolicChain:
         False closures have cosines of −1, and of 0 where the axes of a weld changed places: less a half, or their
         rounding would choose.
         """
-        ca = casadi()
         cosines = [ca.SX(1.0)]
         for closure in self.robot.closures:
             free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
@@ -313,12 +302,12 @@ class SymbolicChain:
 
     def _to_target(self) -> SX:
         name = self.robot.platform.frame if self.robot.platform else ""
-        return casadi().reshape(self.x, 4, 4).T[:3, :3] @ self.frame(name)[0].T
+        return ca.reshape(self.x, 4, 4).T[:3, :3] @ self.frame(name)[0].T
 
     @cached_property
     def missing(self) -> SX:
         """(n) what is missing to the target coordinates, m and rad; about a pose the sine of the angle, as a vector."""
-        ca, platform = casadi(), self.robot.platform
+        platform = self.robot.platform
         if platform is None:
             return ca.vertcat(*(self._joint_missing(i, name) for i, name in enumerate(self.robot.independent_joints)))
         rotation, origin, *_ = self.frame(platform.frame)
@@ -335,13 +324,13 @@ class SymbolicChain:
         return ca.vertcat(*rows)
 
     def _joint_missing(self, i: int, name: str) -> SX:
-        ca, joint = casadi(), find_joint(self.model, name)
+        joint = find_joint(self.model, name)
         q = self.q[joint.idx_q : joint.idx_q + joint.nq]
         return _wrapped(self.x[i] - ca.atan2(q[1], q[0])) if joint.nq == 2 else self.x[i] - q
 
     def _angle(self, rotation: SX, k: int) -> SX:
         """Return the coordinate that is a rotation about base axis k, of fewer than three; see ``Platform``."""
-        ca, platform = casadi(), self.robot.platform
+        platform = self.robot.platform
         if platform is None or len(platform.rotations) == 1:
             column = platform.pointer if platform else 0
             return ca.atan2(rotation[(k + 2) % 3, column], rotation[(k + 1) % 3, column])
@@ -364,7 +353,7 @@ class SymbolicChain:
     @cached_property
     def coordinates(self) -> SX:
         """(n) independent coordinates at q, or the 16 of a pose, row by row."""
-        ca, platform = casadi(), self.robot.platform
+        platform = self.robot.platform
         if platform is None:
             joints = [find_joint(self.model, name) for name in self.robot.independent_joints]
             parts = [self.q[joint.idx_q : joint.idx_q + joint.nq] for joint in joints]
@@ -379,7 +368,7 @@ class SymbolicChain:
     @cached_property
     def row_rates(self) -> SX:
         """(p) rates of the closure rows, then the independent velocities: K v, linear in v."""
-        ca, platform = casadi(), self.robot.platform
+        platform = self.robot.platform
         closures = self.rate_of(self.closure_rows) if self.rows else ca.SX(0, 1)
         if platform is None:
             joints = (find_joint(self.model, name) for name in self.robot.independent_joints)
@@ -392,7 +381,7 @@ class SymbolicChain:
     @cached_property
     def K(self) -> SX:
         """(p, p) rows over the velocities that move the pose."""
-        return casadi().jacobian(self.row_rates, self.v)[:, self.pose_columns.tolist()]
+        return ca.jacobian(self.row_rates, self.v)[:, self.pose_columns.tolist()]
 
     @cached_property
     def bias(self) -> SX:
@@ -402,12 +391,12 @@ class SymbolicChain:
     @cached_property
     def moved(self) -> SX:
         """(nq) the configuration a tangent step away, to first order in the step."""
-        return casadi().vertcat(*(joint.moved for joint in self._joints))
+        return ca.vertcat(*(joint.moved for joint in self._joints))
 
     @cached_property
     def mode_indicators(self) -> SX:
         """(legs) times the robot's own mode: positive in it."""
-        ca, modes = casadi(), self.robot.working_modes
+        modes = self.robot.working_modes
         values = []
         for i, name in enumerate(modes.joints if modes else ()):
             joint = find_joint(self.model, name)
@@ -419,7 +408,7 @@ class SymbolicChain:
     @cached_property
     def efforts(self) -> tuple[SX, SX]:
         """(nv) generalised forces of the open tree, and (6) what holds the base: about the world origin, world axes."""
-        ca, model, gravity = casadi(), self.model, self.number("gravity")
+        model, gravity = self.model, self.number("gravity")
         motions: dict[int, tuple[SX, SX, SX, SX]] = {0: (ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3), -gravity)}
         forces: dict[int, list[SX]] = {0: [ca.SX.zeros(3), ca.SX.zeros(3)]}
         for joint in self._joints:
@@ -456,7 +445,7 @@ class SymbolicChain:
     @cached_property
     def energy(self) -> SX:
         """Kinetic plus potential energy, J; zero height at the world origin."""
-        ca, total = casadi(), 0.0
+        total = 0.0
         for joint in self._joints:
             rotation, origin, spin, speed = self._world[joint.index]
             mass, first, inertia = self._inertia(joint.index)
@@ -475,18 +464,16 @@ class SymbolicChain:
 
 def _about(axis: SX, cosine: SX, sine: SX) -> SX:
     """Return the rotation about a unit axis (Rodrigues)."""
-    ca, square = casadi(), axis @ axis.T
+    square = axis @ axis.T
     return square + cosine * (ca.SX.eye(3) - square) + sine * ca.skew(axis)
 
 
 def _wrapped(angle: SX) -> SX:
-    ca = casadi()
     return angle - 2.0 * np.pi * ca.floor(angle / (2.0 * np.pi) + 0.5)
 
 
 def _turned_by(q: SX, angle: SX) -> SX:
     """Return cosine and sine turned by an angle."""
-    ca = casadi()
     c, s = ca.cos(angle), ca.sin(angle)
     turned = ca.vertcat(q[0] * c - q[1] * s, q[1] * c + q[0] * s)
     return turned / ca.sqrt(ca.dot(turned, turned))  # or rounding would pile up in a controller that runs for days
@@ -494,7 +481,6 @@ def _turned_by(q: SX, angle: SX) -> SX:
 
 def _of_quaternion(q: SX) -> SX:
     """Return the rotation of a unit quaternion (x, y, z, w)."""
-    ca = casadi()
     x, y, z, w = q[0], q[1], q[2], q[3]
     return ca.vertcat(
         ca.horzcat(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
@@ -505,12 +491,10 @@ def _of_quaternion(q: SX) -> SX:
 
 def _times_vector(q: SX, vector: SX) -> SX:
     """Return the product of a quaternion (x, y, z, w) with a vector, (0, vector) from the right."""
-    ca = casadi()
     return ca.vertcat(q[3] * vector + ca.cross(q[:3], vector), -ca.dot(q[:3], vector))
 
 
 def _quaternion_moved(q: SX, step: SX) -> SX:
-    ca = casadi()
     moved = q + 0.5 * _times_vector(q, step)
     return moved / ca.sqrt(ca.dot(moved, moved))
 

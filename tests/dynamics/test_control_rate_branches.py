@@ -1,0 +1,241 @@
+"""One call, one sample: the branch that is followed from sample to sample, and inputs that are refused."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zoo
+from flat_linkages import row_of_four_bars
+from folding import folding_four_bar, joint, rocker_angle
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError
+from redundancy_pin.machine_code import find_compiler
+from redundancy_pin.robot import Robot, Wrench
+from redundancy_pin.status import SampleStatus
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
+
+FOLDING, GUESS = (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)
+"""A four-bar whose crank turns once round, through a flat pose at π where two branches meet; m and rad."""
+
+STOPPED, STOPPED_GUESS = (0.4, 0.3, 0.2, 0.25), (1.0, 2.0, 1.5)
+"""A four-bar whose crank turns to ±1.4 rad and no farther: it reaches angles near a turn, but not on the same way."""
+
+ROUNDING = 1e-9
+
+BOTH = pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+
+
+@cache
+def compiled(name: str) -> rp.CompiledDynamics:
+    return rp.CompiledDynamics(name)
+
+
+def in_small_steps(dynamics: Dynamics, path: Array, start: Array) -> Array:
+    """Return the torques (N, m) along coordinates (N, 1) so dense that the next sample is plainly the nearest."""
+    tau = [dynamics.torque(path[0], [1.0], [2.0], start=start).tau]
+    return np.array([*tau, *(dynamics.torque(x, [1.0], [2.0]).tau for x in path[1:])])
+
+
+# --- the branch ------------------------------------------------------------------------------------------------------
+
+
+@BOTH
+def test_a_jump_keeps_the_branch_of_the_sample_before(backend: type[Dynamics]) -> None:
+    """A four-bar of equal sides is a parallelogram or crossed; the second branch is not the reference's."""
+    robot = row_of_four_bars(1)
+    dynamics, path = backend(robot), np.linspace(1.2, 2.5, 60)[:, None]
+    torques = []
+    for branch in rp.assembly_modes(robot, path[0]).q:
+        dense = in_small_steps(dynamics, path, branch)
+        dynamics.torque(path[0], [1.0], [2.0], start=branch)
+        there, back = (dynamics.torque(x, [1.0], [2.0]) for x in (path[-1], path[0]))
+        np.testing.assert_allclose([there.tau, back.tau], dense[[-1, 0]], rtol=ROUNDING)
+        torques.append(dense[-1, 0])
+    assert abs(np.subtract(*torques)) > 0.1
+
+
+@BOTH
+def test_a_sample_off_the_branch_has_a_status_and_does_not_move_it(backend: type[Dynamics], tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, STOPPED, STOPPED_GUESS)
+    dynamics = backend(robot)
+    start = np.array(rp.assembly_modes(robot, [1.0]).q)
+    reference = int(np.abs(start - robot.q_reference).max(axis=1).argmin())
+    other = start[1 - reference]
+    want = dynamics.torque([1.1], [1.0], [2.0], start=other)
+    assert want.status is SampleStatus.OK
+    for crank, status in (([2.5], SampleStatus.UNREACHABLE), ([2.0 * np.pi - 1.0], SampleStatus.BRANCH_LOST)):
+        lost = dynamics.torque(crank, [1.0], [2.0])
+        assert lost.status is status
+        assert np.isnan([*lost.tau, lost.margin]).all()
+        again = dynamics.torque([1.1], [1.0], [2.0])
+        np.testing.assert_allclose(again.tau, want.tau, rtol=ROUNDING)
+    # two sides of 0.45 m together, ends 0.4 m and 0.3 m from their hinge: what Newton's method leaves is between a
+    # third of what is missing, shared by three joints, and all of it
+    missing = np.sqrt(0.4**2 + 0.3**2 - 2.0 * 0.4 * 0.3 * np.cos(2.5)) - 0.45
+    assert 0.3 * missing < dynamics.torque([2.5], [1.0], [2.0]).residual < 1.01 * missing
+    for failed in ([2.5], [2.0 * np.pi - 1.0]):
+        assert not dynamics.torque(failed, [1.0], [2.0], start=start[reference]).status.solved
+    np.testing.assert_allclose(dynamics.torque([1.1], [1.0], [2.0]).tau, want.tau, rtol=ROUNDING)
+
+
+@BOTH
+def test_a_start_decides_the_branch_in_any_working_mode(backend: type[Dynamics]) -> None:
+    robot, flipped = zoo.robot_of("five_bar"), zoo.robot_of("five_bar", working_mode=(-1, 1))
+    dynamics, other, still = backend(robot), backend(flipped), np.zeros(2)
+    x = zoo.home_of(robot)
+    start = rp.inverse_kinematics(flipped, rp.PlatformMotion([0.0], x[None], still[None], still[None])).q[0]
+    near, far = x + np.array([[0.05, 0.0], [0.2, 0.05]])
+    for given, at in ((start, x), (None, near), (None, far), (None, x)):
+        got, want = dynamics.torque(at, still, [1.0, 2.0], start=given), other.torque(at, still, [1.0, 2.0])
+        assert got.status is want.status is SampleStatus.OK
+        np.testing.assert_allclose(got.tau, want.tau, rtol=ROUNDING)
+    own = dynamics.torque(x, still, [1.0, 2.0], start=robot.q_reference)
+    assert own.status is SampleStatus.OK
+    assert np.abs(own.tau - got.tau).max() > 0.1 * np.abs(own.tau).max()
+    if isinstance(dynamics, rp.CompiledDynamics):
+        state = dynamics.joint_state(start[[0, 3]], start=start)
+        assert state.status is SampleStatus.OK
+        np.testing.assert_allclose(state.q, start, atol=1e-12)
+
+
+@BOTH
+def test_a_start_that_is_open_or_no_number_is_refused_with_a_status(backend: type[Dynamics]) -> None:
+    robot, zero = zoo.robot_of("3rrr"), np.zeros(3)
+    dynamics, home, q = backend(robot), zoo.home_of(robot), np.array(robot.q_reference)
+    before = dynamics.torque(home, zero, zero + 1.0)
+    pose = np.setdiff1d(np.arange(len(q)), robot.carrier_position)
+    open_start = q.copy()
+    open_start[pose] += np.random.default_rng(3).uniform(-1.5, 1.5, len(pose))
+    for start, status in ((open_start, SampleStatus.BRANCH_LOST), (q * np.nan, SampleStatus.NOT_FINITE)):
+        assert dynamics.torque(home, zero, zero + 1.0, start=start).status is status
+        np.testing.assert_allclose(dynamics.torque(home, zero, zero + 1.0).tau, before.tau, rtol=1e-12)
+        if isinstance(dynamics, rp.CompiledDynamics):
+            assert dynamics.joint_state(np.zeros(3), start=start).status is status
+    for wrong in (q[:-1], [[0.0]], *(["there"] if backend is rp.CompiledDynamics else [])):
+        with pytest.raises(InputError, match="start"):
+            dynamics.torque(home, zero, zero, start=wrong)
+
+
+@pytest.mark.parametrize("modes", [False, True])
+@pytest.mark.parametrize("offsets", [np.linspace(-0.5, 0.5, 21), np.linspace(-0.5, 0.5, 20)])
+def test_calls_go_through_a_bifurcation_by_the_tangent(offsets: Array, modes: bool, tmp_path: Path) -> None:
+    """Crank, coupler and rocker in one line: there and nearby the closed form of the branch, and RNEA's torques."""
+    robot = folding_four_bar(tmp_path, FOLDING, GUESS, modes=modes)
+    dynamics, rocker = rp.CompiledDynamics(robot), joint(robot, "rocker")
+    crank = np.pi + offsets
+    t, rate = 0.01 * np.arange(len(crank)), np.full((len(crank), 1), 2.0)
+    motion = rp.PlatformMotion(t, crank[:, None], rate, 0.0 * rate + 0.7, check_rates=False)
+    want = rp.distribute(rp.RneaDynamics(robot).reduce(motion))
+    got = [dynamics.torque([x], [2.0], [0.7]) for x in crank]
+    assert [one.status for one in got] == [SampleStatus(code) for code in want.status]
+    np.testing.assert_allclose([one.tau for one in got], want.tau, rtol=0.0, atol=1e-7 * np.abs(want.tau).max())
+    branch = min((rocker_angle(FOLDING, sign) for sign in (1.0, -1.0)), key=lambda one: _off(one, robot, rocker))
+    for x in crank[np.abs(offsets) > 1e-9]:
+        state = dynamics.joint_state([x], [2.0])
+        assert state.status is SampleStatus.OK
+        assert abs(np.sin((state.q[rocker] - branch(np.array([x]))[0]) / 2.0)) < 1e-9
+
+
+def _off(branch: Any, robot: Robot, rocker: int) -> float:
+    home = robot.q_reference
+    return float(abs(np.sin((branch(home[:1])[0] - home[rocker]) / 2.0)))
+
+
+# --- inputs ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_whatever_is_not_finite_is_a_status(backend: type[Dynamics], bad: float) -> None:
+    """In every argument, also where no result depends on it: the position of a carrier on a straight track."""
+    robot = zoo.robot_of("3rrr").loaded(Wrench("platform", lambda t, x, xd: np.zeros((len(t), 6))))
+    dynamics = backend(zoo.robot_of("3rrr") if backend is rp.VirtualWork else robot)
+    given = [zoo.home_of(robot), np.ones(3), np.ones(3), np.zeros(3), np.zeros(3), np.zeros(3)]
+    assert dynamics.torque(*given).status is SampleStatus.OK
+    for i, part in enumerate(given):
+        for k in range(len(part)):
+            wrong = [one.copy() for one in given]
+            wrong[i][k] = bad
+            assert dynamics.torque(*wrong).status is SampleStatus.NOT_FINITE
+    if backend is rp.CompiledDynamics:
+        assert dynamics.torque(*given, t=bad).status is SampleStatus.NOT_FINITE
+    assert dynamics.torque(*given).status is SampleStatus.OK
+
+
+def test_states_and_motors_that_are_not_finite_are_a_status() -> None:
+    robot, dynamics = zoo.robot_of("3rrr"), compiled("3rrr")
+    q = np.array(robot.q_reference)
+    calls: list[tuple[Any, list[Array]]] = [
+        (dynamics.joint_state, [q[:3], np.zeros(3), np.zeros(3), np.zeros(3)]),
+        (dynamics.acceleration, [q, np.zeros(robot.model.nv), np.zeros(3), np.zeros(3)]),
+    ]
+    for call, given in calls:
+        for i, part in enumerate(given):
+            wrong = [one.copy() for one in given]
+            wrong[i][len(part) - 1] = np.nan
+            assert call(*wrong).status is SampleStatus.NOT_FINITE
+    assert dynamics.acceleration(q, np.zeros(robot.model.nv), np.zeros(3), t=np.nan).status is SampleStatus.NOT_FINITE
+
+
+@BOTH
+def test_matrices_that_are_no_poses_are_refused(backend: type[Dynamics]) -> None:
+    dynamics, zero = backend(zoo.robot_of("gough")), np.zeros(6)
+    home = zoo.home_of(dynamics.robot)
+    flipped, sheared, scaled, moved = (home.copy() for _ in range(4))
+    flipped[:3, 2] *= -1.0
+    sheared[0, 1] += 1e-6
+    scaled[3, 3] = 2.0
+    moved[3, 0] = 1e-6
+    assert dynamics.torque(home, zero, zero).status is SampleStatus.OK
+    for wrong in (flipped, sheared, scaled, moved, 1.001 * home):
+        with pytest.raises(InputError, match="homogeneous pose"):
+            dynamics.torque(wrong, zero, zero)
+        with pytest.raises(InputError, match="homogeneous pose"):
+            dynamics.sample(wrong, zero, zero)
+    for shape in ((16,), (2, 8)):
+        with pytest.raises(InputError, match="shape"):
+            dynamics.torque(home.reshape(shape), zero, zero)
+    rounded = home.copy()
+    rounded[0, 1] += 1e-11
+    assert dynamics.torque(rounded, zero, zero).status is SampleStatus.OK
+
+
+@BOTH
+def test_carriers_that_a_robot_does_not_have_are_refused(backend: type[Dynamics]) -> None:
+    dynamics, zero = backend(zoo.robot_of("delta")), np.zeros(3)
+    home = zoo.home_of(dynamics.robot)
+    for place in range(3):
+        tracks: list[Any] = [(), (), ()]
+        tracks[place] = [0.1]
+        with pytest.raises(InputError):
+            dynamics.torque(home, zero, zero, *tracks)
+    assert dynamics.torque(home, zero, zero, [], np.zeros(0), 0.0).status is SampleStatus.OK
+    if isinstance(dynamics, rp.CompiledDynamics):
+        q, v = np.array(dynamics.robot.q_reference), np.zeros(dynamics.robot.model.nv)
+        with pytest.raises(InputError, match="carrier_force"):
+            dynamics.acceleration(q, v, zero, [1.0])
+        with pytest.raises(InputError, match="s has shape"):
+            dynamics.joint_state(zero, zero, [0.1])
+
+
+@BOTH
+def test_wrenches_that_cancel_count_among_the_forces_that_rounding_is_compared_with(backend: type[Dynamics]) -> None:
+    """The legs in one line hold nothing across it: a rest of 1e-4 N of two wrenches of 1e6 N is their rounding."""
+    push, still = np.array([0.0, 1e6, 0.0, 0.0, 0.0, 0.0]), np.zeros(2)
+    rest = np.array([0.0, 1e-4, 0.0, 0.0, 0.0, 0.0])
+    robot = zoo.robot_of("2rpr")
+    frame = robot.platform.frame if robot.platform is not None else ""
+    statuses = []
+    for wrenches in ([push, rest - push], [rest]):
+        dynamics = backend(robot.loaded(*(Wrench(frame, one) for one in wrenches)))
+        dynamics.torque([0.2, 0.05], still, still)
+        statuses.append(dynamics.torque([0.2, 0.0], still, still).status)
+    assert statuses == [SampleStatus.SINGULAR_CONSISTENT, SampleStatus.SINGULAR_INCONSISTENT]
