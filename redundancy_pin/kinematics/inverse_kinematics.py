@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -261,7 +260,7 @@ class _Solution:
         follower, motion = self._follower, self._motion
         x, xd, xdd = motion.x[k], motion.xd[k], motion.xdd[k]
         # several joints go straight; of one alone whole turns are multiples of the first
-        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.advance(here, x)
+        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.follow(here, x)
         if isinstance(reached, BranchEnd):
             return reached
         if reached.margin >= follower.near:
@@ -333,13 +332,13 @@ def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | B
     def follow(q: Array, start: Array, target: Array) -> Array | None:
         nonlocal end
         state = here if q is here.q else own.close(q, start)
-        end = None if state is None else own.advance(state, target)
+        end = None if state is None else own.follow(state, read_only(target.copy()))
         return end.q if isinstance(end, ClosedState) else None
 
     try:
         follow_whole_turns(own.robot, here.q, here.x, x, follow)
-    except UnreachablePoseError as error:
-        return BranchEnd(SampleStatus.UNREACHABLE, x, here, here.q, math.nan, reason=error.message)
+    except UnreachablePoseError as error:  # too many turns that do not repeat
+        return replace(own.diagnose(here, x), status=SampleStatus.UNREACHABLE, reason=error.message)
     return own.diagnose(here, x) if end is None else end
 
 
@@ -362,13 +361,13 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     robot, own = system.robot, follower(system.robot)
     home = own.home
     reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
-    if isinstance(reached, BranchEnd) and reached.reason:
-        raise UnreachablePoseError(reached.reason, remedy=_FEWER_TURNS, sample=sample)
     if isinstance(reached, ClosedState):
         # a configuration where working modes meet belongs to both
         between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
         if between or in_working_mode(robot, reached.q[None])[0]:
             return reached
+    if isinstance(reached, BranchEnd) and reached.reason:
+        raise _too_many_turns(reached, sample)
     q, residual, in_mode = multistart(system, home.q, x)
     closed, pose = residual < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
     if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
@@ -441,9 +440,9 @@ _ALONE = SampleStatus.UNREACHABLE, SampleStatus.TYPE_I
 def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError:
     """Return the error of sample k, which a branch does not lead to."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
-    place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
     if end.reason:
-        return UnreachablePoseError(end.reason, remedy=_FEWER_TURNS, sample=k)
+        return _too_many_turns(end, k)
+    place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
     if end.status is SampleStatus.UNREACHABLE:
         return UnreachablePoseError(
             f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m."
@@ -478,6 +477,15 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
         "smooth branch is known to lead across.",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=k,
+    )
+
+
+def _too_many_turns(end: BranchEnd, k: int) -> UnreachablePoseError:
+    return UnreachablePoseError(
+        f"Sample {k}: {end.reason}",
+        remedy=_FEWER_TURNS,
+        sample=k,
+        gap=end.residual,
     )
 
 

@@ -48,12 +48,8 @@ from redundancy_pin.singularities.grid import (
     solve_grid,
 )
 
-RESOLUTION = 200
-"""Nodes along each axis of the grid."""
-
 _ITERATIONS = 20
-_LONGEST_STEP = 0.3
-"""Longest Newton step, rad or characteristic lengths: the linear model of a turning joint holds to about 20°."""
+"""Newton iterations per point: most points take four."""
 
 _LONGEST_CHORD = 3.0
 """Longest distance between neighbouring points of a curve, cells. At a corner of the border two singular values of K
@@ -139,7 +135,7 @@ def singular_locus(
     *,
     orientation: float | None = None,
     bounds: Sequence[tuple[float, float]] | None = None,
-    resolution: int = RESOLUTION,
+    resolution: int = 200,
 ) -> SingularLocus:
     """Return the singular curves of a planar robot over its workspace, or the singular positions of one coordinate.
 
@@ -301,7 +297,8 @@ class _SingularPoints:
             step = np.linalg.lstsq(rows * self.step_unit, -residual, rcond=1e-12)[0]
             size = float(np.abs(step).max())
             full = np.zeros((1, self.robot.model.nv))
-            full[0, self.columns] = step * self.step_unit * min(1.0, _LONGEST_STEP / max(size, _LONGEST_STEP))
+            # the linear model of a turn holds to a radian
+            full[0, self.columns] = step * self.step_unit / max(size, 1.0)
             q = integrate(self.robot.model, q[None], full)[0]
             if size < SETTLED_STEP:
                 break

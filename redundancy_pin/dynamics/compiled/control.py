@@ -423,14 +423,5 @@ class AccelerationCall:
             here = self._read(*self._arguments.parts[:2])
             wrenches = wrench_values(self._loads, np.array([t]), here.x[None], here.xd[None])
             self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]
-        status = _ACCELERATION_STATUSES[self._call()]
+        status = _STATUSES[self._call()]
         return AccelerationSample(self._a.copy(), status)
-
-
-_ACCELERATION_STATUSES = (
-    SampleStatus.OK,
-    SampleStatus.SINGULAR_INCONSISTENT,
-    SampleStatus.SINGULAR_INCONSISTENT,
-    SampleStatus.NOT_FINITE,
-)
-"""By code of ``forward.c``: fine, closures have lost rank, a free motion has no inertia, not finite."""
