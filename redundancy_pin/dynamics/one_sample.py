@@ -1,14 +1,16 @@
 """Efforts of one sample with a status, for control loops: ``distribute`` without the cost of a batch of one.
 
-Whoever solves many samples takes ``distribute``; the decisions and their tolerances are the same here.
+The decisions and their tolerances are those that ``distribute`` takes for many samples.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
@@ -47,8 +49,8 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
     return without_answer(robot, SampleStatus.TYPE_I if singular else SampleStatus.BRANCH_LOST)
 
 
-def is_finite(given: SampleArguments, t: float) -> bool:
-    """Return whether all numbers of a sample are finite; what is no number is left to later checks."""
+def is_finite(given: Sequence[ArrayLike], t: float) -> bool:
+    """Return whether all numbers of a sample are finite; later checks refuse other types."""
     try:
         return all(np.isfinite(np.asarray(part, dtype=np.float64)).all() for part in (*given, t))
     except (TypeError, ValueError):
@@ -134,7 +136,7 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
         t: time, s, for wrenches that depend on it.
 
     Raises:
-        InputError: wrong shapes, or a pose that is none.
+        InputError: wrong shapes, or a matrix that is not a pose.
     """
     robot = dynamics.robot
     if not is_finite(given, t):

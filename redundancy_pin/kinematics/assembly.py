@@ -14,11 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode, joint_position
-from redundancy_pin.robot.joint_ranges import out_of_range
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
 
 SETTLED_STEP = 1e-8
@@ -98,11 +96,6 @@ class Assembly:
         """(N,) in the robot's own working mode, closed or not."""
         return in_working_mode(self.system.robot, self.q)
 
-    @cached_property
-    def in_range(self) -> BoolArray:
-        """(N,) all joints within their ranges, each configuration by itself, closed or not."""
-        return read_only(~out_of_range(self.system.robot, self.q, motion=False))
-
     @property
     def usable(self) -> BoolArray:
         """(N,) closed, regular and in the robot's own working mode."""
@@ -114,52 +107,50 @@ def assemble(
     guess: Array,
     target: Array | None = None,
     *,
-    actuated: Array | None = None,
     redundant: bool = False,
     max_iterations: int = 50,
     shortest_step: float = 2.0**-12,
 ) -> Assembly:
-    """Close the chains from a guess, by Newton with a backtracking line search on the residual.
+    """Close the chains from guesses, by Newton with a backtracking line search on the residual.
 
-    With ``target`` the independent coordinates are prescribed (inverse displacement), with ``actuated`` the main
-    actuators (forward displacement), with neither the smallest change of the guess closes the loops. Steps of a
-    rank-deficient system are minimum-norm. Nothing is returned silently unclosed: see ``closed`` and ``gap``.
+    With ``target`` the independent coordinates are prescribed, without it the smallest change of the guess closes the
+    loops. Steps of a rank-deficient system are of least norm. Nothing is returned silently unclosed: see ``closed`` and
+    ``gap``.
 
     Args:
         system: closures and platform rows of the robot.
         guess: (N, nq) starting configurations; carriers keep their positions.
         target: (N, n) coordinates or (N, 4, 4) poses, base frame, m and rad.
-        actuated: (N, m) positions of the main actuators, m or rad.
-        redundant: closure rows may depend on one another: steps are of least norm in scaled units.
+        redundant: of loops alone: rows may depend on one another, and frames may be turned far away from each other.
         max_iterations: bound on Newton iterations.
         shortest_step: fraction of a Newton step below which the line search gives up on a sample.
+
+    Example:
+        >>> assemble(system, np.array(robot.q_reference)[None], x[None]).closed
+        array([ True])
     """
-    everything = equations = _Equations(system, target, actuated, redundant)
     q = np.array(guess, dtype=float)
-    active, state = np.arange(len(q)), system.evaluate(q)
-    residual = equations.residual(state)
-    done = np.zeros(len(q), dtype=bool)
+    active, done = np.arange(len(q)), np.zeros(len(q), dtype=bool)
+    equations = everything = _Equations(system, target, redundant)
+    here = equations.at(q)
     for _ in range(max_iterations):
-        step = equations.newton_step(state, residual)
+        step = here.newton_step(redundant)
         step[done] = 0.0  # a sample ends where it would end alone, whatever the others need
-        reached = _line_search(equations, q[active], step, residual, shortest_step)
-        state, residual = reached.state, reached.residual
-        q[active] = state.q
-        done |= reached.stalled | (reached.longest < SETTLED_STEP)
+        here, longest, stalled = _line_search(equations, here, step, shortest_step)
+        q[active] = here.state.q
+        done |= stalled | (longest < SETTLED_STEP)
         if done.all():
             break
         if 2 * done.sum() > len(done):  # go on with the rest alone; to leave out fewer costs more than it saves
-            active, residual = active[~done], residual[~done]
-            ends, positions = (None if goal is None else goal[active] for goal in (target, actuated))
-            equations = _Equations(system, ends, positions, redundant)
-            state, done = system.evaluate(q[active]), done[~done]
+            active, done = active[~done], done[~done]
+            equations = _Equations(system, None if target is None else target[active], redundant)
+            here = equations.at(q[active])
     if len(active) < len(q):
-        state = system.evaluate(q)
-        residual = everything.residual(state)
-    gap = system.gap(residual, everything.unit)
-    misaligned = system.misalignment(state)
-    gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, system.robot.characteristic_length * misaligned), gap)
-    return Assembly(system, state, gap)
+        here = everything.at(q)
+    gap = np.abs(here.residual).max(axis=1, initial=0.0)
+    misaligned = system.misalignment(here.state)
+    gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, misaligned), gap)
+    return Assembly(system, here.state, system.robot.characteristic_length * gap)
 
 
 def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
@@ -192,75 +183,70 @@ def configuration_difference(model: pin.Model, q0: Array, q1: Array) -> Array:
     return np.array([pin.difference(model, a, b) for a, b in zip(q0, q1, strict=True)]).reshape(len(q0), model.nv)
 
 
-@dataclass(frozen=True, eq=False)
-class _Equations:
-    """What Newton solves: the closures and, where prescribed, the coordinates and the actuators' positions."""
+class _Linear(NamedTuple):
+    """Equations linearised at N configurations.
+
+    Attributes:
+        system: closures and platform rows.
+        state: the configurations.
+        residual: (N, e) what is missing to the goal, in characteristic lengths and rad.
+        matrix: (N, e, p) its negative derivative by the pose columns, without units.
+    """
 
     system: ConstraintSystem
-    target: Array | None
-    actuated: Array | None
-    redundant: bool
+    state: ConstraintState
+    residual: Array
+    matrix: Array
 
-    @cached_property
-    def unit(self) -> Array:
-        """(e,) the characteristic length, m, for residuals that are lengths, 1 for angles."""
-        system = self.system
-        parts = [system.closure_unit if self.target is None else system.equation_unit]
-        if self.actuated is not None:
-            parts.append(velocity_unit(system.robot)[system.robot.actuated_velocity])
-        return np.concatenate(parts)
-
-    def residual(self, state: ConstraintState) -> Array:
-        """Return (N, e) what is missing to the goal, m and rad."""
-        robot = self.system.robot
-        parts = [-state.phi]
-        if self.target is not None:
-            parts.append(difference(robot, self.target, coordinates(robot, state)))
-        if self.actuated is not None:
-            off = self.actuated - np.stack([joint_position(robot, name, state.q) for name in robot.actuated], axis=1)
-            # a continuous joint takes the shorter arc: its positions a turn apart are one
-            endless = [find_joint(robot.model, name).nq == 2 for name in robot.actuated]
-            off[:, endless] = (off[:, endless] + np.pi) % (2.0 * np.pi) - np.pi
-            parts.append(off)
-        return np.concatenate(parts, axis=1)
-
-    def newton_step(self, state: ConstraintState, residual: Array) -> Array:
-        """Return (N, nv) the steps; carriers stay."""
-        robot, columns = self.system.robot, self.system.pose_columns
-        matrix = state.K if self.target is not None else state.Jc[:, :, columns]
-        if self.actuated is not None:
-            selection = np.broadcast_to(self.system.selection[:, columns], (len(residual), robot.m, len(columns)))
-            matrix = np.concatenate([matrix, selection], axis=1)
-        step = np.zeros((len(residual), robot.model.nv))
-        unit, matrix = self.system.step_unit, matrix * (self.system.step_unit / self.unit[:, None])
-        step[:, columns] = _solve(matrix, residual / self.unit, regular=not self.redundant) * unit
+    def newton_step(self, redundant: bool) -> Array:
+        """Return (N, nv) steps, rad and m; carriers stay."""
+        step = np.zeros((len(self.residual), self.system.robot.model.nv))
+        solution = _solve(self.matrix, self.residual, regular=not redundant)
+        step[:, self.system.pose_columns] = solution * self.system.step_unit
         return step
 
 
-class _Reached(NamedTuple):
-    state: ConstraintState
-    residual: Array
-    longest: Array
-    stalled: BoolArray
+class _Equations(NamedTuple):
+    """What Newton solves: the closures and, where prescribed, the coordinates (N, n) or poses (N, 4, 4)."""
+
+    system: ConstraintSystem
+    target: Array | None
+    redundant: bool
+
+    def at(self, q: Array) -> _Linear:
+        """Linearise the equations at configurations (N, nq)."""
+        system = self.system
+        state, unit = system.evaluate(q), system.equation_unit
+        if self.target is not None:
+            off = difference(system.robot, self.target, coordinates(system.robot, state))
+            residual, rows = np.concatenate([-state.phi, off], axis=1), state.K
+        else:
+            phi, jacobian = system.rotation_rows(state) if self.redundant else (state.phi, state.Jc)
+            residual, rows, unit = -phi, jacobian[:, :, system.pose_columns], system.closure_unit
+        return _Linear(system, state, residual / unit, rows * (system.step_unit / unit[:, None]))
 
 
-def _line_search(equations: _Equations, q: Array, step: Array, residual: Array, shortest_step: float) -> _Reached:
+def _line_search(
+    equations: _Equations, here: _Linear, step: Array, shortest_step: float
+) -> tuple[_Linear, Array, BoolArray]:
     """Halve the step where it does not shorten the residual; a step at rounding level is taken whole.
 
     No joint moves by more than 1 rad or characteristic length: beyond that the linear model of a turn is useless.
+
+    Returns:
+        The equations where it ends, the longest movement of a joint (N,), rad or characteristic lengths, and which
+        samples stalled.
     """
-    system = equations.system
-    size = np.linalg.norm(residual / equations.unit, axis=1)
-    longest = np.abs(step / velocity_unit(system.robot)).max(axis=1, initial=0.0)
+    robot, size = equations.system.robot, np.linalg.norm(here.residual, axis=1)
+    longest = np.abs(step / velocity_unit(robot)).max(axis=1, initial=0.0)
     scale = 1.0 / np.maximum(longest, 1.0)
     fine = longest < SETTLED_STEP
     while True:
-        state = system.evaluate(integrate(system.robot.model, q, step * scale[:, None]))
-        new = equations.residual(state)
-        ok = fine | (np.linalg.norm(new / equations.unit, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size)
+        new = equations.at(integrate(robot.model, here.state.q, step * scale[:, None]))
+        ok = fine | (np.linalg.norm(new.residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size)
         stalled = ~ok & (scale < shortest_step)
         if (ok | stalled).all():
-            return _Reached(state, new, longest * scale, stalled)
+            return new, longest * scale, stalled
         scale = np.where(ok | stalled, scale, scale / 2.0)
 
 

@@ -57,6 +57,7 @@ class BranchEnd(Frozen):
         q: (nq,) the configuration that Newton's method ends at.
         residual: the closure residual there, m.
         rank_lost: whether the closure rows themselves lose rank there, for ``TYPE_I``.
+        reason: why the way there is not followed at all, for ``UNREACHABLE``; otherwise empty.
 
     Example:
         >>> import redundancy_pin as rp
@@ -72,6 +73,7 @@ class BranchEnd(Frozen):
     q: Array
     residual: float
     rank_lost: bool = False
+    reason: str = ""
 
     @property
     def is_final(self) -> bool:
@@ -150,7 +152,7 @@ class Follower(LoopSolver):
                     break  # the line leaves the workspace: shorter steps would only creep up to its border
                 within_reach = end
             size *= 0.5
-            if size * length < SETTLED_STEP:
+            if size * max(length, 1.0) < SETTLED_STEP:
                 break
         return here if done == 1.0 else self.diagnose(here, x)
 

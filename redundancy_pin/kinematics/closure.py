@@ -31,6 +31,7 @@ Vectors of rows are component-major: (3, R) at one configuration, (3, R, N) at N
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -40,11 +41,11 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray, blocks
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, IntArray, blocks
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
-from redundancy_pin.kinematics.tree import TreePlacement, is_covered
+from redundancy_pin.kinematics.tree import TreePlacement, frame_placement, is_covered
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
@@ -399,6 +400,26 @@ class ConstraintSystem:
             J[part, : self.all_rows.size], phi[part] = placed.jacobian(columns[part]), placed.residual()[:r].T
         return ConstraintState(q, vectors.T, columns, phi, J[:, :r], J[:, r:], J[:, :, self.pose_columns])
 
+    def rotation_rows(self, state: ConstraintState) -> tuple[Array, Array]:
+        """Return residuals (N, r) and rows (N, r, nv) with angles in place of the sines of hinges and welds.
+
+        They are components of the rotation vector from frame A to frame B, of a hinge that between its axes: unlike
+        sines they lead to the right side from everywhere. Rows are the rates to first order in these angles.
+        """
+        phi, rows, first, model = state.phi.copy(), state.Jc.copy(), 0, self.robot.model
+        for closure in self.robot.closures:
+            turning = [k for k in range(3) if AXES[3 + k] in closure.axes]
+            if len(turning) > 1:
+                a, b = closure.frame_a, closure.frame_b
+                A, B = (frame_placement(state.vectors, find_link_index(model, name))[0] for name in (a, b))
+                relative = np.einsum("ijn,ikn->njk", A, B)
+                rates = np.einsum("ijn,niv->njv", A, state.columns[:, 3:] * (self.support[b] - self.support[a]))
+                at = [first + closure.axes.index(AXES[3 + k]) for k in turning]
+                phi[:, at] = np.array([_rotation_vector(each, turning) for each in relative])[:, turning]
+                rows[:, at] = rates[:, turning]
+            first += len(closure.axes)
+        return phi, rows
+
     def misalignment(self, state: ConstraintState) -> Array:
         """Return (N,) the largest angle, rad, between two axes of a closure that must point the same way.
 
@@ -410,6 +431,19 @@ class ConstraintSystem:
         turned: Array = np.arccos(np.reshape(cosines, (len(cosines), len(state.q))).clip(-1.0, 1.0))
         worst: Array = turned.max(axis=0, initial=0.0)
         return worst
+
+
+def _rotation_vector(relative: Array, turning: list[int]) -> Array:
+    """Return (3,) the rotation vector of a weld's rotation matrix (3, 3), of a hinge that between its axes."""
+    if len(turning) == 3:
+        vector: Array = pin.log3(relative)
+        return vector
+    free = 3 - sum(turning)
+    normal = np.cross(np.eye(3)[free], relative[:, free])
+    sine, cosine = float(np.linalg.norm(normal)), float(relative[free, free])
+    if sine < RANK_TOLERANCE:  # axes the same way, or opposite: either way round
+        return normal if cosine > 0.0 else np.pi * np.eye(3)[turning[0]]
+    return normal / sine * math.atan2(sine, cosine)
 
 
 @lru_cache(maxsize=32)

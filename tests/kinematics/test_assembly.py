@@ -92,20 +92,6 @@ def test_gap_out_of_reach_compares_with_geometry() -> None:
     assert np.all(assembled.gap < 1.1 * short)
 
 
-def test_forward_displacement_returns_the_pose_that_gave_the_joint_positions(shipped: Robot) -> None:
-    system = zoo.system_of(shipped)
-    closed = zoo.random_closed(shipped, 21, 6)
-    columns = [shipped.model.joints[shipped.model.getJointId(name)].idx_q for name in shipped.actuated]
-    rng = np.random.default_rng(0)
-    nearby = closed.copy()
-    nearby[:, system.pose_columns] += (
-        1e-2 * shipped.characteristic_length * rng.uniform(-1, 1, (6, len(system.pose_columns)))
-    )
-    assembled = assemble(system, nearby, actuated=closed[:, columns])
-    assert assembled.closed.all()
-    np.testing.assert_allclose(assembled.q, closed, atol=SAME)
-
-
 def test_closing_alone_changes_the_guess_as_little_as_possible() -> None:
     """With neither target nor actuators the change is normal to the closed set, to second order in its length."""
     robot = zoo.robot_of("3rrr")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -302,8 +304,6 @@ def test_refusals(five_bar: rp.Robot) -> None:
         rp.forward_kinematics(five_bar, home, start=np.array(five_bar.q_reference) + 0.1)
     with pytest.raises(InputError, match="actuated has shape"):
         rp.forward_kinematics(five_bar, [home[:1]])
-    from dataclasses import replace
-
     weak = replace(five_bar, actuated=five_bar.actuated[:1], actuated_velocity=five_bar.actuated_velocity[:1])
     with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
         rp.forward_kinematics(weak, home[:1])
@@ -349,15 +349,14 @@ def test_thousands_of_turns_of_one_motor_take_no_longer_than_three() -> None:
     assert many.status_labels.tolist() == ["out_of_range"]
 
 
-@pytest.mark.parametrize("ratio", [2.0, -3.0, 0.5])
-def test_what_turns_with_the_motor_turns_as_often(ratio: float) -> None:
-    """A gear of ratio 1 : 2 is back after a turn of the motor, one of 2 : 1 after two."""
+def geared(ratio: float) -> rp.Robot:
+    """Return a motor that turns a joint on its shaft by a gear, and the platform with both."""
     model = pin.Model()
     for name in ("motor", "geared"):
         joint = model.addJoint(model.njoints - 1, pin.JointModelRZ(), pin.SE3.Identity(), name)
         model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
     model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
-    robot = rp.Robot.from_model(
+    return rp.Robot.from_model(
         model,
         actuated=["motor"],
         closures=[],
@@ -365,10 +364,30 @@ def test_what_turns_with_the_motor_turns_as_often(ratio: float) -> None:
         independent={"platform": "tip", "axes": ["rz"]},
         reference={"platform": [0.1 * (1.0 + ratio)], "guess": {"motor": 0.1, "geared": 0.1 * ratio}},
     )
+
+
+@pytest.mark.parametrize("ratio", [2.0, -3.0, 0.5])
+def test_what_turns_with_the_motor_turns_as_often(ratio: float) -> None:
+    """A gear of ratio 1 : 2 is back after a turn of the motor, one of 2 : 1 after two."""
+    robot = geared(ratio)
     u = np.array([[0.7], [20_001.3], [19_990.2]])
     solution = rp.forward_kinematics(robot, u)
     np.testing.assert_allclose(solution.q, u * [1.0, ratio], rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(solution.x, u * (1.0 + ratio), rtol=1e-12, atol=1e-9)
+
+
+def test_turns_that_never_repeat_lose_the_branch() -> None:
+    """With a ratio of √2 / 10; motions are marked there, or refused with the sample."""
+    robot = geared(0.1 * np.sqrt(2.0))
+    far = [[0.3], [1e5], [0.4]]
+    assert rp.forward_kinematics(robot, far).known.tolist() == [True, False, False]
+    motion = rp.PlatformMotion([0.0, 1.0, 2.0], far, np.zeros((3, 1)), np.zeros((3, 1)), check_rates=False)
+    driven = replace(robot, platform=None, independent_joints=("motor",))
+    marked = rp.inverse_kinematics(driven, motion, mark_unreachable=True)
+    assert marked.reachable.tolist() == [True, False, True]
+    with pytest.raises(UnreachablePoseError, match="do not repeat") as caught:
+        rp.inverse_kinematics(driven, motion)
+    assert caught.value.details["sample"] == 1
 
 
 @pytest.mark.parametrize("turns", [5000, -1e6])

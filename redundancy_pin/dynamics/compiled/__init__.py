@@ -306,7 +306,7 @@ class CompiledAlongMotion(Frozen):
                     frame=wrench.frame,
                 )
         samples = TreeSamples(x, lifted.q, lifted.v, lifted.a, lifted.reachable, self._external)
-        partials, share = motion_partials(robot, design, samples, carriers)
+        partials, _, share = motion_partials(robot, design, samples, carriers)
         return MotionDerivatives(design.names, share=share, reduced=self.reduce(carriers), **partials)
 
     def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:

@@ -38,9 +38,6 @@ LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
 one that is closed to within the tolerance is known no better than this."""
 
-_FASTER = 10
-"""Ratio of the turns that generated code follows one by one to those of ``robot.whole_turns``: they take as long."""
-
 _CONSTANTS = {
     "TOLERANCE": CLOSURE_TOLERANCE,
     "LEAST_MARGIN": LEAST_MARGIN,
@@ -52,7 +49,7 @@ _CONSTANTS = {
     "LEAST_INERTIA": LEAST_INERTIA,
     "EPSILON": float(np.finfo(float).eps),
     "TURN": TURN,
-    "MOST_TURNS": _FASTER * MOST_TURNS,
+    "MOST_TURNS": MOST_TURNS,
     "WHOLE": WHOLE,
     "EXACT": EXACT,
     "FARTHEST": FARTHEST,
@@ -116,7 +113,6 @@ def _defined(topology: Topology) -> Definition:
         "drives": ([chain.q, positions], [_missed(chain, positions)]),
         "project": (projected, reduced),
         "derivatives": (projected, derivatives),
-        "efforts": (motion, [everything]),
         "base_wrench": (motion, [-ground]),
         "energy": (motion, [energy]),
     }

@@ -90,7 +90,7 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | N
         RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
     """
     robot, samples = loops.robot, len(motion)
-    q0 = _start(loops, motion, mark) if start is None else None
+    q0 = _start(loops, motion) if start is None else None
     if q0 is not None:
         x = np.ascontiguousarray(motion.x.reshape(samples, -1))
         nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
@@ -110,10 +110,10 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | N
     )
 
 
-def _start(loops: Loops, motion: PlatformMotion, mark: bool) -> Array | None:
-    """Return a configuration (nq,) closed at the first sample: straight from the reference, or by kinematics.
+def _start(loops: Loops, motion: PlatformMotion) -> Array | None:
+    """Return a configuration (nq,) closed at the first sample: straight from the reference; otherwise by kinematics.
 
-    None, with ``mark``, where there is none.
+    None where a motion of one sample, or a first sample out of reach, is for kinematics as a whole.
     """
     reference, here = loops.reference
     x, q, status = np.ascontiguousarray(motion.x[0].reshape(-1)), reference.copy(), CLOSED
@@ -124,11 +124,14 @@ def _start(loops: Loops, motion: PlatformMotion, mark: bool) -> Array | None:
             break
     if status == CLOSED:
         return q
-    tree = inverse_kinematics(loops.robot, motion[:1], mark_unreachable=mark)
+    if len(motion) == 1:
+        return None
+    tree = inverse_kinematics(loops.robot, motion[:1], mark_unreachable=True)
     return np.array(tree.q[0]) if tree.reachable[0] else None
 
 
 def _state_at(robot: Robot, start: Start) -> ClosedState:
+    """Return the closed state at a start; raises WorkingModeError where the chains do not close nearby."""
     own, q = follower(robot), start.q.copy()
     q[robot.carrier_position] = 0.0
     own.chain.place(q)

@@ -424,12 +424,6 @@ static int functions(const double *numbers, const Run *run, const double *q, dou
   return count;
 }
 
-int rp_functions(const double *numbers, const Run *run, int samples, const double *q, double *values) {
-  int count = 0;
-  for (int k = 0; k < samples; ++k) count = functions(numbers, run, q + (long)k * NQ, values + (long)k * count);
-  return count;
-}
-
 /* Interpolant of a step, scipy's: made from the stages, and evaluated at a share of the step. */
 static void interpolant(const double *numbers, const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
                         double *K, double *F) {

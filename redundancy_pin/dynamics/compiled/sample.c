@@ -240,29 +240,36 @@ static void actuation(const double *numbers, const Pose *pose, double X[NP + 1][
         for (int c = 0; c < N; ++c) W[c * M + j] = X[i][R + c] * (STEP_UNIT[i] / EQUATION_UNIT[R + c]);
 }
 
-#if M == N
-/* Newton's step (NP) for closures and actuators at once, [J_c; S] step = [residual; off]; returns 0 where it is singular. */
-static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step) {
+/* [J_c; S] without unit, decomposed; it serves for steps so small that its own change does not slow them down. */
+typedef struct {
   double A[NP * NP + 1];
   int pivot[NP + 1];
-  copy(A, pose->lu, NP * NP);
+  int known;
+} Driven;
+
+#if M == N
+/* Newton's step (NP) for closures and actuators at once, [J_c; S] step = [residual; off]; returns 0 where it is singular. */
+static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
+  if (!driven->known) copy(driven->A, pose->lu, NP * NP);
   for (int i = 0; i < NP; ++i)
     for (int j = 0; j < M; ++j) {
       int drives_it = ACTUATED[j] == COLUMNS[i];
-      A[R + j + i * NP] = drives_it;
+      if (!driven->known) driven->A[R + j + i * NP] = drives_it;
       if (drives_it) step[R + j] = off[j] / STEP_UNIT[i];
     }
-  if (decompose(A, pivot) == 0.0) return 0;
-  solve(A, pivot, step);
+  if (!driven->known && decompose(driven->A, driven->pivot) == 0.0) return 0;
+  driven->known = 1;
+  solve(driven->A, driven->pivot, step);
   return 1;
 }
 #else
 /* The step of Gauss and Newton's method, of more actuators than DOF: the loops close to first order by X (row by row the inverse
    of K), then the coordinates move by dx with W^T dx nearest to what the actuators miss. Returns 0 where that is singular. */
-static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step) {
+static int actuated_step(const double *numbers, Pose *pose, const double *off, double *step, Driven *driven) {
   double X[NP + 1][NP + 1], closing[NV], rest[M], dx[N], W[N * M];
   Spectrum s;
   Pose here = *pose;
+  driven->known = 0;
   if (decompose(here.lu, here.pivot) == 0.0) return 0;
   actuation(numbers, &here, X, W);
   spectrum_of(numbers, W, &s);
@@ -291,12 +298,15 @@ static int failure_at(const double *numbers, Pose *pose) {
    with K decomposed, on the same side of type I singularities. Returns a status. */
 static int forward(const double *numbers, Pose *pose, const double *position, double *off) {
   double step[NP + 1], alignment[NALIGN], x[NX], last = LONGEST / CONTRACTION, sign = pose->sign;
+  Driven driven;
+  driven.known = 0;
   coordinates_of(numbers, pose->q, pose->trig, x);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
     rows(numbers, pose->q, pose->trig, x, step, pose->lu, alignment);
     pose->gap = largest(step, R);
     drives(pose->q, position, off);
-    if (!actuated_step(numbers, pose, off, step)) return failure_at(numbers, pose);
+    int reused = driven.known = driven.known && last * last <= FLOOR;
+    if (!actuated_step(numbers, pose, off, step, &driven)) return failure_at(numbers, pose);
     double size = largest(step, NP);
     if (size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && pose->gap < TOLERANCE)) {
       for (int i = 0; i < NALIGN; ++i)
@@ -304,7 +314,11 @@ static int forward(const double *numbers, Pose *pose, const double *position, do
       pose->sign = decompose(pose->lu, pose->pivot);
       return pose->sign * sign > 0.0 ? STATUS_OK : STATUS_UNREACHABLE;
     }
-    if (!(size <= CONTRACTION * last)) return failure_at(numbers, pose);
+    if (!(size <= CONTRACTION * last)) {
+      if (!reused) return failure_at(numbers, pose);
+      driven.known = 0; /* again with its own matrix */
+      continue;
+    }
     for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(pose->q, step);
     turns_of(pose->q, pose->trig);
