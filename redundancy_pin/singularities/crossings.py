@@ -209,11 +209,22 @@ class FollowedPath:
         first = 0
         if start is None:
             try:
-                start = point_on_branch(system, x[0])
+                start = self._start(x[0], 0)
             except SingularPoseError:  # a motion may start on a type I singularity; the next sample is regular
-                first, start = 1, point_on_branch(system, x[1])
+                first, start = 1, self._start(x[1], 1)
         self._known, self._states, self._q = [float(self.t[first])], [start], dict[float, Array]()
         self.configurations(self.t)
+
+    def _start(self, x: Array, sample: int) -> ClosedState:
+        """Return the state of the working mode at a sample of the search, from the reference configuration."""
+        try:
+            return point_on_branch(self.system, x, sample)
+        except (UnreachablePoseError, SingularPoseError, WorkingModeError) as error:
+            # the samples of the search are not the caller's: he knows times
+            details = {name: value for name, value in error.details.items() if name != "sample"}
+            t = float(self.t[sample])
+            message = error.message.replace(f"of sample {sample}", f"at t = {t:.9g} s")
+            raise type(error)(message, remedy=error.remedy, time=t, **details) from None
 
     def configurations(self, times: Array) -> Array:
         """Return (M, nq) configurations at times of the motion: on the branch, or closed at a type I singularity.
@@ -272,7 +283,8 @@ class FollowedPath:
 
     def _raise_border(self, t: float, end: BranchEnd) -> NoReturn:
         """Raise UnreachablePoseError with the time before t at which the path leaves the workspace."""
-        inside, outside = self._known[bisect(self._known, t) - 1], t
+        # a search that started at its second sample asks for times before all known states
+        inside, outside = self._known[max(bisect(self._known, t) - 1, 0)], t
         while (middle := 0.5 * (inside + outside)) not in (inside, outside):
             closed = assemble(self.system, end.last.q[None], self.law.sample_at(np.array([middle])).x).closed[0]
             inside, outside = (middle, outside) if closed else (inside, middle)

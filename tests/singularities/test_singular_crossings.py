@@ -183,6 +183,28 @@ def test_leaving_the_workspace_names_the_time() -> None:
     assert caught.value.details["time"] == pytest.approx(time_at_arc(trajectory, 0.5), abs=1e-8)
 
 
+@pytest.mark.parametrize("angle", [40.0, 50.0, 60.0])
+def test_a_smooth_motion_may_start_with_a_leg_stretched(angle: float) -> None:
+    """Leg 1 is 1 m long at full stretch; the first samples of a rest-to-rest law are 1e-10 m from there."""
+    stretched = [np.cos(np.radians(angle)), np.sin(np.radians(angle))]
+    (crossing,) = find_crossings(zoo.robot_of("five_bar"), along(through_points([stretched, [0.25, 0.7]])))
+    assert (crossing.t, crossing.kind, crossing.leg) == (pytest.approx(0.0, abs=1e-3), SingularityKind.TYPE_I, 1)
+    assert not crossing.crosses
+
+
+@pytest.mark.parametrize(("start", "first"), [(1.2, 0), (np.sqrt(1.0 - 0.25**2), 1)])
+def test_a_first_pose_out_of_reach_is_named_by_its_time(start: float, first: int) -> None:
+    """From outside, or from the border (both legs of 1 m stretched) outward; the search has 400 steps here."""
+    law = PlatformMotion(
+        [0.0, 1.0], [[0.25, start], [0.25, start + 0.2]], [[0.0, 0.2], [0.0, 0.2]], [[0.0, 0.0], [0.0, 0.0]]
+    )
+    with pytest.raises(UnreachablePoseError, match="at t = ") as caught:
+        find_crossings(zoo.robot_of("five_bar"), law)
+    assert caught.value.details["time"] == pytest.approx(first / 400.0)
+    assert "sample" not in caught.value.details
+    assert "sample" not in caught.value.message
+
+
 @pytest.mark.parametrize("modes", [True, False])
 def test_a_leg_that_turns_round_within_one_step_is_followed(modes: bool) -> None:
     """70 µm from its base hinge the leg of a 2-RPR makes half a turn; the path meets the base line behind the hinge."""
