@@ -205,6 +205,17 @@ def test_a_first_pose_out_of_reach_is_named_by_its_time(start: float, first: int
     assert "sample" not in caught.value.message
 
 
+def test_a_path_outside_before_its_first_regular_sample_names_the_border() -> None:
+    """From the border outward at 0.1 mm/s, accelerated inward by 0.2 m/s²: inside again after 1 ms, within one step."""
+    border, v, a = np.sqrt(1.0 - 0.25**2), 1e-4, -0.2
+    law = PlatformMotion(
+        [0.0, 1.0], [[0.25, border], [0.25, border + v + 0.5 * a]], [[0.0, v], [0.0, v + a]], [[0.0, a], [0.0, a]]
+    )
+    with pytest.raises(UnreachablePoseError, match="leaves the workspace at t = ") as caught:
+        find_crossings(zoo.robot_of("five_bar"), law)
+    assert caught.value.details["time"] == pytest.approx(-2.0 * v / a, abs=1e-6)
+
+
 @pytest.mark.parametrize("modes", [True, False])
 def test_a_leg_that_turns_round_within_one_step_is_followed(modes: bool) -> None:
     """70 µm from its base hinge the leg of a 2-RPR makes half a turn; the path meets the base line behind the hinge."""
