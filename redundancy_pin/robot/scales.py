@@ -152,7 +152,8 @@ def turning_velocities(robot: Robot) -> BoolArray:
     """Return (nv,) which tree velocities are rotations."""
     data = robot.model.createData()
     pin.computeJointJacobians(robot.model, data, pin.neutral(robot.model))
-    return read_only(np.reshape(data.J, (6, -1))[3:].any(axis=0))  # Pinocchio drops the axis of one column
+    turning: BoolArray = np.reshape(data.J, (6, -1))[3:] != 0.0  # Pinocchio drops the axis of one column
+    return read_only(turning.any(axis=0, keepdims=True)[0])
 
 
 @lru_cache(maxsize=64)
