@@ -21,10 +21,10 @@ bound. Of all exact solutions the one with the least
 
     Σ (τ_i − τ_i,plan)² / τ̂_i² + Σ δ_j² / â_j²
 
-is taken: where W is regular and τ̂ is generous against |M_xs| â, δ is small and τ does the work; towards the singularity
-the carriers take over, continuously, and δ stays finite as long as [W, −M_xs] has full row rank. Where it has not,
-nothing can be done in some direction, and the answer says so. Limits are |τ| ≤ τ_max, and |F| ≤ F_max for the carrier
-forces F = F_0 + M_ss δ, F_0 that of δ = 0. What one kind of actuator cannot give is left to the other.
+is taken. Where W is regular and τ̂ is generous against |M_xs| â, δ is small and τ does the work. Towards the singularity
+the carriers take over, continuously, and δ stays finite as long as [W, −M_xs] has full row rank. Where it does not, no
+actuator acts in some direction, and the status reports it. Limits are |τ| ≤ τ_max, and |F| ≤ F_max for the carrier
+forces F = F_0 + M_ss δ, with F = F_0 at δ = 0. What exceeds the limit of one kind of actuator is left to the other.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, IntA
 from redundancy_pin.status import SampleStatus
 
 FORCE_TOLERANCE = 1e-9
-"""Share of the forces at stake, no unit, that counts as none: what is missing of a wanted force, what an effort passes
-its bound by (it is then put on the bound, and the residual shows the difference), what is left of f where moving
+"""Share of the forces at stake, no unit, that counts as zero: the missing part of a wanted force, the excess of an
+effort over its bound (it is then put on the bound, and the residual shows the difference), the rest of f where moving
 carriers cancel it. Rounding of f is 1e-13 to 1e-12 of its parts; a plant's forces are known to 1e-3."""
 
 ROUNDING = 1e-14
@@ -94,7 +94,7 @@ _FAR = 1e30
 
 
 def within_bounds(start: Array, null: Array, bounded: Array, lower: Array, upper: Array) -> Array | None:
-    """Return the shortest z (d,) with l ≤ C (y₀ + N z) ≤ h, or None where there is none.
+    """Return the shortest z (d,) with l ≤ C (y₀ + N z) ≤ h; None if the bounds are infeasible.
 
     ``start`` is y₀ (p,), ``null`` N (p, d), orthonormal, ``bounded`` C (b, p); bounds (b,) may be infinite.
     """
@@ -121,11 +121,11 @@ def _shortest_within(G: Array, reach: Array, low: Array, high: Array) -> Array |
     # far bounds that cannot hold it are left to the test below: numbers of 1e300 are not for a solver
     sides = (np.clip(high / scale, -_FAR, _FAR), np.clip(low / scale, -_FAR, _FAR))
     d = G.shape[1]
-    z, _, flag, told = daqp.solve(np.eye(d), np.zeros(d), G, *sides, np.zeros(len(G), dtype=np.int32), **_SETTINGS)
+    z, _, flag, info = daqp.solve(np.eye(d), np.zeros(d), G, *sides, np.zeros(len(G), dtype=np.int32), **_SETTINGS)
     if flag < 1:  # without an answer, the one that misses least is the safe one
         return None
-    active = told["lam"] != 0.0
-    side = np.where(told["lam"] > 0.0, sides[0], sides[1])[active]
+    active = info["lam"] != 0.0
+    side = np.where(info["lam"] > 0.0, sides[0], sides[1])[active]
     if np.abs(G[active] @ z - side).max(initial=0.0) > ROUNDING * max(1.0, np.abs(z).max()):
         z = np.linalg.lstsq(G[active], side, rcond=None)[0]  # from the bounds that hold it, it loses no digits
     z = np.asarray(scale * z)
@@ -146,7 +146,7 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
         problem = matrix[:, free], rest / size, (lower[free] / size, upper[free] / size)
         with np.errstate(divide="ignore", invalid="ignore"):
             fit = lsq_linear(*problem, method="bvls", tol=ROUNDING, max_iter=1000)
-        if not np.isfinite(fit.x).all():  # of columns that are the same but for rounding it may make 0/0
+        if not np.isfinite(fit.x).all():  # columns that are equal to rounding may give 0/0
             fit = lsq_linear(*problem, method="trf", tol=ROUNDING, max_iter=1000)
         u[free] = np.clip(size * fit.x, lower[free], upper[free])
     return u
@@ -162,7 +162,7 @@ def shortest(matrix: Array, wanted: Array, bounded: Array, lower: Array, upper: 
 
     Where nothing within the bounds meets the equations, it is the y within them that makes ‖A y − w‖² + ε² ‖y‖² least,
     ε small. Both are continuous in w, so an integrator can follow them. A is (n, p), w in its range, C (p, p), l < u.
-    Also returns whether y is within the bounds; it is not where C is singular and they forbid what is needed.
+    Also returns whether y is within the bounds; where C is singular and the bounds exclude every solution it is not.
     """
     u, values, vt = np.linalg.svd(matrix)
     rank = int((values > RANK_TOLERANCE * values[0]).sum())
@@ -245,12 +245,12 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, r
 
 @dataclass(frozen=True, eq=False)
 class CarrierForces(Frozen):
-    """Forces of the carriers as δ changes them, F = F_0 + M_ss δ, and what they may be.
+    """Forces of the carriers as functions of δ, F = F_0 + M_ss δ, and their limits.
 
     Attributes:
         planned: (k,) F_0, force for the wanted accelerations of platform and carriers, N.
         mass: (k, k) M_ss, kg.
-        limit: (k,) largest |F|, N; infinite where there is none.
+        limit: (k,) largest |F|, N; infinite for no limit.
     """
 
     planned: Array
@@ -279,7 +279,7 @@ class Allocation(Frozen):
             by deviations of the size of the scales.
         status: ``OK``; ``BOUND_INFEASIBLE`` where efforts and carrier forces within their limits fall short together,
             by ``residual``; ``SINGULAR_INCONSISTENT`` or ``UNDERACTUATED`` where they have no effect in some direction;
-            ``TYPE_I`` where there is no W.
+            ``TYPE_I`` where W does not exist.
         saturated: whether a main effort or a carrier force is at its limit; with status ``OK`` the others make up for
             it exactly.
     """
@@ -319,7 +319,7 @@ def allocate(
         effort_scale: (m,) τ̂, positive, N or N·m.
         carrier_scale: (k,) â, positive, m/s².
         row_scale: (n,) lengths that turn moments into forces.
-        effort_limit: (m,) largest |τ|; what they cut off is left to the others.
+        effort_limit: (m,) largest |τ|; the other actuators supply the rest.
         carriers: forces of the carriers and their limits; no limit when left out.
     """
     m, k = W.shape[1], coupling.shape[1]

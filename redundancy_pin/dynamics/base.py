@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, TypeVar
@@ -112,10 +113,12 @@ class TorqueSample(NamedTuple):
     Attributes:
         tau: (m,) efforts of the main actuators, N or N·m; NaN where there are none.
         status: as ``distribute`` gives it.
-        margin: singularity margin, the smallest singular value of the scaled W, no unit; NaN where there is no W.
-        carrier_force: (k,) force of each carrier's own actuator, N or N·m; NaN where there is no W.
-        residual: closure residual, m: of the configuration or, where none is found, what Newton's method leaves; NaN
-            where it is not known.
+        margin: singularity margin of type II, the smallest singular value of the scaled W, no unit; NaN without W.
+        carrier_force: (k,) force of each carrier's actuator, N or N·m; NaN without W.
+        residual: closure residual of the configuration, m; of an unreachable pose the residual that Newton's method
+            ends with; NaN if it is not known.
+        serial_margin: lower bound of the distance to a type I singularity, no unit (``JointTrajectory``'s
+            ``serial_margin_bound``); joint rates and efforts grow as it falls. NaN without W, and of a closed form.
     """
 
     tau: Array
@@ -123,6 +126,7 @@ class TorqueSample(NamedTuple):
     margin: float
     carrier_force: Array
     residual: float
+    serial_margin: float = math.nan
 
 
 class AccelerationSample(NamedTuple):
@@ -181,7 +185,7 @@ class CarrierTerms(NamedTuple):
     N samples, n independent coordinates, m main actuators, k carriers; NaN where no configuration closes the chains.
 
     ``W`` (N, n, m) actuation matrix; ``constant`` (N, n + k) f and the carriers' forces with the carriers at rest at
-    s = 0, N and N·m; ``terms`` (N, k, 5, n + k) what is added to them for each unit of s, s², ṡ, s ṡ and s̈ of each
+    s = 0, N and N·m; ``terms`` (N, k, 5, n + k) their increments per unit of s, s², ṡ, s ṡ and s̈ of each
     carrier. A carrier adds nothing to the force of another one.
     """
 
@@ -282,7 +286,7 @@ class Dynamics(Protocol):
         )
 
     def with_external(self: _Backend, *external: Load) -> _Backend:
-        """Return the same backend for the robot with further loads (``Robot.loaded``): for planners, say.
+        """Return the same backend for the robot with further loads (``Robot.loaded``).
 
         Raises:
             InputError: no load, an unknown link or joint.
@@ -301,21 +305,21 @@ class Dynamics(Protocol):
     ) -> ReducedDynamics:
         """Return f, W and carrier forces along a platform motion and a carrier motion.
 
-        Samples are computed one by one. Where they could be a motion they must be one: positions that move while their
-        rates are zero would get efforts of zero. Of states that have nothing to do with one another, and of poses to
-        stand still in, say so: ``PlatformMotion(..., check_rates=False)``.
+        Samples are computed one by one, and must be samples of a motion: positions that move while their rates are zero
+        would get efforts of zero. For unrelated states, and for poses at rest, pass
+        ``PlatformMotion(..., check_rates=False)``.
 
         Args:
             motion: N samples of the platform coordinates.
             carriers: N samples of the carriers; parked at s = 0 when left out.
             unreachable: as in ``along``.
             check_track: refuse carriers that leave their tracks.
-            external: loads beside those of the robot: ``Wrench("platform", (N, 6))`` is what acts *on* that link at the
+            external: further loads: ``Wrench("platform", (N, 6))`` acts *on* that link at the
                 samples, in world axes at its origin, so f falls by Jᵀ of it; ``Payload`` and others as well.
 
         Raises:
             CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
-            InputError: rates that are not those of the positions (``require_consistent``), and as in ``along``.
+            InputError: rates that contradict the positions (``require_consistent``), and as in ``along``.
             UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
             UnsupportedRobotError: a load that the backend does not cover.
         """
@@ -374,11 +378,11 @@ class Dynamics(Protocol):
     ) -> TorqueSample:
         """Return the efforts of one sample with a status: ``reduce`` and ``distribute``, for a control loop.
 
-        The branch is that of ``start``, otherwise that of the last sample that this thread solved, at first that of the
-        reference. It is followed along the straight line to x. Where that fails, the efforts are NaN with the status
-        unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this one: the
-        reference is not returned to. Numbers that are not finite have the status not_finite. A carrier beyond its track
-        is out_of_range like any other joint.
+        The sample lies on the branch of ``start``, otherwise of the last sample that this thread solved, at first of
+        the reference. The branch is followed along the straight line to x. Where that fails, the efforts are NaN with
+        the status unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this
+        one: the reference is not returned to. Numbers that are not finite have the status not_finite. A carrier beyond
+        its track is out_of_range like any other joint.
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
@@ -391,7 +395,7 @@ class Dynamics(Protocol):
             start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode.
 
         Raises:
-            InputError: wrong shapes, or a matrix that is no pose.
+            InputError: wrong shapes, or a matrix that is not a pose.
             UnsupportedRobotError: the backend has no such call.
 
         Example:
@@ -443,9 +447,9 @@ class Dynamics(Protocol):
             velocity: scalar or (m,) their velocities; 0 when left out.
             s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
             sd: scalar or (k,) their rates, m/s; 0 when left out.
-            start: (nq,) a closed configuration nearby, whose branch is followed; when left out, that of the sample that
-                this thread asked for before, at first the reference. From there the actuators move straight, in as
-                many steps as it takes.
+            start: (nq,) a closed configuration nearby, whose branch is followed; when left out, the configuration of
+                the last sample of this thread, at first the reference. From there the actuators move straight, in as
+                many steps as needed.
 
         Raises:
             InputError: wrong shapes.
@@ -454,10 +458,12 @@ class Dynamics(Protocol):
         raise _has_no(self, "joint_state", "forward_kinematics")
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
-        """Return W, and f as terms of the carriers' motion, at a few instants: those of a motion call by call.
+        """Return W, and f as terms of the carriers' motion, at a few instants.
 
-        Tracks are taken as straight; ``planners.carrier_model`` says whether they are. The branch may be followed from
-        what this thread asked for before, where that is near, in place of the reference.
+        Instants that cannot be reached are NaN; behind the first of them others may be, too.
+
+        Tracks are assumed to be straight; ``planners.carrier_model`` tests that. The branch may be followed from the
+        last instants of this thread, if they are near, instead of the reference.
 
         Args:
             t: (N,) increasing times, s.
@@ -472,7 +478,7 @@ class Dynamics(Protocol):
         return terms_along(self.along(motion, unreachable="mark"))
 
     def forward(self) -> ForwardKernel | None:
-        """Return forward dynamics as machine code, where the backend has them; None where it does not."""
+        """Return forward dynamics as machine code; None if the backend has none."""
         return None
 
 
@@ -532,7 +538,7 @@ def one_sample(
 
 
 def _each(k: int, part: ArrayLike, name: str) -> Array:
-    """Return (k,) what is given for the carriers: nothing for carriers at rest, one number for all of them."""
+    """Return (k,) an argument of the carriers: empty for zero, one number for all of them."""
     shape = np.shape(part)
     return checked(np.zeros(k) if shape == (0,) else np.full(k, part) if shape == () else part, name, (k,))
 
@@ -548,7 +554,7 @@ def require_choice(unreachable: str) -> None:
 
 
 def require_matching_carriers(robot: Robot, carriers: CarrierMotion | None, samples: int) -> CarrierMotion:
-    """Return the carrier motion, parked at s = 0 when there is none.
+    """Return the carrier motion; parked at s = 0 when left out.
 
     Raises:
         InputError: wrong number of samples or carriers.

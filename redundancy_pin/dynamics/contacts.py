@@ -4,9 +4,9 @@ With more motors than freedoms the efforts decide how hard closures are loaded. 
 
     λ = λ₀ + Λ τ,      Λ = −(J_cᵀ)⁺ Sᵀ,      λ₀ = (J_cᵀ)⁺ rnea(q, v, a),
 
-affine in τ, so that what contacts can hold (Coulomb's cone, linearised from the inside) and what they are wanted to
-hold are linear conditions on τ: ``EffortRows`` for ``distribute``. A foot on the ground is a closure between a frame of
-the ground and the foot, its first frame that of the ground: then λ is what the ground exerts on the foot, in the
+affine in τ, so that Coulomb's cone of a contact, linearised from the inside, and a wanted contact force are linear
+conditions on τ: ``EffortRows`` for ``distribute``. A foot on the ground is a closure between a frame of
+the ground and the foot, the ground's frame first: then λ is the force of the ground on the foot, in the
 ground's axes.
 """
 
@@ -66,7 +66,7 @@ class ClosureForces(Frozen):
         """Return (r,) the unit vector of one closure row.
 
         Raises:
-            InputError: there is no such row.
+            InputError: an unknown row.
         """
         name = f"{axis} of {closure}"
         if name not in self.names:
@@ -84,8 +84,7 @@ class ClosureForces(Frozen):
     ) -> EffortRows:
         """Return what a contact can hold: a normal force of at least so much, and a tangential one within a pyramid.
 
-        The pyramid lies inside Coulomb's cone |λ_t| ≤ μ λ_n and touches it along its edges: what it allows the cone
-        does.
+        The pyramid lies inside Coulomb's cone |λ_t| ≤ μ λ_n and touches it along its edges.
 
         Args:
             closure: its name; its rows are the normal and the tangents.

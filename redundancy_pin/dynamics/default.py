@@ -1,7 +1,7 @@
-"""The default backend: what a user gets who passes a robot where dynamics are asked for.
+"""The default backend: functions that take dynamics take a robot too, and choose its backend here.
 
-Generated code (``dynamics.compiled``) where it can be made, and RNEA (``dynamics.rnea``) otherwise, with one warning
-that says why and what to install. Planners and simulations name no other backend.
+Generated code (``dynamics.compiled``) if it can be compiled, otherwise RNEA (``dynamics.rnea``) with one warning that
+names the reason and what to install. Planners and simulations name no other backend.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
         RedundancyPinError: what ``load_robot`` raises.
 
     Warns:
-        RuntimeWarning: RNEA is used because there is no compiler (the remedy names the extra ``compiler``), it fails,
+        RuntimeWarning: RNEA is used because no compiler is found (the remedy names the extra ``compiler``), it fails,
             or generated code does not cover a joint; once for each reason.
 
     Example:
@@ -47,7 +47,7 @@ def as_dynamics(dynamics: DynamicsLike) -> Dynamics:
     try:
         return CompiledDynamics(robot)
     except (CompilerError, UnsupportedRobotError) as error:
-        # attributed to this line, whoever calls: Python then prints each reason once
+        # attributed to this line for every caller, so that Python prints each reason once
         warnings.warn(
             f"{error.message} RNEA is used: the same numbers, many times as slow. {error.remedy}".strip(),
             RuntimeWarning,

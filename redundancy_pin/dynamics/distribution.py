@@ -39,7 +39,7 @@ from redundancy_pin.status import SampleStatus, solved_status
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Distribution(Frozen):
-    """Efforts of the main actuators and what they rest on, sample by sample.
+    """Efforts of the main actuators, sample by sample, with the rank and the residual of W τ = f.
 
     N samples, n independent coordinates, m main actuators. *Scaled* means D_x⁻¹ W D_a and D_x⁻¹ f with
     D_x = diag(row_scale), D_a = diag(column_scale): moments and torques are divided by the robot's characteristic
@@ -116,7 +116,7 @@ class EffortRows(Frozen):
     ``dynamics.contacts`` makes them of closure forces. Equal bounds make an equation.
 
     Attributes:
-        matrix: (N, c, m), or (c, m) for all samples; every row in a unit of its own.
+        matrix: (N, c, m), or (c, m) for all samples; each row may have another unit.
         lower, upper: (N, c) or (c,); −inf and inf for none.
     """
 
@@ -142,7 +142,7 @@ def distribute(
 
     Solves W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ). Where the solution is unique it is returned. Where
     there are several (more actuators than freedoms, or a type II singularity at which f lies in the range of W) the
-    one with the least Σ w_j τ_j² is. Where there is none τ is NaN; a least-squares compromise is never returned.
+    one with the least Σ w_j τ_j² is. Without a solution τ is NaN; a least-squares compromise is never returned.
     All decisions are taken on D_x⁻¹ W D_a and D_x⁻¹ f, so that they do not depend on the unit of length.
 
     With fewer actuators than freedoms (m < n) the motion must ask for an f in the range of W. If it does, the status
@@ -156,13 +156,13 @@ def distribute(
             motor torque as the force it exerts at the characteristic length, so that the sum is one of squared forces.
         lower: scalar, (m,) or (N, m) smallest efforts, N or N·m by joint; −inf for none.
         upper: scalar, (m,) or (N, m) largest efforts; inf for none. Where the efforts of least norm leave the bounds,
-            those of least norm within the bounds are returned, or NaN with the status bound_infeasible.
+            the efforts of least norm within the bounds are returned, or NaN with the status bound_infeasible.
         preferred: scalar, (m,) or (N, m) efforts τ⁰ that are kept to where f leaves a choice: Σ w_j (τ_j − τ⁰_j)² is
             least. Internal forces, such as a squeeze of what two arms hold or a preload against backlash, are
             preferred efforts along W δ = 0, which then hold exactly.
         rows: further conditions that the efforts keep as they keep their bounds, such as friction cones of contacts, or
             the force that two of them squeeze with (``dynamics.contacts``). Bounds, rows, weights and preferred efforts
-            are one quadratic program a sample; samples whose efforts keep them without are not looked at again.
+            are one quadratic program per sample, solved only for samples whose efforts violate them.
         near_singular: margin below which a sample is near-singular (scaled, no unit).
         rank_tolerance: singular values up to this fraction of the largest one, and up to this, count as zero.
         consistency_tolerance: fraction of f that may lie outside the range of W, ...
@@ -190,7 +190,7 @@ def distribute(
         start = _bound(preferred, "preferred", math.inf, samples, m)
         if not np.isfinite(start).all():
             raise InputError(
-                "preferred has values that are not finite.", remedy="Pass efforts, 0 where none is preferred."
+                "preferred has values that are not finite.", remedy="Pass finite efforts; 0 expresses no preference."
             )
         start = start / reduced.column_scale
         problem = problem.counted_from(start)
@@ -272,7 +272,8 @@ def torque_speed_bounds(rate: ArrayLike, stall: ArrayLike, no_load: ArrayLike) -
 
 
 LARGEST_WEIGHT_RATIO = 1e12
-"""Weights (on force-equivalent efforts) further apart than this would lose the optimum to rounding."""
+"""Weights (on force-equivalent efforts) further apart than this lose the optimum: its relative error is the root of
+their ratio times 1e-16."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,8 +284,8 @@ class _Problem:
         A: (N, n, m) D_x⁻¹ W D_a; NaN where not solvable.
         g: (N, n) D_x⁻¹ f, N; NaN where not solvable.
         cost: (m,) positive, the largest is 1.
-        rows: (N, m + c, m) unit rows; the first m are those of the identity.
-        lower, upper: (N, m + c) bounds, N, infinite where there is none.
+        rows: (N, m + c, m) unit rows; the first m are the identity.
+        lower, upper: (N, m + c) bounds, N; infinite for no bound.
         solvable: (N,) the sample is reachable, and its W and f are finite.
     """
 
@@ -415,7 +416,7 @@ def _bound(values: ArrayLike | None, name: str, absent: float, samples: int, m: 
     try:
         given = frozen(values)
     except (TypeError, ValueError):
-        return checked(values, name, (m,))  # raises, and says why
+        return checked(values, name, (m,))  # raises with the reason
     # finite stand-ins make checked() refuse everything but the infinity that means "no bound"
     is_absent = given == absent
     if given.ndim == 0:

@@ -1,7 +1,7 @@
 """What a backend may offer ``simulate`` and controllers beyond inverse dynamics: forward dynamics as machine code.
 
-``Dynamics.forward`` returns it, or None: then the simulation computes everything itself (``simulation.forward``), which
-is what it is compared with.
+``Dynamics.forward`` returns it, or None: then the simulation computes everything itself (``simulation.forward``). Tests
+compare the two.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Equations(NamedTuple):
     """The tree and its closures at one state: K v = (0, ẋ), K a + bias its rate, M a + effort the generalised forces.
 
     Attributes:
-        K: (p, p) rows of the closures over those of the platform, over the velocities that move the pose.
+        K: (p, p) closure rows over platform rows; columns are the velocities that move the pose.
         bias: (p,) their rates at v̇ = 0.
         mass: (nv, nv) M of the open tree.
         effort: (nv,) velocity terms and gravity.
@@ -72,7 +72,7 @@ class Reading(NamedTuple):
 
 
 Reader = Callable[[Array, Array], Reading]
-"""From q (nq,), v (nv,) to what is read there; for one thread."""
+"""From q (nq,), v (nv,) to a ``Reading``; for one thread."""
 
 
 class LinearParts(NamedTuple):
@@ -104,9 +104,9 @@ class Rules:
         method: "DOP853" or "RK45", explicit Runge-Kutta methods of scipy.
         rtol, atol, max_step: of the steps.
         grid: (G,) times to record, s; those closer than ``time_tolerance`` are one.
-        breaks: (B,) times, s, at which the integration starts anew; the last one is the end.
+        breaks: (B,) times, s, at which the integration is restarted; the last one is the end.
         efforts: polynomials of main efforts and carrier forces; or None.
-        loads: the function of the state that says what acts where those do not.
+        loads: the function of the state that gives the forces without ``efforts``.
         prescribed: whether the carriers' motion is given (by ``loads``).
         limits: (m + k,) where main efforts and carrier forces saturate.
         stops: (4, l) index in q, index in v, side and bound of each stop.
@@ -150,7 +150,7 @@ class Advance:
         y: (nq + nv,) the closed state there.
         values: (w,) functions of the events there.
         near: ratio of singular values of the closures below which a rank loss is looked for.
-        next_step: s; negative where none is known.
+        next_step: s; negative if unknown.
         sample: the next one to record; ``recorded`` (G, nq + nv) holds those before it.
         steps, evaluations, restarts, largest_correction: see ``Statistics``.
     """
@@ -172,7 +172,7 @@ class Integration(Protocol):
 
     @property
     def recorded(self) -> Array:
-        """(G, nq + nv) states at the times to record, as far as they were taken here."""
+        """(G, nq + nv) states at the times to record; those of later times are not set."""
 
     def hold(self, command: Array) -> None:
         """Let constant efforts (m + k,) act."""
@@ -188,16 +188,13 @@ class ForwardKernel(Protocol):
     def robot(self) -> Robot:
         """The robot."""
 
-    def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
-        """Return the tree acceleration (nv,) at a closed state under generalised forces (nv,).
-
-        None where the closures have lost rank or a free motion has no inertia: ``ForwardDynamics`` says which.
-        """
-
-    def loads(
+    def accelerations(
         self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
     ) -> Accelerations | None:
-        """Return the same with the forces that go with it."""
+        """Return what acts at a closed state under generalised forces (nv,).
+
+        None where the closures have lost rank or a free motion has no inertia; ``ForwardDynamics`` tells them apart.
+        """
 
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
         """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""

@@ -1,4 +1,4 @@
-"""Efforts along a motion, with a word on what its samples do not show: what lies between them, and limits of joints."""
+"""Efforts along a motion, singular instants between its samples, and joints that leave their limits."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SingularInstant:
         until: equal to ``t``, or the time until which the motion stays on it, s.
         kind: type II or combined.
         crosses: whether det W changes sign.
-        status: that of the efforts at this instant.
+        status: status of the efforts at this instant.
         residual: N, scaled: the part of f that no actuator can carry (``Distribution.residual``).
     """
 
@@ -77,10 +77,10 @@ class SingularInstant:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InverseDynamics(Frozen):
-    """Efforts along a motion, and what the samples do not show.
+    """Efforts along a motion, and singular instants between its samples.
 
-    The search between the samples takes tens of milliseconds, and is done when ``status``, ``instants`` or
-    ``unresolved`` is first asked for.
+    The search between the samples takes tens of milliseconds. The first access to ``status``, ``instants`` or
+    ``unresolved`` starts it.
 
     Attributes:
         reduced: W τ = f and the carrier forces, (N, ...).
@@ -109,7 +109,7 @@ class InverseDynamics(Frozen):
 
     @property
     def unresolved(self) -> str:
-        """Why the motion cannot be followed between its samples; empty where it can."""
+        """Why the motion cannot be followed between its samples; empty if it can."""
         return self._crossings[1]
 
     @cached_property
@@ -120,7 +120,7 @@ class InverseDynamics(Frozen):
 
     @cached_property
     def _configurations(self) -> tuple[Array, Array]:
-        """Configurations q (N, nq) and Γ (N, nv, n); those of a closed form are solved here."""
+        """Configurations q (N, nq) and Γ (N, nv, n); solved here if the backend is a closed form."""
         along = self._along
         if along.q is not None and along.gamma is not None:
             return along.q, along.gamma
@@ -152,7 +152,7 @@ class InverseDynamics(Frozen):
         return crossings, unresolved
 
     def __repr__(self) -> str:
-        """Return what is to be known of the whole motion, not the arrays."""
+        """Return a summary of the whole motion, not the arrays."""
         met = ", ".join(f"{one.t:.6g}" for one in self.instants)
         parts = [
             self.status.value,
@@ -174,11 +174,11 @@ def inverse_dynamics(
     upper: ArrayLike | None = None,
     preferred: ArrayLike | None = None,
 ) -> InverseDynamics:
-    """Return the efforts along a motion, what lies between its samples, and the limits of joints that it leaves.
+    """Return the efforts along a motion, its singular instants, and joints that leave their limits.
 
     ``reduce`` and ``distribute`` know samples. Where det W changes sign between two of them both may be regular, and no
-    finite effort exists in between; the result looks there when it is asked. Samples that are no motion
-    (``check_rates=False``) and a single instant have nothing in between.
+    finite effort exists in between; the result searches there on request. Samples of no motion (``check_rates=False``)
+    and a single instant have nothing in between.
 
     Args:
         dynamics: the robot, or its name or path, for generated code (``as_dynamics``); or a backend.
@@ -188,7 +188,7 @@ def inverse_dynamics(
         external: further loads, as in ``Dynamics.reduce``; sampled wrenches are linear between their samples.
         lower: smallest efforts at the samples, as in ``distribute``.
         upper: largest ones, likewise.
-        preferred: efforts that are kept to where there is a choice, likewise.
+        preferred: preferred efforts, likewise.
 
     Raises:
         CarrierLimitError, InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in
@@ -212,17 +212,17 @@ def inverse_dynamics(
 
 
 def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: float) -> bool:
-    """Return whether a singularity may lie between samples; always where they are too far apart to tell.
+    """Return whether a singularity may lie between samples; true for samples too far apart to tell.
 
-    Between samples that are near the margin (N,) has one dip at most, and it falls by less than twice what it falls
-    outside of them (``roots``).
+    Between neighbouring samples at most ``nearest`` apart the margin (N,) has at most one dip, less than twice as deep
+    as the fall outside of them (``roots``).
     """
     steps = np.linalg.norm(difference(robot, motion.x[1:], motion.x[:-1]) * row_scale(robot), axis=1)
     if steps.max() > nearest * robot.characteristic_length:
         return True
     size = np.abs(margin)
-    beside = np.pad(size, 1, mode="edge")
-    fall = np.maximum(np.maximum(beside[:-2], beside[2:]) - size, 0.0)
+    padded = np.pad(size, 1, mode="edge")
+    fall = np.maximum(np.maximum(padded[:-2], padded[2:]) - size, 0.0)
     stays = size <= RANK_TOLERANCE  # along a singularity the margin is rounding, of either sign
     return bool((margin[1:] * margin[:-1] <= 0.0).any() or (size - 2.0 * fall <= 0.0).any() or stays.any())
 

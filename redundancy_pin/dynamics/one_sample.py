@@ -1,14 +1,16 @@
 """Efforts of one sample with a status, for control loops: ``distribute`` without the cost of a batch of one.
 
-Whoever solves many samples takes ``distribute``; the decisions and their tolerances are the same here.
+The decisions and their tolerances are those that ``distribute`` takes for many samples.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
@@ -47,8 +49,8 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
     return without_answer(robot, SampleStatus.TYPE_I if singular else SampleStatus.BRANCH_LOST)
 
 
-def is_finite(given: SampleArguments, t: float) -> bool:
-    """Return whether all numbers of a sample are finite; what is no number is left to later checks."""
+def is_finite(given: Sequence[ArrayLike], t: float) -> bool:
+    """Return whether all numbers of a sample are finite; later checks refuse other types."""
     try:
         return all(np.isfinite(np.asarray(part, dtype=np.float64)).all() for part in (*given, t))
     except (TypeError, ValueError):
@@ -62,7 +64,7 @@ def _unit_of_W(robot: Robot) -> Array:
 
 
 def solve_sample(
-    robot: Robot, sample: ReducedSample, q: Array, residual: float, given: SampleArguments, t: float
+    robot: Robot, sample: ReducedSample, q: Array, kinematics: tuple[float, float], given: SampleArguments, t: float
 ) -> TorqueSample:
     """Return the efforts of least norm with W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ), or a status.
 
@@ -70,7 +72,7 @@ def solve_sample(
         robot: the robot.
         sample: W (n, m), f (n,) and carrier forces (k,).
         q: (nq,) configuration, m and rad; ranges are checked with the carriers at s.
-        residual: closure residual of q, m.
+        kinematics: closure residual of q, m, and lower bound of the distance to type I.
         given: what the sample is made of.
         t: time, s, for wrenches that depend on it.
 
@@ -79,7 +81,7 @@ def solve_sample(
         >>> robot = rp.load_robot("five_bar")
         >>> given = [0.1, 0.4], [0.5, 0.0], [0.0, 1.0], (), (), ()
         >>> sample = rp.RneaDynamics(robot).sample(*given)
-        >>> solve_sample(robot, sample, robot.q_reference, 0.0, given, 0.0).status.label
+        >>> solve_sample(robot, sample, robot.q_reference, (0.0, 1.0), given, 0.0).status.label
         'ok'
     """
     A, g = sample.W * _unit_of_W(robot), sample.f / row_scale(robot)
@@ -98,7 +100,7 @@ def solve_sample(
         allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * _force_size(robot, given, t)
         if math.sqrt(float(outside @ outside)) > allowed:
             status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
-            return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, residual)
+            return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, *kinematics)
     tau = column_scale(robot) * ((components[:rank] / values[:rank]) @ vt[:rank])
     if not full:
         status = SampleStatus.SINGULAR_CONSISTENT
@@ -108,7 +110,7 @@ def solve_sample(
     whole[robot.carrier_position] = s if np.size(s) else 0.0
     if not is_in_range(robot, whole):
         status = SampleStatus.OUT_OF_RANGE
-    return TorqueSample(tau, status, margin, sample.carrier_force, residual)
+    return TorqueSample(tau, status, margin, sample.carrier_force, *kinematics)
 
 
 def _force_size(robot: Robot, given: SampleArguments, t: float) -> float:
@@ -134,7 +136,7 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
         t: time, s, for wrenches that depend on it.
 
     Raises:
-        InputError: wrong shapes, or a pose that is none.
+        InputError: wrong shapes, or a matrix that is not a pose.
     """
     robot = dynamics.robot
     if not is_finite(given, t):

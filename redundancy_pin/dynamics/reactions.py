@@ -1,6 +1,6 @@
 """Forces in closures and joints, from the equations of motion of the tree.
 
-With the closures opened the tree needs efforts that are not those of its actuators alone: closure forces λ do the rest,
+With the closures opened the tree needs more than the efforts of its actuators: closure forces λ supply the rest,
 
     J_cᵀ λ = rnea(q, v, a) − Sᵀ τ − C F.
 
@@ -53,7 +53,7 @@ class JointReactions(Frozen):
 
 
 class ClosureSolution(NamedTuple):
-    """Closure forces (r, c) for c columns of efforts, what they leave unbalanced (p, c), and whether they are unique.
+    """Closure forces (r, c) for c columns of efforts, the unbalanced rest (p, c), and whether the forces are unique.
 
     ``wrench`` (6, r) is the wrench of a unit of each row on frame b, about the world origin, world axes.
     """
@@ -155,7 +155,7 @@ def _efforts(tau: ArrayLike, samples: int, m: int) -> Array:
     """Return (N, m) efforts whose rows may be NaN."""
     try:
         effort = np.asarray(tau, dtype=float)
-    except (TypeError, ValueError):  # a Distribution, say: ``checked`` reports what is wrong with it
+    except (TypeError, ValueError):  # such as a Distribution: ``checked`` reports the type
         effort = checked(tau, "tau", (samples, m))
     holes = np.isnan(effort).any(axis=-1, keepdims=True) if effort.ndim == 2 else np.zeros(1, dtype=bool)
     checked(np.where(holes, 0.0, effort), "tau", (samples, m))

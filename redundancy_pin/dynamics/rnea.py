@@ -94,10 +94,10 @@ class RneaDynamics(Dynamics):
     def __init__(self, robot: RobotLike, *, progress: Callable[[int, int], None] | None = None) -> None:
         self._robot, self._progress = as_robot(robot), progress
         self._thread = threading.local()
-        """Holds ``last``: the closed state of this thread from which ``torque`` goes on."""
+        """Holds ``last``: the closed state of this thread where the next ``torque`` starts."""
 
     def __reduce__(self) -> tuple[Callable[[Robot], RneaDynamics], tuple[Robot]]:
-        """Make it again where it is copied or sent to: samples of a thread stay there."""
+        """Build it again where it is copied or sent to; the state of a thread stays in its thread."""
         return partial(RneaDynamics, progress=self._progress), (self._robot,)
 
     @property
@@ -149,10 +149,9 @@ class RneaDynamics(Dynamics):
         robot = self._robot
         here: ClosedState | None = getattr(self._thread, "last", None)
         if start is not None:
-            q = np.asarray(start, dtype=np.float64)
-            if not np.isfinite(q).all():
+            if not is_finite((start,), t):
                 return without_answer(robot, SampleStatus.NOT_FINITE)
-            here = self._state_at(checked(q, "start", robot.q_reference.shape))
+            here = self._state_at(checked(start, "start", robot.q_reference.shape))
             if here is None:
                 return without_answer(robot, SampleStatus.BRANCH_LOST)
         sample = self._regular_sample(given, here, t)
@@ -166,7 +165,8 @@ class RneaDynamics(Dynamics):
             except REFUSALS as error:
                 return refused(robot, error)
         self._thread.last = sample.state
-        return solve_sample(robot, sample, sample.state.q, sample.gap, given, t)
+        kinematics = sample.gap, sample.serial_margin_bound
+        return solve_sample(robot, sample, sample.state.q, kinematics, given, t)
 
     def _state_at(self, start: Array) -> ClosedState | None:
         """Return the closed state at or next to a configuration (nq,), open by measurement noise at most.
@@ -182,7 +182,7 @@ class RneaDynamics(Dynamics):
         return state if moved < 0.5 * state.margin else None
 
     def _any_sample(self, given: SampleArguments, here: ClosedState | None, t: float) -> RneaSample:
-        """Return one sample by the way of whole motions, which passes rank losses and says what is wrong."""
+        """Return one sample by the kinematics of whole motions, which pass rank losses and name errors."""
         motion, carriers = one_sample(self._robot, *given, t=t)
         tree = inverse_kinematics(self._robot, motion, start=here)
         f, force = RneaAlongMotion(tree).forces(carriers)

@@ -154,7 +154,7 @@ class TreeLoads:
         return effort
 
     def energy(self, data: pin.Data, q: Array, v: Array) -> float:
-        """Return kinetic energy of the rotors beyond that of their links, plus energy of the springs, J."""
+        """Return the kinetic energy of the rotors relative to their links, plus the energy of the springs, J."""
         total = 0.0
         for load, joint in self._joints:
             if load.stiffness:
@@ -170,7 +170,7 @@ class TreeLoads:
         return float(total)
 
     def carrier_derivatives(self, data: pin.Data, state: TreeState, columns: IntArray) -> Array:
-        """Return (3, nv, k) exact derivatives of the efforts by s, ṡ, s̈, to be added to those of RNEA.
+        """Return (3, nv, k) exact derivatives of the efforts by s, ṡ, s̈, to be added to RNEA's.
 
         ``pin.computeRNEADerivatives`` takes external forces as constant in the joint frames. Here follows how they
         change in these frames, and the derivatives of the joint terms.
@@ -242,7 +242,7 @@ class _Changes:
         return effort
 
     def span(self, end_a: _Point, end_b: _Point) -> tuple[Array, Array]:
-        """Return (3, k) derivatives by s of d = p_b − p_a, equal to those of ḋ by ṡ, and of ḋ by s; world axes."""
+        """Return (3, k) derivatives of d = p_b − p_a by s, equal to those of ḋ by ṡ, and of ḋ by s; world axes."""
         (speed_a, place_a), (speed_b, place_b) = (
             pin.getPointVelocityDerivatives(
                 self.model, self.data, end.joint, pin.SE3(np.eye(3), end.position), _ALIGNED

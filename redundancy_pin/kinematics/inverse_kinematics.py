@@ -35,7 +35,7 @@ from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
-from redundancy_pin.robot.whole_turns import follow_whole_turns
+from redundancy_pin.robot.whole_turns import are_too_many_turns_away, follow_whole_turns
 from redundancy_pin.status import SampleStatus
 
 _FAR_STARTS = 5
@@ -50,6 +50,7 @@ _ROUNDED_SHARE = 1e-16 / 1e-5
 _SAMPLES_PER_REPORT = 500
 """Samples between two calls of ``progress``."""
 
+_FEWER_TURNS = "Count the coordinate from a nearer turn, or follow a motion that leads there."
 _STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
 
@@ -224,6 +225,10 @@ class _Solution:
                 here = self._keep(order[k], reached)
                 k += 1
                 continue
+            if reached.reason:  # nothing is known there; the samples behind it may be near again
+                self._measure(order[k : k + 1], here.q)
+                k += 1
+                continue
             # the chains may close on another branch at once: the sample is marked all the same
             near = _reacquire(self._follower, self._motion.x[order[k:]], here.q)
             found = len(order) if near is None else max(k + near[0], k + 1)
@@ -255,7 +260,7 @@ class _Solution:
         follower, motion = self._follower, self._motion
         x, xd, xdd = motion.x[k], motion.xd[k], motion.xdd[k]
         # several joints go straight; of one alone whole turns are multiples of the first
-        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.advance(here, x)
+        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.follow(here, x)
         if isinstance(reached, BranchEnd):
             return reached
         if reached.margin >= follower.near:
@@ -327,13 +332,13 @@ def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | B
     def follow(q: Array, start: Array, target: Array) -> Array | None:
         nonlocal end
         state = here if q is here.q else own.close(q, start)
-        end = None if state is None else own.advance(state, target)
+        end = None if state is None else own.follow(state, read_only(target.copy()))
         return end.q if isinstance(end, ClosedState) else None
 
     try:
         follow_whole_turns(own.robot, here.q, here.x, x, follow)
-    except UnreachablePoseError as error:
-        return replace(own.diagnose(here, x), status=SampleStatus.BRANCH_LOST, turns=error)
+    except UnreachablePoseError as error:  # too many turns that do not repeat
+        return replace(own.diagnose(here, x), status=SampleStatus.UNREACHABLE, reason=error.message)
     return own.diagnose(here, x) if end is None else end
 
 
@@ -356,13 +361,13 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     robot, own = system.robot, follower(system.robot)
     home = own.home
     reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
-    if isinstance(reached, BranchEnd) and reached.turns is not None:
-        raise _with_sample(reached.turns, sample)
     if isinstance(reached, ClosedState):
         # a configuration where working modes meet belongs to both
         between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
         if between or in_working_mode(robot, reached.q[None])[0]:
             return reached
+    if isinstance(reached, BranchEnd) and reached.reason:
+        raise _too_many_turns(reached, sample)
     q, residual, in_mode = multistart(system, home.q, x)
     closed, pose = residual < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
     if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
@@ -406,12 +411,13 @@ def _reacquire(own: Follower, targets: Array, q: Array) -> tuple[int, ClosedStat
             assemble(system, np.repeat(guess[None], len(part), axis=0), part, shortest_step=2.0**-3)
             for guess in guesses
         ]
-        for k in np.flatnonzero(np.any([solution.usable for solution in solutions], axis=0)).tolist():
+        near = ~are_too_many_turns_away(robot, own.home.x, part)
+        for k in np.flatnonzero(near & np.any([solution.usable for solution in solutions], axis=0)).tolist():
             for solution in solutions:
                 state = own.close(solution.q[k], part[k]) if solution.usable[k] else None
                 if state is not None and state.margin > 0.0:
                     return start + k, state
-        closed = np.flatnonzero(np.any([solution.regular for solution in solutions], axis=0))
+        closed = np.flatnonzero(near & np.any([solution.regular for solution in solutions], axis=0))
         for k in _spread(closed):
             solved = multistart(system, q, part[k])
             state = own.close(solved.q, part[k]) if solved.in_mode else None
@@ -434,9 +440,9 @@ _ALONE = SampleStatus.UNREACHABLE, SampleStatus.TYPE_I
 def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError:
     """Return the error of sample k, which a branch does not lead to."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
+    if end.reason:
+        return _too_many_turns(end, k)
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
-    if end.turns is not None:
-        return _with_sample(end.turns, k)
     if end.status is SampleStatus.UNREACHABLE:
         return UnreachablePoseError(
             f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m."
@@ -474,9 +480,13 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
     )
 
 
-def _with_sample(error: UnreachablePoseError, k: int) -> UnreachablePoseError:
-    """Return an error that names sample k too."""
-    return UnreachablePoseError(f"Sample {k}: {error.message}", remedy=error.remedy, **{**error.details, "sample": k})
+def _too_many_turns(end: BranchEnd, k: int) -> UnreachablePoseError:
+    return UnreachablePoseError(
+        f"Sample {k}: {end.reason}",
+        remedy=_FEWER_TURNS,
+        sample=k,
+        gap=end.residual,
+    )
 
 
 def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> WorkingModeError:

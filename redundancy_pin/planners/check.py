@@ -6,6 +6,7 @@ motion, and the status that follows. ``check_plan`` has it judge a plan anew and
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -228,9 +229,13 @@ def _ranges_left(along: DynamicsAlongMotion, platform: ContinuousMotion | None) 
     joints = joint_ranges(robot)
     if not joints:
         return ()
-    if q is None or gamma is None:  # of a closed form
-        tree = inverse_kinematics(robot, along.motion, mark_unreachable=True)
+    if q is None or gamma is None:  # of a closed form, which knows no passive joints
+        with warnings.catch_warnings():  # a note that another backend takes longer is none about this one
+            warnings.simplefilter("ignore", RuntimeWarning)
+            tree = as_dynamics(robot).along(along.motion, unreachable="mark")
         q, gamma = tree.q, tree.gamma
+    if q is None or gamma is None:
+        raise ValueError("The default backend has no tree.")
     known = np.flatnonzero(np.isfinite(q).all(axis=1))
     if platform is not None and len(known) > 1:
         at, near = t[known], np.zeros(len(known) - 1, dtype=bool)

@@ -100,7 +100,7 @@ def _advance_turns(robot: Robot, q: Array, at: Array, column: int, count: float,
     """Return the configuration so many turns of one coordinate on; ``at`` is moved along."""
     start, here, left, period = q, q, abs(count), 0.0
     first, step, followed = float(at[column]), np.copysign(TURN, count), 0.0
-    if left > MOST_TURNS and not _may_repeat(robot, robot.independent_joints[column]):
+    if left > MOST_TURNS and not _may_repeat(robot, column):
         raise _too_many_turns(robot, column, count)
     while left:
         if followed == MOST_TURNS:
@@ -127,16 +127,32 @@ def _too_many_turns(robot: Robot, column: int, count: float) -> UnreachablePoseE
     return UnreachablePoseError(
         f"The pose lies {abs(count):.0f} turns of {robot.independent_joints[column]!r} away, which do not repeat; at "
         f"most {MOST_TURNS} of such turns are followed.",
-        remedy="Count the coordinate from a nearer turn, or follow a motion that leads there.",
         turns=count,
     )
 
 
-def _may_repeat(robot: Robot, joint: str) -> bool:
-    """Return whether whole turns of a joint can bring back all joints that are geared to it within ``MOST_TURNS``.
+def are_too_many_turns_away(robot: Robot, x: Array, targets: Array) -> BoolArray:
+    """Return (N,) whether coordinates lie more turns away than are followed, turns that cannot repeat.
 
-    A gear ratio must be a fraction of whole numbers; what is coupled by a curve, or slides, does not come back.
+    Args:
+        robot: the robot.
+        x: (n,) coordinates, or a pose.
+        targets: (N, n) coordinates, or poses.
     """
+    columns = counted_turns(robot).coordinates
+    if not len(columns):
+        return np.zeros(len(targets), dtype=bool)
+    turns = np.abs(targets[:, columns] - x[columns]) / TURN
+    most = [np.inf if _may_repeat(robot, column) else MOST_TURNS + 1.0 for column in columns.tolist()]
+    return np.asarray((turns >= most).any(axis=1))
+
+
+def _may_repeat(robot: Robot, column: int) -> bool:
+    """Return whether whole turns of a coordinate can bring back all joints geared to it within ``MOST_TURNS``.
+
+    A gear ratio must be a fraction of whole numbers. Joints that are coupled by a curve, or slide, do not come back.
+    """
+    joint = robot.independent_joints[column]
     for coupling in robot.couplings:
         if coupling.of != joint or not any(coupling.polynomial[1:]):
             continue

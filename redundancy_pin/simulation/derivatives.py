@@ -296,7 +296,8 @@ def _code_acceleration(robot: Robot, kernel: ForwardKernel, state: State, tau: A
     K = kernel.equations(state.q, state.v).K
     if not np.isfinite(K).all() or _margin(robot, K) <= RANK_TOLERANCE:
         return None
-    return kernel.acceleration(state.q, state.v, _forces(robot, tau, loads))
+    solved = kernel.accelerations(state.q, state.v, _forces(robot, tau, loads))
+    return None if solved is None else solved.a
 
 
 def _forces(robot: Robot, tau: Array, loads: Array) -> Array:

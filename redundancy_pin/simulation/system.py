@@ -158,7 +158,7 @@ class Machine:
         force = self._force(state, command)
         solved = None
         if self.kernel is not None and sheet is None:
-            solved = self.kernel.loads(state.q, state.v, force, self._given(state.t))
+            solved = self.kernel.accelerations(state.q, state.v, force, self._given(state.t))
         if solved is not None:
             loads = Acceleration(solved.a, solved.closure_force, solved.missing[self.robot.carrier_velocity])
         else:
@@ -243,9 +243,9 @@ class Machine:
             return self._constraint_dynamics(state.q, state.v, force)
         given = self._given(state.t)
         if self.kernel is not None and sheet is None:
-            a = self.kernel.acceleration(state.q, state.v, force, given)
-            if a is not None:
-                return a
+            solved = self.kernel.accelerations(state.q, state.v, force, given)
+            if solved is not None:
+                return solved.a
         return self.dynamics.acceleration(state.q, state.v, force, given, sheet=sheet)
 
     def _given(self, t: float) -> Array | None:

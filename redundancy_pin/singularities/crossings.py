@@ -21,18 +21,19 @@ from redundancy_pin.errors import (
     WorkingModeError,
     millimetres,
 )
-from redundancy_pin.kinematics.assembly import Assembly, assemble
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows
+from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import coordinate_unit, row_scale
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
-from redundancy_pin.singularities.roots import Zero, zeros
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.singularities.roots import ZOOM, Zero, zeros
+from redundancy_pin.status import SampleStatus
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory
+from redundancy_pin.trajectory.robot_motion import robot_motion
 
 SPACING = 0.01
 """Longest step of the search along a path, characteristic lengths. Two dips of the margin within one step would be
@@ -45,9 +46,6 @@ the border of the workspace: this is 1e-12 m for a robot of 1 m, and Newton's me
 TANGENT_SLOPE = 1e-4
 """Change of the signed margin per characteristic length of path below which a path counts as tangent to the locus. A
 crossing at a right angle has a slope of order one."""
-
-_PROBE = 1e-2
-"""Half of the step of the slope, and the distance within which two zeros are one, as a fraction of a sampling step."""
 
 _FEWEST_STEPS = 400
 """Sampling steps in time at least, however short the path."""
@@ -120,7 +118,7 @@ def find_crossings(
         if not 0.0 < value < 1.0:
             raise InputError(f"{name} is {value}.", remedy="Pass a number between 0 and 1.", name=name)
     robot = as_robot(robot)
-    path = FollowedPath(constraint_system(robot), motion_of(robot, motion), spacing, start)
+    path = FollowedPath(constraint_system(robot), robot_motion(robot, motion), spacing, start)
 
     def parallel(times: Array) -> Array:
         margins = path.margins(times)
@@ -129,7 +127,7 @@ def find_crossings(
 
     type_ii = zeros(parallel, path.t, tolerance)
     type_i = zeros(lambda times: path.margins(times).serial, path.t, SERIAL_TOUCH)
-    slack = _PROBE * float(np.diff(path.t).max())
+    slack = float(np.diff(path.t).max()) / ZOOM
     alone = [one for one in type_ii if not any(_overlap(one, other, slack) for other in type_i)]
     met = [_describe(path, zero, SingularityKind.TYPE_I) for zero in type_i]
     met += [_describe(path, zero, SingularityKind.TYPE_II) for zero in alone]
@@ -175,7 +173,7 @@ def _describe(path: FollowedPath, zero: Zero, expected: SingularityKind) -> Cros
 def _slope(system: ConstraintSystem, path: FollowedPath, t: float) -> float:
     """Return the central difference of the signed margin along the path, per characteristic length."""
     robot = system.robot
-    half = _PROBE * float(np.diff(path.t).max())
+    half = float(np.diff(path.t).max()) / ZOOM
     times = np.array([max(path.law.start, t - half), min(path.law.end, t + half)])
     x = path.law.sample_at(times).x
     length = float(np.linalg.norm(difference(robot, x[1:], x[:-1])[0] * row_scale(robot)))
@@ -183,30 +181,6 @@ def _slope(system: ConstraintSystem, path: FollowedPath, t: float) -> float:
         return 0.0
     margins = path.margins(times).parallel
     return float(margins[1] - margins[0]) / length * robot.characteristic_length
-
-
-def motion_of(robot: Robot, source: PlatformMotion | TimedTrajectory) -> ContinuousMotion:
-    """Return the motion of a robot's platform as a function of time (``continuous_motion``).
-
-    Angles of samples may be written within a turn; between them they take the short way. Where a platform cannot move
-    along some axes, the rates of its pose along them are zero.
-
-    Raises:
-        InputError: the motion does not have the robot's coordinates, or has a single instant only.
-    """
-    if not isinstance(source, PlatformMotion):
-        law = continuous_motion(source)
-        require_matching(robot, law.sample_at(np.array([law.start])))
-        return law
-    require_matching(robot, source)
-    if source.is_pose:
-        rates = np.zeros((2, len(source), 6))
-        rates[:, :, pose_rows(robot)] = source.xd, source.xdd
-        return continuous_motion(PlatformMotion(source.t, source.x, *rates, check_rates=source.check_rates))
-    steps = np.diff(source.x, axis=0)
-    turns = np.cumsum(np.round((difference(robot, source.x[1:], source.x[:-1]) - steps) / (2.0 * np.pi)), axis=0)
-    x = source.x + 2.0 * np.pi * np.concatenate([np.zeros((1, robot.n)), turns])
-    return continuous_motion(PlatformMotion(source.t, x, source.xd, source.xdd, check_rates=source.check_rates))
 
 
 class FollowedPath:
@@ -249,16 +223,18 @@ class FollowedPath:
         Raises:
             UnreachablePoseError, WorkingModeError: as of the class.
         """
-        new = np.array([t for t in times.tolist() if t not in self._q])
-        x = self.law.sample_at(new).x if len(new) else new
-        beyond = [
-            k for k, t in enumerate(new.tolist()) if not self._keep(t, self._follower.step(self._nearest(t), x[k]))
-        ]
+        new = [t for t in times.tolist() if t not in self._q]
+        x = self.law.sample_at(np.array(new)).x if new else np.empty(0)
+        beyond = [k for k, t in enumerate(new) if not self._keep(t, self._follower.step(self._nearest(t), x[k]))]
         if beyond:
-            starts = np.array([self._nearest(t).q for t in new[beyond].tolist()])
-            ends = assemble(self.system, starts, x[beyond])
-            for end, k in enumerate(beyond):
-                self._finish(float(new[k]), x[k], ends, end)
+            # many instants next to a touch at once; all else is for the follower, one after the other
+            ends = assemble(self.system, np.array([self._nearest(new[k]).q for k in beyond]), x[beyond])
+            singular = ends.closed & (ends.projection.margin == 0.0)
+            for k, q, is_singular in zip(beyond, ends.q, singular, strict=True):
+                if is_singular:
+                    self._q[new[k]] = q
+                else:
+                    self._advance(new[k], x[k])
         return np.array([self._q[t] for t in times.tolist()])
 
     def _nearest(self, t: float) -> ClosedState:
@@ -277,14 +253,16 @@ class FollowedPath:
         self._q[t] = reached.q
         return True
 
-    def _finish(self, t: float, x: Array, ends: Assembly, end: int) -> None:
-        """Note the configuration at a time that is no single step from a known one."""
-        state = self._nearest(t)
-        if not ends.closed[end]:
-            self._raise_border(t, state, float(ends.gap[end]))
-        if ends.projection.margin[end] == 0.0:
-            self._q[t] = ends.q[end]
-        elif not self._keep(t, self._follower.advance(state, x)):
+    def _advance(self, t: float, x: Array) -> None:
+        """Note the configuration at a time that is more than a step from a known one."""
+        end = self._follower.advance(self._nearest(t), x)
+        if self._keep(t, end) or isinstance(end, ClosedState):
+            return
+        if end.status is SampleStatus.TYPE_I:
+            self._q[t] = end.q
+        elif end.status is SampleStatus.UNREACHABLE:
+            self._raise_border(t, end)
+        else:
             raise WorkingModeError(
                 f"The path cannot be followed in working mode {mode_name(self.system.robot.working_mode)} at "
                 f"t = {t:.9g} s.",
@@ -292,18 +270,18 @@ class FollowedPath:
                 time=t,
             )
 
-    def _raise_border(self, t: float, state: ClosedState, residual: float) -> NoReturn:
+    def _raise_border(self, t: float, end: BranchEnd) -> NoReturn:
         """Raise UnreachablePoseError with the time before t at which the path leaves the workspace."""
         inside, outside = self._known[bisect(self._known, t) - 1], t
         while (middle := 0.5 * (inside + outside)) not in (inside, outside):
-            closed = assemble(self.system, state.q[None], self.law.sample_at(np.array([middle])).x).closed[0]
+            closed = assemble(self.system, end.last.q[None], self.law.sample_at(np.array([middle])).x).closed[0]
             inside, outside = (middle, outside) if closed else (inside, middle)
         raise UnreachablePoseError(
             f"The path leaves the workspace at t = {inside:.9g} s: at t = {t:.6g} s the closure residual is "
-            f"{residual:.3g} m.{millimetres(residual, self.system.robot.characteristic_length)}",
+            f"{end.residual:.3g} m.{millimetres(end.residual, self.system.robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace; its border is a type I singularity.",
             time=inside,
-            gap=residual,
+            gap=end.residual,
         )
 
     def margins(self, times: Array) -> Margins:

@@ -1,19 +1,21 @@
 """Configurations over a grid of platform coordinates, on one solution branch: the basis of loci and workspaces.
 
 The grid is flooded from one closed configuration: every solved node is where Newton's method starts for its neighbours.
-``_Flood._attempt`` is the only place that solves for configurations.
+The closing is that of ``assemble``, which solves all nodes of a wave at once, and the acceptance test that of the
+follower (``branch.follows``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import label
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, blocks, checked, frozen, read_only
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, blocks, checked, frozen, read_only, whole
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, project
 from redundancy_pin.kinematics.branch import follows
@@ -27,27 +29,29 @@ from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import is_revolute, velocity_unit
 from redundancy_pin.singularities.classify import Margins, margins_of
 
-_FARTHEST = 1e9
-"""Largest bounds, characteristic lengths: squares of larger numbers lose the robot in rounding."""
+_MOST_NODES = 200_000
+"""Nodes of a grid at most: about a minute."""
 
 _REACH = 4.0
 """Half width of the search for the workspace, characteristic lengths; twice that if the workspace goes on beyond it."""
 
-_COARSE, _COARSE_IN_SPACE = 61, 15
-"""Nodes along each axis of the search grid, in the plane and in space."""
+_COARSE = {1: 61, 2: 61, 3: 15}
+"""Nodes along each axis of the search grid, by the number of axes: horns of a twentieth of the workspace are met."""
 
 _BORDER = 0.03
-"""Room left around the workspace, as a fraction of its size."""
+"""Space left around the workspace, as a fraction of its size."""
 
 _SHORTEST_STEP = 2.0**-3
-"""Fraction of a Newton step below which a node is left to a nearer neighbour."""
+"""Fraction of a Newton step below which a node is left to a nearer neighbour: most nodes that need less are out of
+reach, and without this bound maps take two to five times as long."""
 
-_LONGEST_STEP = 2.0
+LONGEST_TURN = 2.0
 """Largest change of a joint between neighbours, rad or characteristic lengths. A leg near its base hinge turns by up to
-π/2; a leg that Newton's method moved to another turn turns by more."""
+π/2; on the two sides of a leg of zero length, or where Newton's method goes to another turn, it is π and more."""
 
 _STARTS = 360
-"""Random configurations from which islands are searched."""
+"""Random configurations from which islands are searched, with a fixed seed. They meet all islands of fifteen random
+five-bars whose workspace is in two parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +74,17 @@ class Slice:
     x: Array
     q: Array
 
+    def positions(self, x: Array) -> Array:
+        """Return (N, f) the free coordinates of (N, n) coordinates, or translations of (N, 4, 4) poses."""
+        return x[:, list(self.free), 3] if x.ndim == 3 else x[:, list(self.free)]
+
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceGrid:
-    """Configurations over a rectangular grid of one or two platform coordinates, the others fixed.
+    """Configurations over a rectangular grid of one to three platform coordinates, the others fixed.
 
     Attributes:
+        place: the slice that it covers.
         axes: the grid's coordinates along each of them, increasing, m or rad.
         x: (G, n) platform coordinates of all nodes, the last axis running fastest.
         q: (G, nq) configurations, NaN where not reachable.
@@ -83,6 +92,7 @@ class WorkspaceGrid:
             slice; −1 for nodes without a closed configuration in the working mode.
     """
 
+    place: Slice
     axes: tuple[Array, ...]
     x: Array
     q: Array
@@ -92,6 +102,20 @@ class WorkspaceGrid:
     def reachable(self) -> BoolArray:
         """(G,) whether a closed configuration in the working mode was found."""
         return read_only(self.part >= 0)
+
+    @cached_property
+    def in_range(self) -> BoolArray:
+        """(G,) reachable with all joints within their ranges."""
+        return read_only(self.reachable & ~out_of_range(self.place.system.robot, self.q, motion=False))
+
+    @cached_property
+    def margins(self) -> Margins:
+        """Singularity margins (G,), NaN where not reachable."""
+        system, values = self.place.system, np.full((2, len(self.q)), np.nan)
+        reached = np.flatnonzero(self.reachable)
+        for part in blocks(len(reached)):
+            values[:, reached[part]] = margins_of(system, system.evaluate(self.q[reached[part]]))
+        return Margins(*values)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -121,22 +145,26 @@ def slice_through(robot: Robot, names: tuple[str, ...], x: Array | None = None) 
     return Slice(system, names, tuple("rad" if turns else "m" for turns in turning), columns, frozen(x), frozen(q))
 
 
+def require_resolution(resolution: int, axes: int) -> int:
+    """Return the number of nodes along each of some axes after checking that there are neither too few nor too many.
+
+    Raises:
+        InputError: not a whole number from 3 to what ``_MOST_NODES`` allows.
+    """
+    return whole(resolution, "resolution", 3, int(_MOST_NODES ** (1.0 / axes)))
+
+
 def bounded_axes(robot: Robot, names: tuple[str, ...], bounds: ArrayLike, resolution: int) -> tuple[Array, ...]:
     """Return the axes of a grid between bounds (f, 2), m and rad.
 
     Raises:
-        InputError: not one increasing pair per coordinate, or bounds far beyond the robot.
+        InputError: not one increasing pair per coordinate, or bounds so far away that the robot is rounding there.
     """
-    ends = checked(bounds, "bounds", (len(names), 2))
-    if np.abs(ends).max() > _FARTHEST * robot.characteristic_length:
-        raise InputError(
-            f"bounds are up to {np.abs(ends).max():g}, {robot.name} has a size of {robot.characteristic_length:g} m.",
-            remedy=f"Stay within {_FARTHEST:g} times that.",
-        )
-    if not (ends[:, 0] < ends[:, 1]).all():
+    ends, farthest = checked(bounds, "bounds", (len(names), 2)), robot.characteristic_length / RANK_TOLERANCE
+    if not ((ends[:, 0] < ends[:, 1]).all() and np.abs(ends).max() < farthest):
         raise InputError(
             f"bounds are {bounds!r}; the grid runs over {', '.join(names)}.",
-            remedy="Pass one (lower, upper) pair for each of them.",
+            remedy=f"Pass one (lower, upper) pair for each of them, within ±{farthest:g}.",
         )
     return axes_between(ends, resolution)
 
@@ -157,45 +185,37 @@ def default_axes(place: Slice, resolution: int, *, within_ranges: bool = False) 
         resolution: nodes along each axis.
         within_ranges: cover only nodes with all joints within their ranges, islands included.
     """
-    robot, middle = place.system.robot, positions(place.x[None], place.free)[0]
-    half = _REACH * robot.characteristic_length
+    robot, middle = place.system.robot, place.positions(place.x[None])[0][:, None]
+    half, sides = _REACH * robot.characteristic_length, np.array([-1.0, 1.0])
     if robot.platform is None:
-        far = np.array([np.pi if unit == "rad" else half for unit in place.units])
-        return axes_between(np.stack([middle - far, middle + far], axis=1), resolution)
-    coarse = _COARSE if len(place.free) < 3 else _COARSE_IN_SPACE
+        return axes_between(middle + np.where(np.array(place.units) == "rad", np.pi, half)[:, None] * sides, resolution)
+    coarse = _COARSE[len(place.free)]
 
     def extent(ends: Array) -> tuple[Array, bool]:
         """Return (f, 2) the range of reached nodes within ``ends`` (f, 2), a cell wider; whether it ends there."""
         grid = solve_grid(place, axes_between(ends, coarse), islands=within_ranges)
-        inside = grid.reachable & ~out_of_range(robot, grid.q, motion=False)
-        reached = positions(grid.x[inside if within_ranges and inside.any() else grid.reachable], place.free)
-        limits, cell = np.stack([reached.min(axis=0), reached.max(axis=0)], axis=1), np.ptp(ends, axis=1) / (coarse - 1)
-        return limits + cell[:, None] * [-1.0, 1.0], bool((np.abs(limits - ends) > 0.5 * cell[:, None]).all())
+        counted = grid.in_range if within_ranges and grid.in_range.any() else grid.reachable
+        reached, cell = place.positions(grid.x[counted]), np.ptp(ends, axis=1, keepdims=True) / (coarse - 1)
+        limits = np.stack([reached.min(axis=0), reached.max(axis=0)], axis=1)
+        return limits + cell * sides, bool((np.abs(limits - ends) > 0.5 * cell).all())
 
-    outer = middle[:, None] + half * np.array([-1.0, 1.0])
+    outer = middle + half * sides
     found, ends_inside = extent(outer)
     if not ends_inside:
-        farther = middle[:, None] + 2.0 * half * np.array([-1.0, 1.0])
-        wider, ends_inside = extent(farther)
-        outer, found = (farther, wider) if ends_inside else (outer, found)
+        wider, ends_inside = extent(middle + 2.0 * half * sides)
+        outer, found = (middle + 2.0 * half * sides, wider) if ends_inside else (outer, found)
     if within_ranges and len(place.free) == 2:
         # a horn that is narrower than a cell extends beyond the last node in it
         cell = np.ptp(outer, axis=1, keepdims=True) / (coarse - 1)
-        closer, _ = extent(_clip(found + 2.0 * cell * [-1.0, 1.0], outer))
+        closer, _ = extent(_clip(found + 2.0 * cell * sides, outer))
         found = np.stack([np.minimum(found, closer)[:, 0], np.maximum(found, closer)[:, 1]], axis=1)
-    room = _BORDER * np.ptp(found, axis=1, keepdims=True)
-    return axes_between(_clip(found + room * [-1.0, 1.0], outer), resolution)
+    return axes_between(_clip(found + _BORDER * np.ptp(found, axis=1, keepdims=True) * sides, outer), resolution)
 
 
 def _clip(ends: Array, outer: Array) -> Array:
     """Return ends (f, 2) within those of another range (f, 2)."""
     clipped: Array = np.clip(ends, outer[:, :1], outer[:, 1:])
     return clipped
-
-
-def positions(x: Array, free: tuple[int, ...]) -> Array:
-    """Return (N, f) the free coordinates of (N, n) coordinates, or translations of (N, 4, 4) poses."""
-    return x[:, list(free), 3] if x.ndim == 3 else x[:, list(free)]
 
 
 def solve_grid(place: Slice, axes: tuple[Array, ...], *, islands: bool = False) -> WorkspaceGrid:
@@ -212,55 +232,38 @@ def solve_grid(place: Slice, axes: tuple[Array, ...], *, islands: bool = False) 
     if islands:
         flood.find_islands(axes)
     grid_axes = tuple(read_only(np.array(axis)) for axis in axes)
-    return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.parts())))
-
-
-def grid_margins(place: Slice, grid: WorkspaceGrid) -> Margins:
-    """Return the singularity margins (G,) at the nodes of a grid, NaN where not reachable."""
-    system, values = place.system, np.full((2, len(grid.q)), np.nan)
-    reached = np.flatnonzero(grid.reachable)
-    for part in blocks(len(reached)):
-        values[:, reached[part]] = margins_of(system, system.evaluate(grid.q[reached[part]]))
-    return Margins(*values)
+    return WorkspaceGrid(place, grid_axes, read_only(nodes), read_only(flood.q), read_only(flood.parts()))
 
 
 class _Flood:
-    """The flooding of a grid: every node that closes is where Newton's method starts for its neighbours.
-
-    The part that is connected to the start of the slice is solved at once.
-    """
+    """The nodes solved so far; at first those that are connected to the start of the slice."""
 
     def __init__(self, place: Slice, nodes: Array, shape: tuple[int, ...]) -> None:
-        self.place, self.system, self.robot, self.nodes, self.shape = (
-            place,
-            place.system,
-            place.system.robot,
-            nodes,
-            shape,
-        )
+        self.place, self.system, self.robot = place, place.system, place.system.robot
+        self.nodes, self.shape = nodes, shape
         self.q = np.full((len(nodes), self.robot.model.nq), np.nan)
         self.gamma = np.zeros((len(nodes), self.robot.model.nv, self.robot.n))
         self.solved = np.zeros(len(nodes), dtype=bool)
-        start = tuple(part[None] for part in (place.x, place.q))
-        away = np.abs(difference(self.robot, nodes, np.repeat(start[0], len(nodes), axis=0))).max(axis=1)
+        x, q = place.x[None], place.q[None]
+        away = np.abs(difference(self.robot, nodes, np.repeat(x, len(nodes), axis=0))).max(axis=1)
         nearest = np.argsort(away, kind="stable")[: 4 ** len(shape)]
-        gamma = project(self.system, self.system.evaluate(start[1])).gamma
-        self._spread(self._step(nearest, *(part.repeat(len(nearest), axis=0) for part in (*start, gamma))))
+        gamma = project(self.system, self.system.evaluate(q)).gamma
+        self._spread(self._step(nearest, *(part.repeat(len(nearest), axis=0) for part in (x, q, gamma))))
         self.start = int(nearest[self.solved[nearest].argmax()])
 
     def _spread(self, front: IntArray) -> None:
         """Solve the neighbours of solved nodes, at sides and corners, outward in waves until no new node closes."""
+        steps = [step for step in product((-1, 0, 1), repeat=len(self.shape)) if any(step)]
+        sides_first = np.array(sorted(steps, key=lambda step: sum(map(abs, step)))).T[:, :, None]
+        limits = np.array(self.shape)[:, None, None]
         while len(front):
-            around = (
-                np.stack(np.unravel_index(front, self.shape))[:, None, :] + _neighbours(len(self.shape))[:, :, None]
-            )
-            inside = ((around >= 0) & (around < np.array(self.shape)[:, None, None])).all(axis=0)
+            around = np.stack(np.unravel_index(front, self.shape))[:, None, :] + sides_first
+            inside = ((around >= 0) & (around < limits)).all(axis=0)
             targets = np.ravel_multi_index(tuple(around[:, inside]), self.shape)
-            sources = np.broadcast_to(front, inside.shape)[inside]
             targets, first = np.unique(targets, return_index=True)
-            sources = sources[first][~self.solved[targets]]
-            targets = targets[~self.solved[targets]]
-            front = self._step(targets, self.nodes[sources], self.q[sources], self.gamma[sources])
+            unsolved = ~self.solved[targets]
+            sources = np.broadcast_to(front, inside.shape)[inside][first][unsolved]
+            front = self._step(targets[unsolved], self.nodes[sources], self.q[sources], self.gamma[sources])
 
     def _step(self, targets: IntArray, x: Array, q: Array, gamma: Array) -> IntArray:
         """Solve nodes from states nearby, and return those that are on the branch of their state.
@@ -274,9 +277,8 @@ class _Flood:
             increment = difference(self.robot, self.nodes[targets], x)
             same = follows(self.system, change, gamma, solution.gamma, increment)
         else:
-            same = solution.in_mode & (
-                np.abs(change / velocity_unit(self.robot)).max(axis=1, initial=0.0) < _LONGEST_STEP
-            )
+            longest = np.abs(change / velocity_unit(self.robot)).max(axis=1, initial=0.0)
+            same = solution.in_mode & (longest < LONGEST_TURN)
         good = solution.regular & same
         chosen = targets[good]
         self.q[chosen], self.gamma[chosen], self.solved[chosen] = solution.q[good], solution.gamma[good], True
@@ -289,15 +291,15 @@ class _Flood:
         does. Without working modes a part that touches another is another branch of it. The larger one stays: a
         configuration near a stretched leg may lead to a node or two of the other branch, and no further.
         """
-        guess = draw_starts(self.system, self.place.q, _STARTS, np.random.default_rng(20141))
+        guess = draw_starts(self.system, self.place.q, _STARTS, np.random.default_rng(0))
         closed = assemble(self.system, guess)
-        free = positions(coordinates(self.robot, closed.state), self.place.free)
-        origin, cell = np.array([axis[:2] for axis in axes]).T
-        near = np.rint((free - origin) / (cell - origin))
-        inside = ((near >= 0) & (near < self.shape)).all(axis=1) & closed.closed
-        targets = np.ravel_multi_index(tuple(near[inside].astype(int).T), self.shape)
-        guess = closed.q[inside][~self.solved[targets]]
-        targets = targets[~self.solved[targets]]
+        origin, second = np.array([axis[:2] for axis in axes]).T
+        near = (self.place.positions(coordinates(self.robot, closed.state)) - origin) / (second - origin)
+        near = np.rint(near).astype(int)
+        usable = closed.closed & ((near >= 0) & (near < self.shape)).all(axis=1)
+        targets = np.ravel_multi_index(tuple(near[usable].T), self.shape)
+        unsolved = ~self.solved[targets]
+        targets, guess = targets[unsolved], closed.q[usable][unsolved]
         found = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
         kept = self.solved.copy()
         for k in np.flatnonzero(found.usable):
@@ -309,32 +311,26 @@ class _Flood:
             self._spread(targets[k : k + 1])
             new = self.solved & ~before
             if self.robot.working_modes is None:
-                joined = self._labelled(kept | new)
-                others = kept & (joined == joined[node])
-                if others[self.start] or new.sum() <= others.sum():
+                numbers = self._numbered(kept | new)
+                touched = kept & (numbers == numbers[node])
+                if touched[self.start] or new.sum() <= touched.sum():
                     continue
-                kept &= ~others
+                kept &= ~touched
             kept |= new
         self.solved = kept
         self.q[~kept] = np.nan
 
-    def _labelled(self, flags: BoolArray) -> IntArray:
-        """Return (G,) the numbers, from 1, of connected sets of nodes; 0 for others."""
-        everything: Array = np.ones((3,) * len(self.shape))
-        numbers: IntArray = label(flags.reshape(self.shape), everything)[0].ravel()
+    def _numbered(self, flags: BoolArray) -> IntArray:
+        """Return (G,) the number, from 1, of the connected set that each node belongs to; 0 for none."""
+        corners_too: Array = np.ones((3,) * len(self.shape))
+        numbers: IntArray = label(flags.reshape(self.shape), corners_too)[0].ravel()
         return numbers
 
     def parts(self) -> IntArray:
         """Return (G,) the part of each node, as in ``WorkspaceGrid``."""
-        numbers = self._labelled(self.solved)
+        numbers = self._numbered(self.solved)
         own = numbers[self.start]
         result: IntArray = np.where(numbers > own, numbers - 1, numbers)
         result[numbers == own] = 0
         result[numbers == 0] = -1
         return result
-
-
-def _neighbours(axes: int) -> IntArray:
-    """Return (axes, 3^axes − 1) the steps to the neighbours of a node of a grid, those along an axis first."""
-    steps = [step for step in product((-1, 0, 1), repeat=axes) if any(step)]
-    return np.array(sorted(steps, key=lambda step: sum(map(abs, step)))).T

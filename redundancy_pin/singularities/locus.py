@@ -22,14 +22,14 @@ from typing import NamedTuple
 import numpy as np
 from contourpy import contour_generator
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, read_only, require_type
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, Frozen, read_only, require_type
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, configuration_difference, integrate
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.scales import (
-    closure_tolerance,
     column_scale,
     coordinate_unit,
     row_scale,
@@ -38,31 +38,18 @@ from redundancy_pin.robot.scales import (
 )
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.grid import (
+    LONGEST_TURN,
     Slice,
     WorkspaceGrid,
     bounded_axes,
     default_axes,
-    grid_margins,
+    require_resolution,
     slice_through,
     solve_grid,
 )
 
-RESOLUTION = 200
-"""Nodes along each axis of the grid."""
-
-SINGULAR = 1e-9
-"""Scaled singular value below which a point counts as singular. Newton's method leaves 1e-15."""
-
-_ROUNDING = 1e-12
-"""Signed margins above minus this count as positive: on a node of the curve rounding leaves a few 1e-16."""
-
 _ITERATIONS = 20
-_LONGEST_STEP = 0.3
-"""Longest Newton step, rad or characteristic lengths: the linear model of a turning joint holds to about 20°."""
-
-_JUMP = 1.0
-"""Angle of a joint between neighbouring points, rad, that separates two curves. On one curve a joint turns by about the
-square root of a cell (in lengths of its link); on the two sides of a leg of zero length it differs by half a turn."""
+"""Newton iterations per point: most points take four."""
 
 _LONGEST_CHORD = 3.0
 """Longest distance between neighbouring points of a curve, cells. At a corner of the border two singular values of K
@@ -148,7 +135,7 @@ def singular_locus(
     *,
     orientation: float | None = None,
     bounds: Sequence[tuple[float, float]] | None = None,
-    resolution: int = RESOLUTION,
+    resolution: int = 200,
 ) -> SingularLocus:
     """Return the singular curves of a planar robot over its workspace, or the singular positions of one coordinate.
 
@@ -177,19 +164,18 @@ def singular_locus(
         >>> locus = singular_locus("five_bar", resolution=40)
         >>> [curve.points.shape for curve in locus.of_kind(SingularityKind.TYPE_II)]
     """
-    if resolution < 3:
-        raise InputError(f"resolution is {resolution}.", remedy="Pass at least 3, for example 200.")
     robot = as_robot(robot)
     place, fixed = _slice(robot, orientation)
+    resolution = require_resolution(resolution, len(place.free))
     given = default_axes(place, resolution) if bounds is None else bounded_axes(robot, place.names, bounds, resolution)
     grid = solve_grid(place, given)
-    parallel, serial = grid_margins(place, grid)
+    parallel, serial = grid.margins
 
     solver, edges, curves = _SingularPoints(place), list[Array](), list[LocusCurve]()
     reachable = np.where(grid.reachable, 1.0, -1.0)
     contours = [(SingularityKind.TYPE_I, one) for one in _contours(reachable, grid.shape)]
     if robot.n == robot.m:
-        contours += [(SingularityKind.TYPE_II, one) for one in _contours(parallel + _ROUNDING, grid.shape)]
+        contours += [(SingularityKind.TYPE_II, one) for one in _contours(parallel + RANK_TOLERANCE, grid.shape)]
     for kind, contour in contours:
         found = [_point_on_edge(solver, grid, kind, *one) for one in contour]
         # an exact point may still be dropped, alone between two jumps; isolated type I points are no curves
@@ -283,49 +269,45 @@ class _SingularPoints:
 
     def __init__(self, place: Slice) -> None:
         self.robot = robot = place.system.robot
+        self.follower = follower(robot)
         self.chain = ClosedChain(robot)
         self.columns = columns = self.chain.pose_columns
         self.fixed = [k for k in range(robot.n) if k not in place.free]
-        self.target = np.array(place.x)
         system = self.chain.system
         self.unit, self.step_unit, self.closure_unit = coordinate_unit(robot), system.step_unit, system.closure_unit
         self.speed, self.closure_scale = velocity_scale(robot)[columns], system.closure_scale
         self.turning = columns[turning_velocities(robot)[columns]]
         self.selection = system.selection[:, columns] * (column_scale(robot)[:, None] / self.speed)
 
-    def solve(
-        self, q: Array, singular: Sequence[SingularityKind], x: Array | None = None, held: Sequence[int] = ()
-    ) -> _Point | None:
-        """Return the closed configuration nearest to q (nq,), in the slice, at which matrices are singular.
+    def solve(self, q: Array, x: Array, fixed: Sequence[int], *singular: SingularityKind) -> _Point | None:
+        """Return a closed configuration near q (nq,) at which matrices are singular.
 
         Args:
             q: the guess.
+            x: (n,) coordinates; those of the columns ``fixed`` are reached exactly.
+            fixed: columns of x.
             singular: ``TYPE_I`` for a singular K, ``TYPE_II`` for a singular T, or both.
-            x: (n,) coordinates; those of the columns ``held`` are reached exactly.
-            held: columns of x.
 
         Returns:
             The point; None where Newton's method does not converge, or ends in another working mode.
         """
-        target = self.target.copy()
-        target[list(held)] = 0.0 if x is None else x[list(held)]
-        fixed = [*self.fixed, *held]
         for _ in range(_ITERATIONS):
-            residual, rows = self._equations(q, singular, target, fixed)
+            residual, rows = self._equations(q, x, fixed, singular)
             # least norm: the equations leave a curve free, and depend on one another where two curves meet
             step = np.linalg.lstsq(rows * self.step_unit, -residual, rcond=1e-12)[0]
             size = float(np.abs(step).max())
             full = np.zeros((1, self.robot.model.nv))
-            full[0, self.columns] = step * self.step_unit * min(1.0, _LONGEST_STEP / max(size, _LONGEST_STEP))
+            # the linear model of a turn holds to a radian
+            full[0, self.columns] = step * self.step_unit / max(size, 1.0)
             q = integrate(self.robot.model, q[None], full)[0]
             if size < SETTLED_STEP:
                 break
-        residual = self._equations(q, (SingularityKind.TYPE_I, SingularityKind.TYPE_II), target, fixed)[0]
+        residual = self._equations(q, x, fixed, (SingularityKind.TYPE_I, SingularityKind.TYPE_II))[0]
         serial, locked = residual[-2:].tolist()
         least = {SingularityKind.TYPE_I: serial, SingularityKind.TYPE_II: locked}
-        closed = np.abs(residual[:-2]).max() * self.robot.characteristic_length < closure_tolerance(self.robot)
-        in_mode = mode_indicator(self.robot, q[None])[0] * np.array(self.robot.working_mode) > -SINGULAR
-        exact = closed and in_mode.all() and all(least[kind] < SINGULAR for kind in singular)
+        closed = np.abs(residual[:-2]).max() < CLOSURE_TOLERANCE
+        in_mode = mode_indicator(self.robot, q[None])[0] * np.array(self.robot.working_mode) > -RANK_TOLERANCE
+        exact = closed and in_mode.all() and all(least[kind] < RANK_TOLERANCE for kind in singular)
         return _Point(self.chain.coordinates(q), q, serial, locked) if exact else None
 
     def turn(self, q: Array, other: Array) -> float:
@@ -334,22 +316,16 @@ class _SingularPoints:
         return float(np.abs(np.remainder(change + np.pi, 2.0 * np.pi) - np.pi).max(initial=0.0))
 
     def _equations(
-        self, q: Array, singular: Sequence[SingularityKind], target: Array, fixed: Sequence[int]
+        self, q: Array, x: Array, fixed: Sequence[int], singular: Sequence[SingularityKind]
     ) -> tuple[Array, Array]:
         """Return residuals (e,) without unit, singular values last, and their derivatives (e, p) by displacements."""
-        chain, columns, length = self.chain, self.columns, row_scale(self.robot)
+        chain, columns, length, fixed = self.chain, self.columns, row_scale(self.robot), list(fixed)
         v = np.zeros(self.robot.model.nv)
         chain.update(q, v)
         closures, platform = chain.jacobian()[:, columns], chain.platform_jacobian()[:, columns]
-        unit, fixed = self.unit[list(fixed)], list(fixed)
-        off = difference(self.robot, chain.coordinates(q)[None], target[None])[0, fixed]
-        residual, rows = (
-            [chain.residual() / self.closure_unit, off / unit],
-            [
-                closures / self.closure_unit[:, None],
-                platform[fixed] / unit[:, None],
-            ],
-        )
+        off = difference(self.robot, chain.coordinates(q), x)[fixed]
+        residual = [chain.residual() / self.closure_unit, off / self.unit[fixed]]
+        rows = [closures / self.closure_unit[:, None], platform[fixed] / self.unit[fixed, None]]
         above, r = closures * (self.closure_scale[:, None] / self.speed), len(closures)
         for kind in singular:
             type_i = kind == SingularityKind.TYPE_I
@@ -370,14 +346,13 @@ def _point_on_edge(
 ) -> _Point | None:
     """Return the singular configuration on an edge of the grid; where there is none there, one within a cell."""
     along = int(np.abs(grid.x[end] - grid.x[start]).argmax())
-    across = [k for k in range(solver.robot.n) if k != along and k not in solver.fixed]
     x, guess = grid.x[start], grid.q[start]
     if kind == SingularityKind.TYPE_II:
         x = x + fraction * (grid.x[end] - x)
-        closed = solver.solve(guess, (), x, (along, *across))
+        closed = solver.follower.close(guess, x)
         guess = guess if closed is None else closed.q
-    for held in (across, []):
-        point = solver.solve(guess, (kind,), x, held)
+    for fixed in ([k for k in range(solver.robot.n) if k != along], solver.fixed):
+        point = solver.solve(guess, x, fixed, kind)
         if point is not None and np.linalg.norm(point.x - x) < _cell(grid):
             return point
     return None
@@ -391,24 +366,25 @@ def _curves(
     for point in found[:-1] if closed else found:
         if point is not None and not (points and np.linalg.norm(point.x - points[-1].x) < _SPACING * cell):
             points.append(point)
-    cuts = [
+    closed = closed and len(points) > 2
+    if closed:
+        points.append(points[0])
+    breaks = [
         k
-        for k, (one, other) in enumerate(zip(points, [*points[1:], *points[:1]], strict=True), start=1)
-        if (k == len(points) and not closed)
-        or np.linalg.norm(one.x - other.x) > _LONGEST_CHORD * cell
-        or (type_ii and solver.turn(one.q, other.q) > _JUMP)
+        for k, (one, other) in enumerate(pairwise(points), start=1)
+        if np.linalg.norm(one.x - other.x) > _LONGEST_CHORD * cell
+        or (type_ii and solver.turn(one.q, other.q) > LONGEST_TURN)
     ]
-    pieces = [[*points, *points[:1]]] if len(points) > 2 else []
-    if cuts:
-        points = points[cuts[-1] :] + points[: cuts[-1]]
-        pieces = [points[i:j] for i, j in pairwise([0, *(k - cuts[-1] + len(points) for k in cuts)])]
+    pieces = [points[i:j] for i, j in pairwise([0, *breaks, len(points)])]
+    if closed and breaks:  # a closed contour that is cut begins and ends in the middle of a curve
+        pieces = [[*pieces[-1], *pieces[0][1:]], *pieces[1:-1]]
     curves = []
     for piece in pieces:
-        if cuts and type_ii and len(grid.axes) == 2 and len(piece) > 1:
+        if type_ii and len(grid.axes) == 2 and len(piece) > 1 and (breaks or not closed):
             piece = [*_end(solver, grid, piece[1::-1]), *piece, *_end(solver, grid, piece[-2:])]
         if len(piece) >= len(grid.axes):
             x, q, serial, locked = (read_only(np.array(part)) for part in zip(*piece, strict=True))
-            combined = max(serial.max(), locked.max()) < SINGULAR
+            combined = max(serial.max(), locked.max()) < RANK_TOLERANCE
             residual = locked if type_ii else serial
             curves.append(LocusCurve(SingularityKind.COMBINED if combined else kind, x, q, residual))
     return curves
@@ -417,7 +393,7 @@ def _curves(
 def _end(solver: _SingularPoints, grid: WorkspaceGrid, last: Sequence[_Point]) -> list[_Point]:
     """Return the point, if any, at which a type II curve meets the border, beyond the last two of its points."""
     before, here = last
-    point = solver.solve(here.q, (SingularityKind.TYPE_I, SingularityKind.TYPE_II))
+    point = solver.solve(here.q, here.x, solver.fixed, SingularityKind.TYPE_I, SingularityKind.TYPE_II)
     if point is None:
         return []
     step = point.x - here.x

@@ -2,8 +2,8 @@
 
 A function here takes (N,) increasing times, s, and returns (N,) values. It is continuous, and sampled so densely that
 it has at most one dip between two samples, which shows in the samples next to it. Steps with a value that is not finite
-are not searched. Sign changes are found by Brent's method; zeros of even multiplicity, and pairs
-of zeros within one step, by the minimum of the function's size.
+are not searched. Sign changes are found by Brent's method; zeros of even multiplicity, and pairs of zeros within one
+step, by the minimum of the function's size.
 """
 
 from __future__ import annotations
@@ -14,15 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array, BoolArray, runs
 
 Function = Callable[[Array], Array]
 
-_ZOOM = 32
+ZOOM = 32
 """Subdivisions of a bracket in the search of a minimum: each iteration narrows it sixteenfold, in one call."""
-
-_SAME = 1e-9
-"""Distance of two zeros, relative to the duration, below which they are one (found from two samples of equal value)."""
 
 
 @dataclass(frozen=True)
@@ -62,23 +59,30 @@ def zeros(function: Function, times: Array, tolerance: float) -> list[Zero]:
         function: see the module; signed, so that crossed zeros are distinguished from touched ones.
         times: (N,) increasing times, the samples.
         tolerance: size at which a minimum, or a sample, counts as zero.
+
+    Example:
+        >>> zeros(lambda t: np.cos(t), np.linspace(0.0, 2.0, 9), 1e-9)
+        [Zero(t=1.5707963267948966, until=1.5707963267948966, crosses=True)]
     """
     value = function(times)
     finite = np.isfinite(value)
     zero = finite & (np.abs(value) <= tolerance)
-    runs = (_at_samples(function, times, value, first, last, tolerance) for first, last in _runs(zero))
-    result = [one for run in runs for one in run]
+    result = [one for run in runs(zero) for one in _at_samples(function, times, value, *run, tolerance)]
     inside = finite & ~zero
-    same = inside[:-1] & inside[1:] & (np.sign(value[:-1]) == np.sign(value[1:]))
-    for k in np.flatnonzero(inside[:-1] & inside[1:] & ~same):
-        result.append(_crossed(function, times[k], times[k + 1]))
+    joined = inside[:-1] & inside[1:]
+    same = joined & (np.sign(value[:-1]) == np.sign(value[1:]))
+    for k in np.flatnonzero(joined & ~same):
+        result.append(_crossing(function, times[k], times[k + 1]))
     for low, high in _brackets(np.where(finite, np.abs(value), np.inf), same, tolerance):
-        t, lowest = _minimum(function, times[low], times[high], float(np.sign(value[low])))
-        if lowest < -tolerance:
-            result += [_crossed(function, times[low], t), _crossed(function, t, times[high])]
-        elif lowest <= tolerance:
-            result.append(Zero(t, t, False))
-    return _distinct(sorted(result, key=lambda one: one.t), _SAME * (times[-1] - times[0]))
+        result += _dip(function, times[low], times[high], float(np.sign(value[low])), tolerance)
+    result.sort(key=lambda one: one.t)
+    # a dip between two samples of equal value is met from both
+    apart = float(np.diff(times).min(initial=np.inf)) / ZOOM
+    return [
+        one
+        for k, one in enumerate(result)
+        if k == 0 or one.crosses or result[k - 1].crosses or one.t - result[k - 1].until > apart
+    ]
 
 
 def minima(function: Function, times: Array, interesting: float) -> list[tuple[float, float]]:
@@ -111,10 +115,10 @@ def below_zero(function: Function, times: Array) -> list[Interval]:
     dips = np.array([t for t, value in minima(function, times, 0.0) if value < 0.0])
     grid = np.union1d(times, dips)
     intervals = []
-    for first, last in _runs(function(grid) < 0.0):
-        open_start, open_end = first == 0, last == len(grid) - 1
+    for first, stop in runs(function(grid) < 0.0):
+        open_start, open_end = first == 0, stop == len(grid)
         start = float(grid[0]) if open_start else root(function, grid[first - 1], grid[first])
-        end = float(grid[-1]) if open_end else root(function, grid[last], grid[last + 1])
+        end = float(grid[-1]) if open_end else root(function, grid[stop - 1], grid[stop])
         intervals.append(Interval(start, end, open_start, open_end))
     return intervals
 
@@ -124,37 +128,44 @@ def root(function: Function, a: float, b: float) -> float:
     return float(brentq(lambda t: float(function(np.array([t]))[0]), a, b, xtol=1e-15 * (b - a), rtol=1e-15))
 
 
-def _crossed(function: Function, a: float, b: float) -> Zero:
+def _crossing(function: Function, a: float, b: float) -> Zero:
     t = root(function, a, b)
     return Zero(t, t, True)
 
 
-def _at_samples(function: Function, times: Array, value: Array, first: int, last: int, tolerance: float) -> list[Zero]:
+def _dip(function: Function, a: float, b: float, sign: float, tolerance: float) -> list[Zero]:
+    """Return the zeros of a function that has one sign at both ends: none, a touch, or a pair of crossings."""
+    t, lowest = _minimum(function, a, b, sign)
+    if lowest < -tolerance:
+        return [_crossing(function, a, t), _crossing(function, t, b)]
+    return [Zero(t, t, False)] if lowest <= tolerance else []
+
+
+def _at_samples(function: Function, times: Array, value: Array, first: int, stop: int, tolerance: float) -> list[Zero]:
     """Turn consecutive samples at zero into a crossing that hit a sample, a touch, a stay, or a pair of crossings."""
-    before = value[first - 1] if first > 0 else np.nan
-    after = value[last + 1] if last + 1 < len(times) else np.nan
-    crosses = bool(before * after < 0.0)
-    if last - first < 2:
-        if crosses:
-            return [_crossed(function, times[first - 1], times[last + 1])]
-        at = float(times[first + int(np.argmin(np.abs(value[first : last + 1])))])
+    low, high = max(first - 1, 0), min(stop, len(times) - 1)  # the samples next to them
+    enters, leaves = first > 0 and bool(np.isfinite(value[low])), stop < len(times) and bool(np.isfinite(value[high]))
+    crosses = enters and leaves and bool(value[low] * value[high] < 0.0)
+    if stop - first <= 2 and crosses:
+        return [_crossing(function, times[low], times[high])]
+    if stop - first <= 2:
+        at = float(times[first + int(np.argmin(np.abs(value[first:stop])))])
         touch = Zero(at, at, False)
-        a, b = (float(times[i]) for i in (max(first - 1, 0), min(last + 1, len(times) - 1)))
-        t, lowest = _minimum(function, a, b, float(np.sign(before if np.isfinite(before) else after)))
+        t, lowest = _minimum(function, times[low], times[high], float(np.sign(value[low if enters else high])))
         if not lowest < -tolerance:
             return [touch]
         # a second zero lies between this sample and its neighbour
-        start = _crossed(function, a, t) if np.isfinite(before) else touch
-        return [start, _crossed(function, t, b) if np.isfinite(after) else touch]
+        start = _crossing(function, times[low], t) if enters else touch
+        return [start, _crossing(function, t, times[high]) if leaves else touch]
 
     def excess(at: Array) -> Array:
         return np.abs(function(at)) - tolerance
 
-    entered, left = float(times[first]), float(times[last])
-    if np.isfinite(before) and abs(value[first]) < tolerance:
-        entered = root(excess, times[first - 1], entered)
-    if np.isfinite(after) and abs(value[last]) < tolerance:
-        left = root(excess, left, times[last + 1])
+    entered, left = float(times[first]), float(times[stop - 1])
+    if enters and abs(value[first]) < tolerance:
+        entered = root(excess, times[low], entered)
+    if leaves and abs(value[stop - 1]) < tolerance:
+        left = root(excess, left, times[high])
     return [Zero(entered, left, crosses)]
 
 
@@ -187,7 +198,7 @@ def _minimum(function: Function, a: float, b: float, sign: float = 1.0) -> tuple
     """
     best, least = (a, np.inf), 1e-15 * max(abs(a), abs(b))
     while True:
-        times = np.unique(np.linspace(a, b, _ZOOM + 1))
+        times = np.unique(np.linspace(a, b, ZOOM + 1))
         values = sign * function(times)
         i = int(np.where(np.isfinite(values), values, np.inf).argmin())
         if values[i] < best[1]:
@@ -196,18 +207,3 @@ def _minimum(function: Function, a: float, b: float, sign: float = 1.0) -> tuple
         if not narrower[1] - narrower[0] < b - a or b - a < least:
             return best
         a, b = narrower
-
-
-def _runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """Return first and last index of each run of true values."""
-    edges = np.diff(np.concatenate([[0], np.asarray(flags, dtype=np.intp), [0]]))
-    return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))
-
-
-def _distinct(ordered: list[Zero], apart: float) -> list[Zero]:
-    """Return zeros without touches that repeat the previous one."""
-    return [
-        one
-        for k, one in enumerate(ordered)
-        if k == 0 or one.crosses or ordered[k - 1].crosses or one.t - ordered[k - 1].until > apart
-    ]

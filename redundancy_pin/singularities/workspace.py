@@ -6,11 +6,12 @@ working mode by itself. Islands, which are not connected to the start within the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import (
     Array,
@@ -21,7 +22,6 @@ from redundancy_pin.arrays import (
     frozen,
     one_of,
     read_only,
-    require_few,
     require_type,
 )
 from redundancy_pin.errors import (
@@ -32,22 +32,17 @@ from redundancy_pin.errors import (
     did_you_mean,
     shown,
 )
-from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates
+from redundancy_pin.kinematics.coordinates import all_working_modes
 from redundancy_pin.robot import Robot, RobotLike, as_robot
-from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.singularities.grid import (
     Slice,
     axes_between,
     bounded_axes,
     default_axes,
-    grid_margins,
+    require_resolution,
     slice_through,
     solve_grid,
 )
-
-_MOST_NODES = 200_000
-"""Nodes of a grid at most: about a minute."""
 
 _RESOLUTION = {1: 400, 2: 100, 3: 25}
 """Nodes along each axis, by the number of axes."""
@@ -136,21 +131,18 @@ def workspace(
     """
     robot = as_robot(robot)
     names = _names(robot, free)
-    nodes = _RESOLUTION[len(names)] if resolution is None else resolution
-    require_type(nodes, (int, np.integer), "A number of nodes", "Pass a whole number, at least 3.")
-    require_few(int(nodes) ** len(names), _MOST_NODES, "The grid has {} nodes", "Ask for a lower resolution.")
-    if nodes < 3:
-        raise InputError(f"resolution is {resolution}.", remedy="Pass at least 3 nodes along each axis.")
+    nodes = require_resolution(_RESOLUTION[len(names)] if resolution is None else resolution, len(names))
     axes = None if bounds is None else bounded_axes(robot, names, bounds, nodes)
     slices = _slices(robot, names, at, _modes(robot, modes))
     if axes is None:
         each = np.array([[axis[[0, -1]] for axis in default_axes(one, nodes, within_ranges=True)] for one in slices])
         axes = axes_between(np.stack([each[..., 0].min(axis=0), each[..., 1].max(axis=0)], axis=1), nodes)
     grids = [solve_grid(one, axes, islands=True) for one in slices]
-    margins = np.array([grid_margins(one, grid) for one, grid in zip(slices, grids, strict=True)])
-    island = np.stack([grid.part for grid in grids])
-    in_range = np.stack([grid.reachable & ~out_of_range(robot, grid.q, motion=False) for grid in grids])
     shape = (len(slices), *(len(axis) for axis in axes))
+
+    def stacked(parts: Iterable[NDArray[Any]]) -> NDArray[Any]:
+        return read_only(np.reshape([*parts], shape))
+
     return Workspace(
         robot=robot,
         names=names,
@@ -158,11 +150,11 @@ def workspace(
         axes=tuple(map(frozen, axes)),
         x=grids[0].x,
         modes=tuple(one.system.robot.working_mode for one in slices),
-        reachable=read_only((island >= 0).reshape(shape)),
-        in_range=read_only(in_range.reshape(shape)),
-        margin=read_only(margins[:, 0].reshape(shape)),
-        serial_margin=read_only(margins[:, 1].reshape(shape)),
-        island=read_only(island.reshape(shape)),
+        reachable=stacked(grid.reachable for grid in grids),
+        in_range=stacked(grid.in_range for grid in grids),
+        margin=stacked(grid.margins.parallel for grid in grids),
+        serial_margin=stacked(grid.margins.serial for grid in grids),
+        island=stacked(grid.part for grid in grids),
     )
 
 
@@ -192,23 +184,20 @@ def _slices(
     Raises:
         RedundancyPinError: it cannot be there in its own mode, if that is wanted, or in none of the modes.
     """
-    system = constraint_system(robot)
-    home = coordinates(robot, system.evaluate(np.array(robot.q_reference)[None]))[0]
-    x = None if at is None else checked(at, "at", home.shape)
+    home = slice_through(robot, names).x
+    x = home if at is None else checked(at, "at", home.shape)
     slices = []
     for mode in modes:
         own = mode == robot.working_mode
         try:
-            if own:
-                slices.append(slice_through(robot, names, x))
-            else:
-                slices.append(slice_through(replace(robot, working_mode=mode), names, home if x is None else x))
+            chosen = robot if own else replace(robot, working_mode=mode)
+            slices.append(slice_through(chosen, names, None if own and at is None else x))
         except RedundancyPinError:
             if own:
                 raise
     if not slices:
         raise WorkingModeError(
-            f"{robot.name} can be at {(home if x is None else x).tolist()} in none of the working modes {list(modes)}.",
+            f"{robot.name} can be at {x.tolist()} in none of the working modes {list(modes)}.",
             remedy="Pass another `at`, or other modes.",
         )
     return slices

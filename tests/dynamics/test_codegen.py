@@ -6,9 +6,7 @@ import ctypes
 import itertools
 import json
 import re
-import shutil
-import subprocess
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -95,67 +93,6 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.long_for("fewer actuators")
-@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
-@pytest.mark.parametrize("name", ["2rpr", "fewer actuators", *LONG])
-def test_valgrind_finds_nothing(name: str) -> None:
-    done = run(Path("valgrind"), "-q", "--error-exitcode=9", "--leak-check=full", str(program_of(name)))
-    assert done.returncode == 0, done.stderr
-
-
-MATH = {
-    "sin",
-    "cos",
-    "sincos",
-    "tan",
-    "atan2",
-    "atan",
-    "acos",
-    "asin",
-    "sqrt",
-    "hypot",
-    "fabs",
-    "floor",
-    "fmax",
-    "fmin",
-    "frexp",
-    "ldexp",
-}
-
-
-@pytest.mark.long_for(*(name for name in SMALL if name not in ("2rpr", "fewer actuators")))
-@pytest.mark.skipif(shutil.which("nm") is None, reason="nm is not installed")
-@pytest.mark.parametrize("name", SMALL)
-def test_it_needs_math_alone_and_keeps_no_state(name: str, tmp_path: Path) -> None:
-    folder = folder_of(robot_of(name))
-    included = re.findall(r"^\s*#\s*include\s*(\S+)", (folder / "unit.c").read_text(encoding="utf-8"), flags=re.M)
-    assert sorted(included) == ['"unit.h"', "<math.h>"]
-    assert "#include" not in (folder / "unit.h").read_text(encoding="utf-8")
-    for level in ("-O0", "-O2"):
-        target = compiled([folder / "unit.c"], tmp_path / "unit.o", level, "-c")
-        listed = subprocess.run(["nm", str(target)], capture_output=True, text=True, check=True).stdout
-        symbols = [line.split()[-2:] for line in listed.splitlines()]
-        assert {symbol for kind, symbol in symbols if kind == "U"} <= MATH
-        assert {kind for kind, _ in symbols} <= {"U", "T", "t", "r"}  # no b, d: nothing static that changes
-        public = {symbol for kind, symbol in symbols if kind == "T"}
-        assert all(symbol.startswith("unit_") for symbol in public)
-        assert ("unit_forward_kinematics" in public) is (name != "fewer actuators")
-
-
-def test_two_robots_are_linked_into_one_program(tmp_path: Path) -> None:
-    for name in ("2rpr", "four_bar"):
-        written = codegen.write_c(robot_of(name), tmp_path / name)
-        assert written.prefix == {"2rpr": "robot_2rpr", "four_bar": "four_bar"}[name]
-    main = tmp_path / "main.c"
-    main.write_text(
-        '#include "robot_2rpr.h"\n#include "four_bar.h"\n'
-        "int main(void) { robot_2rpr_state a; four_bar_state b; return robot_2rpr_reset(&a) + four_bar_reset(&b); }\n"
-    )
-    sources = [main, tmp_path / "2rpr" / "robot_2rpr.c", tmp_path / "four_bar" / "four_bar.c"]
-    program = compiled(sources, tmp_path / "both", f"-I{tmp_path / '2rpr'}", f"-I{tmp_path / 'four_bar'}")
-    assert run(program).returncode == 0
-
-
 @pytest.mark.long
 def test_its_own_test_can_fail(tmp_path: Path) -> None:
     folder = folder_of(robot_of("2rpr"))
@@ -218,23 +155,18 @@ def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion
     return want.status.tolist()
 
 
-@pytest.mark.long_for("1-universal", "1-more actuators", "1-four_bar")
+@pytest.mark.long_for("7-universal", "7-more actuators", "7-four_bar", "7-2rpr")
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
-@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1, pytest.param(2, marks=pytest.mark.long)])
-def test_smooth_motions(name: str, seed: int) -> None:
-    robot, t = robot_of(name), np.linspace(0.0, 2.0, 150)
-    assert_same(name, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
-
-
-@pytest.mark.parametrize(
-    "name", ["3rrr", *(pytest.param(name, marks=pytest.mark.long) for name in ("2rpr", "universal"))]
-)
-def test_samples_in_any_order(name: str) -> None:
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 7])
+def test_smooth_motions_and_their_samples_in_any_order(name: str, seed: int) -> None:
     robot, t = robot_of(name), np.linspace(0.0, 2.0, 120)
-    order = np.random.default_rng(2).permutation(len(t))
-    motion, carriers = zoo.smooth_motion(robot, 7).at(t), zoo.carriers_at(robot, t, 7)
-    shuffled = rp.PlatformMotion(t, *(part[order] for part in (motion.x, motion.xd, motion.xdd)))
-    assert_same(name, shuffled, rp.CarrierMotion(*(part[order] for part in (carriers.s, carriers.sd, carriers.sdd))))
+    motion, carriers = zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed)
+    assert_same(name, motion, carriers)
+    if name in ("2rpr", "3rrr", "universal"):
+        order = np.random.default_rng(2).permutation(len(t))
+        shuffled = rp.PlatformMotion(t, *(part[order] for part in (motion.x, motion.xd, motion.xdd)))
+        parts = (part[order] for part in (carriers.s, carriers.sd, carriers.sdd))
+        assert_same(name, shuffled, rp.CarrierMotion(*parts))
 
 
 def test_through_type_two() -> None:
@@ -289,7 +221,7 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
         want = rp.distribute(reduced)
         seen |= set(want.status.tolist())
         for k in range(count):
-            out = code_type(robot)()
+            out = code_of(name).efforts_type()
             row, force = np.ascontiguousarray(W[k]), np.ascontiguousarray(reduced.f[k])
             pointers = [ctypes.c_void_p(array.ctypes.data) for array in (row, force)]
             status = library.probe(*pointers, ctypes.byref(out))
@@ -308,10 +240,6 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
     if n > m:
         expected |= {SampleStatus.UNDERACTUATED}
     assert expected | {SampleStatus.SINGULAR_INCONSISTENT} <= seen
-
-
-def code_type(robot: Robot) -> type[ctypes.Structure]:
-    return code_of(next(name for name in (*SMALL, "gough") if robot_of(name) is robot)).efforts_type
 
 
 # --- forward kinematics ---------------------------------------------------------------------------------------------
@@ -356,26 +284,6 @@ def test_the_branch_is_that_of_the_state() -> None:
         got = code.platform(state, positions[0], velocities[0])
         np.testing.assert_allclose(got.x, [0.25, 0.2 * side], rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(got.xd, [0.1, 0.3 * side], rtol=0.0, atol=1e-11)
-
-
-@pytest.mark.long
-def test_from_far_away_it_is_that_branch_or_none() -> None:
-    """Newton's method without its rule of contraction ends below the base here and there."""
-    code, random, statuses = code_of("2rpr"), np.random.default_rng(0), []
-    x = np.stack([random.uniform(-0.2, 0.7, 200), random.uniform(0.02, 0.5, 200)], axis=1)
-    still = np.zeros((1, 2))
-    for start, end in zip(x[::2], x[1::2], strict=True):
-        positions, _ = drives_along(robot_of("2rpr"), rp.PlatformMotion([0.0], end[None], still, still))
-        state = code.start()
-        assert code.go_to(state, start) == 0
-        kept = bytes(state)
-        got = code.platform(state, positions[0], np.zeros(2))
-        statuses.append(got.status)
-        if got.status == NOTHING_WRITTEN:
-            assert bytes(state) == kept
-        else:
-            np.testing.assert_allclose(got.x, end, rtol=0.0, atol=1e-9)
-    assert 10 < statuses.count(NOTHING_WRITTEN) < 90
 
 
 def test_at_type_two_actuators_do_not_determine_the_platform() -> None:
@@ -513,22 +421,16 @@ def test_another_working_mode_has_a_status_of_its_own() -> None:
 def test_each_state_is_its_own() -> None:
     robot, code, t = robot_of("3rrr"), code_of("3rrr"), np.linspace(0.0, 1.0, 100)
     motions = [zoo.smooth_motion(robot, seed).at(t) for seed in range(4)]
-    wanted = [rp.RneaDynamics(robot).reduce(motion).f for motion in motions]
-    got: list[list[np.ndarray]] = [[] for _ in motions]
 
-    def work(i: int) -> None:
-        state, motion = code.start(), motions[i]
+    def work(motion: rp.PlatformMotion) -> np.ndarray:
+        state, parked = code.start(), [np.zeros(3)] * 3
         code.go_to(state, motion.x[0])
-        for k in range(len(t)):
-            got[i].append(code.efforts(state, motion.x[k], motion.xd[k], motion.xdd[k], *[np.zeros(3)] * 3).f)
+        samples = zip(motion.x, motion.xd, motion.xdd, strict=True)
+        return np.array([code.efforts(state, *sample, *parked).f for sample in samples])
 
-    threads = [threading.Thread(target=work, args=(i,)) for i in range(len(motions))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for mine, want in zip(got, wanted, strict=True):
-        assert_near(np.array(mine), want, "f")
+    with ThreadPoolExecutor(len(motions)) as pool:
+        for got, motion in zip(pool.map(work, motions), motions, strict=True):
+            assert_near(got, rp.RneaDynamics(robot).reduce(motion).f, "f")
 
 
 # --- files -----------------------------------------------------------------------------------------------------------
@@ -549,10 +451,10 @@ def test_names_from_a_file_cannot_leave_their_comments(tmp_path: Path) -> None:
     assert run(compiled(sources, tmp_path / "program")).returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "prefix"),
-    [("rp", "rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new"), ("Math", "robot_math"), ("m", "robot_m")],
-)
+PREFIXES = {"rp": "rp", "2rpr": "robot_2rpr", "…": "robot", "3-RRR (new)": "robot_3_rrr_new", "Math": "robot_math"}
+
+
+@pytest.mark.parametrize(("name", "prefix"), [*PREFIXES.items(), ("m", "robot_m")])
 def test_prefixes(name: str, prefix: str) -> None:
     assert codegen.prefix_of(name, None) == prefix
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import spatial_chains
 import stack
 import zoo
 from flat_linkages import row_of_four_bars
@@ -47,6 +48,8 @@ LONG = partial(pytest.param, marks=pytest.mark.long)
 def robot_of(name: str) -> Robot:
     if name in ACTUATED:
         return actuated_by(*ACTUATED[name])
+    if name in spatial_chains.CHAINS:
+        return spatial_chains.chain_of(name)
     return row_of_four_bars(40) if name == "40 loops" else zoo.robot_of(name)
 
 
@@ -132,18 +135,30 @@ def defined(text: str, *flags: str) -> set[str]:
     return {line.split()[1].partition("(")[0] for line in told.splitlines()}
 
 
+MATH = re.findall(
+    r"\w+", "sin cos sincos tan atan2 atan acos asin sqrt hypot fabs floor round trunc copysign fmax fmin frexp ldexp"
+)
+"""All that the code may call."""
+
+
 @pytest.mark.skipif(shutil.which("nm") is None, reason="nm is not installed")
-@pytest.mark.parametrize("name", ["2rpr", "more actuators", "fewer actuators"])
-def test_every_symbol_and_every_macro_begins_with_the_prefix(name: str, tmp_path: Path) -> None:
-    folder, target = folder_of(robot_of(name)), str(tmp_path / "unit.o")
-    subprocess.run(["gcc", "-O0", "-c", str(folder / "unit.c"), "-o", target], check=True)
-    listed = subprocess.run(["nm", target], capture_output=True, text=True, check=True).stdout
-    symbols = [tuple(line.split()[-2:]) for line in listed.splitlines()]
-    outside = {symbol for kind, symbol in symbols if kind.isupper() and kind != "U"}
-    header = (folder / "unit.h").read_text(encoding="utf-8")
-    assert outside == set(re.findall(r"^int (unit_\w+)\(", header, flags=re.M))
-    inside = {symbol for kind, symbol in symbols if kind.islower() and "." not in symbol}  # a dot: of a function
-    assert inside == {symbol for symbol in inside if re.match(r"(unit_own|UNIT_OWN)_", symbol)}
+@pytest.mark.long_for("3rrr", "universal")
+@pytest.mark.parametrize("name", ["2rpr", "more actuators", "fewer actuators", "3rrr", "universal"])
+def test_it_needs_math_alone_keeps_no_state_and_every_name_begins_with_the_prefix(name: str, tmp_path: Path) -> None:
+    folder = folder_of(robot_of(name))
+    header, text = ((folder / file).read_text(encoding="utf-8") for file in ("unit.h", "unit.c"))
+    assert sorted(re.findall(r"^\s*#\s*include\s*(\S+)", text + header, flags=re.M)) == ['"unit.h"', "<math.h>"]
+    for level in ("-O0", "-O2"):
+        target = compiled([folder / "unit.c"], tmp_path / "unit.o", level, "-c")
+        listed = subprocess.run(["nm", str(target)], capture_output=True, text=True, check=True).stdout
+        symbols = [tuple(line.split()[-2:]) for line in listed.splitlines()]
+        assert {kind for kind, _ in symbols} <= {"U", "T", "t", "r"}  # no b, d: nothing static that changes
+        assert {symbol for kind, symbol in symbols if kind == "U"} <= set(MATH)
+        public = {symbol for kind, symbol in symbols if kind == "T"}
+        assert public == set(re.findall(r"^int (unit_\w+)\(", header, flags=re.M))
+        assert ("unit_forward_kinematics" in public) is (name != "fewer actuators")
+        inside = {symbol for kind, symbol in symbols if kind in "tr" and "." not in symbol}  # a dot: of a function
+        assert inside == {symbol for symbol in inside if re.match(r"(unit_own|UNIT_OWN)_", symbol)}
     shown = defined(header) - defined("")
     assert {"UNIT_H", "UNIT_N", "UNIT_STACK_BYTES"} <= shown
     assert all(macro.startswith("UNIT_") for macro in shown)
@@ -285,29 +300,9 @@ def reduced_of(W: np.ndarray, f: np.ndarray) -> ReducedDynamics:
     return ReducedDynamics(np.arange(count, dtype=float), f, W, nothing, every, np.zeros(count), np.ones(n), np.ones(m))
 
 
-def matrices(n: int, m: int, rank: int) -> tuple[np.ndarray, np.ndarray]:
-    random = np.random.default_rng(5)
-    W = random.normal(size=(6, n, rank)) @ random.normal(size=(6, rank, m))
-    f = np.einsum("Nij,Nj->Ni", W, random.normal(size=(6, m)))
-    f[3:] = random.normal(size=(3, n))  # outside the range of W where that is less than all
-    return W, f
-
-
-@pytest.mark.parametrize(("n", "m", "rank"), [(3, 3, 3), (3, 3, 2), (2, 4, 2), (4, 2, 2)])
-def test_distribute_is_linear_at_any_size(n: int, m: int, rank: int) -> None:
-    W, f = matrices(n, m, rank)
-    one = rp.distribute(reduced_of(W, f), force_tolerance=0.0)
-    for power in POWERS:
-        got = rp.distribute(reduced_of(W, times_power(f, power)), force_tolerance=0.0)
-        np.testing.assert_array_equal(got.status, one.status)
-        np.testing.assert_array_equal(got.tau, times_power(one.tau, power))
-        lost = one.status >= SampleStatus.SINGULAR_INCONSISTENT
-        np.testing.assert_array_equal(got.residual[lost], times_power(one.residual[lost], power))
-        assert (got.residual[~lost] <= 1e-13 * np.abs(times_power(f, power)).max()).all()
-
-
 def test_distribute_keeps_bounds_of_any_size() -> None:
-    W, f = matrices(2, 4, 2)
+    random = np.random.default_rng(5)
+    W, f = random.normal(size=(6, 2, 4)), random.normal(size=(6, 2))
     free = rp.distribute(reduced_of(W, f))
     bound = 0.9 * np.abs(free.tau).max(axis=1, keepdims=True) * np.ones(4)
     one = rp.distribute(reduced_of(W, f), lower=-bound, upper=bound)

@@ -118,20 +118,6 @@ def test_rows_are_counted_from_preferred_efforts(gripping) -> None:
     assert np.abs(again.tau - first.tau).max() < 1e-6
 
 
-def test_refusals(gripping) -> None:
-    robot, motion = gripping
-    along = rp.RneaDynamics(robot).along(motion)
-    force, narrow = closure_forces(along), EffortRows(np.eye(3), np.zeros(3), np.zeros(3))
-    for message, call in (
-        ("no closure row 'z of grip'", lambda: force.friction_cone("grip", 0.5)),
-        ("friction is -1", lambda: force.friction_cone("grip", -1.0, normal="x")),
-        ("Rows of efforts was expected", lambda: rp.distribute(along.reduce(), rows=[5])),  # type: ignore[list-item]
-        ("matrix has shape", lambda: rp.distribute(along.reduce(), rows=[narrow])),
-    ):
-        with pytest.raises(InputError, match=message):
-            call()
-
-
 def foot() -> ClosureForces:
     """A point foot in a plane: what holds it are the two efforts themselves."""
     return ClosureForces(("x of foot", "z of foot"), np.zeros((1, 2)), np.eye(2)[None])
@@ -161,47 +147,51 @@ def test_a_cone_in_space_is_a_pyramid_with_its_edges_on_coulombs_cone(sides: int
     assert not any(held(0.5 * (1.0 + 1e-9), around))
 
 
-@pytest.mark.parametrize(
-    "given",
-    [{"friction": "a"}, {"friction": np.inf}, {"sides": 3.5}, {"sides": "x"}, {"least": np.nan}, {"least": [1, 2]}],
-)
-def test_cones_of_no_sense_are_refused(given: dict[str, object]) -> None:
-    with pytest.raises(InputError):
-        foot().friction_cone(**{"closure": "foot", "friction": 0.5, **given})
+WRONG_CONES = [
+    {"friction": "a"},
+    {"friction": np.inf},
+    {"sides": 3.5},
+    {"sides": "x"},
+    {"least": np.nan},
+    {"least": [1, 2]},
+]
+WRONG_ROWS = [
+    ([1, 2, 3], 0, 1),
+    ("x", 0, 1),
+    ([1, 0], 2, 1),
+    ([1, 0], np.nan, 1),
+    ([1, 0], [0, 0, 0], 1),
+    ([np.nan, 0], 0, 1),
+]
+
+
+def test_cones_and_rows_of_no_sense_are_refused() -> None:
+    for given in WRONG_CONES:
+        with pytest.raises(InputError):
+            foot().friction_cone(**{"closure": "foot", "friction": 0.5, **given})
+    for direction, lower, upper in WRONG_ROWS:
+        with pytest.raises(InputError):
+            foot().rows(direction, lower, upper)
+    with pytest.raises(InputError, match="no closure row 'y of foot'"):
+        foot().friction_cone("foot", 0.5, normal="y")
+    with pytest.raises(InputError, match="friction is -1"):
+        foot().friction_cone("foot", -1.0)
 
 
 @pytest.mark.parametrize(
-    ("direction", "lower", "upper"),
-    [([1, 2, 3], 0, 1), ("x", 0, 1), ([1, 0], 2, 1), ([1, 0], np.nan, 1), ([1, 0], [0, 0, 0], 1), ([np.nan, 0], 0, 1)],
-)
-def test_rows_of_no_sense_are_refused(direction: object, lower: object, upper: object) -> None:
-    with pytest.raises(InputError):
-        foot().rows(direction, lower, upper)
-
-
-@pytest.mark.parametrize(
-    "rows",
+    ("rows", "message"),
     [
-        None,
-        EffortRows(np.eye(4), np.zeros(4), np.ones(4)),
-        [EffortRows("x", 0, 1)],
-        [EffortRows(np.eye(4), np.ones(4), np.zeros(4))],
-        [EffortRows(np.eye(3), np.zeros(3), np.ones(3))],
+        (None, "rows is None"),
+        (EffortRows(np.eye(4), np.zeros(4), np.ones(4)), r"rows is one EffortRows. Pass a list .* rows=\[squeeze\]"),
+        ([EffortRows("x", 0, 1)], "matrix is not an array"),
+        ([EffortRows(np.eye(4), np.ones(4), np.zeros(4))], "lower is above upper"),
+        ([EffortRows(np.eye(3), np.zeros(3), np.ones(3))], "matrix has shape"),
+        ([5], "Rows of efforts was expected"),
     ],
-    ids=range(5),
 )
-def test_rows_that_are_none_are_refused(gripping, rows: object) -> None:
+def test_rows_that_do_not_fit_are_refused(gripping, rows: object, message: str) -> None:
     robot, motion = gripping
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=message):
         rp.distribute(rp.RneaDynamics(robot).reduce(motion), rows=rows)
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="RNEA dynamics along a motion"):
         closure_forces(robot)
-
-
-def test_rows_without_a_list_are_not_printed_out(gripping) -> None:
-    robot, motion = gripping
-    along = rp.RneaDynamics(robot).along(motion)
-    force = closure_forces(along)
-    squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
-    with pytest.raises(InputError, match=r"rows is one EffortRows. Pass a list of EffortRows, rows=\[squeeze\]"):
-        rp.distribute(along.reduce(), rows=squeeze)

@@ -191,22 +191,6 @@ def test_a_passive_joint_that_leaves_its_limit_is_named_with_time_value_and_limi
     assert rp.inverse_dynamics(rp.RneaDynamics(free), motion).joint_limits == ()
 
 
-def test_limits_may_be_counted_from_another_turn(limited) -> None:
-    """A crank a whole turn on is the same machine, its rocker included."""
-    from redundancy_pin.robot.joint_ranges import beyond_limits
-
-    motion = crank(1.0, 1.1)
-    q = np.array(rp.inverse_kinematics(limited, motion).q)
-    place = limited.model.joints[limited.model.getJointId("rocker")].idx_q
-    for turns in (-2, 1):
-        moved = q.copy()
-        moved[:, place] += 2.0 * np.pi * turns
-        assert beyond_limits(limited, moved, motion.t) == ()
-        moved[7, place] += 1.0
-        [one] = beyond_limits(limited, moved, motion.t)
-        assert one.t == one.worst == motion.t[7]
-
-
 def test_a_plan_whose_motion_leaves_a_limit_says_so(tmp_path: Path) -> None:
     """The passive swivels of the 2-RPR, which may turn up to 1.4 rad: on the line they go farther."""
     models = Path(__file__).parents[2] / "models" / "2rpr"

@@ -524,3 +524,16 @@ def test_friction_of_fast_joints_does_not_overflow() -> None:
 def test_an_inertia_is_a_number_or_a_matrix(inertia: object) -> None:
     with pytest.raises(InputError, match=r"^inertia "):
         Payload("platform", 1.0, inertia=inertia)
+
+
+def test_frames_of_all_corners_are_the_other_backends() -> None:
+    """Pushed at each link of the 3-RRR by itself."""
+    robot, t = zoo.robot_of("3rrr"), np.linspace(0.0, 1.0, 5)
+    motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t)
+    links = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
+    for link in dict.fromkeys(links):
+        push = [Wrench(link, [3.0, -2.0, 0.0, 0.0, 0.0, 1.5], "local", (0.1, 0.2, 0.0))]
+        ours, theirs = (
+            backend(robot).reduce(motion, carriers, external=push).f for backend in (VirtualWork, RneaDynamics)
+        )
+        np.testing.assert_allclose(ours, theirs, atol=1e-10)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import zoo
-from numpy.typing import ArrayLike
 
-from redundancy_pin import CarrierMotion, PlatformMotion, inverse_dynamics
-from redundancy_pin.dynamics.base import ReducedDynamics, TorqueSample
+from redundancy_pin import CarrierMotion, CompiledDynamics, PlatformMotion, inverse_dynamics
+from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import CarrierLimitError, InputError, UnreachablePoseError
 from redundancy_pin.robot import Robot
@@ -118,72 +116,42 @@ def test_results_are_read_only_and_of_the_stated_shapes(shipped: Robot) -> None:
     assert isinstance(replace(reduced, f=reduced.f * 2), ReducedDynamics)
 
 
-# --- one sample after another ---
-
-
-def torque_of(dynamics: RneaDynamics, x: ArrayLike, **given: Any) -> TorqueSample:
-    n = dynamics.robot.n
-    return dynamics.torque(x, np.zeros(n), np.ones(n), **given)
-
-
-def test_a_lost_sample_moves_nothing_and_is_not_answered_from_the_reference() -> None:
-    """On the straight line to the other side of its hinge the first leg of the 2-RPR has no length."""
-    dynamics = RneaDynamics(zoo.robot_of("2rpr"))
-    before, lost, after = (torque_of(dynamics, x) for x in ([-0.1, 0.1], [0.1, -0.1], [-0.1, 0.1]))
-    assert (before.status, lost.status) == (SampleStatus.OK, SampleStatus.BRANCH_LOST)
-    assert np.isnan([*lost.tau, lost.margin, *lost.carrier_force]).all()
-    np.testing.assert_allclose(after.tau, before.tau, rtol=1e-11)
-    there = torque_of(RneaDynamics(zoo.robot_of("2rpr")), [0.1, -0.1])  # a first sample is looked for from everywhere
-    assert there.status is SampleStatus.OK
-
-
-def test_samples_out_of_reach_carry_the_closure_residual() -> None:
-    """The first leg of the 3-RRR points at its corner and is 0.25 m short; the smallest change closes half of it."""
-    dynamics, home = RneaDynamics(zoo.robot_of("3rrr")), zoo.home_of(zoo.robot_of("3rrr"))
-    assert torque_of(dynamics, home).residual < 1e-11
-    away = torque_of(dynamics, [2.5 * np.cos(np.pi / 6), 2.5 * np.sin(np.pi / 6), 0.0])
-    assert away.status is SampleStatus.UNREACHABLE
-    assert 0.01 < away.residual < 1.0
-    assert torque_of(dynamics, home).status is SampleStatus.OK
-
-
-def test_a_start_says_the_branch_whatever_the_working_mode() -> None:
-    robot, other = zoo.robot_of("3rrr"), zoo.robot_of("3rrr", working_mode=(1, -1, 1))
-    dynamics, home = RneaDynamics(robot), zoo.home_of(robot)
-    for x, start in ((home, other.q_reference), (home + 1e-3, None), (home - 1e-3, None)):
-        got, expected = torque_of(dynamics, x, start=start), torque_of(RneaDynamics(other), x)
-        np.testing.assert_allclose(got.tau, expected.tau, rtol=1e-10)
-    back = torque_of(dynamics, home, start=robot.q_reference)
-    np.testing.assert_allclose(back.tau, torque_of(RneaDynamics(robot), home).tau, rtol=1e-10)
+# --- one sample after another: test_control_rate_branches.py ---
 
 
 def test_a_start_may_be_open_by_noise_but_not_visibly() -> None:
-    robot = zoo.robot_of("3rrr")
+    robot, still = zoo.robot_of("3rrr"), np.zeros(3)
     dynamics, home, rng = RneaDynamics(robot), zoo.home_of(robot), np.random.default_rng(0)
-    expected = torque_of(dynamics, home).tau
+    expected = dynamics.torque(home, still, still + 1.0)
+    assert expected.residual < 1e-11
     for size, statuses in ((1e-4, {SampleStatus.OK}), (1.0, {SampleStatus.BRANCH_LOST})):
         starts = robot.q_reference + rng.normal(0.0, size, (20, robot.model.nq))
-        noisy = [torque_of(dynamics, home, start=start) for start in starts]
+        noisy = [dynamics.torque(home, still, still + 1.0, start=start) for start in starts]
         assert {one.status for one in noisy} == statuses
-        assert all(np.allclose(one.tau, expected, rtol=1e-10) for one in noisy if one.status.solved)
+        assert all(np.allclose(one.tau, expected.tau, rtol=1e-10) for one in noisy if one.status.solved)
 
 
-def test_numbers_that_are_not_finite_are_a_status_and_matrices_that_are_no_pose_an_error() -> None:
-    robot = zoo.robot_of("gough")
-    dynamics, home, still = RneaDynamics(robot), zoo.home_of(robot), np.zeros(6)
-    for name in ("x", "xd", "xdd", "t", "start"):
-        given = {"x": home, "xd": still, "xdd": still, "t": 0.0, "start": robot.q_reference}
-        given[name] = given[name] * np.nan
-        assert dynamics.torque(**given).status is SampleStatus.NOT_FINITE, name
-    tracks = RneaDynamics(zoo.robot_of("3rrr"))
-    for name in ("s", "sd", "sdd"):
-        assert torque_of(tracks, zoo.home_of(tracks.robot), **{name: np.nan}).status is SampleStatus.NOT_FINITE
+def test_samples_are_unpacked_and_their_arguments_refused_by_name() -> None:
+    robot, still = zoo.robot_of("gough"), np.zeros(6)
+    dynamics, home = RneaDynamics(robot), zoo.home_of(robot)
+    W, f, force = dynamics.sample(home, still, still)
+    assert (W.shape, f.shape, force.shape) == ((6, 6), (6,), (0,))
     for call in (dynamics.torque, dynamics.sample):
-        with pytest.raises(InputError, match=r"is not a homogeneous pose"):
-            call(np.diag([1.0, 1.0, 2.0, 1.0]), still, still)
         with pytest.raises(InputError, match=r"^s has shape \(2,\), expected \(0,\)"):
             call(home, still, still, s=[1.0, 2.0])
         with pytest.raises(InputError, match=r"^xdd has shape \(5,\), expected \(6,\)"):
             call(home, still, still[:5])
-    W, f, force = dynamics.sample(home, still, still)  # as samples of other backends
-    assert (W.shape, f.shape, force.shape) == ((6, 6), (6,), (0,))
+
+
+def test_efforts_that_grow_towards_type_one_have_a_small_serial_margin() -> None:
+    """The first leg of the five-bar nearly stretched: W is far from singular, the margin goes with the root."""
+    still, margins = np.zeros(2), []
+    rnea, compiled = RneaDynamics(zoo.robot_of("five_bar")), CompiledDynamics(zoo.robot_of("five_bar"))
+    for reach in (0.8, 1.0 - 1e-4, 1.0 - 1e-6):
+        x = [0.25, np.sqrt(reach**2 - 0.0625)]
+        one, other = (dynamics.torque(x, still, still + 1.0) for dynamics in (rnea, compiled))
+        assert one.margin > 0.1
+        assert other.serial_margin == pytest.approx(one.serial_margin, rel=1e-6)
+        margins.append(one.serial_margin)
+    assert margins[0] > 0.1
+    assert margins[1] / margins[2] == pytest.approx(10.0, rel=0.05)

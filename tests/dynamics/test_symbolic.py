@@ -11,10 +11,14 @@ import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
+from scipy.spatial.transform import Rotation
 
-from redundancy_pin import RneaDynamics, joint_reactions, symbolic
+from redundancy_pin import CompiledDynamics, RneaDynamics, inverse_kinematics, joint_reactions, symbolic
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled import design_of
+from redundancy_pin.dynamics.compiled.parameters import places_of
 from redundancy_pin.dynamics.compiled.symbolic import SymbolicRobot
-from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
@@ -72,6 +76,35 @@ def test_they_say_what_rnea_says(name: str) -> None:
         assert_equal(rows, np.concatenate([np.zeros(r), motion.xdd[k]]), "bias")
 
 
+@pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
+def test_off_the_motion_they_are_pinocchios_and_the_kinematics(name: str) -> None:
+    """The tree, whether its loops are closed or not; and what is missing to a pose that is turned away."""
+    robot, rng = robot_of(name), np.random.default_rng(8)
+    functions, model = symbolic(robot), robot.model.copy()
+    data, home = model.createData(), np.array(robot.q_reference)
+    for _ in range(2):
+        q = pin.integrate(model, home, rng.uniform(-0.5, 0.5, model.nv))
+        v, a = rng.normal(size=(2, model.nv))
+        assert_equal(functions.rnea(q, v, a), pin.rnea(model, data, q, v, a), "rnea")
+        energy = pin.computeKineticEnergy(model, data, q, v) + pin.computePotentialEnergy(model, data, q)
+        assert_equal(functions.energy(q, v), np.array([energy]), "energy")
+        # the force that holds the base is what the momentum of all changes by, less its weight
+        pin.computeCentroidalMomentumTimeVariation(model, data, q, v, a)
+        force = data.dhg.linear - data.mass[0] * model.gravity.linear
+        assert_equal(-np.array(functions.base_wrench(q, v, a))[:3, 0], force, "base wrench")
+    state = zoo.system_of(robot).evaluate(home[None])
+    indicators = mode_indicator(robot, home[None])[0] * robot.working_mode if robot.working_mode else np.empty(0)
+    assert_equal(functions.mode(home), indicators, "mode")
+    x = coordinates(robot, state)
+    target = moved(robot, x, rng.uniform(-0.4, 0.4, (1, robot.n)))
+    missing = -difference(robot, target, x)[0]
+    if robot.platform is not None and robot.platform.is_pose:  # the sine of the angle, about its axis
+        turn = Rotation.from_matrix(target[0, :3, :3] @ x[0, :3, :3].T).as_rotvec()
+        angle = np.linalg.norm(turn)
+        missing[3:] = -turn * np.sin(angle) / angle
+    assert_equal(np.array(functions.position(home, target[0]))[-robot.n :, 0], missing, "position")
+
+
 def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
     """All rows vanish there, and the cosines are zero: CompiledDynamics took it for closed where they rounded up."""
     model = pin.Model()
@@ -93,20 +126,6 @@ def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
         assert (np.array(functions.alignment(q)) < 0.0).any()
 
 
-def test_what_is_off_is_told() -> None:
-    """Residuals that were always zero would pass for closed."""
-    robot = robot_of("five_bar")
-    functions, q, x = symbolic(robot), np.array(robot.q_reference), zoo.home_of(robot)
-    np.testing.assert_allclose(
-        np.array(functions.position(q, x + np.array([0.1, -0.2])))[2:, 0], [-0.1, 0.2], atol=1e-12
-    )
-    np.testing.assert_allclose(np.array(functions.velocity(q, np.zeros(6), [1.0, 2.0]))[2:, 0], [-1.0, -2.0])
-    step = np.full(6, 1e-7)
-    moved = np.array(functions.moved(q, step))[:, 0]
-    np.testing.assert_allclose(functions.closure(moved), functions.Jc(q) @ step, atol=1e-13)
-    assert np.abs(np.array(functions.closure(moved))).max() > 1e-9
-
-
 def test_both_kinds_of_graphs_hold_them() -> None:
     robot = robot_of("3rrr")
     functions = symbolic(robot)
@@ -122,6 +141,46 @@ def test_both_kinds_of_graphs_hold_them() -> None:
         # linear in a
         rest = np.array(functions.f(*numbers[:2], np.zeros(nv)))
         assert_equal(np.array(by_a) @ numbers[2][:, None] + rest, np.array(value), "f by a")
+
+
+@pytest.mark.parametrize("name", ["3rrr", "gough"])
+def test_columns_of_masses_are_what_pinocchios_inertias_change_by(name: str) -> None:
+    """Mass, first moment and inertia about the origin: linear in a mass and in its inertia, by differences a centre."""
+    robot = zoo.robot_of(name)
+    joint = next(str(robot.model.names[i]) for i in range(1, robot.model.njoints) if robot.model.inertias[i].mass > 0.0)
+    body = robot.model.inertias[robot.model.getJointId(joint)]
+    mass, centre, inertia, h = body.mass, np.array(body.lever), np.eye(3), 1e-6  # any inertia will do
+
+    def moments(m: float, c: Array, about: Array) -> Array:
+        """By the spatial inertia: its lower right block is about the origin."""
+        whole = pin.Inertia(m, c, about).matrix()
+        first = np.array([whole[5, 1], whole[3, 2], whole[4, 0]])
+        return np.concatenate([[m], first, whole[[3, 3, 4, 3, 4, 5], [3, 4, 4, 5, 5, 5]]])
+
+    changes = {f"{joint}.mass": lambda d: (mass + d, centre, inertia)}
+    for i, axis in enumerate("xyz"):
+        changes[f"{joint}.centre.{axis}"] = lambda d, i=i: (mass, centre + d * np.eye(3)[i], inertia)
+        for j in range(i, 3):
+            change = np.zeros((3, 3))
+            change[i, j] = change[j, i] = 1.0
+            changes[f"{joint}.inertia.{axis}{'xyz'[j]}"] = lambda d, c=change: (mass, centre, inertia + d * c)
+    for parameter, changed in changes.items():
+        column = design_of(robot, [parameter]).columns[:, 0]
+        expected = (moments(*changed(h)) - moments(*changed(-h))) / (2.0 * h)
+        at = places_of(robot)["joint", robot.model.getJointId(joint), "body"]
+        np.testing.assert_allclose(column[at], expected, atol=1e-8)
+        assert np.count_nonzero(column) == np.count_nonzero(column[at])
+
+
+def test_expressions_of_the_carriers_motion_have_the_values_of_rnea(shipped: Robot) -> None:
+    """Of many samples at once, each with its own influence matrix."""
+    t = np.linspace(0.0, 1.0, 4)
+    motion, carriers = zoo.smooth_motion(shipped, 5).at(t), zoo.carriers_at(shipped, t)
+    along = CompiledDynamics(shipped).along(motion)
+    f, force = along.expressions(*(ca.DM(part.T) for part in (carriers.s, carriers.sd, carriers.sdd)))
+    wanted = RneaDynamics(shipped).reduce(motion, carriers)
+    for got, want in ((f, wanted.f), (force, wanted.carrier_force)):
+        np.testing.assert_allclose(np.array(got).T, want, rtol=1e-9, atol=1e-9 * np.abs(wanted.f).max())
 
 
 @pytest.mark.long

@@ -18,6 +18,7 @@ from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.errors import UnreachablePoseError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
+from redundancy_pin.status import SampleStatus
 
 TURN = 2.0 * np.pi
 TURNS = (0, 1, -1, 10, 790, -790, 1_000_000)
@@ -126,10 +127,27 @@ def test_turns_that_never_repeat_are_followed_one_by_one(polynomial: tuple[float
         dynamics.reduce(motion_at(angle_after(1_000_000)))
 
 
-def test_gears_that_come_round_after_thousands_of_turns_reach_any_number() -> None:
-    """A ratio of 617 to 5000."""
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_samples_too_many_turns_away_are_marked_and_others_are_not(backend: str) -> None:
+    robot, x, still = geared(0.2, 0.1 * 2.0**0.5), angle_after(20_000), np.zeros((3, 1))
+    dynamics = BACKENDS[backend](robot)
+    motion = rp.PlatformMotion([0.0, 1.0, 2.0], [[0.3], [x], [0.4]], still, still, check_rates=False)
+    reduced = dynamics.along(motion, unreachable="mark").reduce()
+    assert reduced.reachable.tolist() == [True, False, True]
+    near(reduced.f[[0, 2], 0], [holding(one, 0.2, 0.1 * 2.0**0.5) for one in (0.3, 0.4)], 1.0, 10.0)
+    assert not dynamics.along(motion[1:2], unreachable="mark").reduce().reachable.any()
+    with pytest.raises(UnreachablePoseError, match="which do not repeat") as caught:
+        dynamics.reduce(motion)
+    assert caught.value.details["sample"] == 1
+    assert dynamics.torque([x], [0.0], [0.0]).status is SampleStatus.UNREACHABLE
+    assert not rp.forward_kinematics(robot, [[x]]).known.any()
+
+
+@pytest.mark.parametrize("backend", ["compiled", pytest.param("rnea", marks=pytest.mark.long)])
+def test_gears_that_come_round_after_thousands_of_turns_reach_any_number(backend: str) -> None:
+    """A ratio of 617 to 5000; RNEA takes a minute."""
     x = angle_after(1_000_000)
-    found = CompiledDynamics(geared(0.2, 0.1234)).reduce(motion_at(x)).f[0, 0]
+    found = BACKENDS[backend](geared(0.2, 0.1234)).reduce(motion_at(x)).f[0, 0]
     near(found, holding(x, 0.2, 0.1234), x, 10.0)
 
 

@@ -119,12 +119,27 @@ def test_a_branch_that_ends_says_why_and_where(x: np.ndarray, status: SampleStat
 
 def test_coordinates_and_rates_of_another_shape_are_refused() -> None:
     own = follower(zoo.robot_of("five_bar"))
+    home, short = own.home, along(0.4)
+    for call in (own.advance, own.step, lambda here, x: own.pass_through(here, x, *np.zeros((2, 2)))):
+        with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
+            call(home, short)
     with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
-        own.advance(own.home, along(0.4))
+        own.close(home.q, short)
+    with pytest.raises(InputError, match=r"q has shape \(3,\)"):
+        own.state_at(np.zeros(3))
+    with pytest.raises(InputError, match="complex"):
+        own.advance(home, home.x + 1j)
     with pytest.raises(InputError, match=r"xd has shape \(\), expected \(2,\)"):
-        own.rates(own.home, np.array(1.0), along(0.0, 0.0))
+        own.rates(home, np.array(1.0), along(0.0, 0.0))
     with pytest.raises(InputError, match="xdd has 1 value"):
-        own.rates(own.home, along(0.0, 0.0), along(np.nan, 0.0))
+        own.rates(home, along(0.0, 0.0), along(np.nan, 0.0))
+
+
+@pytest.mark.parametrize("factor", [np.diag([2.0, 2.0, 2.0, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4)])
+def test_a_matrix_that_is_no_pose_is_refused(factor: np.ndarray) -> None:
+    own = follower(zoo.robot_of("gough"))
+    with pytest.raises(InputError, match="not a homogeneous pose"):
+        own.advance(own.home, own.home.x @ factor)
 
 
 def test_where_the_closures_lose_rank_and_no_branch_goes_on_it_is_said(

@@ -385,7 +385,7 @@ def test_turns_that_never_repeat_lose_the_branch() -> None:
     driven = replace(robot, platform=None, independent_joints=("motor",))
     marked = rp.inverse_kinematics(driven, motion, mark_unreachable=True)
     assert marked.reachable.tolist() == [True, False, True]
-    with pytest.raises(UnreachablePoseError, match=r"Sample 1.*do not repeat") as caught:
+    with pytest.raises(UnreachablePoseError, match="do not repeat") as caught:
         rp.inverse_kinematics(driven, motion)
     assert caught.value.details["sample"] == 1
 

@@ -6,6 +6,7 @@ has the other backend make W and f of it, solves W τ = f, and compares with the
 
 from __future__ import annotations
 
+import functools
 import os
 from dataclasses import replace
 from typing import Any
@@ -63,11 +64,11 @@ def instants(plan: Plan) -> Array:
 
 def uses(plan: Plan, robot: Robot, given: dict[str, Any]) -> dict[str, float]:
     """Return the largest fraction of each limit that the continuous motion uses, by another backend than the plan's."""
-    second = rp.CompiledDynamics if robot.closed_form is None else rp.VirtualWork
-    other = (second if plan.backend == "Rnea" else rp.RneaDynamics)(robot)
+    other = rp.RneaDynamics(robot)
     t = instants(plan)
     platform, carriers = plan.platform_at(t), plan.carriers_at(t)
-    reduced = other.along(platform).reduce(carriers)
+    along = other.along(platform)
+    reduced = along.reduce(carriers)
     tau = np.linalg.solve(reduced.W, np.asarray(reduced.f)[..., None])[..., 0]
     for part in plan.functions_of_time.prescribed:  # efforts that the planner decided on
         inside = (t >= part.start) & (t <= part.end)
@@ -93,7 +94,7 @@ def uses(plan: Plan, robot: Robot, given: dict[str, Any]) -> dict[str, float]:
             np.abs(reduced.carrier_force / of("carrier_force", [limit.force for limit in own])).max(initial=0.0)
         ),
         "jerk": float(np.abs(third / of("jerk", [np.inf] * robot.k)).max(initial=0.0)),
-        "range": 1.0 + float(range_excess(robot, inverse_kinematics(robot, platform).q).max(initial=-1.0)),
+        "range": 1.0 + float(range_excess(robot, along.q).max(initial=-1.0)),
     }
 
 
@@ -104,8 +105,8 @@ def drawn(planner: str, seed: int) -> tuple[Plan, Robot, dict[str, Any]]:
                           ["3rrr"] if planner == "stepwise" else ["2rpr"]))  # fmt: skip
     heavy = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if name == "2rpr" and planner != "switch off" else {}
     robot = zoo.robot_of(name, **heavy)
-    second = rp.RneaDynamics if robot.closed_form is None else rp.VirtualWork
-    dynamics = [rp.RneaDynamics, second][int(rng.integers(2))](robot)
+    second = rp.CompiledDynamics if robot.closed_form is None else rp.VirtualWork
+    dynamics = [rp.CompiledDynamics, second][int(rng.integers(2))](robot)
     home, reach = np.asarray(zoo.home_of(robot)), zoo.reach_of(robot)
     motion: Trajectory
     if name == "2rpr":
@@ -191,7 +192,7 @@ def test_a_command_that_keeps_every_limit_keeps_them_between_its_nodes() -> None
     """Where ẍ jumps, the force of a carrier is larger between the nodes than at them, here by 15 %."""
     robot, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner(radius=0.0236)
     most = 7.12
-    run = run_online(rp.RecedingHorizon(rp.RneaDynamics(robot), carrier_force=most), corner)
+    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), carrier_force=most), corner)
     ends = [*(command.t for command in run.commands[1:]), run.plan.t[-1]]
     planned = 0
     for command, end in zip(run.commands, ends, strict=True):
@@ -207,7 +208,7 @@ def test_a_command_that_keeps_every_limit_keeps_them_between_its_nodes() -> None
 
 def test_the_jerk_of_a_motion_planned_on_line_is_judged() -> None:
     robot = zoo.robot_of("3rrr", working_mode=(1, 1, 1))
-    run = run_online(rp.RecedingHorizon(rp.RneaDynamics(robot), jerk=50.0), reference.corner())
+    run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), jerk=50.0), reference.corner())
     jerk = np.abs(run.plan.functions_of_time.carriers.derivative(3)(instants(run.plan))).max()
     assert jerk > 49.0
     named = {event.quantity for event in (*run.plan.limits.violated, *run.plan.limits.binding)}
@@ -218,13 +219,19 @@ def test_the_jerk_of_a_motion_planned_on_line_is_judged() -> None:
     assert event.amount == pytest.approx(jerk * (1.0 - 1.0 / 1.002), rel=1e-3)
 
 
-@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
+@functools.cache
+def along_the_corner() -> Array:
+    """Return (20001, nq) configurations of the 3-RRR along the corner, by kinematics."""
+    whole, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner()
+    return inverse_kinematics(whole, corner.sample_at(np.linspace(0.0, corner.duration, 20_001))).q
+
+
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.VirtualWork])
 def test_a_joint_that_leaves_its_range_between_two_samples_breaks_a_limit(backend: Any) -> None:
     """The end of the range of a passive joint is between its farthest sample and the farthest there is."""
     whole, corner = zoo.robot_of("3rrr", working_mode=(1, 1, 1)), reference.corner()
-    t = np.linspace(0.0, corner.duration, 20_001)
     samples = np.unique(rp.plan_stepwise(backend(whole), corner, dt=0.05, stop="within").t)
-    dense, few = (inverse_kinematics(whole, corner.sample_at(times)).q for times in (t, samples))
+    dense, few = along_the_corner(), inverse_kinematics(whole, corner.sample_at(samples)).q
     at = int(np.argmax(dense.max(axis=0) - few.max(axis=0)))
     top, shown = float(dense[:, at].max()), float(few[:, at].max())
     assert top - shown > 1e-5

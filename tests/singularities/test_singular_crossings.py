@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
@@ -153,12 +154,24 @@ def test_three_rrr_touches_full_stretch_of_its_first_leg(direction: float) -> No
     assert np.isnan(touches[0].uncontrolled_twist).all()
 
 
-@pytest.mark.long
-def test_a_motion_that_ends_at_full_stretch() -> None:
-    end = ARM + 2.0 * np.array([np.cos(0.5), np.sin(0.5)])
-    trajectory = along(with_constant(through_points([[0.9, 0.5], end]), [0.0]))
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_motion_that_ends_or_starts_at_full_stretch(ends: bool) -> None:
+    inside, border = [0.9, 0.5], ARM + 2.0 * np.array([np.cos(0.5), np.sin(0.5)])
+    trajectory = along(with_constant(through_points([inside, border] if ends else [border, inside]), [0.0]))
     touches = [c for c in find_crossings(zoo.robot_of("3rrr"), trajectory) if c.kind == SingularityKind.TYPE_I]
-    assert [c.t for c in touches] == [2.0]
+    assert [(c.t, c.leg) for c in touches] == [(2.0 if ends else 0.0, 1)]
+
+
+def test_a_motion_is_followed_from_a_start_farther_away() -> None:
+    """The start is half a workspace from the first pose, and in another working mode than the declared one."""
+    robot, other = zoo.robot_of("five_bar"), zoo.robot_of("five_bar", working_mode=(1, 1))
+    home = np.array([0.25, 0.6])
+    still = PlatformMotion([0.0], [home], [[0.0, 0.0]], [[0.0, 0.0]])
+    start = inverse_kinematics(other, still).state(0)
+    trajectory = along(through_points([[0.3, 0.1], [0.45, -0.2]]))
+    (one,), (same,) = find_crossings(other, trajectory), find_crossings(robot, trajectory, start=start)
+    assert one.t == pytest.approx(same.t, abs=TIME)
+    np.testing.assert_allclose(one.q, same.q, atol=1e-10)
 
 
 def test_leaving_the_workspace_names_the_time() -> None:

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
-
 import numpy as np
 import pytest
 import zoo
 from hypothesis import given
 from hypothesis import strategies as st
 
-from redundancy_pin import load_robot
+import redundancy_pin as rp
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot.scales import column_scale, row_scale
-from redundancy_pin.robot.urdf import declaration_path
 from redundancy_pin.singularities.classify import SingularityKind, classify, classify_motion
 from redundancy_pin.spectrum import scaled, spectrum_of
 
@@ -194,8 +190,8 @@ def test_unreachable_samples_are_marked() -> None:
     assert len(classes) == 3
 
 
-def test_one_actuator_too_few_is_no_singularity(tmp_path: Path) -> None:
-    robot = load_robot(variant(tmp_path, "actuated: [slide_1, slide_2]", "actuated: [slide_1]"))
+def test_one_actuator_too_few_is_no_singularity() -> None:
+    robot = actuated_at("2rpr", "slide_1")
     classes = classify(robot, two_rpr_at(np.array([[0.25, 0.3], [0.2, 0.0]])))
     assert (classes.kind == SingularityKind.REGULAR).all()
     np.testing.assert_allclose(classes.parallel_margin, 1.0, rtol=ROUNDING)  # W is the unit vector of leg 1
@@ -203,8 +199,8 @@ def test_one_actuator_too_few_is_no_singularity(tmp_path: Path) -> None:
     np.testing.assert_allclose(classes.least_controlled[0], leg, atol=ROUNDING)
 
 
-def test_one_actuator_too_many_removes_the_singularity(tmp_path: Path) -> None:
-    robot = load_robot(variant(tmp_path, "actuated: [slide_1, slide_2]", "actuated: [slide_1, slide_2, swivel_1]"))
+def test_one_actuator_too_many_removes_the_singularity() -> None:
+    robot = actuated_at("2rpr", "slide_1", "slide_2", "swivel_1")
     classes = classify(robot, two_rpr_at(np.array([[0.2, 0.0], [0.0, 0.0]])))
     # Wᵀ has the rows u1, u2 and n1/d1; on the base line u1 = −u2, and n1 L/d1 alone controls y
     assert classes.kind[0] == SingularityKind.REGULAR
@@ -212,9 +208,9 @@ def test_one_actuator_too_many_removes_the_singularity(tmp_path: Path) -> None:
     assert classes.kind[1] == SingularityKind.TYPE_I  # with the swivel locked nothing is left to move
 
 
-def test_one_freedom_driven_where_its_motor_stands_still(tmp_path: Path) -> None:
+def test_one_freedom_driven_where_its_motor_stands_still() -> None:
     # crank and coupler in line, 0.1 + 0.35 m: the rocker turns round, and W, its rate over the crank's, is rounding
-    robot = load_robot(variant(tmp_path, "actuated: [crank]", "actuated: [rocker]", name="four_bar"))
+    robot = actuated_at("four_bar", "rocker")
     theta = np.arccos((0.45**2 + 0.4**2 - 0.25**2) / (2.0 * 0.45 * 0.4))
     psi = np.arctan2(0.45 * np.sin(theta), 0.45 * np.cos(theta) - 0.4)
     q = np.zeros((1, robot.model.nq))
@@ -226,15 +222,13 @@ def test_one_freedom_driven_where_its_motor_stands_still(tmp_path: Path) -> None
     assert np.isinf(classes.condition[0])
 
 
-def variant(folder: Path, old: str, new: str, name: str = "2rpr") -> Path:
-    """Copy a shipped robot with one line of its declaration changed."""
-    target = folder / "variant"
-    shutil.copytree(declaration_path(name).parent, target)
-    declaration = target / "robot.yaml"
-    text = declaration.read_text(encoding="utf-8")
-    assert old in text
-    declaration.write_text(text.replace(old, new), encoding="utf-8")
-    return declaration
+def actuated_at(name: str, *joints: str) -> rp.Robot:
+    """Return a shipped robot with other main actuators."""
+    own = zoo.robot_of(name)
+    return rp.Robot.from_model(
+        own.model, closures=own.closures, actuated=joints, carriers=own.carriers,
+        independent=own.platform or {"joints": own.independent_joints}, reference=np.array(own.q_reference),
+    )  # fmt: skip
 
 
 def test_scaling_makes_the_condition_number_independent_of_the_unit_of_length() -> None:

@@ -38,10 +38,12 @@ LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
 one that is closed to within the tolerance is known no better than this."""
 
-_FASTER = 10
-"""Ratio of the turns that generated code follows one by one to those of ``robot.whole_turns``: they take as long."""
+NEIGHBOURS = 8
+"""Configurations from the nearest of which a batch of carrier terms begins: first and last of each of four batches; a
+control update has two or three."""
 
 _CONSTANTS = {
+    "NEIGHBOURS": NEIGHBOURS,
     "TOLERANCE": CLOSURE_TOLERANCE,
     "LEAST_MARGIN": LEAST_MARGIN,
     "RANK_TOLERANCE": RANK_TOLERANCE,
@@ -52,7 +54,7 @@ _CONSTANTS = {
     "LEAST_INERTIA": LEAST_INERTIA,
     "EPSILON": float(np.finfo(float).eps),
     "TURN": TURN,
-    "MOST_TURNS": _FASTER * MOST_TURNS,
+    "MOST_TURNS": MOST_TURNS,
     "WHOLE": WHOLE,
     "EXACT": EXACT,
     "FARTHEST": FARTHEST,
@@ -116,7 +118,6 @@ def _defined(topology: Topology) -> Definition:
         "drives": ([chain.q, positions], [_missed(chain, positions)]),
         "project": (projected, reduced),
         "derivatives": (projected, derivatives),
-        "efforts": (motion, [everything]),
         "base_wrench": (motion, [-ground]),
         "energy": (motion, [energy]),
     }

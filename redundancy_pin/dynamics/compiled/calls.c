@@ -38,16 +38,33 @@ int rp_begin(const double *numbers, const double *declared, const double *start,
   return 1;
 }
 
+/* Squares of the Frobenius norms of the inverse of a pose's K, and of its columns that belong to the platform. */
+static void inverse_sizes(const Pose *pose, double *all, double *platform) {
+  double X[NP + 1][NP + 1];
+  invert(pose->lu, pose->pivot, X);
+  *all = *platform = 0.0;
+  for (int i = 0; i < NP; ++i) {
+    *all += dot(X[i], X[i], NP);
+    *platform += dot(X[i] + R, X[i] + R, N);
+  }
+}
+
 /* Whether a pose is next to a rank loss of the closures: the platform then hardly has a part in what K cannot do, and a branch may go
    on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
 static int may_go_on(const Pose *pose) {
-  double X[NP + 1][NP + 1], all = 0.0, platform = 0.0;
-  invert(pose->lu, pose->pivot, X);
-  for (int i = 0; i < NP; ++i) {
-    all += dot(X[i], X[i], NP);
-    platform += dot(X[i] + R, X[i] + R, N);
-  }
+  double all, platform;
+  inverse_sizes(pose, &all, &platform);
   return !(platform > PART * PART * all);
+}
+
+/* Close the loops at a start, which may be open by the noise of measurements: so little that K stays regular on the way, as
+   RneaDynamics has it. Returns whether they close. */
+static int close_start(const double *numbers, const double *start, Pose *pose, double *x) {
+  double all, platform, moved = 0.0;
+  if (pose_at(numbers, start, 0.0, pose, x)) return 0;
+  inverse_sizes(pose, &all, &platform);
+  for (int i = 0; i < NQ; ++i) moved = fmax(moved, fabs(pose->q[i] - start[i]) / POSITION_UNIT[i]);
+  return moved * moved * all < 0.25; /* half of the margin, 1 / sqrt(all) */
 }
 
 /* The largest residual, without unit, that Newton's method with a line search leaves at coordinates x; q is moved. Zero where it does not
@@ -87,25 +104,29 @@ static void keep(const Pose *pose, double *state) {
    straight way, however many turns away. The state is moved where the sample is closed; reached, of the same size, is the last
    configuration on the way. Returns a status of the driver, or OUT_OF_REACH with the closure residual among out. */
 int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
-  double here[NX];
+  double here[NX], from[NQ + 1];
   Pose pose;
   int refused = refusal_of(in);
   copy(reached, state, NQ + 1);
   if (refused) return refused;
   if (state[NQ] == 0.0) { /* a start: its chains have to close, and the sign of its determinant is not known yet */
-    if (pose_at(numbers, state, 0.0, &pose, here)) return LOST;
+    if (!close_start(numbers, state, &pose, here)) return LOST;
     keep(&pose, reached);
   }
-  int closed = rp_sample(numbers, reached, in, out);
+  copy(from, reached, NQ + 1);
+  int closed = rp_sample(numbers, from, in, out);
   if (closed == LOST && pose_at(numbers, reached, reached[NQ], &pose, here) == STATUS_OK) {
-    int there = go_far(numbers, &pose, here, in);
-    keep(&pose, reached);
-    if (there) closed = rp_sample(numbers, reached, in, out);
-    double open = there || may_go_on(&pose) ? 0.0 : left_open(numbers, pose.q, in);
-    out[N * M + N + NK] = open * LENGTH;
-    if (open > TOLERANCE) closed = OUT_OF_REACH;
+    if (go_far(numbers, &pose, here, in)) {
+      keep(&pose, from);
+      closed = rp_sample(numbers, from, in, out);
+    } else {
+      keep(&pose, reached);
+      double open = may_go_on(&pose) ? 0.0 : left_open(numbers, pose.q, in);
+      out[N * M + N + NK] = open * LENGTH;
+      if (open > TOLERANCE) closed = OUT_OF_REACH;
+    }
   }
-  if (closed == CLOSED) copy(state, reached, NQ + 1);
+  if (closed == CLOSED) copy(state, from, NQ + 1);
   return closed;
 }
 
@@ -169,8 +190,9 @@ int rp_joint_state(const double *numbers, double *state, double *reached, const 
   copy(pose.q, state, NQ);
   turns_of(pose.q, pose.trig);
   pose.sign = state[NQ];
-  if (pose.sign == 0.0 && pose_at(numbers, state, 0.0, &pose, x)) return STATUS_BRANCH_LOST; /* a start has to close */
+  if (pose.sign == 0.0 && !close_start(numbers, state, &pose, x)) return STATUS_BRANCH_LOST;
   Pose start = pose;
+  keep(&start, reached);
   int status = platform_of(numbers, &pose, position, velocity, &platform);
   if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
     pose = start;

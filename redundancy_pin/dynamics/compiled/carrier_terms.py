@@ -1,8 +1,9 @@
 """W τ = f as terms of the carriers' motion at a few instants at a time, each batch followed from the one before it.
 
 What comes into sight of a planner on line is a continuation of what it has seen: Newton's method starts there, and all
-of it is one call of machine code (``rp_terms`` of ``batch.c``). Where that does not close, is singular or in another
-working mode, the motion is followed from the reference by ``along``, which marks what cannot be reached.
+of it is one call of machine code (``rp_terms`` of ``batch.c``). Where the branch ends on the way, all instants from
+there on are marked as unreachable. Where machine code does not close for another reason, as in another working mode,
+the motion is followed from the reference by ``along``, which marks what cannot be reached.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import CarrierTerms, terms_along
-from redundancy_pin.dynamics.compiled.closing import CLOSED
+from redundancy_pin.dynamics.compiled.build import NEIGHBOURS
+from redundancy_pin.dynamics.compiled.closing import CLOSED, branch_ends
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.scales import coordinate_unit
 
 if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled import CompiledDynamics
@@ -26,8 +29,8 @@ if TYPE_CHECKING:
 TERMS = 5
 """s, s², ṡ, s ṡ, s̈."""
 
-NEIGHBOURS = 8
-"""Configurations from the nearest of which a batch begins: two of each of four batches; a tick has two or three."""
+BESIDE = 0.04
+"""Distance, in characteristic lengths and rad, at which a neighbour tells that the branch ends: a follower's step."""
 
 
 class Continued:
@@ -38,6 +41,8 @@ class Continued:
         self._dynamics, self._n, self._m, self._k = dynamics, robot.n, robot.m, robot.k
         self._x: tuple[int, ...] = (4, 4) if is_pose(robot) else (robot.n,)
         self._places, self._nq = 16 if is_pose(robot) else robot.n, robot.model.nq
+        length = robot.characteristic_length
+        self._unit = np.tile([1.0, 1.0, 1.0, length], 4) if is_pose(robot) else np.array(coordinate_unit(robot))
         self._loads = of_kind(robot.loads, Wrench)
         self._width = 1 + self._places + 2 * robot.n + 6 * len(self._loads)
         # first and last configurations of the batches before, each with its coordinates
@@ -51,12 +56,12 @@ class Continued:
         self._given, self._sizes = np.empty((samples, self._width)), np.empty((samples, 3))
         n, m, k = self._n, self._m, self._k
         self._out = np.empty(samples * (n * m + (1 + k * TERMS) * (n + k)))
-        parts = self._given, self._near, self._out, self._sizes
+        parts = self._given, self._out, self._sizes
         self._addresses = [ctypes.c_void_p(part.ctypes.data) for part in parts]
 
     def __call__(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Return W, f and forces by terms; arguments as of ``Dynamics.carrier_terms``."""
-        n, m, k, samples = self._n, self._m, self._k, len(t)
+        n, samples = self._n, len(t)
         fits = samples and x.shape[1:] == self._x and x.shape[0] == samples and xd.shape == xdd.shape == (samples, n)
         if not fits:
             return self._followed(t, x, xd, xdd)
@@ -65,17 +70,54 @@ class Continued:
         wrenches = wrench_values(self._loads, t, x, xd) if self._loads else ()
         flat = x.reshape(samples, -1)
         np.concatenate((t[:, None], flat, xd, xdd, *wrenches), axis=1, out=self._given[:samples])
+        if self._closes(samples, self._near):
+            return self._read_out(samples)
+        closed = self._up_to_the_end(x)
+        if closed is None:
+            return self._followed(t, x, xd, xdd)
+        found = self._read_out(closed)
+        behind = (np.full((samples - closed, *part.shape[1:]), np.nan) for part in found)
+        return CarrierTerms(*map(np.concatenate, zip(found, behind, strict=True)))
+
+    def _read_out(self, samples: int) -> CarrierTerms:
+        n, m, k = self._n, self._m, self._k
         a = samples * n * m
         b = a + samples * (n + k)
-        given, near, result, sizes = self._addresses
-        if self._function(self._numbers, samples, given, self._width, near, result, sizes) != CLOSED:
-            return self._followed(t, x, xd, xdd)
         out = self._out[: b + samples * k * TERMS * (n + k)].copy()
         return CarrierTerms(
             out[:a].reshape(samples, n, m),
             out[a:b].reshape(samples, n + k),
             out[b:].reshape(samples, k, TERMS, n + k),
         )
+
+    def _closes(self, samples: int, near: Array) -> bool:
+        """Return whether machine code closes so many of the samples, from neighbours that it replaces if it does."""
+        given, result, sizes = self._addresses
+        start = ctypes.c_void_p(near.ctypes.data)
+        status = self._function(self._numbers, samples, given, self._width, start, result, sizes)
+        return bool(status == CLOSED)
+
+    def _up_to_the_end(self, x: Array) -> int | None:
+        """Return how many samples are before the end of the branch, whose neighbours are kept; None where it goes on.
+
+        None also where no neighbour is near enough to the first to tell.
+        """
+        closed, lost, near = 0, len(x), self._near.copy()
+        while lost > closed + 1:
+            middle, tried = (closed + lost) // 2, self._near.copy()
+            if self._closes(middle, tried):
+                closed, near = middle, tried
+            else:
+                lost = middle
+        away = np.linalg.norm((near[:, self._nq :] - x[closed].ravel()) / self._unit, axis=1)
+        last = near[np.nan_to_num(away, nan=np.inf).argmin()]
+        before = last[self._nq :].reshape(self._x)
+        if not np.nanmin(away, initial=np.inf) <= BESIDE:
+            return None
+        if not branch_ends(self._dynamics.robot, last[: self._nq], before, x[closed]):
+            return None
+        self._near = near
+        return closed if not closed or self._closes(closed, near.copy()) else None
 
     def _followed(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
         """Follow the motion from the reference, and remember where that led."""

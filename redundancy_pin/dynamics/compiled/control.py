@@ -117,7 +117,7 @@ class _Branch:
         numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
             the C keeps every leg on its side.
         state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known.
-        reached: (nq + 1,) the last one on the way to a sample that the C does not get to.
+        reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
     """
 
@@ -177,7 +177,8 @@ class SampleCall:
         ends = np.cumsum([n * m, n, k, 2, m, 3]).tolist()
         self._results = np.zeros(ends[-1])
         self._W, self._f, self._force, _, self._tau, _ = np.split(self._results, ends[:-1])
-        self._residual, self._margin = (partial(self._results.item, at) for at in (ends[2], ends[4] + 1))
+        places = ends[2], ends[2] + 1, ends[4] + 1
+        self._residual, self._serial, self._margin = (partial(self._results.item, at) for at in places)
         self._ranges = range_table(robot)
         self._call = self._function(code)
 
@@ -191,7 +192,7 @@ class SampleCall:
         self._take(x, xd, xdd, s, sd, sdd, t)
         if not self._call():
             return Sample(self._W.reshape(len(self._f), -1).copy(), self._f.copy(), self._force.copy())
-        tree, reduced = self._followed(t, None)
+        tree, reduced = self._followed(self._motion(t), None)
         self._branch.state[:-1], self._branch.state[-1] = tree.q[0], 0.0
         sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
         if not all(np.isfinite(part).all() for part in sample):
@@ -238,9 +239,9 @@ class SampleCall:
         x, xd, xdd, *_ = self._arguments.parts
         return PlatformMotion(np.array([t]), x.reshape(1, *self._shape), xd[None], xdd[None], check_rates=False)
 
-    def _followed(self, t: float, start: Start | None) -> tuple[Lifted, ReducedDynamics]:
+    def _followed(self, motion: PlatformMotion, start: Start | None) -> tuple[Lifted, ReducedDynamics]:
         carriers = CarrierMotion(*(part[None] for part in self._arguments.parts[3:6]), check_rates=False)
-        return self._follow(self._motion(t), carriers, start)
+        return self._follow(motion, carriers, start)
 
 
 class TorqueCall(SampleCall):
@@ -269,26 +270,37 @@ class TorqueCall(SampleCall):
         code = self._call()
         if code not in _WITHOUT_RESULT:
             self._branch.known = True
-            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), self._residual())
-        if code == SampleStatus.UNREACHABLE and self._branch.known:
-            answer = without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
-        elif code == SampleStatus.NOT_FINITE:
-            answer = without_answer(self._robot, SampleStatus.NOT_FINITE)
-        else:
-            answer = self._by_kinematics(t)
-        if saved is not None and int(answer.status) in _WITHOUT_RESULT:
-            self._branch.restore(saved)
+            margins = self._residual(), self._serial()
+            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), *margins)
+        solved = False
+        try:
+            answer = self._answer(code, t)
+            solved = int(answer.status) not in _WITHOUT_RESULT
+        finally:
+            if saved is not None and not solved:
+                self._branch.restore(saved)
         return answer
 
-    def _by_kinematics(self, t: float) -> TorqueSample:
+    def _answer(self, code: int, t: float) -> TorqueSample:
+        """Return a sample that the C does not close; raises InputError where it is no sample."""
+        if code == SampleStatus.NOT_FINITE:
+            return without_answer(self._robot, SampleStatus.NOT_FINITE)
+        if code == SampleStatus.UNREACHABLE and self._branch.known:
+            return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
+        motion = self._motion(t)
+        return self._by_kinematics(motion, t)
+
+    def _by_kinematics(self, motion: PlatformMotion, t: float) -> TorqueSample:
         """Return the sample by kinematics, from the last configuration on the way that the C has closed."""
         robot, branch, passed = self._robot, self._branch, self._passed
         start = None
         if branch.known:
             at_passed = passed is not None and np.array_equal(passed.q, branch.reached[:-1])
+            if not at_passed and not branch.reached[-1]:  # a start that the C has not closed
+                return without_answer(robot, SampleStatus.BRANCH_LOST)
             start = passed if at_passed else Start(branch.reached[:-1].copy(), None)
         try:
-            tree, reduced = self._followed(t, start)
+            tree, reduced = self._followed(motion, start)
         except REFUSALS as error:
             return refused(robot, error)
         x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
@@ -296,7 +308,7 @@ class TorqueCall(SampleCall):
         branch.begin(tree.q[0])
         self._passed = Start(tree.q[0], tree.gamma[0])
         given = x.reshape(self._shape), xd, xdd, s, sd, sdd
-        return solve_sample(robot, sample, tree.q[0], float(reduced.gap[0]), given, t)
+        return solve_sample(robot, sample, tree.q[0], (float(tree.gap[0]), float(tree.margin[0])), given, t)
 
 
 class JointStateCall:
@@ -363,7 +375,8 @@ class JointStateCall:
     def _beyond_bifurcation(self, code: int) -> int:
         """Return the status where kinematics lead the branch through a bifurcation, which the C does not pass."""
         branch = self._branch
-        q = self._follow(branch.reached[:-1].copy(), self._arguments.parts[0].copy())
+        closed = branch.reached[-1] != 0.0  # otherwise the chains are open at the start
+        q = self._follow(branch.reached[:-1].copy(), self._arguments.parts[0].copy()) if closed else None
         if q is None:
             return code
         before = branch.save()
@@ -410,14 +423,5 @@ class AccelerationCall:
             here = self._read(*self._arguments.parts[:2])
             wrenches = wrench_values(self._loads, np.array([t]), here.x[None], here.xd[None])
             self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]
-        status = _ACCELERATION_STATUSES[self._call()]
+        status = _STATUSES[self._call()]
         return AccelerationSample(self._a.copy(), status)
-
-
-_ACCELERATION_STATUSES = (
-    SampleStatus.OK,
-    SampleStatus.SINGULAR_INCONSISTENT,
-    SampleStatus.SINGULAR_INCONSISTENT,
-    SampleStatus.NOT_FINITE,
-)
-"""By code of ``forward.c``: fine, closures have lost rank, a free motion has no inertia, not finite."""

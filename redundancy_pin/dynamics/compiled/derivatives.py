@@ -261,8 +261,8 @@ class TreeSamples:
 
 def motion_partials(
     robot: Robot, design: Design, tree: TreeSamples, carriers: CarrierMotion
-) -> tuple[dict[str, Partials], Array]:
-    """Return the derivatives along a motion whose kinematics are solved, by names of ``MotionDerivatives``, and Λ.
+) -> tuple[dict[str, Partials], Array, Array]:
+    """Return the derivatives along a motion whose kinematics are solved, by names of ``MotionDerivatives``; W and Λ.
 
     Args:
         robot: the robot.
@@ -284,8 +284,8 @@ def motion_partials(
         motion = tree.x[at], q[at], v[at], a[at], tree.external[at]
         for name, result in _block(functions, constants, len(design.names), *motion).items():
             wholes[name][at] = result
-    share = wholes.pop("share")
-    return {name: _split(robot, whole) for name, whole in wholes.items()}, read_only(share)
+    W, share = read_only(wholes.pop("actuation")), read_only(wholes.pop("share"))
+    return {name: _split(robot, whole) for name, whole in wholes.items()}, W, share
 
 
 def _shapes(chain: SymbolicChain, parameters: int) -> dict[str, tuple[int, ...]]:
@@ -299,6 +299,7 @@ def _shapes(chain: SymbolicChain, parameters: int) -> dict[str, tuple[int, ...]]
         "base_wrench": (6, width),
         "passive_closure_force": (r, width),
         "closure_share": (r, m, width),
+        "actuation": (n, m),
         "share": (r, m),
     }
 
@@ -372,5 +373,6 @@ def _block(
         "base_wrench": -wrench_by,
         "passive_closure_force": multipliers_by[:, 0, :r],
         "closure_share": unit[:, :r],
+        "actuation": multipliers[:, r:, 1:],
         "share": multipliers[:, :r, 1:],
     }

@@ -157,6 +157,9 @@ static int go_far(const double *numbers, Pose *pose, const double *here, const d
       return 1;
     }
   }
+  for (int i = 0; i < TURNS; ++i) {
+    if (fabs(count[i]) > MOST_TURNS) return 0; /* the straight way would take as many steps, one by one */
+  }
 #else
   (void)here;
 #endif

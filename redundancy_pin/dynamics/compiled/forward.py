@@ -27,7 +27,6 @@ from redundancy_pin.dynamics.compiled.build import (
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.layout import Member, Struct
-from redundancy_pin.dynamics.compiled.parameters import pose_columns
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.forward import (
     Accelerations,
@@ -45,9 +44,6 @@ from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.named import is_pose
 
-_LOOK = 1
-"""Status of ``rp_advance``: the next step is for its caller."""
-
 _LOADS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 _RUN = Struct(
@@ -63,6 +59,7 @@ _RUN = Struct(
         Member("E", "const double *", "(stages + 1)"),
         Member("E3", "const double *", "(stages + 1), of DOP853"),
         Member("P", "const double *", "interpolant, (stages + 1, powers), or (powers - 3, extended) of DOP853"),
+        Member("rates", "double *", "(extended + 1, NQ + NV), memory for the rates of the stages"),
         Member("order", "double", "of its error estimate"),
         Member("rtol", "double", "relative tolerance of a step"),
         Member("atol", "double", "absolute tolerance of a step"),
@@ -166,37 +163,19 @@ class CompiledForward(Code):
         model = robot.model
         self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
         self._rows = self._p - robot.n
-        self._nothing = ctypes.c_void_p(None)
 
-    def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
-        """Return the tree acceleration (nv,); see ``ForwardKernel.acceleration``."""
-        evaluated = self._evaluated(q, v, force, carrier_acceleration, None)
-        return None if evaluated is None else evaluated.a
-
-    def loads(
+    def accelerations(
         self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
     ) -> Accelerations | None:
-        """Return the same with the forces that go with it."""
-        return self._evaluated(q, v, force, carrier_acceleration, np.empty(self._rows))
-
-    def _evaluated(
-        self, q: Array, v: Array, force: Array, given: Array | None, closure_force: Array | None
-    ) -> Accelerations | None:
-        a, missing = np.empty(self._nv), np.empty(self._nv)
+        """Return what acts at a closed state; see ``ForwardKernel.accelerations``."""
+        a, closure_force, missing = np.empty(self._nv), np.empty(self._rows), np.empty(self._nv)
         # held by name until the call is over: ctypes keeps addresses only
         inputs = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v, force)]
-        carriers = None if given is None else np.ascontiguousarray(given, dtype=np.float64)
-        status = self._accelerations(
-            self.numbers,
-            *(address(part) for part in inputs),
-            self._nothing if carriers is None else address(carriers),
-            address(a),
-            self._nothing if closure_force is None else address(closure_force),
-            address(missing),
-        )
-        return (
-            Accelerations(a, np.empty(0) if closure_force is None else closure_force, missing) if not status else None
-        )
+        carriers = None if carrier_acceleration is None else np.ascontiguousarray(carrier_acceleration, np.float64)
+        given = None if carriers is None else address(carriers)
+        results = (address(part) for part in (a, closure_force, missing))
+        status = self._accelerations(self.numbers, *(address(part) for part in inputs), given, *results)
+        return None if status else Accelerations(a, closure_force, missing)
 
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
         """Return the closed state nearest to y (nq + nv,), the residual before and after, m; None if none is."""
@@ -230,7 +209,7 @@ class CompiledForward(Code):
                 remedy="Linearise, and design a controller, without them.",
             )
         tree = TreeSamples(x, q, v, a, np.ones(samples, dtype=bool), np.zeros((samples, 0)))
-        d, _ = motion_partials(robot, design_of(robot, ()), tree, carriers)
+        d, W, _ = motion_partials(robot, design_of(robot, ()), tree, carriers)
 
         def both(name: str, carrier_name: str) -> Array:
             """Derivatives (N, d, d) of (f − W τ, F) by platform and carriers."""
@@ -241,18 +220,9 @@ class CompiledForward(Code):
             rows[0] = rows[0] - np.einsum("nimc,nm->nic", rows[2], tau)
             return np.concatenate(rows[:2], axis=1)
 
-        result = np.zeros((samples, robot.n + robot.k, robot.m + robot.k))
-        for i in range(samples):
-            result[i, : robot.n, : robot.m] = self._actuation(q[i], v[i])
-        result[:, robot.n :, robot.m :] = np.eye(robot.k)
-        return LinearParts(both("xdd", "sdd"), both("x", "s"), both("xd", "sd"), result)
-
-    def _actuation(self, q: Array, v: Array) -> Array:
-        """Return W (n, m): the actuators' rows of the inverse of K, transposed."""
-        robot = self.robot
-        inverse: Array = np.asarray(np.linalg.inv(self.equations(q, v).K), dtype=np.float64)[:, self._rows :]
-        driven: Array = inverse[np.searchsorted(pose_columns(robot), robot.actuated_velocity)].T
-        return driven
+        acting = np.zeros((samples, robot.n + robot.k, robot.m + robot.k))
+        acting[:, : robot.n, : robot.m], acting[:, robot.n :, robot.m :] = W, np.eye(robot.k)
+        return LinearParts(both("xdd", "sdd"), both("x", "s"), both("xd", "sd"), acting)
 
     def integration(self, rules: Rules) -> CompiledIntegration:
         """Return an integration by these rules."""
@@ -353,7 +323,7 @@ class CompiledIntegration:
         at.y, at.values = y, values
         for name in _SHARED:
             setattr(at, name, getattr(progress, name))
-        return bool(status == _LOOK)
+        return bool(status)
 
     def _act(self, edges: Array, coefficients: Array) -> None:
         """Let polynomials act: coefficients (pieces, terms, m + k)."""
@@ -412,3 +382,4 @@ class CompiledIntegration:
         run.stages, run.order = count, method.error_estimator_order
         for table, values in (("A", A), ("B", method.B), ("C", C), ("E", E), ("P", P)):
             self._point(table, values)
+        self._point("rates", np.zeros((run.extended + 1, self._width)))

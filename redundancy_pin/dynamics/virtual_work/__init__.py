@@ -93,7 +93,7 @@ class VirtualWork(Dynamics):
         return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, gap, reachable)
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
-        # the closed form has one branch, that of the working mode, and needs no start
+        # the closed form has one branch, given by the working mode, and needs no start
         return solve_batch_of_one(self, given, t)
 
 
@@ -105,7 +105,7 @@ class VirtualWorkAlongMotion(Frozen):
 
     Attributes:
         robot, motion: the robot, and its platform motion.
-        q, gamma: None, there is no tree.
+        q, gamma: None: a closed form has no tree.
     """
 
     def __init__(

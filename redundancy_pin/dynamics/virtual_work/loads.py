@@ -136,7 +136,7 @@ def _spring(
 
 
 def _counted(angle: Array, reference: float) -> Array:
-    """Return angles with their full turns: those of one motion, the first nearest to the reference."""
+    """Return the angles of one motion with their full turns, the first nearest to the reference."""
     counted, known = np.array(angle), np.isfinite(angle)
     if known.any():
         whole = np.unwrap(angle[known])

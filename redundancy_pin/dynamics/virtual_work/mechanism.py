@@ -2,7 +2,7 @@
 
 A body with centre C resists with the force m (g − a_C) and the moment −I ω̇ (eqs. 2.45 to 2.52). With the link Jacobians
 H_j, the velocity of a point per unit of the platform rate ẋ_j, and G_j, the spin of the link per unit of it, their
-virtual power must vanish together with that of the actuators (eq. 2.53):
+virtual power and the actuators' must add up to zero (eq. 2.53):
 
     f_j = Σ Re(conj(m (a_C − g)) H_j) + I ω̇ G_j,      carrier force = Re(conj(m (a_C − g)) t),
 
@@ -138,7 +138,7 @@ class Efforts:
         f: (n, N) generalised force, N and N·m.
         force: (legs, N) force of each carrier's actuator, N.
         ground: (N, 6) force and moment on the base about the world origin, world axes, N and N·m.
-        energy: (N,) kinetic plus potential energy, J; that of weight is zero at the world origin.
+        energy: (N,) kinetic plus potential energy, J; weight has none at the world origin.
         by_f: (3, n, legs, N) derivatives of f by s, ṡ, s̈ of each carrier.
         by_force: (3, legs, legs, N) derivatives of each carrier's force likewise.
         derivatives: whether the last two are wanted.
@@ -190,7 +190,7 @@ def wrench_on_ground(
 
 
 class Body(NamedTuple):
-    """A rigid body on a link, its centre of mass in a plane that is parallel to that of the motion.
+    """A rigid body on a link, its centre of mass in a plane parallel to the plane of motion.
 
     ``frame``: name of the link; ``mass``, kg; ``centre`` in the axes of the frame, x + iy, m; ``inertia`` about the
     centre and the z axis, kg·m²; ``height`` of the centre, m; ``products`` of inertia about it, xz + i yz, kg·m².

@@ -7,7 +7,7 @@ G B A. The links are kept as vectors b = l1 u(θ) and e = l2 u(β), x + iy, foun
 so that the cosine and sine of α are the only trigonometric functions.
 
 The corner moves with v_A = v + α̇ (A - P)⊥, so that θ̇ = -e·v_A/c and l2² β̇ = e⊥·(v_A - θ̇ b⊥). Read per unit of each
-platform rate they are the link Jacobians G of eqs. 2.39 to 2.44; H of the elbow is b⊥ times that of θ.
+platform rate they are the link Jacobians G of eqs. 2.39 to 2.44; H of the elbow is b⊥ times G of θ.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ class ThreeRrrLegs(Frozen):
         e: distal link A - B, m; NaN out of reach.
         c: (A - G) x b, m²: minus l1 l2 times the sine of the elbow angle β - θ, zero at a type I
             singularity (Parsa 2014, eq. 2.37); its sign is the mode. NaN out of reach.
-        gap: how far the corner is out of the leg's reach, m; where it is within, what the closure
-            |A - B| = l2 leaves (a few roundings).
+        gap: distance of the corner from the leg's reach, m; within reach the residual of
+            |A - B| = l2 (a few roundings).
     """
 
     geometry: ThreeRrrGeometry
@@ -154,10 +154,10 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
     if out_of_reach.any():
         c[out_of_reach] = np.nan
     q = 0.5 * (rho_squared + (l1 - l2) * (l1 + l2))
-    with np.errstate(divide="ignore", invalid="ignore"):  # ρ = 0: every direction closes the leg, and c = 0 says so
+    with np.errstate(divide="ignore", invalid="ignore"):  # ρ = 0: every direction closes the leg, and c = 0
         b = (q / rho_squared + 1j * (c / rho_squared)) * span
     e = span - b
-    # fmax: the shortage where there is no e
+    # fmax: the shortage where e is NaN
     gap = np.fmax(np.abs(np.sqrt(e.real**2 + e.imag**2) - l2), shortage)
     return ThreeRrrLegs(geometry, *map(read_only, (arm, b, e, c, gap)))
 
@@ -167,10 +167,10 @@ class ThreeRrrMechanism:
 
     The proximal link is a slender rod from the base hinge to the elbow. The distal link is one from the end of its tail
     to the platform; the tail is there for the carrier, so a robot without carriers has none. A platform inertia of
-    "auto" is that of a uniform disc.
+    "auto" stands for a uniform disc.
 
     Args:
-        parameters: those of the model ``3rrr``, kg and m.
+        parameters: parameters of the model ``3rrr``, kg and m.
         gravity: (3,) acceleration of gravity in the base frame, m/s².
         mode: sign of each leg in θ = γ ± ψ.
     """

@@ -77,7 +77,7 @@ def inverse_displacement(base_distance: float, point: ArrayLike, mode: Sequence[
     span = planar(np.asarray(point, dtype=float)) - base_hinges(base_distance)
     span[np.abs(span) < np.finfo(float).tiny] = 0.0  # too short to be divided by
     d = np.abs(span) * sign
-    with np.errstate(divide="ignore", invalid="ignore"):  # d = 0 has no direction: NaN says so
+    with np.errstate(divide="ignore", invalid="ignore"):  # d = 0 has no direction: NaN
         u = span / d
     gap = np.abs(d * u - span)
     gap[d == 0.0] = 0.0  # whatever its direction
@@ -88,8 +88,8 @@ class TwoRprMechanism:
     """The 2-RPR in one working mode.
 
     Args:
-        parameters: those of the model ``2rpr``, kg and m. Cylinder and piston are slender rods, from the base hinge
-            along the leg and from B back along it.
+        parameters: parameters of the model ``2rpr``, kg and m. Cylinder and piston are slender rods, from the base
+            hinge along the leg and from B back along it.
         gravity: (3,) acceleration of gravity in the base frame, m/s².
         mode: sign of d of each leg.
     """

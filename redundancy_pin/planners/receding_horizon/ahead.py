@@ -333,7 +333,7 @@ class Ahead:
             read = CarrierTerms(*(np.concatenate([part, np.full((behind, *part.shape[1:]), np.nan)]) for part in read))
             finite: BoolArray = np.asarray(np.isfinite(read.constant).all(axis=1))
             self._blocked = min(self._blocked, times[~finite][0])
-            reachable = finite
+            reachable = np.asarray(np.logical_and.accumulate(finite))
             read = CarrierTerms(*map(np.nan_to_num, read))
         self.known = self._memory.add(times, reachable, read)
 

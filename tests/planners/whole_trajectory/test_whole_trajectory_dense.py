@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
+from redundancy_pin import CarrierMotion, CompiledDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
@@ -33,7 +33,7 @@ def random_task(seed):
     masses = {name: float(rng.uniform(0.2, 1.0)) for name in ("proximal_mass", "distal_mass", "end_effector_mass")}
     path = Line(rng.uniform((0.15, 0.5), (0.35, 0.6)), rng.uniform((0.15, 0.25), (0.35, 0.35)))
     profile = SpeedProfile(path.length, min(speed, 0.6), 0.2)
-    return RneaDynamics(zoo.robot_of("five_bar", **masses)), Trajectory(path, profile), wider
+    return CompiledDynamics(zoo.robot_of("five_bar", **masses)), Trajectory(path, profile), wider
 
 
 def dense_times(plan):

@@ -9,7 +9,7 @@ import symbolic_mechanisms
 import symbolic_plans
 import zoo
 
-from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
+from redundancy_pin import CarrierMotion, CompiledDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
@@ -74,7 +74,7 @@ def test_corner(objective, radius):
 
 @pytest.mark.parametrize("objective", ["effort", pytest.param("peak", marks=long)])
 def test_five_bar_through_type_two(objective):
-    dynamics = RneaDynamics(zoo.robot_of("five_bar"))
+    dynamics = CompiledDynamics(zoo.robot_of("five_bar"))
     trajectory = straight((0.25, 0.6), (0.32, 0.3), 0.3)
     plan = compare(dynamics, symbolic_mechanisms.five_bar(), trajectory, objective, OF_FIVE_BAR, 0.07)
     assert len(plan.diagnostics["singular_nodes"]) == 1
@@ -109,7 +109,7 @@ def random_five_bar(rng):
     trajectory = straight(
         rng.uniform((0.15, 0.5), (0.35, 0.65)), rng.uniform((0.15, 0.25), (0.35, 0.38)), rng.uniform(0.2, 0.5)
     )
-    return RneaDynamics(zoo.robot_of("five_bar", **masses)), symbolic_mechanisms.five_bar(**masses), trajectory, 0.5
+    return CompiledDynamics(zoo.robot_of("five_bar", **masses)), symbolic_mechanisms.five_bar(**masses), trajectory, 0.5
 
 
 def random_three_rrr(rng):

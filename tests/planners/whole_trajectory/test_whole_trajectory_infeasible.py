@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
+from redundancy_pin import CompiledDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.whole_trajectory import multistart, planner
 from redundancy_pin.status import ResultStatus
@@ -44,7 +44,7 @@ def random_problem(seed):
     """A robot and motion, and limits that no plan keeps: efforts below the least peak within the other limits."""
     rng = np.random.default_rng(seed)
     masses = {"end_effector_mass": float(rng.uniform(0.2, 0.5)), "cylinder_mass": float(rng.uniform(0.1, 0.3))}
-    heavy, bar = VirtualWork(zoo.robot_of("2rpr", **masses)), RneaDynamics(zoo.robot_of("five_bar"))
+    heavy, bar = VirtualWork(zoo.robot_of("2rpr", **masses)), CompiledDynamics(zoo.robot_of("five_bar"))
     line = straight(rng.uniform((0.1, 0.25), (0.4, 0.5)), rng.uniform((0.1, -0.5), (0.4, -0.25)), 0.5)
     across = straight((0.25, 0.6), rng.uniform((0.2, 0.25), (0.35, 0.35)), 0.4)
     circle = reference.circle(float(rng.uniform(0.4, 0.7)), 0.2)
@@ -129,7 +129,7 @@ def test_what_was_not_tried_is_said(monkeypatch):
 
 
 def test_a_bound_below_the_least_there_is_names_that_least_without_a_search(monkeypatch):
-    dynamics, trajectory = RneaDynamics(zoo.robot_of("five_bar")), straight((0.25, 0.6), (0.3, 0.3), 0.4)
+    dynamics, trajectory = CompiledDynamics(zoo.robot_of("five_bar")), straight((0.25, 0.6), (0.3, 0.3), 0.4)
     settings = {"dt": trajectory.duration / STEPS, "refinements": 0}
     least = plan_whole_trajectory(dynamics, trajectory, objective="energy", **settings).diagnostics["objective"][
         "energy"

@@ -6,7 +6,7 @@ import zoo
 from full_model import solve_2rpr, solve_by_backend
 
 import redundancy_pin.planners.whole_trajectory.solver as solver
-from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
+from redundancy_pin import CompiledDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 
@@ -63,7 +63,7 @@ def test_random_lines_with_random_limits(seed):
 @pytest.mark.long_for("peak")
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_corner_against_a_solver_that_asks_the_backend(objective):
-    dynamics = RneaDynamics(zoo.robot_of("3rrr"))
+    dynamics = CompiledDynamics(zoo.robot_of("3rrr"))
     plan = plan_whole_trajectory(dynamics, reference.corner(), objective=objective, dt=0.2, refinements=0)
     limits = {"speed": 1.0, "track": 1.0, "acceleration": 7.0}
     theirs = solve_by_backend(dynamics, plan, objective, limits)

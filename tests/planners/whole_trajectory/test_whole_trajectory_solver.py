@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 
 import redundancy_pin.planners.whole_trajectory.solver as constraint_generation
 import redundancy_pin.planners.whole_trajectory.solver as solver
-from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
+from redundancy_pin import CompiledDynamics, RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.whole_trajectory import multistart
 from redundancy_pin.status import ResultStatus
@@ -21,7 +21,7 @@ def two_optima(**settings):
     path = Line((0.159, 0.662), (0.247, 0.348))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.37, 0.2))
     return plan_whole_trajectory(
-        RneaDynamics(zoo.robot_of("five_bar")),
+        CompiledDynamics(zoo.robot_of("five_bar")),
         trajectory,
         objective="peak",
         dt=trajectory.duration / 30,
@@ -208,7 +208,7 @@ def test_a_first_strategy_that_wanders_is_given_up(monkeypatch):
     monkeypatch.setattr(solver, "serves", lambda problem: False)  # strategies of IPOPT alone
     path = Line((0.36395008276923135, 0.3972365808628847), (0.16252613968460775, 0.6383251732788081))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.2562291898747395, 0.2))
-    dynamics, dt = RneaDynamics(zoo.robot_of("five_bar")), trajectory.duration / 352
+    dynamics, dt = CompiledDynamics(zoo.robot_of("five_bar")), trajectory.duration / 352
     settings = {"objective": "peak", "speed": 0.5975863272111532, "dt": dt, "refinements": 0}
     plan = plan_whole_trajectory(dynamics, trajectory, **settings)
     monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 1)
