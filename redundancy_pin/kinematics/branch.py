@@ -51,7 +51,7 @@ class BranchEnd(Frozen):
         q: (nq,) the configuration that Newton's method ends at.
         residual: the closure residual there, m.
         rank_lost: whether the closure rows themselves lose rank there, for ``TYPE_I``.
-        reason: what is known beyond the status, as a sentence; otherwise empty.
+        reason: why the way there is not followed at all, for ``UNREACHABLE``; otherwise empty.
 
     Example:
         >>> import redundancy_pin as rp
@@ -307,6 +307,8 @@ class Follower(LoopSolver):
 def known_state(robot: Robot, x: Array, q: Array, gamma: Array) -> ClosedState:
     """Return a state of a branch from a sample of a ``JointTrajectory``: x, q and Γ, carriers at any place.
 
+    Its ``residual`` says how far q is from closed where K is singular, so that Newton's method cannot close it.
+
     Example:
         >>> state = known_state(robot, motion.x[0], tree.q[0], tree.gamma[0])
     """
@@ -315,7 +317,8 @@ def known_state(robot: Robot, x: Array, q: Array, gamma: Array) -> ClosedState:
     closed = own.close(configuration, x)
     if closed is not None and closed.margin > own.near:
         return closed
-    return own.singular_state(x, configuration, gamma)
+    residual, _ = own.identity_error(configuration, x, gamma, None)
+    return own.singular_state(x, configuration, gamma, residual * robot.characteristic_length)
 
 
 @lru_cache(maxsize=32)

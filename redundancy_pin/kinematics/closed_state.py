@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack, read_only
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -259,7 +259,9 @@ class LoopSolver:
         residual *= self.robot.characteristic_length
         everything = np.arange(len(self._columns))  # combined rows belong to all loops
         blocks = self.blocks if basis is None else ((everything, everything),)
-        return ClosedState(self.robot, x, q, gamma, inverse, residual, margin if size else math.inf, blocks, basis)
+        return ClosedState(
+            self.robot, _kept(x), q, gamma, inverse, residual, margin if size else math.inf, blocks, basis
+        )
 
     def require_shapes(self, q: Array, x: Array) -> None:
         """Raise InputError where a configuration is not (nq,), or coordinates are not (n,), or a pose (4, 4)."""
@@ -271,7 +273,8 @@ class LoopSolver:
         self, x: Array, q: Array, gamma: Array, residual: float = 0.0, basis: Array | None = None
     ) -> ClosedState:
         """Return a closed configuration where K has no inverse, with Γ (nv, n) of the branch it is on."""
-        return ClosedState(self.robot, x, q, gamma, np.zeros((0, 0)), residual, 0.0, self.blocks, basis)
+        arrays = _kept(x), _kept(q), _kept(gamma)
+        return ClosedState(self.robot, *arrays, read_only(np.zeros((0, 0))), residual, 0.0, self.blocks, basis)
 
     def extrapolate(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates x nearby by one step: predicted by Γ, corrected by Newton's method.
@@ -349,6 +352,11 @@ class LoopSolver:
         """Return the tree displacement (nv,) between configurations (nq,)."""
         result: Array = end - start if self._flat else pin.difference(self._model, start, end)
         return result
+
+
+def _kept(array: Array) -> Array:
+    """Return a read-only array that nobody else changes: itself if it is read-only, otherwise a copy."""
+    return read_only(array.copy()) if array.flags.writeable else array
 
 
 def largest(values: Array) -> float:

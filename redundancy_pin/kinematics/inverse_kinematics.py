@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen, read_only
 from redundancy_pin.errors import (
     RedundancyPinError,
     SingularPoseError,
@@ -272,7 +273,7 @@ class _Solution:
                 return follower.rates(reached, xd, xdd)
         lost = reached.interpolated or follower.closures_lose_rank(reached.q, reached.basis)
         passed = follower.pass_through(here, x, xd, xdd) if lost else None
-        if passed is None and lost and not reached.interpolated:  # the sample before may be too far for one step
+        if passed is None and lost:  # the sample before may be too far for one step
             passed = follower.pass_through(reached, x, xd, xdd)
         if passed is not None:  # its margin is that of the closed state next to it
             return passed._replace(state=replace(passed.state, margin=reached.margin))
@@ -331,14 +332,16 @@ def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | B
 
     def follow(q: Array, start: Array, target: Array) -> Array | None:
         nonlocal end
-        state = here if q is here.q else own.close(q, start)
-        end = None if state is None else own.follow(state, read_only(target.copy()))
+        # q is that of the last state but for whole turns, which Γ does not see
+        last = end if isinstance(end, ClosedState) and q is not here.q else here
+        state = here if q is here.q else replace(last, q=frozen(q), x=frozen(start))
+        end = own.follow(state, frozen(target))
         return end.q if isinstance(end, ClosedState) else None
 
     try:
         follow_whole_turns(own.robot, here.q, here.x, x, follow)
-    except UnreachablePoseError as error:  # too many turns that do not repeat
-        return replace(own.diagnose(here, x), status=SampleStatus.UNREACHABLE, reason=error.message)
+    except UnreachablePoseError as error:
+        return BranchEnd(SampleStatus.UNREACHABLE, x, here, here.q, math.nan, reason=error.message)
     return own.diagnose(here, x) if end is None else end
 
 
@@ -361,13 +364,13 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     robot, own = system.robot, follower(system.robot)
     home = own.home
     reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
+    if isinstance(reached, BranchEnd) and reached.reason:
+        raise UnreachablePoseError(reached.reason, remedy=_FEWER_TURNS, sample=sample)
     if isinstance(reached, ClosedState):
         # a configuration where working modes meet belongs to both
         between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
         if between or in_working_mode(robot, reached.q[None])[0]:
             return reached
-    if isinstance(reached, BranchEnd) and reached.reason:
-        raise _too_many_turns(reached, sample)
     q, residual, in_mode = multistart(system, home.q, x)
     closed, pose = residual < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
     if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
@@ -440,9 +443,9 @@ _ALONE = SampleStatus.UNREACHABLE, SampleStatus.TYPE_I
 def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError:
     """Return the error of sample k, which a branch does not lead to."""
     robot, t, x = end.last.robot, float(motion.t[k]), motion.x[k]
-    if end.reason:
-        return _too_many_turns(end, k)
     place = f"sample {k} (t = {t:.6g} s, x = {np.round(x, 6).tolist()})"
+    if end.reason:
+        return UnreachablePoseError(end.reason, remedy=_FEWER_TURNS, sample=k)
     if end.status is SampleStatus.UNREACHABLE:
         return UnreachablePoseError(
             f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m."
@@ -477,15 +480,6 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
         "smooth branch is known to lead across.",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=k,
-    )
-
-
-def _too_many_turns(end: BranchEnd, k: int) -> UnreachablePoseError:
-    return UnreachablePoseError(
-        f"Sample {k}: {end.reason}",
-        remedy=_FEWER_TURNS,
-        sample=k,
-        gap=end.residual,
     )
 
 
