@@ -128,7 +128,7 @@ class RneaDynamics(Dynamics):
         start: RneaSample | None = None,
         t: float = 0.0,
     ) -> RneaSample:
-        """Return W, f and carrier forces at one sample; see ``Dynamics.sample``.
+        """Return W, f and carrier forces at one sample; see ``redundancy_pin.dynamics.base.Dynamics.sample``.
 
         ``start`` is an earlier result, of a pose nearby. The branch is followed from there along a straight line, and
         not from the reference configuration; an error is raised where that line does not lead to x.

@@ -38,7 +38,6 @@ from redundancy_pin.robot.scales import (
 )
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.grid import (
-    LONGEST_TURN,
     Slice,
     WorkspaceGrid,
     bounded_axes,
@@ -50,6 +49,10 @@ from redundancy_pin.singularities.grid import (
 
 _ITERATIONS = 20
 """Newton iterations per point: most points take four."""
+
+_LONGEST_TURN = 2.0
+"""Largest change of a joint between neighbouring points of a curve, rad: on the two sides of a leg of zero length it is
+π, along one curve it goes with the root of a cell, in lengths of a link."""
 
 _LONGEST_CHORD = 3.0
 """Longest distance between neighbouring points of a curve, cells. At a corner of the border two singular values of K
@@ -373,7 +376,7 @@ def _curves(
         k
         for k, (one, other) in enumerate(pairwise(points), start=1)
         if np.linalg.norm(one.x - other.x) > _LONGEST_CHORD * cell
-        or (type_ii and solver.turn(one.q, other.q) > LONGEST_TURN)
+        or (type_ii and solver.turn(one.q, other.q) > _LONGEST_TURN)
     ]
     pieces = [points[i:j] for i, j in pairwise([0, *breaks, len(points)])]
     if closed and breaks:  # a closed contour that is cut begins and ends in the middle of a curve

@@ -331,9 +331,8 @@ class Ahead:
         if count < len(times) or not isfinite(sum(read.constant.ravel().tolist())):
             behind = len(times) - count
             read = CarrierTerms(*(np.concatenate([part, np.full((behind, *part.shape[1:]), np.nan)]) for part in read))
-            finite: BoolArray = np.asarray(np.isfinite(read.constant).all(axis=1))
-            self._blocked = min(self._blocked, times[~finite][0])
-            reachable = np.asarray(np.logical_and.accumulate(finite))
+            reachable = np.asarray(np.logical_and.accumulate(np.isfinite(read.constant).all(axis=1)))
+            self._blocked = min(self._blocked, times[np.logical_not(reachable)][0])
             read = CarrierTerms(*map(np.nan_to_num, read))
         self.known = self._memory.add(times, reachable, read)
 

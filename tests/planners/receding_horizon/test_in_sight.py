@@ -373,10 +373,10 @@ def test_nothing_is_evaluated_behind_what_cannot_be_reached_until_that_is_past()
 
     preview, lost = Counted(up_and_back), 0.2 / 6.0
     ahead = Ahead(rp.CompiledDynamics(robot), Preview(preview, -np.inf, np.inf), STEP)
-    ahead.look(0.0, 0.06)
+    ahead.look(0.0, 0.18)
     asked = len(preview.asked)
     for start in (0.004, 0.013, 0.03):
-        ahead.look(start, start + 0.06)
+        ahead.look(start, start + 0.18)
         assert len(preview.asked) == asked
         np.testing.assert_array_equal(ahead.known.known, ahead.known.t < lost)
     ahead.look(0.2 - lost + 0.003, 0.23)
