@@ -93,7 +93,7 @@ def random_paths(name, dynamics):
     """Give paths through type II poses, without end."""
     if MACHINES[name][0] == "2rpr":
         yield from map(over_and_over, range(10**6))
-    home, rng = dynamics.reference[1], np.random.default_rng(4)
+    home, rng = closed_state(dynamics.robot).x, np.random.default_rng(4)
     reach = np.array(REACH[name])
     while True:
         points = home + rng.uniform(-1.0, 1.0, (4, len(home))) * reach

@@ -154,25 +154,6 @@ def test_failures_are_statuses_and_the_next_sample_is_as_before(backend: Backend
         assert dynamics.torque(home, zero, zero, s=end).status is SampleStatus.OK
 
 
-def test_the_other_assembly_is_followed_until_told_otherwise() -> None:
-    """A four-bar of equal sides is a parallelogram or crossed: two branches, neither of them declared."""
-    robot = row_of_four_bars(1)
-    dynamics, angle = rp.CompiledDynamics(robot), 1.2
-    branches = list(rp.assembly_modes(robot, [angle]).q)
-    assert len(branches) == 2
-    path, torques = angle + np.linspace(0.0, 0.4, 30)[:, None], []
-    for start in branches:
-        first = dynamics.torque(path[0], [1.0], [2.0], start=start)
-        torques.append([first.tau[0], *(dynamics.torque(x, [1.0], [2.0]).tau[0] for x in path[1:])])
-    for start, torque in zip(branches, torques, strict=True):
-        again, q = [], start
-        for x in path:
-            q = dynamics.joint_state(x, start=q).q
-            again.append(dynamics.torque(x, [1.0], [2.0], start=q).tau[0])
-        np.testing.assert_allclose(torque, again, rtol=1e-9)
-    assert np.abs(np.subtract(*torques)).min() > 1e-3
-
-
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
 def test_ranges_of_passive_joints_may_be_counted_from_another_turn(backend: Backend) -> None:
     """The first leg of the 2-RPR swings between 11 and 80 degrees, written a whole turn further."""

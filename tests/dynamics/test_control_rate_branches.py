@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zoo
-from flat_linkages import row_of_four_bars
+from flat_linkages import parallelogram, row_of_four_bars
 from folding import folding_four_bar, joint, rocker_angle
 
 import redundancy_pin as rp
@@ -126,6 +126,19 @@ def test_a_start_that_is_open_or_no_number_is_refused_with_a_status(backend: typ
             dynamics.torque(home, zero, zero, start=wrong)
 
 
+@BOTH
+@pytest.mark.parametrize(("noise", "status"), [(0.005, SampleStatus.OK), (0.02, SampleStatus.BRANCH_LOST)])
+def test_noise_of_a_start_counts_by_the_distance_from_a_stretched_leg(
+    backend: type[Dynamics], noise: float, status: SampleStatus
+) -> None:
+    """The tip of the five-bar one part in a hundred from the reach of its first leg: both elbows are off by rad."""
+    robot, still = zoo.robot_of("five_bar"), np.zeros(2)
+    x = 0.99 * np.array([0.25, 0.968]) / np.hypot(0.25, 0.968)
+    q = np.array(rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], x[None], still[None], still[None])).q[0])
+    q[[1, 4]] += [noise, -noise]
+    assert backend(robot).torque(x, still, still, start=q).status is status
+
+
 @pytest.mark.parametrize("modes", [False, True])
 @pytest.mark.parametrize("offsets", [np.linspace(-0.5, 0.5, 21), np.linspace(-0.5, 0.5, 20)])
 def test_calls_go_through_a_bifurcation_by_the_tangent(offsets: Array, modes: bool, tmp_path: Path) -> None:
@@ -157,7 +170,7 @@ def _off(branch: Any, robot: Robot, rocker: int) -> float:
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_whatever_is_not_finite_is_a_status(backend: type[Dynamics], bad: float) -> None:
-    """In every argument, also where no result depends on it: the position of a carrier on a straight track."""
+    """In every argument, and in the time."""
     robot = zoo.robot_of("3rrr").loaded(Wrench("platform", lambda t, x, xd: np.zeros((len(t), 6))))
     dynamics = backend(zoo.robot_of("3rrr") if backend is rp.VirtualWork else robot)
     given = [zoo.home_of(robot), np.ones(3), np.ones(3), np.zeros(3), np.zeros(3), np.zeros(3)]
@@ -169,6 +182,14 @@ def test_whatever_is_not_finite_is_a_status(backend: type[Dynamics], bad: float)
             assert dynamics.torque(*wrong).status is SampleStatus.NOT_FINITE
     assert dynamics.torque(*given, t=bad).status is SampleStatus.NOT_FINITE
     assert dynamics.torque(*given).status is SampleStatus.OK
+
+
+@BOTH
+def test_numbers_that_are_not_finite_are_found_where_no_result_depends_on_them(backend: type[Dynamics]) -> None:
+    """The position of a carrier on a rail of the base, across gravity."""
+    dynamics = backend(parallelogram("rail"))
+    for s, status in ((0.1, SampleStatus.OK), (np.nan, SampleStatus.NOT_FINITE), (-0.1, SampleStatus.OK)):
+        assert dynamics.torque([1.3], [1.0], [2.0], [s], [0.2], [0.3]).status is status
 
 
 def test_states_and_motors_that_are_not_finite_are_a_status() -> None:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 
@@ -86,6 +87,7 @@ def test_another_number_is_not_another_library(
         assert_backends_agree(dynamics)
     assert_backends_agree(first)  # which none of the others has changed
     assert libraries(tmp_path) == 2
+    assert len({topology_of(robot).text for robot in payloads(name)}) == 1
     for robot in payloads(name):  # a link that is no platform gets another topology, once
         dynamics = first.for_robot(robot)
         assert dynamics.forward() is not None
@@ -157,6 +159,27 @@ def test_a_number_that_becomes_zero_is_another_topology(tmp_path: Path, monkeypa
     for gravity in ((0.0, -9.81, 0.0), (0.0, -3.7, 0.0), (1.0, -9.81, 0.0)):
         assert_backends_agree(rp.CompiledDynamics(zoo.robot_of("four_bar", gravity=gravity)))
     assert libraries(tmp_path) == 2
+
+
+@pytest.mark.parametrize(("size", "same"), [(1e-17, True), (1e-9, False)])
+def test_rounding_makes_no_other_topology(size: float, same: bool) -> None:
+    """Zero beside the characteristic length, the mass and the inertia, and beside 1 in a rotation."""
+    robot = rp.load_robot("four_bar")
+    body = robot.model.inertias[2]
+
+    def moved(model: pin.Model) -> None:
+        model.jointPlacements[2].translation = model.jointPlacements[2].translation + size * np.array([0.0, 0.0, 1.0])
+
+    def turned(model: pin.Model) -> None:
+        model.jointPlacements[2].rotation = model.jointPlacements[2].rotation @ pin.exp3(np.array([size, 0.0, 0.0]))
+
+    def heavier(model: pin.Model) -> None:
+        model.inertias[2] = pin.Inertia(body.mass, body.lever + size * np.array([0.0, 0.0, 1.0]), body.inertia)
+
+    for change in (moved, turned, heavier):
+        model = robot.model.copy()
+        change(model)
+        assert (topology_of(dataclasses.replace(robot, model=model)) == topology_of(robot)) is same
 
 
 def test_every_role_is_part_of_a_topology() -> None:

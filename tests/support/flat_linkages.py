@@ -121,7 +121,8 @@ def rocker_and_coupler(lengths: tuple[float, float, float, float], angle: float,
 @functools.cache
 def parallelogram(variant: str = "", incline: float | None = None) -> Robot:
     """Return cranks of 1 m, 2 m apart, at 1.2 rad; with joints "continuous", a "pendulum" on the middle of the coupler
-    (a second freedom), a "second" one beside it that moves by itself, or a "carrier" on the second crank.
+    (a second freedom), a "second" one beside it that moves by itself, or a "carrier" on the second crank
+    or on a "rail" of the base.
 
     ``incline``: a third crank, 2 m from the first at this angle, rad, moves with it by a coupler of its own: flat at
     that angle, where the other loop is not.
@@ -152,10 +153,11 @@ def parallelogram(variant: str = "", incline: float | None = None) -> Robot:
         free["second_0"] = 1.2
         guess |= {"second_0": 1.2, "second_1": 1.2, "beam": -1.2}
         declaration["closures"].append({"frames": ["e1_tip", "d1_tip"], "axes": ["x", "y"]})
-    if variant == "carrier":
+    if variant in ("carrier", "rail"):
+        on = "c1" if variant == "carrier" else "base"
         parts.append(
             '<link name="m"><inertial><mass value="0.5"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
-            '</inertial></link><joint name="slide" type="prismatic"><parent link="c1"/><child link="m"/>'
+            f'</inertial></link><joint name="slide" type="prismatic"><parent link="{on}"/><child link="m"/>'
             '<origin xyz="0.5 0 0"/><axis xyz="1 0 0"/>'
             '<limit lower="-0.4" upper="0.4" velocity="10" effort="100"/></joint>'
         )

@@ -34,7 +34,7 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.compiled.build import Library, bind, define
 from redundancy_pin.dynamics.compiled.carrier_terms import Continued
-from redundancy_pin.dynamics.compiled.closing import Lifted, Loops, Start, each, follow_motors, lifted, parts_of
+from redundancy_pin.dynamics.compiled.closing import Lifted, Start, each, follow_motors, lifted, parts_of
 from redundancy_pin.dynamics.compiled.control import AccelerationCall, JointStateCall, SampleCall, TorqueCall
 from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Partials, TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import Design, design_of
@@ -99,7 +99,7 @@ class CompiledDynamics(Dynamics):
         """
         require_choice(unreachable)
         require_matching(self._robot, motion)
-        return CompiledAlongMotion(self, lifted(self._loops, motion, mark=unreachable == "mark"))
+        return CompiledAlongMotion(self, lifted(self._robot, self.kernel, motion, mark=unreachable == "mark"))
 
     def for_robot(self, robot: Robot) -> CompiledDynamics:
         """Return this backend, with its settings, for another robot.
@@ -170,7 +170,7 @@ class CompiledDynamics(Dynamics):
         self, motion: PlatformMotion, carriers: CarrierMotion, start: Start | None
     ) -> tuple[Lifted, ReducedDynamics]:
         """Return a motion on the branch of a start, or of the reference, with W and f; raises as ``along``."""
-        tree = lifted(self._loops, motion, mark=False, start=start)
+        tree = lifted(self._robot, self.kernel, motion, mark=False, start=start)
         return tree, CompiledAlongMotion(self, tree).reduce(carriers)
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
@@ -199,15 +199,6 @@ class CompiledDynamics(Dynamics):
     def projection(self) -> Any:
         """One sample as a function of casadi: from q, trig, v, a, Γ and the carriers' motion to f and their forces."""
         return bind(define(self._robot).functions["rp_project"], self._robot)
-
-    @cached_property
-    def reference(self) -> tuple[Array, Array]:
-        """The reference configuration (nq,) and its coordinates, (n,) or the 16 of a pose."""
-        return self._loops.reference
-
-    @cached_property
-    def _loops(self) -> Loops:
-        return Loops(self._robot, self.kernel, self.threads)
 
 
 class CompiledAlongMotion(Frozen):

@@ -15,11 +15,10 @@ static int blurred(double margin, double usual, double size, double squared) {
   return margin < 0.1 * usual && margin * margin * margin * size < 1e-16 / 1e-5 * squared;
 }
 
-/* A motion of `samples` samples from the configuration q0, closed at x0; returns how many were done before one failed,
-   with its status in status[]. */
+/* A motion of `samples` samples from the configuration q0, closed at x0; returns how many were done before one failed. */
 int rp_lift(const double *numbers, int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
             const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W,
-            double *gap, double *margin, int *status) {
+            double *gap, double *margin) {
   Pose pose, next;
   double guess[NQ], step[NP + 1], before = 0.0;
   int known = 0; /* samples before this one, at most two, from which its configuration can be extrapolated */
@@ -43,19 +42,13 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
       pose = next;
     else
       closed = follow(numbers, &pose, xk);
-    status[k] = closed ? CLOSED : LOST;
-    gap[k] = closed ? pose.gap * LENGTH : NAN;
-    if (closed) {
-      margin[k] = rates(numbers, &pose, xd + (long)k * N, xdd + (long)k * N, vk, ak, gamma + (long)k * NV * N,
-                        W + (long)k * N * M);
-      if (margin[k] < LEAST_MARGIN)
-        status[k] = SINGULAR;
-      else if (!in_mode(numbers, &pose))
-        status[k] = OTHER_MODE;
-      copy(q + (long)k * NQ, pose.q, NQ);
-      copy(trig + (long)k * 2 * NT, pose.trig, 2 * NT);
-    }
-    if (status[k] != CLOSED) return k;
+    if (!closed) return k;
+    gap[k] = pose.gap * LENGTH;
+    margin[k] = rates(numbers, &pose, xd + (long)k * N, xdd + (long)k * N, vk, ak, gamma + (long)k * NV * N,
+                      W + (long)k * N * M);
+    if (margin[k] < LEAST_MARGIN || !in_mode(numbers, &pose)) return k;
+    copy(q + (long)k * NQ, pose.q, NQ);
+    copy(trig + (long)k * 2 * NT, pose.trig, 2 * NT);
     known = known && dt > 0.0 ? 2 : 1; /* where an instant stands twice the acceleration jumps */
     before = dt;
   }
@@ -65,10 +58,7 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
   for (int k = 0; k < samples; ++k) {
     if (!(margin[k] < 0.1 * usual)) continue;
     double fastest = largest_rate(numbers, v + (long)k * NV), squared = fastest * fastest;
-    if (blurred(margin[k], usual, fmax(largest_rate(numbers, a + (long)k * NV), squared), squared)) {
-      status[k] = SINGULAR;
-      return k;
-    }
+    if (blurred(margin[k], usual, fmax(largest_rate(numbers, a + (long)k * NV), squared), squared)) return k;
   }
   return samples;
 }
@@ -116,8 +106,6 @@ static void terms_of(const double *numbers, const Pose *pose, const double *v, c
    other side of a type I singularity, or where Newton's method does not contract, it ends with LOST and says nothing:
    the way there is for rp_lift. out: W, constant and terms, those of all samples side by side. sizes: three numbers a
    sample of memory. Afterwards near[] holds the first and the last sample. */
-enum { NEIGHBOURS = 8 }; /* as in carrier_terms.py */
-
 int rp_terms(const double *numbers, int samples, const double *in, int width, double *near, double *out, double *sizes) {
   enum { SUM = N + NK };
   double *W = out, *constant = W + (long)samples * N * M, *terms = constant + (long)samples * SUM;

@@ -38,7 +38,12 @@ LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
 one that is closed to within the tolerance is known no better than this."""
 
+NEIGHBOURS = 8
+"""Configurations from the nearest of which a batch of carrier terms begins: first and last of each of four batches; a
+control update has two or three."""
+
 _CONSTANTS = {
+    "NEIGHBOURS": NEIGHBOURS,
     "TOLERANCE": CLOSURE_TOLERANCE,
     "LEAST_MARGIN": LEAST_MARGIN,
     "RANK_TOLERANCE": RANK_TOLERANCE,

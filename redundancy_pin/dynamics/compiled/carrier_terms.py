@@ -15,6 +15,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import CarrierTerms, terms_along
+from redundancy_pin.dynamics.compiled.build import NEIGHBOURS
 from redundancy_pin.dynamics.compiled.closing import CLOSED, branch_ends
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Wrench
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
 TERMS = 5
 """s, s², ṡ, s ṡ, s̈."""
-
-NEIGHBOURS = 8
-"""Configurations from the nearest of which a batch begins: two of each of four batches; a tick has two or three."""
 
 BESIDE = 0.04
 """Distance, in characteristic lengths and rad, at which a neighbour tells that the branch ends: a follower's step."""

@@ -1,21 +1,18 @@
 """Closing the loops of a compiled robot along a motion: the branch of the reference, followed by the driver.
 
-A motion is followed in as many parts as there are threads, which count only if they join. The driver does not say why
-it fails: a motion that it cannot follow goes to ``kinematics``, which names what is wrong, marks samples, or passes the
-bifurcation. Motions that the driver follows share nothing with ``kinematics``.
+The driver does not say why it fails: a motion that it cannot follow goes to ``kinematics``, which names what is wrong,
+marks samples, or passes the bifurcation. Motions that the driver follows share nothing with ``kinematics``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
@@ -26,7 +23,6 @@ from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower, k
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import position_unit
 
 CLOSED, _LOST = range(2)
 """Statuses of the driver: CLOSED, and the one of samples that it has not come to."""
@@ -36,23 +32,6 @@ _PER_THREAD = 400
 
 LARGEST_TURN = 0.5
 """Longest turn, rad, of a pose at a time on the way from the reference: half a turn away the direction is lost."""
-
-
-@dataclass(frozen=True, eq=False)
-class Loops:
-    """What closes the loops of a robot, and threads for many samples."""
-
-    robot: Robot
-    kernel: Library
-    threads: int
-
-    @cached_property
-    def reference(self) -> tuple[Array, Array]:
-        """The reference configuration (nq,) and its coordinates, (n,) or the 16 of a pose."""
-        q, platform = np.array(self.robot.q_reference), self.robot.platform
-        x = np.empty(16 if platform is not None and platform.is_pose else self.robot.n)
-        self.kernel.map("rp_coordinates", 1, [q[None], trig_at(self.robot, q[None])], [x[None]])
-        return q, x
 
 
 class Start(NamedTuple):
@@ -77,11 +56,12 @@ class Lifted(NamedTuple):
     reachable: BoolArray
 
 
-def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | None = None) -> Lifted:
+def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool, start: Start | None = None) -> Lifted:
     """Return the tree's motion along one of the platform.
 
     Args:
-        loops: of the robot.
+        robot: the robot.
+        kernel: its library.
         motion: the platform's.
         mark: leave samples that do not close NaN in place of raising.
         start: where kinematics go on from, in place of the reference.
@@ -89,19 +69,17 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | N
     Raises:
         RedundancyPinError: what ``kinematics.inverse_kinematics`` raises.
     """
-    robot, samples = loops.robot, len(motion)
-    q0 = _start(loops, motion) if start is None else None
+    samples = len(motion)
+    q0 = _start(robot, kernel, motion) if start is None else None
     if q0 is not None:
-        x = np.ascontiguousarray(motion.x.reshape(samples, -1))
+        # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
+        given = [np.ascontiguousarray(part) for part in (motion.t, motion.x, motion.xd, motion.xdd)]
         nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
         shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), ())
         arrays = [np.empty((samples, *shape)) for shape in shapes]
-        status = np.full(samples, _LOST, dtype=np.intc)
-        _run(loops, motion, x, q0, arrays, status)
-        good: BoolArray = status == CLOSED
-        if good.all():
+        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == samples:
             q, trig, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
-            return Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(good))
+            return Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(np.ones(samples, dtype=bool)))
     state = None if start is None else _state_at(robot, start)
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
     trig = read_only(trig_at(robot, tree.q))
@@ -110,15 +88,16 @@ def lifted(loops: Loops, motion: PlatformMotion, *, mark: bool, start: Start | N
     )
 
 
-def _start(loops: Loops, motion: PlatformMotion) -> Array | None:
+def _start(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | None:
     """Return a configuration (nq,) closed at the first sample: straight from the reference; otherwise by kinematics.
 
     None where a motion of one sample, or a first sample out of reach, is for kinematics as a whole.
     """
-    reference, here = loops.reference
-    x, q, status = np.ascontiguousarray(motion.x[0].reshape(-1)), reference.copy(), CLOSED
+    q, x = np.array(robot.q_reference), np.ascontiguousarray(motion.x[0].reshape(-1))
+    here = np.empty(len(x))
+    kernel.map("rp_coordinates", 1, [q[None], trig_at(robot, q[None])], [here[None]])
     for target in waypoints(here, x, motion.is_pose):
-        status = loops.kernel.call("rp_follow", q, here, target)
+        status = kernel.call("rp_follow", q, here, target)
         here = target
         if status == _LOST:
             break
@@ -126,7 +105,7 @@ def _start(loops: Loops, motion: PlatformMotion) -> Array | None:
         return q
     if len(motion) == 1:
         return None
-    tree = inverse_kinematics(loops.robot, motion[:1], mark_unreachable=True)
+    tree = inverse_kinematics(robot, motion[:1], mark_unreachable=True)
     return np.array(tree.q[0]) if tree.reachable[0] else None
 
 
@@ -161,51 +140,6 @@ def follow_motors(robot: Robot, q: Array, position: Array) -> Array | None:
         return None
     reached = follower(driven).advance(here, position)
     return np.array(reached.q) if isinstance(reached, ClosedState) else None
-
-
-def _run(
-    loops: Loops,
-    motion: PlatformMotion,
-    x: Array,
-    start: Array,
-    arrays: list[Array],
-    status: NDArray[np.intc],
-) -> None:
-    """Follow all samples, in as many parts as there are threads, which count only if they join."""
-    kernel, samples = loops.kernel, len(motion)
-    # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
-    t, xd, xdd = (np.ascontiguousarray(part) for part in (motion.t, motion.xd, motion.xdd))
-
-    def follow(part: slice, q: Array) -> None:
-        rest = [array[part] for array in (t, x, xd, xdd)]
-        outputs = [*(array[part] for array in arrays), status[part]]
-        kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], *outputs)
-
-    parts = parts_of(samples, loops.threads)
-    if len(parts) > 1:
-        starts = [start]
-        for part in parts[1:]:
-            q = starts[-1].copy()
-            if kernel.call("rp_follow", q, x[parts[len(starts) - 1].start], x[part.start]) != CLOSED:
-                break
-            starts.append(q)
-        if len(starts) == len(parts):
-            each(lambda pair: follow(*pair), list(zip(parts, starts, strict=True)))
-            if (status == CLOSED).all() and all(_joined(loops, arrays[0], x, part.start) for part in parts[1:]):
-                return
-        status[:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
-    follow(slice(0, samples), start)
-
-
-def _joined(loops: Loops, q: Array, x: Array, k: int) -> bool:
-    """Return whether sample k continues the branch of the one before."""
-    reached = q[k - 1].copy()
-    closed = loops.kernel.call("rp_follow", reached, x[k - 1], x[k]) == CLOSED
-    return closed and float(np.abs((reached - q[k]) / position_unit(loops.robot)).max()) < _SAME
-
-
-_SAME = 1e-9
-"""Two configurations nearer than this (rad, characteristic lengths) are one, computed twice."""
 
 
 def parts_of(samples: int, threads: int) -> list[slice]:

@@ -29,8 +29,6 @@ _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and
 by 1e-14 in rounding. Sums, products and powers up to the sixth are exact."""
 
-_NODES = 6
-
 
 @dataclass(frozen=True, eq=False)
 class Design(Frozen):
@@ -182,7 +180,7 @@ def by_xacro(robot: Robot, name: str, trust: bool) -> Array:
     _require_number(robot, name)
     value = float(robot.parameters[name])
     # at zero to one side: a negative mass or length would be refused
-    offsets = np.arange(-3, 4) if value else np.arange(_NODES + 1)
+    offsets = np.arange(7) - (3 if value else 0)
     step = _STEP * (abs(value) if value else 1.0)
     weights = _difference_weights(offsets) / step
     used = [(float(weight), float(value + i * step)) for i, weight in zip(offsets, weights, strict=True) if weight]

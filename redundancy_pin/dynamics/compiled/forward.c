@@ -14,13 +14,10 @@
 
 #define FREE (NP - R + NK)
 #define NY (NQ + NV)
-#define MOST_STAGES 17
-#define MOST_LOOKS 64
+#define MOST_LOOKS 64 /* at the rank of the closures in a step, no unit; longer steps are not ordinary */
 #define MOST_WATCHED (2 * NQ + LEGS + 4)
 #define WATCHED(run) ((run)->stops + (LEGS ? LEGS : 1) + (M == N) + 1)
 
-enum { FINE = 0, RANK_LOST = 1, ILL_POSED = 2, NOT_FINITE = 3 };
-enum { ARRIVED = 0, LOOK = 1, PAUSED = 2 };
 
 /* Closure residuals (R), and the rows of closures and platform (NP x NP, column by column). */
 static void closures(const double *numbers, const double *q, double *residual, double *K) {
@@ -107,7 +104,7 @@ void rp_dynamics(const double *numbers, const double *q, const double *v, double
   equations(numbers, q, v, NONE, K, bias, mass, effort);
 }
 
-/* Accelerations of the tree under generalised forces (NV) and wrenches (NWRENCH); `given` are those of carriers driven by
+/* Returns a status of redundancy_pin.status. Accelerations of the tree under generalised forces (NV) and wrenches (NWRENCH); `given` are those of carriers driven by
    motion, or null. Closure forces (R) and the unbalanced generalised forces `missing` (NV) are computed unless null. */
 static int accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *wrenches,
                          const double *given, double *a,
@@ -122,8 +119,8 @@ static int accelerations(const double *numbers, const double *q, const double *v
     for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1;
   }
   double ratio = eliminate(A, width, order);
-  if (ratio != ratio) return NOT_FINITE;
-  if (!(ratio > RANK_TOLERANCE)) return RANK_LOST;
+  if (ratio != ratio) return STATUS_NOT_FINITE;
+  if (!(ratio > RANK_TOLERANCE)) return STATUS_SINGULAR_INCONSISTENT;
   for (int i = 0; i < NV; ++i) a[i] = 0.0;
   for (int k = 0; k < R; ++k) {
     dependent[order[k]] = 1;
@@ -163,7 +160,7 @@ static int accelerations(const double *numbers, const double *q, const double *v
     }
   for (int i = 0; i < d; ++i)
     for (int j = 0; j <= i; ++j)
-      if (!isfinite(reduced[i * d + j])) return NOT_FINITE;
+      if (!isfinite(reduced[i * d + j])) return STATUS_NOT_FINITE;
   int positive = factorise(reduced, d);
   double least = INFINITY, most = 0.0;
   for (int i = 0; positive && i < d; ++i) {
@@ -171,11 +168,11 @@ static int accelerations(const double *numbers, const double *q, const double *v
     least = fmin(least, pivot);
     most = fmax(most, pivot);
   }
-  if (!positive || (d && !(least / most > LEAST_INERTIA))) return ILL_POSED;
+  if (!positive || (d && !(least / most > LEAST_INERTIA))) return STATUS_SINGULAR_INCONSISTENT;
   solve_factorised(reduced, d, z);
   for (int i = 0; i < NV; ++i)
     for (int j = 0; j < d; ++j) a[i] += basis[i][j] * z[j];
-  if (!closure_force) return FINE;
+  if (!closure_force) return STATUS_OK;
   for (int i = 0; i < NV; ++i) {
     missing[i] = effort[i] - force[i];
     for (int k = 0; k < NV; ++k) missing[i] += mass[i * NV + k] * a[k];
@@ -187,7 +184,7 @@ static int accelerations(const double *numbers, const double *q, const double *v
       closure_force[i] += A[k * width + NP + 1 + i] * missing[column] / VELOCITY_SCALE[column];
     }
   }
-  return FINE;
+  return STATUS_OK;
 }
 
 /* The same without wrenches. */
@@ -197,19 +194,19 @@ int rp_accelerations(const double *numbers, const double *q, const double *v, co
 }
 
 /* One state from Python: in = q, v, main efforts, carrier forces, wrenches, side by side; out = accelerations (NV), NaN where
-   the answer is not FINE. */
+   the answer is not STATUS_OK. */
 int rp_acceleration(const double *numbers, const double *in, double *out) {
   const double *v = in + NQ, *tau = v + NV, *carrier = tau + M, *wrenches = carrier + NK;
   double force[NV] = {0.0};
   if (!finite(in, NQ + NV + M + NK + NWRENCH)) {
     for (int i = 0; i < NV; ++i) out[i] = NAN;
-    return NOT_FINITE;
+    return STATUS_NOT_FINITE;
   }
   for (int i = 0; i < M; ++i) force[ACTUATED[i]] = tau[i];
   for (int i = 0; i < NK; ++i) force[CARRIERS[i]] = carrier[i];
   int status = accelerations(numbers, in, v, force, wrenches, 0, out, 0, 0);
-  if (status == FINE && !finite(out, NV)) status = NOT_FINITE;
-  for (int i = 0; status != FINE && i < NV; ++i) out[i] = NAN;
+  if (status == STATUS_OK && !finite(out, NV)) status = STATUS_NOT_FINITE;
+  for (int i = 0; status != STATUS_OK && i < NV; ++i) out[i] = NAN;
   return status;
 }
 
@@ -353,33 +350,11 @@ static int project(const double *numbers, double *y, double wanted, double *befo
 
 int rp_projected(const double *numbers, double *y, double wanted, double *gaps) { return project(numbers, y, wanted, gaps, gaps + 1); }
 
-/* Smallest over largest singular value of rows S (R x NP), which are overwritten: Jacobi's rotations make them orthogonal. */
+/* Smallest over largest singular value of rows S (R x NP), which are overwritten. */
 static double rank_ratio(double *S) {
-  for (int sweep = 0; sweep < 30; ++sweep) {
-    double off = 0.0;
-    for (int i = 1; i < R; ++i)
-      for (int k = 0; k < i; ++k) {
-        double a = 0.0, b = 0.0, c = 0.0, *x = S + i * NP, *y = S + k * NP;
-        for (int j = 0; j < NP; ++j) a += x[j] * x[j], b += y[j] * y[j], c += x[j] * y[j];
-        if (!(fabs(c) > 1e-14 * sqrt(a * b))) continue;
-        off = fmax(off, fabs(c) / sqrt(a * b));
-        double zeta = (b - a) / (2.0 * c), t = (zeta < 0.0 ? -1.0 : 1.0) / (fabs(zeta) + sqrt(1.0 + zeta * zeta));
-        double cosine = 1.0 / sqrt(1.0 + t * t), sine = cosine * t;
-        for (int j = 0; j < NP; ++j) {
-          double u = x[j], w = y[j];
-          x[j] = cosine * u - sine * w;
-          y[j] = sine * u + cosine * w;
-        }
-      }
-    if (off < 1e-7) break; /* converges quadratically: squares are then good to rounding */
-  }
-  double least = INFINITY, most = 0.0;
-  for (int i = 0; i < R; ++i) {
-    double sum = 0.0;
-    for (int j = 0; j < NP; ++j) sum += S[i * NP + j] * S[i * NP + j];
-    least = fmin(least, sum);
-    most = fmax(most, sum);
-  }
+  double square[R + 1], least = INFINITY, most = 0.0;
+  orthogonalise(S, R, NP, NP, square);
+  for (int i = 0; i < R; ++i) least = fmin(least, square[i]), most = fmax(most, square[i]);
   return R ? sqrt(least / most) : 1.0;
 }
 
@@ -614,10 +589,10 @@ static int placed(const double *numbers, const Run *run, Progress *at, double t,
   return project(numbers, y, run->tolerance, before, left);
 }
 
-/* From a closed state y over at most `most` ordinary steps. Returns why it stopped: at the end, or before a step that its
-   caller must take, or for breath. y, the functions `values` and the progress are those of the last state. */
+/* From a closed state y over at most `most` ordinary steps. Returns 1 before a step that its caller must take, 0 at the end or
+   after that many steps. y, the functions `values` and the progress are those of the last state. */
 int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, double *values, long most) {
-  double K[MOST_STAGES * NY], F[8 * NY], y1[NY], next[NY], sample[NY], gap, left;
+  double *const K = run->rates, F[8 * NY], y1[NY], next[NY], sample[NY], gap, left;
   long limit = at->steps + most;
   int known = 0;
   while (at->next_break < run->breaks) {
@@ -627,28 +602,28 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
       known = 0;
       continue;
     }
-    if (at->steps >= limit) return PAUSED;
+    if (at->steps >= limit) return 0;
     if (!known) {
       rate(numbers, run, at, at->t, end, y, K);
       ++at->restarts;
-      if (K[NQ] != K[NQ]) return LOOK;
+      if (K[NQ] != K[NQ]) return 1;
       at->next_step = at->next_step > 0.0 ? fmin(at->next_step, end - at->t) : first_step(numbers, run, at, end, y, K);
     }
     known = 1;
     double h = at->next_step, t1 = take(numbers, run, at, end, y, &h, y1, K), length = t1 - at->t;
-    if (!(length > 0.0)) return LOOK;
+    if (!(length > 0.0)) return 1;
     double shown[MOST_WATCHED], was_near = at->near;
     int dense = 0;
-    if (length < run->shortest && t1 < end) return LOOK;
+    if (length < run->shortest && t1 < end) return 1;
     copy(shown, values, WATCHED(run));
-    if (!ordinary(numbers, run, at, at->t, length, end, y, y1, K, shown, F, &dense)) return LOOK;
+    if (!ordinary(numbers, run, at, at->t, length, end, y, y1, K, shown, F, &dense)) return 1;
     copy(next, y1, NY);
     double moved = 0.0, fastest = fmax(largest(y + NQ, NV), largest(y1 + NQ, NV));
     int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->largest_residual;
     for (int i = NQ; good && i < NY; ++i) moved = fmax(moved, fabs(next[i] - y1[i]));
     if (!good || !(moved <= run->velocity_change * fastest + run->velocity_floor)) {
       at->near = was_near;
-      return LOOK;
+      return 1;
     }
     while (at->sample < run->samples && run->sample_at[at->sample] < t1 - run->time_tolerance) {
       double t = run->sample_at[at->sample], before, after;
@@ -658,7 +633,7 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
         dense = 1;
         between(run, F, y, (t - at->t) / length, sample);
       }
-      if (!placed(numbers, run, at, t, INFINITY, sample, &before, &after)) return LOOK;
+      if (!placed(numbers, run, at, t, INFINITY, sample, &before, &after)) return 1;
       copy(run->recorded + (long)at->sample++ * NY, sample, NY);
     }
     copy(y, next, NY);
@@ -669,8 +644,8 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     at->largest_correction = fmax(at->largest_correction, gap);
     if (t1 < end) {
       rate(numbers, run, at, t1, end, y, K);
-      if (K[NQ] != K[NQ]) return LOOK;
+      if (K[NQ] != K[NQ]) return 1;
     }
   }
-  return ARRIVED;
+  return 0;
 }

@@ -44,9 +44,6 @@ from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.named import is_pose
 
-_LOOK = 1
-"""Status of ``rp_advance``: the next step is for its caller."""
-
 _LOADS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 _RUN = Struct(
@@ -62,6 +59,7 @@ _RUN = Struct(
         Member("E", "const double *", "(stages + 1)"),
         Member("E3", "const double *", "(stages + 1), of DOP853"),
         Member("P", "const double *", "interpolant, (stages + 1, powers), or (powers - 3, extended) of DOP853"),
+        Member("rates", "double *", "(extended + 1, NQ + NV), memory for the rates of the stages"),
         Member("order", "double", "of its error estimate"),
         Member("rtol", "double", "relative tolerance of a step"),
         Member("atol", "double", "absolute tolerance of a step"),
@@ -325,7 +323,7 @@ class CompiledIntegration:
         at.y, at.values = y, values
         for name in _SHARED:
             setattr(at, name, getattr(progress, name))
-        return bool(status == _LOOK)
+        return bool(status)
 
     def _act(self, edges: Array, coefficients: Array) -> None:
         """Let polynomials act: coefficients (pieces, terms, m + k)."""
@@ -384,3 +382,4 @@ class CompiledIntegration:
         run.stages, run.order = count, method.error_estimator_order
         for table, values in (("A", A), ("B", method.B), ("C", C), ("E", E), ("P", P)):
             self._point(table, values)
+        self._point("rates", np.zeros((run.extended + 1, self._width)))

@@ -2,16 +2,8 @@
    calls from Python share this text. It follows driver.c and the tables of one robot. Nothing is allocated, every loop has
    a bound. Statuses are those of redundancy_pin.status. */
 
-#define SWEEPS 30     /* over all pairs of columns; the convergence is quadratic, 6 x 6 takes some eight */
-#define OBLIQUE 1e-15 /* cosine of the angle between two columns below which they count as orthogonal */
 #define SHORT (N < M ? N : M)
 #define LONG (N < M ? M : N)
-
-static double dot(const double *a, const double *b, int size) {
-  double sum = 0.0;
-  for (int i = 0; i < size; ++i) sum += a[i] * b[i];
-  return sum;
-}
 
 /* The status of a sample that the driver did not close. */
 static int status_of(int closed) {
@@ -41,54 +33,28 @@ static int pose_at(const double *numbers, const double *q, double sign, Pose *po
 /* --- W without units, its singular values, and what is solved with them ----------------------------------------- */
 
 /* The scaled matrix A = Dx^-1 W Da, or its transpose where it has more columns than rows, times a rotation: its columns
-   are then orthogonal, their lengths are the singular values, and the rotation holds the other singular vectors
-   (one-sided Jacobi; Demmel and Veselic, "Jacobi's method is more accurate than QR", 1992). */
+   are then orthogonal, their lengths are the singular values, and the rotation holds the other singular vectors. */
 typedef struct {
-  double column[SHORT][LONG];
-  double turn[SHORT][SHORT]; /* columns of the rotation, one a row */
-  double square[SHORT];      /* squared singular values */
-  int kept[SHORT];           /* which of them are no rounding */
+  double row[SHORT][LONG + SHORT]; /* a column of the product, then one of the rotation */
+  double square[SHORT];            /* squared singular values */
+  int kept[SHORT];                 /* which of them are no rounding */
   int rank;
   double margin, condition;
 } Spectrum;
-
-static void rotate(double *x, double *y, int size, double cosine, double sine) {
-  for (int i = 0; i < size; ++i) {
-    double turned = cosine * x[i] - sine * y[i];
-    y[i] = sine * x[i] + cosine * y[i];
-    x[i] = turned;
-  }
-}
 
 static void spectrum_of(const double *numbers, const double *W, Spectrum *s) {
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < M; ++j) {
       double entry = W[i * M + j] * (COLUMN_SCALE[j] / ROW_SCALE[i]);
 #if M > N
-      s->column[i][j] = entry;
+      s->row[i][j] = entry;
 #else
-      s->column[j][i] = entry;
+      s->row[j][i] = entry;
 #endif
     }
-  for (int p = 0; p < SHORT; ++p) {
-    for (int q = 0; q < SHORT; ++q) s->turn[p][q] = p == q ? 1.0 : 0.0;
-    s->square[p] = dot(s->column[p], s->column[p], LONG);
-  }
-  for (int sweep = 0, moved = 1; moved && sweep < SWEEPS; ++sweep) {
-    moved = 0;
-    for (int p = 0; p < SHORT; ++p)
-      for (int q = p + 1; q < SHORT; ++q) {
-        double xx = s->square[p], yy = s->square[q], xy = dot(s->column[p], s->column[q], LONG), half = 0.5 * (yy - xx);
-        if (!(xy * xy > OBLIQUE * OBLIQUE * xx * yy)) continue;
-        double root = sqrt(half * half + xy * xy), tangent = xy / (half < 0.0 ? half - root : half + root);
-        double cosine = 1.0 / sqrt(1.0 + tangent * tangent);
-        rotate(s->column[p], s->column[q], LONG, cosine, cosine * tangent);
-        rotate(s->turn[p], s->turn[q], SHORT, cosine, cosine * tangent);
-        s->square[p] = dot(s->column[p], s->column[p], LONG);
-        s->square[q] = dot(s->column[q], s->column[q], LONG);
-        moved = 1;
-      }
-  }
+  for (int p = 0; p < SHORT; ++p)
+    for (int q = 0; q < SHORT; ++q) s->row[p][LONG + q] = p == q ? 1.0 : 0.0;
+  orthogonalise(&s->row[0][0], SHORT, LONG, LONG + SHORT, s->square);
   double most = 0.0, least = INFINITY;
   for (int p = 0; p < SHORT; ++p) {
     most = fmax(most, sqrt(s->square[p]));
@@ -108,8 +74,8 @@ static void from_long(const Spectrum *s, const double *given, double *result) {
   clear(result, SHORT);
   for (int p = 0; p < SHORT; ++p) {
     if (!s->kept[p]) continue;
-    double along = dot(s->column[p], given, LONG) / s->square[p];
-    for (int i = 0; i < SHORT; ++i) result[i] += along * s->turn[p][i];
+    double along = dot(s->row[p], given, LONG) / s->square[p];
+    for (int i = 0; i < SHORT; ++i) result[i] += along * s->row[p][LONG + i];
   }
 }
 
@@ -118,8 +84,8 @@ static void from_short(const Spectrum *s, const double *given, double *result) {
   clear(result, LONG);
   for (int p = 0; p < SHORT; ++p) {
     if (!s->kept[p]) continue;
-    double along = dot(s->turn[p], given, SHORT) / s->square[p];
-    for (int i = 0; i < LONG; ++i) result[i] += along * s->column[p][i];
+    double along = dot(s->row[p] + LONG, given, SHORT) / s->square[p];
+    for (int i = 0; i < LONG; ++i) result[i] += along * s->row[p][i];
   }
 }
 #endif
@@ -139,7 +105,7 @@ static double least_norm(const Spectrum *s, const double *g, double *u) {
 #if M > N
   from_short(s, g, u);
   for (int p = 0; p < SHORT; ++p) {
-    double along = s->kept[p] ? 0.0 : dot(s->turn[p], g, SHORT);
+    double along = s->kept[p] ? 0.0 : dot(s->row[p] + LONG, g, SHORT);
     outside += along * along;
   }
 #else
@@ -147,8 +113,8 @@ static double least_norm(const Spectrum *s, const double *g, double *u) {
   from_long(s, g, u);
   copy(rest, g, N);
   for (int p = 0; p < SHORT; ++p) {
-    double along = s->kept[p] ? dot(s->column[p], g, LONG) / s->square[p] : 0.0;
-    for (int i = 0; i < N; ++i) rest[i] -= along * s->column[p][i];
+    double along = s->kept[p] ? dot(s->row[p], g, LONG) / s->square[p] : 0.0;
+    for (int i = 0; i < N; ++i) rest[i] -= along * s->row[p][i];
   }
   outside = s->rank < N ? dot(rest, rest, N) : 0.0;
 #endif

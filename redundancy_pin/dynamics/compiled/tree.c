@@ -115,3 +115,40 @@ static void move(double *q, const double *pose_step) {
   rp_moved(arg, res);
   copy(q, moved, NQ);
 }
+
+#define SWEEPS 30     /* over all pairs of rows; the convergence is quadratic, 6 x 6 takes some eight */
+#define OBLIQUE 1e-15 /* cosine of the angle between two rows below which they count as orthogonal: a few roundings */
+
+static double dot(const double *a, const double *b, int size) {
+  double sum = 0.0;
+  for (int i = 0; i < size; ++i) sum += a[i] * b[i];
+  return sum;
+}
+
+static void rotate(double *x, double *y, int size, double cosine, double sine) {
+  for (int i = 0; i < size; ++i) {
+    double turned = cosine * x[i] - sine * y[i];
+    y[i] = sine * x[i] + cosine * y[i];
+    x[i] = turned;
+  }
+}
+
+/* Rotates rows S (rows x width) until their first `columns` entries are orthogonal, whose lengths are then singular values;
+   square[] are their squares (one-sided Jacobi; Demmel and Veselic, "Jacobi's method is more accurate than QR", 1992). */
+static void orthogonalise(double *S, int rows, int columns, int width, double *square) {
+  for (int p = 0; p < rows; ++p) square[p] = dot(S + p * width, S + p * width, columns);
+  for (int sweep = 0, moved = 1; moved && sweep < SWEEPS; ++sweep) {
+    moved = 0;
+    for (int p = 0; p < rows; ++p)
+      for (int q = p + 1; q < rows; ++q) {
+        double *x = S + p * width, *y = S + q * width, xx = square[p], yy = square[q], xy = dot(x, y, columns), half = 0.5 * (yy - xx);
+        if (!(xy * xy > OBLIQUE * OBLIQUE * xx * yy)) continue;
+        double root = sqrt(half * half + xy * xy), tangent = xy / (half < 0.0 ? half - root : half + root);
+        double cosine = 1.0 / sqrt(1.0 + tangent * tangent);
+        rotate(x, y, width, cosine, cosine * tangent);
+        square[p] = dot(x, x, columns);
+        square[q] = dot(y, y, columns);
+        moved = 1;
+      }
+  }
+}

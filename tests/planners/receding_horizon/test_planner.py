@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zoo
 from scipy.interpolate import make_interp_spline
 
 import redundancy_pin as rp
@@ -181,7 +182,7 @@ def test_one_instant_that_is_known_has_efforts_for_a_step() -> None:
 
 def test_a_pose_out_of_reach_at_the_very_end_of_the_horizon_is_refused() -> None:
     dynamics = rp.CompiledDynamics(rp.load_robot("five_bar", carriers=True))
-    home = dynamics.reference[1]
+    home = zoo.home_of(dynamics.robot)
     path = Line(tuple(home), (home[0], home[1] + 0.9))
     away = Trajectory(path, SpeedProfile(0.9, 0.9 / 0.56, 0.2))
     first = RecedingHorizon(dynamics).update(0.0, away)
@@ -241,7 +242,7 @@ def test_turns_and_singular_instants_that_are_long_past_are_forgotten() -> None:
 
 def test_where_nothing_can_be_reached_is_no_turn_and_spoils_no_later_one() -> None:
     dynamics = rp.CompiledDynamics(rp.load_robot("five_bar", carriers=True))
-    home = dynamics.reference[1]
+    home = zoo.home_of(dynamics.robot)
     away = Line(tuple(home), (home[0], home[1] + 0.9))
     planner = RecedingHorizon(dynamics)
     planner.update(0.0, Trajectory(away, SpeedProfile(away.length, 1.6, 0.2)))

@@ -326,7 +326,7 @@ def test_too_little_effort_is_said_with_what_is_missing():
 
 def test_where_the_machine_cannot_go_is_refused_before_it_gets_there():
     dynamics, _ = machine("five_bar")
-    home = dynamics.reference[1]
+    home = zoo.home_of(dynamics.robot)
     motion = line(tuple(home), (home[0], home[1] + 0.9))
     planner = RecedingHorizon(dynamics)
     command = planner.update(0.0, motion)
