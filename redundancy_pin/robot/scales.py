@@ -152,7 +152,8 @@ def turning_velocities(robot: Robot) -> BoolArray:
     """Return (nv,) which tree velocities are rotations."""
     data = robot.model.createData()
     pin.computeJointJacobians(robot.model, data, pin.neutral(robot.model))
-    return read_only(data.J[3:].any(axis=0))
+    jacobian = np.reshape(data.J, (6, robot.model.nv))  # of one joint Pinocchio has a vector
+    return read_only(jacobian[3:].any(axis=0))
 
 
 @lru_cache(maxsize=64)
