@@ -62,7 +62,7 @@ class PlatformMotion(Frozen):
         if len(time) == 0:
             raise InputError("The motion has no samples.", remedy="Pass at least one sample.")
         if is_pose:
-            _require_poses(position)
+            require_poses(position)
         _require_increasing(time, position, rate)
         assign(self, t=time, x=position, xd=rate, xdd=acceleration, check_rates=bool(check_rates))
 
@@ -432,7 +432,8 @@ def is_homogeneous_pose(x: Array) -> bool:
     return bool(_pose_errors(x[None])[0] <= POSE_TOLERANCE)
 
 
-def _require_poses(x: Array) -> None:
+def require_poses(x: Array) -> None:
+    """Raise InputError where a matrix among (N, 4, 4) is no homogeneous pose, to ``POSE_TOLERANCE``."""
     error = _pose_errors(x)
     if not error.max() <= POSE_TOLERANCE:
         k = int(error.argmax())

@@ -22,6 +22,7 @@ from redundancy_pin.dynamics.compiled import design_of
 from redundancy_pin.dynamics.compiled.parameters import layout_of, numbers_of, topology_of
 from redundancy_pin.dynamics.contacts import closure_forces
 from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import Command
@@ -53,6 +54,7 @@ def objects() -> dict[str, Any]:
     along = dynamics.along(motion)
     reduced = along.reduce(carriers)
     efforts = rp.distribute(reduced)
+    branch = follower(small)
     along.base_wrench()  # makes its pools
     compiled = rp.CompiledDynamics(robot).along(motion)
     start = closed_state(robot, xd=[0.1, 0.0, 0.0])
@@ -128,6 +130,8 @@ def objects() -> dict[str, Any]:
         "crossing plan": rp.plan_switch_off(rp.VirtualWork(small), circle, threshold=5.0),
         "stepwise plan": stepwise,
         "state": start,
+        "closed state": branch.home,
+        "branch end": branch.advance(branch.home, branch.home.x * np.nan),
         "forward": ForwardDynamics(robot),
         "run": rp.simulate(robot, None, start=start, duration=0.02, stop_at=()),
         "linearised": linearise(robot, start, three),

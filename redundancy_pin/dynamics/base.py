@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, TypeVar
@@ -112,10 +113,12 @@ class TorqueSample(NamedTuple):
     Attributes:
         tau: (m,) efforts of the main actuators, N or N·m; NaN where there are none.
         status: as ``distribute`` gives it.
-        margin: singularity margin, the smallest singular value of the scaled W, no unit; NaN without W.
+        margin: singularity margin of type II, the smallest singular value of the scaled W, no unit; NaN without W.
         carrier_force: (k,) force of each carrier's actuator, N or N·m; NaN without W.
         residual: closure residual of the configuration, m; of an unreachable pose the residual that Newton's method
             ends with; NaN if it is not known.
+        serial_margin: lower bound of the distance to a type I singularity, no unit (``JointTrajectory``'s
+            ``serial_margin_bound``); joint rates and efforts grow as it falls. NaN without W, and of a closed form.
     """
 
     tau: Array
@@ -123,6 +126,7 @@ class TorqueSample(NamedTuple):
     margin: float
     carrier_force: Array
     residual: float
+    serial_margin: float = math.nan
 
 
 class AccelerationSample(NamedTuple):

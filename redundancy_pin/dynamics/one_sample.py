@@ -64,7 +64,7 @@ def _unit_of_W(robot: Robot) -> Array:
 
 
 def solve_sample(
-    robot: Robot, sample: ReducedSample, q: Array, residual: float, given: SampleArguments, t: float
+    robot: Robot, sample: ReducedSample, q: Array, kinematics: tuple[float, float], given: SampleArguments, t: float
 ) -> TorqueSample:
     """Return the efforts of least norm with W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ), or a status.
 
@@ -72,7 +72,7 @@ def solve_sample(
         robot: the robot.
         sample: W (n, m), f (n,) and carrier forces (k,).
         q: (nq,) configuration, m and rad; ranges are checked with the carriers at s.
-        residual: closure residual of q, m.
+        kinematics: closure residual of q, m, and lower bound of the distance to type I.
         given: what the sample is made of.
         t: time, s, for wrenches that depend on it.
 
@@ -81,7 +81,7 @@ def solve_sample(
         >>> robot = rp.load_robot("five_bar")
         >>> given = [0.1, 0.4], [0.5, 0.0], [0.0, 1.0], (), (), ()
         >>> sample = rp.RneaDynamics(robot).sample(*given)
-        >>> solve_sample(robot, sample, robot.q_reference, 0.0, given, 0.0).status.label
+        >>> solve_sample(robot, sample, robot.q_reference, (0.0, 1.0), given, 0.0).status.label
         'ok'
     """
     A, g = sample.W * _unit_of_W(robot), sample.f / row_scale(robot)
@@ -100,7 +100,7 @@ def solve_sample(
         allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * _force_size(robot, given, t)
         if math.sqrt(float(outside @ outside)) > allowed:
             status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
-            return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, residual)
+            return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, *kinematics)
     tau = column_scale(robot) * ((components[:rank] / values[:rank]) @ vt[:rank])
     if not full:
         status = SampleStatus.SINGULAR_CONSISTENT
@@ -110,7 +110,7 @@ def solve_sample(
     whole[robot.carrier_position] = s if np.size(s) else 0.0
     if not is_in_range(robot, whole):
         status = SampleStatus.OUT_OF_RANGE
-    return TorqueSample(tau, status, margin, sample.carrier_force, residual)
+    return TorqueSample(tau, status, margin, sample.carrier_force, *kinematics)
 
 
 def _force_size(robot: Robot, given: SampleArguments, t: float) -> float:

@@ -128,7 +128,7 @@ class RneaDynamics(Dynamics):
         start: RneaSample | None = None,
         t: float = 0.0,
     ) -> RneaSample:
-        """Return W, f and carrier forces at one sample; see ``Dynamics.sample``.
+        """Return W, f and carrier forces at one sample; see ``redundancy_pin.dynamics.base.Dynamics.sample``.
 
         ``start`` is an earlier result, of a pose nearby. The branch is followed from there along a straight line, and
         not from the reference configuration; an error is raised where that line does not lead to x.
@@ -165,7 +165,8 @@ class RneaDynamics(Dynamics):
             except REFUSALS as error:
                 return refused(robot, error)
         self._thread.last = sample.state
-        return solve_sample(robot, sample, sample.state.q, sample.gap, given, t)
+        kinematics = sample.gap, sample.serial_margin_bound
+        return solve_sample(robot, sample, sample.state.q, kinematics, given, t)
 
     def _state_at(self, start: Array) -> ClosedState | None:
         """Return the closed state at or next to a configuration (nq,), open by measurement noise at most.

@@ -14,12 +14,13 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.arrays import LARGEST, Array, BoolArray, Frozen, checked, read_only
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
 from redundancy_pin.kinematics.coordinates import difference, mode_indicators, moved
-from redundancy_pin.kinematics.passage import SAME_TANGENT, find_passage
+from redundancy_pin.kinematics.passage import SAME_TANGENT, SPACINGS, find_passage
+from redundancy_pin.motion import require_poses
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
 from redundancy_pin.status import SampleStatus
@@ -32,15 +33,8 @@ LONGEST_STEP = 0.04
 _MOST_STEPS = 20_000
 """Steps along one straight path: eight hundred characteristic lengths."""
 
-_SLOPE_STEP = 1e-4
-"""Fraction of a step over which the slope of a determinant is taken: the root of the rounding of its logarithm."""
-
 SAME_CONFIGURATION = 1e-6
 """Closed configurations of one pose nearer than this (rad, characteristic lengths) are the same, computed twice."""
-
-_PASSAGE_SPACINGS = (1e-2, 2.5e-3)
-"""Distances of the nodes of a passage, in characteristic lengths: wide ones keep away from the rank loss, narrow ones
-serve branches that turn fast."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +45,7 @@ class BranchEnd(Frozen):
         status: ``UNREACHABLE``: Newton's method from the last state does not close the loops at the coordinates.
             ``TYPE_I``: it closes them where K is singular and no smooth branch leads through. ``BRANCH_LOST``: it
             closes them, but what lies between is not on one branch. ``NOT_FINITE``: the coordinates, or Γ of the start,
-            are not finite.
+            are not finite, or beyond 1e100.
         x: (n,) the coordinates, or a pose (4, 4).
         last: the farthest state on the way there that is on the branch.
         q: (nq,) the configuration that Newton's method ends at.
@@ -109,7 +103,12 @@ class Follower(LoopSolver):
         """Return the closed state at the coordinates of a configuration (nq,); None where it is not nearly closed.
 
         Newton's method keeps the independent coordinates and moves the other joints.
+
+        Raises:
+            InputError: a configuration of another shape.
         """
+        if np.shape(q) != (self.robot.model.nq,):
+            checked(q, "q", (self.robot.model.nq,))  # which raises
         self.chain.place(q)
         return self.close(q, read_only(self.chain.coordinates(q)))
 
@@ -126,15 +125,25 @@ class Follower(LoopSolver):
             x: (n,) coordinates, m and rad, or a pose (4, 4), base frame.
 
         Raises:
-            InputError: coordinates of another shape.
+            InputError: coordinates of another shape, or a matrix that is no pose.
         """
-        x = read_only(np.array(x, dtype=np.float64))
-        if x.shape != here.x.shape:
-            checked(x, "x", here.x.shape)  # which raises
+        given = np.asarray(x)
+        if given.dtype.kind not in "fiu":
+            checked(given, "x", here.x.shape)  # which raises
+        x = read_only(np.array(given, dtype=np.float64))
+        self.require_shapes(here.q, x)
+        if not (np.abs(x) <= LARGEST).all():
+            return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
+        if x.ndim == 2:
+            require_poses(x[None])
+        return self.follow(here, x)
+
+    def follow(self, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
+        """Return what ``advance`` does, for read-only coordinates that were checked: those of a ``PlatformMotion``."""
+        if not np.isfinite(here.gamma).all():
+            return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
         start, whole = here.x, difference(self.robot, x, here.x)
         length = float(np.linalg.norm(whole / self.unit))
-        if not (math.isfinite(length) and np.isfinite(here.gamma).all()):
-            return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
         longest = size = 1.0 / min(max(math.ceil(length / LONGEST_STEP), 1), _MOST_STEPS)
         done = within_reach = 0.0
         while done < 1.0:
@@ -151,7 +160,7 @@ class Follower(LoopSolver):
                 if problem.status is SampleStatus.UNREACHABLE:
                     break  # the line leaves the workspace: shorter steps would only creep up to its border
                 within_reach = end
-            size *= 0.5
+            size = 0.5 * (end - done)
             if size * max(length, 1.0) < SETTLED_STEP:
                 break
         return here if done == 1.0 else self.diagnose(here, x)
@@ -204,11 +213,11 @@ class Follower(LoopSolver):
         A determinant that is linear on both sides of its zero loses all of its value and more within the step, from
         either end.
         """
-        lost = []
-        for state, part in ((before, _SLOPE_STEP), (after, -_SLOPE_STEP)):
+        lost, share = [], math.sqrt(ROUNDING)  # of the step, for differences
+        for state, part in ((before, share), (after, -share)):
             K = self.matrix(self.integrate(state.q, state.gamma.dot(part * increment)), state.basis)[0]
             inside = np.array([np.linalg.slogdet(K[rows[:, None], columns])[1] for rows, columns in self.blocks])
-            lost.append(-np.expm1(inside - state.determinants[1]) > 0.9 * _SLOPE_STEP)
+            lost.append(-np.expm1(inside - state.determinants[1]) > 0.9 * share)
         return bool((lost[0] & lost[1]).any())
 
     def _changes_sign(self, before: ClosedState, after: ClosedState) -> bool:
@@ -282,11 +291,12 @@ class Follower(LoopSolver):
         Returns:
             None where the branch does not go on smoothly (a leg at full stretch: a fold).
         """
+        self.require_shapes(here.q, x)
         chord = difference(self.robot, x, here.x)
         directions = (chord, *np.eye(self.robot.n), self.unit) if along is None else (along,)
         for direction in directions:
             size = float(np.linalg.norm(direction / self.unit))
-            for spacing in _PASSAGE_SPACINGS if size > 0.0 else ():
+            for spacing in SPACINGS[1:] if size > 0.0 else ():
                 passage = find_passage(self, here, x, direction / size * spacing)
                 result = None if passage is None else passage.at(x, xd, xdd)
                 if result is not None:
@@ -297,6 +307,8 @@ class Follower(LoopSolver):
 def known_state(robot: Robot, x: Array, q: Array, gamma: Array) -> ClosedState:
     """Return a state of a branch from a sample of a ``JointTrajectory``: x, q and Γ, carriers at any place.
 
+    Its ``residual`` says how far q is from closed where K is singular, so that Newton's method cannot close it.
+
     Example:
         >>> state = known_state(robot, motion.x[0], tree.q[0], tree.gamma[0])
     """
@@ -305,7 +317,8 @@ def known_state(robot: Robot, x: Array, q: Array, gamma: Array) -> ClosedState:
     closed = own.close(configuration, x)
     if closed is not None and closed.margin > own.near:
         return closed
-    return own.singular_state(x, configuration, gamma)
+    residual, _ = own.identity_error(configuration, x, gamma, None)
+    return own.singular_state(x, configuration, gamma, residual * robot.characteristic_length)
 
 
 @lru_cache(maxsize=32)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack, read_only
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -27,6 +27,7 @@ from redundancy_pin.kinematics.closure import OPEN, constraint_system, with_all_
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 CONTINUITY = 0.25
@@ -126,6 +127,7 @@ class LoopSolver:
         self._every, self._count, self._every_unit = every.all_rows, len(every.rows), every.equation_unit
         self._columns, self._nv = chain.pose_columns, robot.model.nv
         self._flat = robot.model.nq == robot.model.nv
+        self._shape = (4, 4) if is_pose(robot) else (robot.n,)
         self._row_unit, self._step_unit = self.system.equation_unit, self.system.step_unit
         self._scale = self._step_unit / self._row_unit[:, None]
         self.unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
@@ -210,7 +212,11 @@ class LoopSolver:
             guess: (nq,) configuration.
             x: (n,) coordinates, or a pose (4, 4).
             basis: of a state nearby.
+
+        Raises:
+            InputError: configuration or coordinates of another shape.
         """
+        self.require_shapes(guess, x)
         q, size, step = guess, math.inf, np.zeros(self._nv)
         rest = np.zeros(len(self._columns))
         for _ in range(_NEWTON_STEPS):
@@ -253,13 +259,22 @@ class LoopSolver:
         residual *= self.robot.characteristic_length
         everything = np.arange(len(self._columns))  # combined rows belong to all loops
         blocks = self.blocks if basis is None else ((everything, everything),)
-        return ClosedState(self.robot, x, q, gamma, inverse, residual, margin if size else math.inf, blocks, basis)
+        return ClosedState(
+            self.robot, _kept(x), q, gamma, inverse, residual, margin if size else math.inf, blocks, basis
+        )
+
+    def require_shapes(self, q: Array, x: Array) -> None:
+        """Raise InputError where a configuration is not (nq,), or coordinates are not (n,), or a pose (4, 4)."""
+        for given, name, shape in ((q, "q", (self._model.nq,)), (x, "x", self._shape)):
+            if given.shape != shape:
+                checked(given, name, shape)  # which raises
 
     def singular_state(
         self, x: Array, q: Array, gamma: Array, residual: float = 0.0, basis: Array | None = None
     ) -> ClosedState:
         """Return a closed configuration where K has no inverse, with Γ (nv, n) of the branch it is on."""
-        return ClosedState(self.robot, x, q, gamma, np.zeros((0, 0)), residual, 0.0, self.blocks, basis)
+        arrays = _kept(x), _kept(q), _kept(gamma)
+        return ClosedState(self.robot, *arrays, read_only(np.zeros((0, 0))), residual, 0.0, self.blocks, basis)
 
     def extrapolate(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates x nearby by one step: predicted by Γ, corrected by Newton's method.
@@ -287,7 +302,7 @@ class LoopSolver:
             SingularPoseError: K is singular there, so that it does not determine a; ``pass_through`` interpolates it.
         """
         for name, given in (("xd", xd), ("xdd", xdd)):
-            if given.shape != (self.robot.n,) or not math.isfinite(given.sum()):
+            if np.shape(given) != (self.robot.n,) or not math.isfinite(sum(given)):
                 checked(given, name, (self.robot.n,))  # which raises
         if state.interpolated:
             raise SingularPoseError(
@@ -337,6 +352,11 @@ class LoopSolver:
         """Return the tree displacement (nv,) between configurations (nq,)."""
         result: Array = end - start if self._flat else pin.difference(self._model, start, end)
         return result
+
+
+def _kept(array: Array) -> Array:
+    """Return a read-only array that nobody else changes: itself if it is read-only, otherwise a copy."""
+    return read_only(array.copy()) if array.flags.writeable else array
 
 
 def largest(values: Array) -> float:

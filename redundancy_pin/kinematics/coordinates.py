@@ -6,6 +6,7 @@ A working mode says which of its inverse displacements each leg is in.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -110,6 +111,19 @@ def moved(robot: Robot, start: Array, increment: Array) -> Array:
 
         result[:, :3, :3] = Rotation.from_rotvec(full[:, 3:]).as_matrix() @ start[:, :3, :3]
     return result
+
+
+@lru_cache(maxsize=64)
+def with_independent_joints(robot: Robot, joints: tuple[str, ...]) -> Robot:
+    """Return the robot with the positions of joints as its independent coordinates, in place of its platform.
+
+    Its inverse kinematics lead from these joints to all others: with the motors, they are the forward kinematics.
+
+    Args:
+        robot: the robot.
+        joints: as many as the robot has degrees of freedom, of one freedom each.
+    """
+    return replace(robot, platform=None, independent_joints=joints, working_modes=None, working_mode=())
 
 
 def gravity_acts(robot: Robot) -> bool:

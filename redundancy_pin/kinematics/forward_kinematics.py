@@ -10,8 +10,7 @@ With rates u̇ of the motors and v = Γ' u̇
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pinocchio as pin
@@ -33,7 +32,7 @@ from redundancy_pin.kinematics.assembly import assemble, configuration_differenc
 from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, ClosedState, known_state
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position
+from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, joint_position, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.mobility import independent_columns
 from redundancy_pin.kinematics.multistart import SEED, SHORTEST_STEP, draw_starts, wrapped
@@ -184,7 +183,7 @@ def _follow(
 ) -> ForwardKinematics:
     """Return where motors at ``given`` positions, rates and accelerations (N, m) take the platform from q0 (nq,)."""
     robot, u = system.robot, given[0]
-    driven = _driven(robot, tuple(robot.actuated[j] for j in followed))
+    driven = with_independent_joints(robot, tuple(robot.actuated[j] for j in followed))
     first = _start(driven, q0)
     still = np.zeros(driven.n)  # the motors come from the start
     before = first.x, still, still
@@ -239,12 +238,6 @@ def _start(driven: Robot, q: Array) -> ClosedState:
             remedy="Start from a configuration nearby.",
         )
     return known_state(driven, coordinates(driven, home.state)[0], q, home.gamma[0])
-
-
-@lru_cache(maxsize=64)
-def _driven(robot: Robot, joints: tuple[str, ...]) -> Robot:
-    """Return the robot with joints in the place of its platform."""
-    return replace(robot, platform=None, independent_joints=joints, working_modes=None, working_mode=())
 
 
 def _followed(system: ConstraintSystem, q: Array) -> IntArray:
@@ -421,7 +414,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     u = np.array(checked(actuated, "actuated", (robot.m,)))
     reference, system = np.array(robot.q_reference), constraint_system(robot)
     followed = _followed(system, reference)
-    motors = constraint_system(_driven(robot, tuple(robot.actuated[j] for j in followed)))
+    motors = constraint_system(with_independent_joints(robot, tuple(robot.actuated[j] for j in followed)))
     rng, length = np.random.default_rng(SEED), robot.characteristic_length
     q, keys, hits = np.zeros((0, robot.model.nq)), np.zeros((0, len(_frames(robot, reference)))), np.zeros(0, np.intp)
     gap, starts = np.inf, 0

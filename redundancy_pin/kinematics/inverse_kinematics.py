@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen, read_only
 from redundancy_pin.errors import (
     RedundancyPinError,
     SingularPoseError,
@@ -261,7 +261,7 @@ class _Solution:
         follower, motion = self._follower, self._motion
         x, xd, xdd = motion.x[k], motion.xd[k], motion.xdd[k]
         # several joints go straight; of one alone whole turns are multiples of the first
-        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.advance(here, x)
+        reached = advance_turns(follower, here, x) if follower.robot.n == 1 else follower.follow(here, x)
         if isinstance(reached, BranchEnd):
             return reached
         if reached.margin >= follower.near:
@@ -273,7 +273,7 @@ class _Solution:
                 return follower.rates(reached, xd, xdd)
         lost = reached.interpolated or follower.closures_lose_rank(reached.q, reached.basis)
         passed = follower.pass_through(here, x, xd, xdd) if lost else None
-        if passed is None and lost and not reached.interpolated:  # the sample before may be too far for one step
+        if passed is None and lost:  # the sample before may be too far for one step
             passed = follower.pass_through(reached, x, xd, xdd)
         if passed is not None:  # its margin is that of the closed state next to it
             return passed._replace(state=replace(passed.state, margin=reached.margin))
@@ -332,8 +332,10 @@ def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | B
 
     def follow(q: Array, start: Array, target: Array) -> Array | None:
         nonlocal end
-        state = here if q is here.q else own.close(q, start)
-        end = None if state is None else own.advance(state, target)
+        # q is that of the last state but for whole turns, which Γ does not see
+        last = end if isinstance(end, ClosedState) and q is not here.q else here
+        state = here if q is here.q else replace(last, q=frozen(q), x=frozen(start))
+        end = own.follow(state, frozen(target))
         return end.q if isinstance(end, ClosedState) else None
 
     try:

@@ -8,10 +8,12 @@ regular states on a line across the rank loss. The branch continues with the tan
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, read_only
 from redundancy_pin.kinematics.closed_state import ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.coordinates import difference, moved
 
@@ -22,6 +24,10 @@ not be told apart."""
 _NODES = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
 """Places of the nodes on the line, in spacings from its centre. The interpolation error is O(spacing⁸)."""
 
+SPACINGS = (7.5e-2, 1e-2, 2.5e-3)
+"""Distances of the nodes, rad or characteristic lengths. The first serves simulations, whose steps are long, the others
+kinematics, which are exact to rounding with them. Narrow ones serve branches that turn fast."""
+
 _SHIFTS = np.linspace(-1.2, 1.2, 25)
 """Shifts of the nodes, in spacings, that are tried where a node comes near a rank loss."""
 
@@ -30,7 +36,7 @@ _PASSED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class Passage(Frozen):
+class Passage:
     """A smooth part of a branch across a rank loss, by eight regular states on a line in the independent coordinates.
 
     Attributes:
@@ -46,9 +52,14 @@ class Passage(Frozen):
     nodes: tuple[ClosedState, ...]
 
     @property
+    def spacing(self) -> float:
+        """Distance of the nodes, rad or characteristic lengths."""
+        return float(np.linalg.norm(self.step / self.solver.unit))
+
+    @property
     def half(self) -> float:
         """Half of the length of the line, rad or characteristic lengths."""
-        return float(np.linalg.norm(self.step / self.solver.unit) * _NODES[-1])
+        return self.spacing * float(_NODES[-1])
 
     def position(self, x: Array) -> float:
         """Return where on the line coordinates are, in spacings from the centre."""
@@ -66,26 +77,51 @@ class Passage(Frozen):
             xdd: (n,) their second rates.
         """
         solver, robot, u = self.solver, self.solver.robot, self.position(x)
-        aside = difference(robot, x, self.centre) - u * self.step
+        if robot.n == 1:  # nothing is beside the line, and J̇_c v goes with the square of the rate
+            points, square = self._own_points, float(xd[0]) ** 2
+        else:
+            points, square = self._points(difference(robot, x, self.centre) - u * self.step, xd), 1.0
+        if points is None:
+            return None
+        others = _NODES[None, :] - _NODES[:, None] + np.eye(len(_NODES))
+        weights = np.where(np.eye(len(_NODES), dtype=bool), 1.0, (u - _NODES) / -others).prod(axis=1)  # Lagrange's
+        q = solver.integrate(points.base.q, weights.dot(points.tangent))
+        gamma = np.tensordot(weights, points.gamma, 1)
+        residual, slip = solver.identity_error(q, x, gamma, points.base.basis)
+        if not (residual <= CLOSURE_TOLERANCE and slip <= _PASSED):
+            return None
+        residual *= robot.characteristic_length
+        state = solver.singular_state(x, read_only(q), read_only(gamma), residual, points.base.basis)
+        return Rates(state, gamma.dot(xd), square * weights.dot(points.bias) + gamma.dot(xdd))
+
+    @cached_property
+    def _own_points(self) -> _Points | None:
+        """The nodes where they are, at unit rate."""
+        return self._points(np.zeros(self.solver.robot.n), np.ones(self.solver.robot.n))
+
+    def _points(self, aside: Array, xd: Array) -> _Points | None:
+        """Return the nodes moved by an increment (n,) of the coordinates, at rates (n,); None where one is singular."""
+        solver, robot, still = self.solver, self.solver.robot, np.zeros(self.solver.robot.n)
         rated = []
         for node in self.nodes:
             guess = solver.integrate(node.q, node.gamma.dot(aside))
             closed = solver.close(guess, moved(robot, node.x, aside), node.basis)
             if closed is None or not closed.margin > 0.1 * solver.near:
                 return None
-            rated.append(solver.rates(closed, xd, xdd))
-        others = _NODES[None, :] - _NODES[:, None] + np.eye(len(_NODES))
-        weights = np.where(np.eye(len(_NODES), dtype=bool), 1.0, (u - _NODES) / -others).prod(axis=1)  # Lagrange's
+            rated.append(solver.rates(closed, xd, still))
         base = rated[len(rated) // 2].state
-        tangents = np.array([solver.tangent(base.q, each.state.q) for each in rated])
-        q = solver.integrate(base.q, weights @ tangents)
-        gamma = np.tensordot(weights, np.array([each.state.gamma for each in rated]), 1)
-        residual, slip = solver.identity_error(q, x, gamma, base.basis)
-        if not (residual <= CLOSURE_TOLERANCE and slip <= _PASSED):
-            return None
-        v, a = (weights @ np.array(part) for part in ([each.v for each in rated], [each.a for each in rated]))
-        residual *= robot.characteristic_length
-        return Rates(solver.singular_state(x, read_only(q), read_only(gamma), residual, base.basis), v, a)
+        tangent = np.array([solver.tangent(base.q, each.state.q) for each in rated])
+        gamma = np.array([each.state.gamma for each in rated])
+        return _Points(base, tangent, gamma, np.array([each.a for each in rated]))
+
+
+class _Points(NamedTuple):
+    """Nodes on a line: the fifth, displacements (8, nv) from there, Γ (8, nv, n), and a (8, nv) where ẍ = 0."""
+
+    base: ClosedState
+    tangent: Array
+    gamma: Array
+    bias: Array
 
 
 def find_passage(

@@ -6,6 +6,7 @@ motion, and the status that follows. ``check_plan`` has it judge a plan anew and
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -228,8 +229,10 @@ def _ranges_left(along: DynamicsAlongMotion, platform: ContinuousMotion | None) 
     joints = joint_ranges(robot)
     if not joints:
         return ()
-    if q is None or gamma is None:  # of a closed form, which knows no passive joints: any other backend does
-        tree = as_dynamics(robot).along(along.motion, unreachable="mark")
+    if q is None or gamma is None:  # of a closed form, which knows no passive joints
+        with warnings.catch_warnings():  # a note that another backend takes longer is none about this one
+            warnings.simplefilter("ignore", RuntimeWarning)
+            tree = as_dynamics(robot).along(along.motion, unreachable="mark")
         q, gamma = tree.q, tree.gamma
     if q is None or gamma is None:
         raise ValueError("The default backend has no tree.")

@@ -342,7 +342,7 @@ def _with_rank_loss(
         return events
     # what starts at a rank loss has not come to it, what ends there has
     first, last = (_TURN if ratio <= LOST else 0.0 for ratio in (before[-1], ratios[-1]))
-    roots = sheet.follower.roots(_POINTS, places)
+    roots = sheet.rank_losses(_POINTS, places)
     near = np.sort(roots.real[(np.abs(roots.imag) < _TURN) & (roots.real > first) & (roots.real <= 1.0 + last)])
     times = [step.time(min(x, 1.0)) for x in near[np.diff(near, prepend=-np.inf) > _TURN].tolist()]
     others = [

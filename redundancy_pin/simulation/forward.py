@@ -203,7 +203,7 @@ class ForwardDynamics:
         basis = np.asfortranarray(np.concatenate([motion.basis, free], axis=1))
         if carrier_acceleration is not None:
             motion.particular[self._given] = carrier_acceleration
-        inverse_scale = 1.0 / self._scale[np.concatenate([sheet.follower.independent, self._free])]
+        inverse_scale = 1.0 / self._scale[np.concatenate([sheet.independent, self._free])]
         return self._solve(motion.q, motion.v, force, basis, motion.particular, inverse_scale)
 
     def _solve(self, q: Array, v: Array, force: Array, basis: Array, particular: Array, inverse_scale: Array) -> Array:
@@ -239,7 +239,7 @@ class ForwardDynamics:
         if sheet is None:
             dependent = choose(jacobian, self._scale, chain.pose_columns, self._free, self._given, q).dependent
         else:
-            dependent = sheet.follower.dependent
+            dependent = sheet.dependent
         block = jacobian[:, dependent]
         if sheet is None or rank_ratio((block / self._scale[dependent])[None])[0] > LOST:
             closure = np.linalg.solve(block.T, missing[dependent])

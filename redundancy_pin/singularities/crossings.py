@@ -30,7 +30,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.scales import coordinate_unit, row_scale
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
-from redundancy_pin.singularities.roots import Zero, zeros
+from redundancy_pin.singularities.roots import ZOOM, Zero, zeros
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory
 from redundancy_pin.trajectory.robot_motion import robot_motion
@@ -46,9 +46,6 @@ the border of the workspace: this is 1e-12 m for a robot of 1 m, and Newton's me
 TANGENT_SLOPE = 1e-4
 """Change of the signed margin per characteristic length of path below which a path counts as tangent to the locus. A
 crossing at a right angle has a slope of order one."""
-
-_PROBE = 1e-2
-"""Half of the step of the slope, and the distance within which two zeros are one, as a fraction of a sampling step."""
 
 _FEWEST_STEPS = 400
 """Sampling steps in time at least, however short the path."""
@@ -130,7 +127,7 @@ def find_crossings(
 
     type_ii = zeros(parallel, path.t, tolerance)
     type_i = zeros(lambda times: path.margins(times).serial, path.t, SERIAL_TOUCH)
-    slack = _PROBE * float(np.diff(path.t).max())
+    slack = float(np.diff(path.t).max()) / ZOOM
     alone = [one for one in type_ii if not any(_overlap(one, other, slack) for other in type_i)]
     met = [_describe(path, zero, SingularityKind.TYPE_I) for zero in type_i]
     met += [_describe(path, zero, SingularityKind.TYPE_II) for zero in alone]
@@ -176,7 +173,7 @@ def _describe(path: FollowedPath, zero: Zero, expected: SingularityKind) -> Cros
 def _slope(system: ConstraintSystem, path: FollowedPath, t: float) -> float:
     """Return the central difference of the signed margin along the path, per characteristic length."""
     robot = system.robot
-    half = _PROBE * float(np.diff(path.t).max())
+    half = float(np.diff(path.t).max()) / ZOOM
     times = np.array([max(path.law.start, t - half), min(path.law.end, t + half)])
     x = path.law.sample_at(times).x
     length = float(np.linalg.norm(difference(robot, x[1:], x[:-1])[0] * row_scale(robot)))
@@ -210,10 +207,7 @@ class FollowedPath:
         self.t = _sampling_times(system.robot, law, spacing)
         x = law.sample_at(self.t).x
         first = 0
-        if start is not None:
-            reached = self._follower.advance(start, x[0])
-            start = reached if isinstance(reached, ClosedState) else start
-        else:
+        if start is None:
             try:
                 start = point_on_branch(system, x[0])
             except SingularPoseError:  # a motion may start on a type I singularity; the next sample is regular

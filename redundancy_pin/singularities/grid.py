@@ -26,7 +26,7 @@ from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.named import is_pose
-from redundancy_pin.robot.scales import is_revolute, velocity_unit
+from redundancy_pin.robot.scales import is_revolute
 from redundancy_pin.singularities.classify import Margins, margins_of
 
 _MOST_NODES = 200_000
@@ -44,10 +44,6 @@ _BORDER = 0.03
 _SHORTEST_STEP = 2.0**-3
 """Fraction of a Newton step below which a node is left to a nearer neighbour: most nodes that need less are out of
 reach, and without this bound maps take two to five times as long."""
-
-LONGEST_TURN = 2.0
-"""Largest change of a joint between neighbours, rad or characteristic lengths. A leg near its base hinge turns by up to
-π/2; on the two sides of a leg of zero length, or where Newton's method goes to another turn, it is π and more."""
 
 _STARTS = 360
 """Random configurations from which islands are searched, with a fixed seed. They meet all islands of fifteen random
@@ -268,17 +264,16 @@ class _Flood:
     def _step(self, targets: IntArray, x: Array, q: Array, gamma: Array) -> IntArray:
         """Solve nodes from states nearby, and return those that are on the branch of their state.
 
-        The first step of Newton's method is the prediction by Γ. A working mode tells the branch, except for whole
-        turns of a joint; without modes only continuity does.
+        The first step of Newton's method is the prediction by Γ. A working mode tells the branch; without modes only
+        continuity does.
         """
         solution = assemble(self.system, q, self.nodes[targets], shortest_step=_SHORTEST_STEP)
-        change = configuration_difference(self.robot.model, q, solution.q)
         if self.robot.working_modes is None:
+            change = configuration_difference(self.robot.model, q, solution.q)
             increment = difference(self.robot, self.nodes[targets], x)
             same = follows(self.system, change, gamma, solution.gamma, increment)
         else:
-            longest = np.abs(change / velocity_unit(self.robot)).max(axis=1, initial=0.0)
-            same = solution.in_mode & (longest < LONGEST_TURN)
+            same = solution.in_mode
         good = solution.regular & same
         chosen = targets[good]
         self.q[chosen], self.gamma[chosen], self.solved[chosen] = solution.q[good], solution.gamma[good], True

@@ -38,7 +38,6 @@ from redundancy_pin.robot.scales import (
 )
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.grid import (
-    LONGEST_TURN,
     Slice,
     WorkspaceGrid,
     bounded_axes,
@@ -48,12 +47,12 @@ from redundancy_pin.singularities.grid import (
     solve_grid,
 )
 
-RESOLUTION = 200
-"""Nodes along each axis of the grid."""
-
 _ITERATIONS = 20
-_LONGEST_STEP = 0.3
-"""Longest Newton step, rad or characteristic lengths: the linear model of a turning joint holds to about 20°."""
+"""Newton iterations per point: most points take four."""
+
+_LONGEST_TURN = 2.0
+"""Largest change of a joint between neighbouring points of a curve, rad: on the two sides of a leg of zero length it is
+π, along one curve it goes with the root of a cell, in lengths of a link."""
 
 _LONGEST_CHORD = 3.0
 """Longest distance between neighbouring points of a curve, cells. At a corner of the border two singular values of K
@@ -139,7 +138,7 @@ def singular_locus(
     *,
     orientation: float | None = None,
     bounds: Sequence[tuple[float, float]] | None = None,
-    resolution: int = RESOLUTION,
+    resolution: int = 200,
 ) -> SingularLocus:
     """Return the singular curves of a planar robot over its workspace, or the singular positions of one coordinate.
 
@@ -301,7 +300,8 @@ class _SingularPoints:
             step = np.linalg.lstsq(rows * self.step_unit, -residual, rcond=1e-12)[0]
             size = float(np.abs(step).max())
             full = np.zeros((1, self.robot.model.nv))
-            full[0, self.columns] = step * self.step_unit * min(1.0, _LONGEST_STEP / max(size, _LONGEST_STEP))
+            # the linear model of a turn holds to a radian
+            full[0, self.columns] = step * self.step_unit / max(size, 1.0)
             q = integrate(self.robot.model, q[None], full)[0]
             if size < SETTLED_STEP:
                 break
@@ -376,7 +376,7 @@ def _curves(
         k
         for k, (one, other) in enumerate(pairwise(points), start=1)
         if np.linalg.norm(one.x - other.x) > _LONGEST_CHORD * cell
-        or (type_ii and solver.turn(one.q, other.q) > LONGEST_TURN)
+        or (type_ii and solver.turn(one.q, other.q) > _LONGEST_TURN)
     ]
     pieces = [points[i:j] for i, j in pairwise([0, *breaks, len(points)])]
     if closed and breaks:  # a closed contour that is cut begins and ends in the middle of a curve

@@ -18,7 +18,7 @@ from redundancy_pin.arrays import Array, BoolArray, runs
 
 Function = Callable[[Array], Array]
 
-_ZOOM = 32
+ZOOM = 32
 """Subdivisions of a bracket in the search of a minimum: each iteration narrows it sixteenfold, in one call."""
 
 
@@ -77,7 +77,7 @@ def zeros(function: Function, times: Array, tolerance: float) -> list[Zero]:
         result += _dip(function, times[low], times[high], float(np.sign(value[low])), tolerance)
     result.sort(key=lambda one: one.t)
     # a dip between two samples of equal value is met from both
-    apart = float(np.diff(times).min(initial=np.inf)) / _ZOOM
+    apart = float(np.diff(times).min(initial=np.inf)) / ZOOM
     return [
         one
         for k, one in enumerate(result)
@@ -198,7 +198,7 @@ def _minimum(function: Function, a: float, b: float, sign: float = 1.0) -> tuple
     """
     best, least = (a, np.inf), 1e-15 * max(abs(a), abs(b))
     while True:
-        times = np.unique(np.linspace(a, b, _ZOOM + 1))
+        times = np.unique(np.linspace(a, b, ZOOM + 1))
         values = sign * function(times)
         i = int(np.where(np.isfinite(values), values, np.inf).argmin())
         if values[i] < best[1]:

@@ -19,7 +19,7 @@ from redundancy_pin.trajectory import reference
 @pytest.fixture(scope="module")
 def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("plan") / "plan.npz"
-    motion = reference.corner(radius=0.025).sample(0.01)
+    motion = reference.corner(radius=0.025).sample(0.02)
     rp.plan_stepwise(rp.RneaDynamics(rp.load_robot("3rrr")), motion).save(path)
     return path
 

@@ -465,6 +465,7 @@ def test_motions_that_are_not_used_are_counted_by_reason(monkeypatch):
             farthest = np.maximum(np.hypot(x, y), np.hypot(x - 0.5, y))
             reach.append(farthest[np.argmax(farthest > 0.999)])
     beyond = sum(distance > 1.0 for distance in reach)
+    assert min(reach) > 0.999
     assert 0 < beyond < len(reach)
     assert skipped == {"unreachable": beyond, "near_type_i": len(reach) - beyond}
 

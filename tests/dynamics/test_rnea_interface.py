@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin import CarrierMotion, PlatformMotion, inverse_dynamics
+from redundancy_pin import CarrierMotion, CompiledDynamics, PlatformMotion, inverse_dynamics
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import CarrierLimitError, InputError, UnreachablePoseError
@@ -141,3 +141,17 @@ def test_samples_are_unpacked_and_their_arguments_refused_by_name() -> None:
             call(home, still, still, s=[1.0, 2.0])
         with pytest.raises(InputError, match=r"^xdd has shape \(5,\), expected \(6,\)"):
             call(home, still, still[:5])
+
+
+def test_efforts_that_grow_towards_type_one_have_a_small_serial_margin() -> None:
+    """The first leg of the five-bar nearly stretched: W is far from singular, the margin goes with the root."""
+    still, margins = np.zeros(2), []
+    rnea, compiled = RneaDynamics(zoo.robot_of("five_bar")), CompiledDynamics(zoo.robot_of("five_bar"))
+    for reach in (0.8, 1.0 - 1e-4, 1.0 - 1e-6):
+        x = [0.25, np.sqrt(reach**2 - 0.0625)]
+        one, other = (dynamics.torque(x, still, still + 1.0) for dynamics in (rnea, compiled))
+        assert one.margin > 0.1
+        assert other.serial_margin == pytest.approx(one.serial_margin, rel=1e-6)
+        margins.append(one.serial_margin)
+    assert margins[0] > 0.1
+    assert margins[1] / margins[2] == pytest.approx(10.0, rel=0.05)

@@ -17,7 +17,15 @@ from folding import folding_four_bar
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.kinematics.assembly import assemble, integrate
-from redundancy_pin.kinematics.branch import LONGEST_STEP, BranchEnd, ClosedState, Follower, follower, follows
+from redundancy_pin.kinematics.branch import (
+    LONGEST_STEP,
+    BranchEnd,
+    ClosedState,
+    Follower,
+    follower,
+    follows,
+    known_state,
+)
 from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.margins import closed_around
@@ -119,12 +127,46 @@ def test_a_branch_that_ends_says_why_and_where(x: np.ndarray, status: SampleStat
 
 def test_coordinates_and_rates_of_another_shape_are_refused() -> None:
     own = follower(zoo.robot_of("five_bar"))
+    home, short = own.home, along(0.4)
+    for call in (own.advance, own.step, lambda here, x: own.pass_through(here, x, *np.zeros((2, 2)))):
+        with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
+            call(home, short)
     with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
-        own.advance(own.home, along(0.4))
+        own.close(home.q, short)
+    with pytest.raises(InputError, match=r"q has shape \(3,\)"):
+        own.state_at(np.zeros(3))
+    with pytest.raises(InputError, match="complex"):
+        own.advance(home, home.x + 1j)
     with pytest.raises(InputError, match=r"xd has shape \(\), expected \(2,\)"):
-        own.rates(own.home, np.array(1.0), along(0.0, 0.0))
+        own.rates(home, np.array(1.0), along(0.0, 0.0))
     with pytest.raises(InputError, match="xdd has 1 value"):
-        own.rates(own.home, along(0.0, 0.0), along(np.nan, 0.0))
+        own.rates(home, along(0.0, 0.0), along(np.nan, 0.0))
+
+
+def test_a_state_keeps_no_array_that_others_change() -> None:
+    own = follower(zoo.robot_of("five_bar"))
+    x = np.array(own.home.x) + 0.01
+    states = own.close(own.home.q, x), own.step(own.home, x), own.singular_state(x, *map(np.array, (own.home.q, x)))
+    x[0] = 9.0
+    for state in states:
+        assert state is not None
+        assert state.x[0] == own.home.x[0] + 0.01
+        assert not any(part.flags.writeable for part in (state.x, state.q, state.gamma, state.inverse))
+
+
+def test_a_known_state_says_how_far_it_is_from_closed() -> None:
+    robot = zoo.robot_of("five_bar")
+    home = follower(robot).home
+    assert known_state(robot, home.x, home.q, home.gamma).residual < 1e-11
+    assert known_state(robot, home.x, home.q + 2.0 * np.eye(len(home.q))[3], home.gamma).residual > 0.1
+    assert np.isnan(known_state(robot, home.x, home.q * np.nan, home.gamma).residual)
+
+
+@pytest.mark.parametrize("factor", [np.diag([2.0, 2.0, 2.0, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4)])
+def test_a_matrix_that_is_no_pose_is_refused(factor: np.ndarray) -> None:
+    own = follower(zoo.robot_of("gough"))
+    with pytest.raises(InputError, match="not a homogeneous pose"):
+        own.advance(own.home, own.home.x @ factor)
 
 
 def test_where_the_closures_lose_rank_and_no_branch_goes_on_it_is_said(

@@ -107,6 +107,36 @@ def test_positions_alone_are_on_the_branch_too(linkage: str, samples: str, tmp_p
     assert np.abs(np.sin((tree.q[:, joint(robot, "rocker")] - angle) / 2.0)).max() < POSITION
 
 
+@pytest.mark.parametrize("start", [np.pi - 2.0, np.pi - 1.0, 0.3])
+def test_the_pose_itself_is_reached_in_one_step_from_afar(start: float, tmp_path: Path) -> None:
+    lengths, guess = LINKAGES["folding"]
+    robot = folding_four_bar(tmp_path, lengths, guess)
+    tree = inverse_kinematics(robot, turning(np.array([start, np.pi])))
+    angle, rate, second = rocker_motion(
+        robot, lengths, tree.motion.x[:, 0], tree.motion.xd[:, 0], tree.motion.xdd[:, 0]
+    )
+    rocker = joint(robot, "rocker")
+    assert np.abs(np.sin((tree.q[:, rocker] - angle) / 2.0)).max() < POSITION
+    assert np.abs(tree.v[:, rocker] - rate).max() < RATE
+    assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
+
+
+def test_a_thousand_turns_to_a_flat_pose_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
+    steps, step = [], Follower.step
+
+    def counted(self: Follower, here: ClosedState, x: np.ndarray) -> ClosedState | None:
+        steps.append(x)
+        return step(self, here, x)
+
+    monkeypatch.setattr(Follower, "step", counted)
+    far = 2000.0 * np.pi + np.pi
+    tree = inverse_kinematics(robot, turning(np.array([np.pi, far])))
+    np.testing.assert_allclose(np.sin(0.5 * (tree.q[1] - tree.q[0])), 0.0, atol=1e-9)
+    assert tree.q[1, joint(robot, "crank")] == pytest.approx(far, abs=1e-9)
+    assert 150 < len(steps) < 1000
+
+
 def test_two_turns_of_a_parallelogram_leave_its_sides_parallel(tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
     motion = turning(np.linspace(1.0, 1.0 + 4.0 * np.pi, 3001))

@@ -368,7 +368,7 @@ def test_a_sheet_is_the_closed_form_through_the_flat_pose() -> None:
     if np.abs(place(0.05) - robot.q_reference).max() > 1e-6:
         branch = change_point(SIDES, -1)
     sheet = sheet_through(robot, [0.05], [-2.0])
-    kept = np.isin(np.arange(3), sheet.follower.independent)
+    kept = np.isin(np.arange(3), sheet.independent)
     for crank in (0.04, 1e-3, 1e-9, -1e-6, -0.03):
         q, slope = place(crank), rate(crank)
         off = np.where(kept, 0.0, 1e-2)  # z and ż are what counts
@@ -387,10 +387,10 @@ def test_a_sheet_is_the_closed_form_through_the_flat_pose() -> None:
 def test_a_sheet_of_two_freedoms_is_closed_beside_its_line_too() -> None:
     robot, rng = parallelogram("pendulum"), np.random.default_rng(3)
     sheet = sheet_through(robot, [0.1, 0.4], [-2.0, 0.3])
-    chain = sheet.follower.chain
+    chain = sheet.solver.chain
     for crank in (0.05, 1e-3, 0.0, -0.1):
         q, v = np.array([crank, -crank, 0.9, crank]), rng.uniform(-3.0, 3.0, robot.model.nv)
-        off = np.where(np.isin(np.arange(4), sheet.follower.independent), 0.0, 0.2)
+        off = np.where(np.isin(np.arange(4), sheet.independent), 0.0, 0.2)
         motion = sheet.at(q + off, v)
         assert motion is not None
         np.testing.assert_allclose(motion.q, q, atol=1e-12)

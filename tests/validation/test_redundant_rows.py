@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 import redundancy_pin as rp
 from redundancy_pin.crosscheck.closed_forward import ClosedForward
 from redundancy_pin.errors import DeclarationError, UnreachablePoseError
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.singularities.classify import SingularityKind
 
 CLOSED = 1e-10
@@ -75,6 +76,26 @@ def test_rows_that_others_make_up_for_are_no_singularities(bennett, turn):
     assert max(run.gap.max(), open_by(bennett, run.q)) < CLOSED
     assert np.ptp(run.q[:, 0]) > 3.0
     assert np.ptp(run.energy) < 1e-7
+
+
+def test_rates_where_all_rows_serve_are_derivatives_of_bennetts_law(bennett):
+    """Near a place where the independent rows lose rank: θ₂(θ₁) = 2 atan(RATIO / tan(θ₁/2)), differentiated twice."""
+    own = follower(bennett)
+    here, served = own.home, 0
+    for angle in np.linspace(0.7, 5.5, 97):
+        here = own.advance(here, np.array([angle]))
+        if here.basis is None:
+            continue
+        served += 1
+        tangent = np.tan(0.5 * angle)
+        size = RATIO**2 + tangent**2
+        slope = -RATIO * (1.0 + tangent**2) / size
+        bend = -RATIO * tangent * (1.0 + tangent**2) * (RATIO**2 - 1.0) / size**2
+        _, v, a = own.rates(here, np.array([2.0]), np.array([3.0]))
+        np.testing.assert_allclose(v, 2.0 * np.array([1.0, slope, -1.0, -slope]), atol=1e-8)
+        second = 4.0 * bend + 3.0 * slope
+        np.testing.assert_allclose(a, [3.0, second, -3.0, -second], atol=1e-7)
+    assert served >= 3
 
 
 def test_reactions_of_redundant_rows_are_of_least_norm(bennett, turn):

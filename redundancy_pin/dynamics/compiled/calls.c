@@ -133,7 +133,7 @@ int rp_reach(const double *numbers, double *state, double *reached, const double
 #if M
 enum { STATUS_NO_POSE = STATUSES };
 
-/* Torques of one sample. out: as rp_sample, then tau (M), residual, margin, condition. Returns a status, or STATUS_NO_POSE. */
+/* Torques of one sample. out: as rp_sample, then tau (M) and the type II margin. Returns a status, or STATUS_NO_POSE. */
 int rp_torque(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   double q[NQ], *const f = out + N * M, *const tau = f + N + NK + 2;
   Efforts efforts;
@@ -144,9 +144,7 @@ int rp_torque(const double *numbers, double *state, double *reached, const doubl
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
   if (status == STATUS_NOT_FINITE) return status;
   copy(tau, efforts.tau, M);
-  tau[M] = efforts.residual;
-  tau[M + 1] = efforts.margin;
-  tau[M + 2] = efforts.condition;
+  tau[M] = efforts.margin;
   if (status > STATUS_SINGULAR_CONSISTENT) return status;
   copy(q, state, NQ);
   for (int i = 0; i < NK; ++i) q[CARRIED[i]] = in[NX + 2 * N + i];
@@ -178,11 +176,10 @@ static int follow_drives(const double *numbers, Pose *pose, const double *positi
 }
 
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
-   q (NQ), v (NV), x (NX), xd (N), singularity margin, closure residual, mismatch of the actuators (M > N). State and reached are
-   as of rp_reach. */
+   q (NQ), v (NV), x (NX), xd (N), type II margin. State and reached are as of rp_reach. */
 int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
-  double x[NX], *q = out, *v = q + NQ, *last = v + NV + NX + N;
+  double x[NX], *q = out, *v = q + NQ;
   Pose pose;
   Platform platform;
   copy(reached, state, NQ + 1);
@@ -191,11 +188,12 @@ int rp_joint_state(const double *numbers, double *state, double *reached, const 
   turns_of(pose.q, pose.trig);
   pose.sign = state[NQ];
   if (pose.sign == 0.0 && !close_start(numbers, state, &pose, x)) return STATUS_BRANCH_LOST;
-  Pose start = pose;
-  keep(&start, reached);
+  keep(&pose, reached);
   int status = platform_of(numbers, &pose, position, velocity, &platform);
   if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
-    pose = start;
+    copy(pose.q, reached, NQ);
+    turns_of(pose.q, pose.trig);
+    pose.sign = reached[NQ];
     status = follow_drives(numbers, &pose, position);
     keep(&pose, reached);
     if (status) return status;
@@ -210,9 +208,7 @@ int rp_joint_state(const double *numbers, double *state, double *reached, const 
   if (!finite(v, NV)) return STATUS_NOT_FINITE;
   copy(v + NV, platform.x, NX);
   copy(v + NV + NX, platform.xd, N);
-  last[0] = platform.margin;
-  last[1] = platform.gap;
-  last[2] = platform.mismatch;
+  v[NV + NX + N] = platform.margin;
   keep(&pose, state);
   return in_ranges(q, ranges, count) ? status : STATUS_OUT_OF_RANGE;
 }

@@ -174,10 +174,11 @@ class SampleCall:
         self._arguments = _Arguments(dict(zip(("x", "xd", "xdd", "s", "sd", "sdd", "wrench"), sizes, strict=True)))
         self._x, self._xd, self._xdd, self._s, self._sd, self._sdd, _ = self._arguments.views
         self._branch = _Branch(robot, code)
-        ends = np.cumsum([n * m, n, k, 2, m, 3]).tolist()
+        ends = np.cumsum([n * m, n, k, 2, m, 1]).tolist()
         self._results = np.zeros(ends[-1])
         self._W, self._f, self._force, _, self._tau, _ = np.split(self._results, ends[:-1])
-        self._residual, self._margin = (partial(self._results.item, at) for at in (ends[2], ends[4] + 1))
+        places = ends[2], ends[2] + 1, ends[4]
+        self._residual, self._serial, self._margin = (partial(self._results.item, at) for at in places)
         self._ranges = range_table(robot)
         self._call = self._function(code)
 
@@ -269,7 +270,8 @@ class TorqueCall(SampleCall):
         code = self._call()
         if code not in _WITHOUT_RESULT:
             self._branch.known = True
-            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), self._residual())
+            margins = self._residual(), self._serial()
+            return TorqueSample(self._tau.copy(), _STATUSES[code], self._margin(), self._force.copy(), *margins)
         solved = False
         try:
             answer = self._answer(code, t)
@@ -306,7 +308,7 @@ class TorqueCall(SampleCall):
         branch.begin(tree.q[0])
         self._passed = Start(tree.q[0], tree.gamma[0])
         given = x.reshape(self._shape), xd, xdd, s, sd, sdd
-        return solve_sample(robot, sample, tree.q[0], float(reduced.gap[0]), given, t)
+        return solve_sample(robot, sample, tree.q[0], (float(tree.gap[0]), float(tree.margin[0])), given, t)
 
 
 class JointStateCall:
@@ -332,7 +334,7 @@ class JointStateCall:
         self._arguments = _Arguments({"position": (m,), "velocity": (m,), "s": (k,), "sd": (k,)})
         self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
-        self._results = np.zeros(self._ends[-1] + 3)
+        self._results = np.zeros(self._ends[-1] + 1)
         branch = self._branch = _Branch(robot, code)
         self._follow, self._ranges = follow, range_table(robot)
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results

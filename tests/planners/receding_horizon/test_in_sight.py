@@ -361,6 +361,29 @@ def test_all_that_is_known_is_what_was_evaluated_and_lies_in_one_piece() -> None
     np.testing.assert_allclose(ahead.known.constant[:, :2], reduced.f, atol=1e-9)
 
 
+def test_nothing_is_evaluated_behind_what_cannot_be_reached_until_that_is_past() -> None:
+    """Beyond the stretched legs for a tenth of a second, and back: no plan leads past that, so none asks for it."""
+    robot = rp.load_robot("five_bar", carriers=True)
+    edge, rate = np.sqrt(1.0 - 0.25**2), np.pi / 0.2
+
+    def up_and_back(t: Array) -> rp.PlatformMotion:
+        height = edge - 0.1 + 0.2 * np.sin(rate * t), 0.2 * rate * np.cos(rate * t), -0.2 * rate**2 * np.sin(rate * t)
+        x, xd, xdd = (np.stack([side + 0.0 * t, part], axis=1) for side, part in zip((0.25, 0, 0), height, strict=True))
+        return rp.PlatformMotion(t, x, xd, xdd, check_rates=False)
+
+    preview, lost = Counted(up_and_back), 0.2 / 6.0
+    ahead = Ahead(rp.CompiledDynamics(robot), Preview(preview, -np.inf, np.inf), STEP)
+    ahead.look(0.0, 0.18)
+    asked = len(preview.asked)
+    for start in (0.004, 0.013, 0.03):
+        ahead.look(start, start + 0.18)
+        assert len(preview.asked) == asked
+        np.testing.assert_array_equal(ahead.known.known, ahead.known.t < lost)
+    ahead.look(0.2 - lost + 0.003, 0.23)
+    assert ahead.known.known.all()
+    np.testing.assert_allclose(ahead.known.t[[0, -1]], [0.2 - lost + 0.003, 0.23], atol=SPACING)
+
+
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
 def test_what_cannot_be_reached_is_zero_and_not_known(backend: Callable[[Any], Any]) -> None:
     """Up until the legs are stretched, and beyond: first between instants that are known, then from the start."""
