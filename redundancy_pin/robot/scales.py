@@ -153,7 +153,7 @@ def turning_velocities(robot: Robot) -> BoolArray:
     data = robot.model.createData()
     pin.computeJointJacobians(robot.model, data, pin.neutral(robot.model))
     jacobian = np.reshape(data.J, (6, robot.model.nv))  # of one joint Pinocchio has a vector
-    return read_only(jacobian[3:].any(axis=0))
+    return read_only(np.abs(jacobian[3:]).max(axis=0) > 0.0)
 
 
 @lru_cache(maxsize=64)
