@@ -214,7 +214,7 @@ class RneaDynamics(Dynamics):
         turned = counted_turns(robot).coordinates
         if len(turned) and (np.abs(x[turned] - home.x[turned]) > TURN).any():
             return None
-        reached = own.advance(home, x)
+        reached = own.follow(home, read_only(x.copy()))
         if isinstance(reached, BranchEnd):
             return None if start is None else reached
         if reached.margin < own.near or (start is None and not in_working_mode(robot, reached.q[None])[0]):

@@ -198,7 +198,7 @@ class Follower(LoopSolver):
         same_side = self._same_sides(here.q, new.q)
         if self.length(self.tangent(here.q, new.q)) < 0.5 * min(here.margin, new.margin):
             return new if same_side else None  # K stays regular within the step
-        if self._changes_sign(here, new):
+        if self.changes_sign(here, new):
             return new if self.crosses(here, new) else None
         increment = difference(self.robot, x, here.x)
         bend, predicted = new.gamma - here.gamma, 0.5 * (here.gamma + new.gamma)
@@ -216,11 +216,11 @@ class Follower(LoopSolver):
         lost, share = [], math.sqrt(ROUNDING)  # of the step, for differences
         for state, part in ((before, share), (after, -share)):
             K = self.matrix(self.integrate(state.q, state.gamma.dot(part * increment)), state.basis)[0]
-            inside = np.array([np.linalg.slogdet(K[rows[:, None], columns])[1] for rows, columns in self.blocks])
+            inside = np.array([np.linalg.slogdet(K[rows[:, None], columns])[1] for rows, columns in state.blocks])
             lost.append(-np.expm1(inside - state.determinants[1]) > 0.9 * share)
         return bool((lost[0] & lost[1]).any())
 
-    def _changes_sign(self, before: ClosedState, after: ClosedState) -> bool:
+    def changes_sign(self, before: ClosedState, after: ClosedState) -> bool:
         """Return whether a determinant changes its sign from one state to the next, of the same rows."""
         known = not before.interpolated and before.basis is None and after.basis is None
         return known and bool((before.determinants[0] * after.determinants[0] < 0.0).any())
@@ -268,7 +268,7 @@ class Follower(LoopSolver):
         closed = self.close(guess, x, here.basis)
         if closed is not None and closed.margin > self.near:
             return None
-        changed = closed is not None and closed.margin > 0.0 and self._changes_sign(here, closed)
+        changed = closed is not None and closed.margin > 0.0 and self.changes_sign(here, closed)
         if closed is not None and changed and not self.crosses(here, closed):
             return None  # the branch on the other side is another one
         still = np.zeros(self.robot.n)

@@ -21,7 +21,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link
 from redundancy_pin.robot.scales import position_unit, turning_velocities
-from redundancy_pin.robot.types import slides
+from redundancy_pin.robot.whole_turns import counted_turns
 
 SEED = 20141
 """Of all random starts, any number: the same answer every time."""
@@ -146,7 +146,7 @@ def _distance(robot: Robot, q: Array, origin: Array, known: IntArray | None) -> 
     """Return (N,) the distance of configurations from another: of the known joints, of all among equals."""
     columns = np.arange(len(origin)) if known is None or not len(known) else known
     away = (q - origin) / position_unit(robot)
-    short, turning = away.copy(), _bounded_angles(robot)
+    short, turning = away.copy(), _free_turns(robot)
     short[:, turning] = (away[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
     # equal to nine digits: the answer must not depend on the order of the starts
     distance: Array = np.abs(short[:, columns]).sum(axis=1).round(9) + 1e-12 * np.abs(away).sum(axis=1)
@@ -200,8 +200,7 @@ def wrapped(robot: Robot, q: Array, guess: Array | None = None) -> Array:
     Where that is beyond a joint's limits, and the turn nearest to the guess (nq,) is not, it is that turn.
     """
     result: Array = q.copy()
-    prescribed = {find_joint(robot.model, name).idx_q for name in robot.independent_joints}
-    columns = [column for column in _bounded_angles(robot) if column not in prescribed]
+    columns = _free_turns(robot)
     result[:, columns] = short = np.pi - (np.pi - q[:, columns]) % (2.0 * np.pi)
     if guess is not None:
         ends = robot.model.lowerPositionLimit - ROUNDING, robot.model.upperPositionLimit + ROUNDING  # rad
@@ -212,9 +211,7 @@ def wrapped(robot: Robot, q: Array, guess: Array | None = None) -> Array:
     return result
 
 
-def _bounded_angles(robot: Robot) -> list[int]:
-    """Return the indices in q of bounded revolute joints; of coupled ones the turns count."""
-    coupled = {name for each in robot.couplings for name in (each.joint, each.of)}
-    joints = zip(list(robot.model.names)[1:], list(robot.model.joints)[1:], strict=True)
-    bounded = (j for name, j in joints if j.nq == 1 and str(name) not in coupled)
-    return [int(j.idx_q) for j in bounded if not slides(j)]
+def _free_turns(robot: Robot) -> IntArray:
+    """Return the indices in q of angles whose whole turns nothing counts: of dependent joints without a coupling."""
+    turns = counted_turns(robot)
+    return np.flatnonzero(turns.angles & ~turns.kept)

@@ -17,10 +17,11 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
 from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import integrate
 from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
 from redundancy_pin.kinematics.mobility import independent_columns, row_names
-from redundancy_pin.kinematics.multistart import SEED, draw_starts
+from redundancy_pin.kinematics.multistart import SEED
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_index
 
@@ -224,9 +225,19 @@ def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot,
 
 
 def _neighbours(system: ConstraintSystem, q: Array, tolerance: float = CLOSURE_TOLERANCE) -> Array:
-    """Return configurations (N, nq) closed to a relative tolerance, the first of them q itself."""
-    around = draw_starts(system, q, _NEIGHBOURS, np.random.default_rng(SEED), turn=_SPREAD, slide=_SPREAD)
-    reached = [close(system, each) for each in (q, *around)]
+    """Return configurations (N, nq) closed to a relative tolerance, the first of them q itself.
+
+    They are displaced along the motions that the rows leave free: from anywhere else Newton's method may turn a short
+    lever over.
+    """
+    rows, rng = system.closure_rows(q), np.random.default_rng(SEED)
+    rank = len(independent_columns(rows.T, _REDUNDANT))
+    free = np.linalg.svd(rows)[2][rank:] if rows.size else np.eye(rows.shape[1])
+    steps = np.zeros((_NEIGHBOURS, system.robot.model.nv))
+    around = rng.uniform(-_SPREAD, _SPREAD, (_NEIGHBOURS, len(system.pose_columns)))
+    steps[:, system.pose_columns] = around @ free.T @ free * system.step_unit
+    starts = integrate(system.robot.model, np.repeat(q[None], _NEIGHBOURS, axis=0), steps)
+    reached = [close(system, each) for each in (q, *starts)]
     closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
     return np.array(closed) if closed else q[None]
 

@@ -152,7 +152,8 @@ def turning_velocities(robot: Robot) -> BoolArray:
     """Return (nv,) which tree velocities are rotations."""
     data = robot.model.createData()
     pin.computeJointJacobians(robot.model, data, pin.neutral(robot.model))
-    return read_only(data.J[3:].any(axis=0))
+    angular = np.reshape(data.J, (6, -1))[3:]  # Pinocchio drops the axis of one column
+    return read_only(np.abs(angular).max(axis=0) > 0.0)
 
 
 @lru_cache(maxsize=64)

@@ -57,7 +57,7 @@ class CountedTurns(NamedTuple):
 def counted_turns(robot: Robot) -> CountedTurns:
     """Return what counts turns in a robot."""
     model = robot.model
-    joints = {str(name): joint for name, joint in zip(model.names, model.joints, strict=True)}
+    joints = {str(name): joint for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True)}
     bounded = {name: int(joint.idx_q) for name, joint in joints.items() if joint.nq == 1 and not slides(joint)}
     coordinates = np.array([i for i, name in enumerate(robot.independent_joints) if name in bounded], dtype=np.intp)
     angles, kept = np.zeros((2, model.nq), dtype=bool)

@@ -198,9 +198,9 @@ def _distance(own: Follower, here: ClosedState, along: Array, reach: float) -> f
             return None
         if beyond.interpolated:
             return done + step
-        (sign0, log0), (sign1, log1) = here.determinants, beyond.determinants
-        lost = sign0 * sign1 < 0.0
-        if lost.any():
+        if own.changes_sign(here, beyond):
+            (sign0, log0), (sign1, log1) = here.determinants, beyond.determinants
+            lost = sign0 * sign1 < 0.0
             return done + step * float((1.0 / (1.0 + np.exp(log1[lost] - log0[lost]))).min())
         here, done = beyond, done + step
     return None

@@ -114,6 +114,21 @@ def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> Non
     assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
 
 
+def test_a_carrier_that_turns_moves_as_with_rnea() -> None:
+    """Its cosine and sine are of its own position, not of the configuration that was closed with it at zero."""
+    base = robot_of("four_bar")
+    model = base.model.copy()
+    place = pin.SE3(np.eye(3), np.array([0.1, 0.05, 0.0]))
+    rotor = model.addJoint(2, pin.JointModelRZ(), place, "rotor")
+    model.appendBodyToJoint(rotor, pin.Inertia(0.4, np.array([0.03, 0.01, 0.0]), 0.002 * np.eye(3)), pin.SE3.Identity())
+    robot = Robot.from_model(
+        model, closures=base.closures, actuated=base.actuated, carriers=["rotor"], independent=base.independent_joints,
+        reference=np.append(base.q_reference, 0.0),
+    ).with_limits(lower=-3.0, upper=3.0)  # fmt: skip
+    t = np.linspace(0.0, 1.0, 20)
+    assert_same_dynamics(CompiledDynamics(robot), zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1))
+
+
 def test_type_two_poses_are_as_finite_as_elsewhere() -> None:
     robot = robot_of("2rpr")
     motion = trajectory.reference.circle().sample(dt=0.002)  # crosses the line A1 A2 twice

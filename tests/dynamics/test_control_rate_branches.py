@@ -11,11 +11,13 @@ import pytest
 import zoo
 from flat_linkages import parallelogram, row_of_four_bars
 from folding import folding_four_bar, joint, rocker_angle
+from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.machine_code import find_compiler
 from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.status import SampleStatus
@@ -60,6 +62,21 @@ def test_a_jump_keeps_the_branch_of_the_sample_before(backend: type[Dynamics]) -
         np.testing.assert_allclose([there.tau, back.tau], dense[[-1, 0]], rtol=ROUNDING)
         torques.append(dense[-1, 0])
     assert abs(np.subtract(*torques)) > 0.1
+
+
+@pytest.mark.parametrize("turn", [2.0, 2.5])
+@pytest.mark.parametrize("axis", range(3))
+def test_a_jump_by_more_than_a_right_angle_keeps_the_branch(axis: int, turn: float) -> None:
+    """The rows of a rotation are sines, least again half a turn away; RNEA follows in short turns."""
+    robot, still = rp.load_robot("gough"), np.zeros(6)
+    home, half = follower(robot).home.x, np.zeros(3)
+    half[axis] = 0.5 * turn
+    poses = np.repeat(home[None], 2, axis=0)
+    poses[:, :3, :3] = Rotation.from_rotvec([-half, half]).as_matrix() @ home[:3, :3]
+    calls = rp.CompiledDynamics(robot), rp.RneaDynamics(robot)
+    jumped, stepped = ([one.torque(pose, still, still) for pose in poses][1] for one in calls)
+    assert (jumped.status, stepped.status) == (SampleStatus.OK, SampleStatus.OK)
+    np.testing.assert_allclose(jumped.tau, stepped.tau, rtol=0.0, atol=ROUNDING * np.abs(stepped.tau).max())
 
 
 @BOTH

@@ -19,7 +19,7 @@ from spatial_chains import CHAINS, chain_of
 
 from redundancy_pin.kinematics.assembly import integrate
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import ConstraintSystem, Row, RowSet
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.robot import AXES, Closure, Platform, Robot
 
@@ -174,16 +174,6 @@ def test_derivatives_on_robots_closed_and_open(name: str) -> None:
         np.testing.assert_allclose(chain.platform_position(), place, atol=ONE_OF_MANY)
 
 
-@pytest.mark.parametrize("joints", range(2, 18))
-def test_derivatives_at_one_sample_whatever_the_number_of_joints(joints: int) -> None:
-    """numpy 2.4.6 negates wrongly in place at some strides: with eight velocities, a row of one sample was lost."""
-    tree = random_tree(joints, joints)
-    closure = Closure("tie", f"frame_{joints - 1}", "frame_0", ("x", "z"))
-    system = ConstraintSystem(dataclasses.replace(tree, closures=(closure,)))
-    rng = np.random.default_rng(joints)
-    assert_derivatives(system, integrate(tree.model, tree.q_reference[None], rng.normal(size=(1, joints))), rng)
-
-
 @pytest.mark.parametrize("axis", AXES)
 @pytest.mark.parametrize("axes", [AXES, AXES[:3] + AXES[3:5], AXES[1:3] + AXES[4:], ("x", "y", "z", "rx")])
 def test_a_row_measures_the_displacement_it_is_named_after(axis: str, axes: tuple[str, ...]) -> None:
@@ -203,21 +193,13 @@ def test_a_row_measures_the_displacement_it_is_named_after(axis: str, axes: tupl
     np.testing.assert_allclose(phi, expected, atol=1e-14)
 
 
-def test_planar_pin_has_full_rank_where_pinocchios_point_constraint_has_not() -> None:
-    robot = zoo.robot_of("3rrr")
-    q = zoo.random_closed(robot, 1, 1)
-    ours = zoo.system_of(robot).evaluate(q).Jc[0]
-    theirs = np.concatenate([point_constraint_jacobian(robot, closure, q[0]) for closure in robot.closures])
-    assert np.linalg.matrix_rank(ours) == len(ours) == 4
-    assert np.linalg.matrix_rank(theirs) == 4 < len(theirs)
-
-
 @examples(20)
 @given(seed=st.integers(0, 2**16))
 def test_pin_rows_are_those_of_pinocchios_point_constraint(seed: int) -> None:
     robot = zoo.robot_of("3rrr")
     q = zoo.random_closed(robot, seed, 1)
     ours = zoo.system_of(robot).evaluate(q).Jc[0].reshape(2, 2, -1)
+    assert np.linalg.matrix_rank(ours.reshape(4, -1)) == 4  # their third rows are redundant
     for rows, closure in zip(ours, robot.closures, strict=True):
         theirs = point_constraint_jacobian(robot, closure, q[0])[:2]
         # Pinocchio differences the other way round
@@ -284,25 +266,3 @@ def test_carriers_do_not_move_any_row() -> None:
     assert np.all(state.Jc[:, :, robot.carrier_velocity] == 0.0)
     assert np.all(state.Jx[:, :, robot.carrier_velocity] == 0.0)
     assert set(system.pose_columns) == set(range(robot.model.nv)) - set(robot.carrier_velocity.tolist())
-
-
-@pytest.mark.parametrize("samples", [1, 2, 3])
-@pytest.mark.parametrize("nv", range(1, 18))
-def test_rows_times_columns_are_the_masked_products(nv: int, samples: int) -> None:
-    """At any number of velocities: eight of them and one sample once lost entries to a fault of numpy with AVX-512."""
-    rng = np.random.default_rng(nv)
-    support = np.concatenate([rng.integers(0, 2, (2, nv)), np.zeros((1, nv))]).astype(float)
-    support[:, 0] = [1.0, 0.0, 0.0]  # at least one velocity moves the first frame alone
-    chosen = [Row((0, k), (1, 3), 0, 1, 1.0) for k in range(3)] + [Row((0, 0), (1, 1), 0, 1, -1.0)]
-    rows = RowSet(chosen, support, np.array([1, 2, 0]))
-    vectors = rng.normal(size=(3, 4, 3, samples))  # the world is Pinocchio's first frame
-    J = rng.normal(size=(samples, 6, nv))
-    got = rows.place(vectors.reshape(36, samples), np.zeros((samples, nv))).jacobian(J)
-    for i, row in enumerate(chosen):
-        axis, partner = vectors[1, row.axis[1]] * row.sign, vectors[2, row.partner[1]]
-        wrench = np.concatenate([axis * (not row.rotation), np.cross(partner, axis, axis=0)])
-        expected = (support[1] - support[0]) * np.einsum("kn,nkv->nv", wrench, J)
-        np.testing.assert_allclose(got[:, i], expected, rtol=1e-13, atol=1e-13)
-        for n in range(samples):
-            one = rows.place(vectors[..., n].ravel(), np.zeros(nv))
-            np.testing.assert_allclose(one.jacobian(J[n])[i], expected[n], rtol=1e-13, atol=1e-13)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -109,3 +110,18 @@ def test_poses_are_found_and_refused_alike(name: str, unit: tuple[float, float])
         if one.in_mode:
             close(other.q / joints, one.q)
     assert any(closed)
+
+
+@pytest.mark.parametrize("length", [2.0**-5, 1.0, 2.0**7])
+def test_the_nearest_configuration_is_the_same_in_all_units(length: float) -> None:
+    """A slide turned round by 0.9 π is nearer with its other sign, however many metres it is long."""
+    robot = replace(robot_in("2rpr", length), working_modes=None, working_mode=())
+    model, closed = robot.model, np.array(robot.q_reference)
+    slide, swivel = (model.joints[model.getJointId(name)].idx_q for name in ("slide_1", "swivel_1"))
+    guess = closed.copy()
+    guess[slide] = 0.1 * closed[slide]
+    guess[swivel] = closed[swivel] + 0.9 * np.pi
+    known = np.arange(len(guess))
+    found = multistart(zoo.system_of(robot), guess, zoo.home_of(robot), known=known)
+    assert found.in_mode
+    assert found.q[slide] == pytest.approx(-closed[slide], rel=1e-9)

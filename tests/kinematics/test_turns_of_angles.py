@@ -5,17 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import zoo
 from written import J, urdf_of, write_robot
 
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.closing import close
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.multistart import draw_starts, wrapped
-from redundancy_pin.robot import Robot
 
 TURN = 2.0 * np.pi
 
@@ -112,29 +109,3 @@ def test_the_gap_that_is_left_is_what_bars_lack(tmp_path: Path, apart: float) ->
         load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
     # a gap is the largest part along an axis of the frame, which in a plane is no less than the whole over root 2
     assert (apart - 2.0) / np.sqrt(2.0) <= caught.value.details["gap"] <= 1.01 * (apart - 2.0)
-
-
-@pytest.mark.parametrize("free", [0, 1, 2])
-@pytest.mark.parametrize("away", [2.9, -2.2, np.pi], ids=["far", "farther than across", "opposite"])
-def test_hinges_that_start_turned_away_are_turned_back_the_short_way(free: int, away: float) -> None:
-    """A body on three hinges, whose axis a closure holds: it is turned over, and a little aside."""
-    model, parent = pin.Model(), 0
-    turns = [pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ()]
-    across = [k for k in range(3) if k != free]
-    for k in (*across, free):
-        parent = model.addJoint(parent, turns[k], pin.SE3.Identity(), f"about_{'xyz'[k]}")
-        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    model.addFrame(pin.Frame("end", parent, pin.SE3.Identity(), pin.FrameType.BODY))
-    model.addFrame(pin.Frame("ground", 0, pin.SE3.Identity(), pin.FrameType.BODY))
-    name = f"about_{'xyz'[free]}"
-    hinge = ("ground", "end", [f"r{'xyz'[k]}" for k in across])
-    robot = Robot.from_model(model, closures=[hinge], actuated=[name], independent=[name], reference=np.zeros(3))
-    system = ConstraintSystem(robot)
-    start = np.array([away, 0.3 if away != np.pi else 0.0, 0.4])
-    near, gap = close(system, start)
-    assert gap < 1e-11
-    assert np.abs(near - start).max() < np.pi + 0.4
-    # the body's axis is the ground's, and not its opposite
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, near)
-    assert data.oMf[model.getFrameId("end")].rotation[free, free] > 1.0 - 1e-6

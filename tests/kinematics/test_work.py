@@ -19,6 +19,7 @@ import zoo
 from folding import folding_four_bar
 
 import redundancy_pin as rp
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closing import close
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -92,6 +93,17 @@ def test_a_rank_loss_is_crossed_on_a_line_of_nodes(counted: Callable[..., int], 
     angle = np.pi + np.linspace(-1.0, 1.0, 11)[:, None] + 0.033
     motion = rp.PlatformMotion(np.arange(11.0), angle, np.ones((11, 1)), np.zeros((11, 1)), check_rates=False)
     at_most(counted(lambda: inverse_kinematics(robot, motion)), 291)
+
+
+def test_a_goal_out_of_reach_is_given_up_at_the_border(counted: Callable[..., int]) -> None:
+    """Whole steps to the border, and one search there; halved steps would creep up to it."""
+    own = follower(zoo.robot_of("five_bar"))
+    at_most(counted(lambda: own.advance(own.home, own.home.x + np.array([0.0, 1.0]))), REACHED[0])
+    at_most(counted(lambda: own.advance(own.home, np.array([0.25, np.sqrt(1.0 - 0.25**2)]))), REACHED[1])
+
+
+REACHED = 111, 103
+"""Configurations on the way to a pose beyond the border, and to full stretch itself."""
 
 
 def test_searches_take_a_few_dozen_starts(counted: Callable[..., int]) -> None:

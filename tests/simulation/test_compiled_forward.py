@@ -165,6 +165,7 @@ def both(robot: Robot, drive: Any = None, **options: Any) -> tuple[Simulation, S
 
 THROWN: dict[str, dict[str, Any]] = {
     "through type II": {"stop_at": ()},
+    "through type II from below": {"stop_at": ()},
     "onto the end of a track": {},
     "steps of order 5": {"integrator": "RK45", "rtol": 1e-9, "atol": 1e-10, "stop_at": ()},
     "loose and long steps": {"rtol": 1e-6, "atol": 1e-7, "stop_at": ()},
@@ -178,7 +179,8 @@ THROWN: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("case", THROWN)
 def test_a_machine_that_is_thrown_moves_the_same(case: str) -> None:
     robot = moving.massive("2rpr")
-    start = closed_state(robot, [0.15, 0.1], [0.3, -0.7], [0.05, -0.1], [0.4, 0.2])
+    side = -1.0 if case.endswith("below") else 1.0
+    start = closed_state(robot, [0.15, 0.1 * side], [0.3, -0.7 * side], [0.05, -0.1], [0.4, 0.2])
     drive = Constant(np.array([0.3, -0.2]), np.array([0.2, 0.1]))
     loose = 1e-3 if case.startswith("loose") else SAME  # the same rules, but roundings decide about lengths of steps
     run, own = both(robot, drive, start=start, duration=0.8, dt=0.013, **THROWN[case])

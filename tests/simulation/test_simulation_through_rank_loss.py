@@ -242,6 +242,25 @@ def test_turning_back_just_beyond_or_before_the_flat_pose(height: float) -> None
     np.testing.assert_allclose(run.energy, run.energy[0], atol=1e-8)
 
 
+@pytest.mark.parametrize("beside", [-1e-4, 1e-4])
+def test_a_start_beside_the_flat_pose_moves_away_exactly(beside: float) -> None:
+    """The couplers do not turn: one pendulum, of inertia 5/3 and moment 2 g."""
+    robot = row_of_four_bars(1)
+    run = rp.simulate(robot, start=closed_state(robot, [beside], [np.copysign(1.0, beside)]), duration=0.2, dt=0.01)
+    swing = solve_ivp(
+        lambda t, y: [y[1], -1.2 * GRAVITY * np.cos(y[0])],
+        (0.0, 0.2),
+        [beside, np.copysign(1.0, beside)],
+        "DOP853",
+        run.t,
+        rtol=1e-12,
+        atol=1e-13,
+    )
+    assert run.status is ResultStatus.OK
+    np.testing.assert_allclose(run.q[:, 0], swing.y[0], atol=1e-9)
+    np.testing.assert_allclose(run.v[:, 1], -swing.y[1], atol=1e-8)
+
+
 def test_rest_at_the_flat_pose_leaves_the_motion_undetermined_and_says_so() -> None:
     run = thrown_to(0.0)
     assert run.status is ResultStatus.NOT_CONVERGED

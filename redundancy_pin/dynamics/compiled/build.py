@@ -42,6 +42,9 @@ NEIGHBOURS = 8
 """Configurations from the nearest of which a batch of carrier terms begins: first and last of each of four batches; a
 control update has two or three."""
 
+LARGEST_TURN = 0.5
+"""Longest turn, rad, of a pose at a time on the way to another: a quarter of a turn away its rows, sines, are least."""
+
 _CONSTANTS = {
     "NEIGHBOURS": NEIGHBOURS,
     "TOLERANCE": CLOSURE_TOLERANCE,
@@ -51,6 +54,7 @@ _CONSTANTS = {
     "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
     "FORCE_TOLERANCE": FORCE_TOLERANCE,
     "POSE_TOLERANCE": POSE_TOLERANCE,
+    "LARGEST_TURN": LARGEST_TURN,
     "LEAST_INERTIA": LEAST_INERTIA,
     "EPSILON": float(np.finfo(float).eps),
     "TURN": TURN,

@@ -95,6 +95,19 @@ static double left_open(const double *numbers, double *q, const double *x) {
   return 0.0;
 }
 
+/* Whether a pose is turned so far from the coordinates x that the rows of its rotation, sines, do not say how to get there. */
+static int turned_far(const double *numbers, const Pose *pose, const double *x) {
+#if NX != N
+  double here[NX], trace = 0.0;
+  coordinates_of(numbers, pose->q, pose->trig, here);
+  for (int i = 0; i < 3; ++i) trace += dot(here + 4 * i, x + 4 * i, 3);
+  return trace < 1.0 + 2.0 * cos(LARGEST_TURN);
+#else
+  (void)numbers, (void)pose, (void)x;
+  return 0;
+#endif
+}
+
 static void keep(const Pose *pose, double *state) {
   copy(state, pose->q, NQ);
   state[NQ] = pose->sign;
@@ -121,7 +134,7 @@ int rp_reach(const double *numbers, double *state, double *reached, const double
       closed = rp_sample(numbers, from, in, out);
     } else {
       keep(&pose, reached);
-      double open = may_go_on(&pose) ? 0.0 : left_open(numbers, pose.q, in);
+      double open = may_go_on(&pose) || turned_far(numbers, &pose, in) ? 0.0 : left_open(numbers, pose.q, in);
       out[N * M + N + NK] = open * LENGTH;
       if (open > TOLERANCE) closed = OUT_OF_REACH;
     }

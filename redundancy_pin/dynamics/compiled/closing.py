@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
-from redundancy_pin.dynamics.compiled.build import Library
+from redundancy_pin.dynamics.compiled.build import LARGEST_TURN, Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
 from redundancy_pin.errors import WorkingModeError
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower, known_state
@@ -29,9 +29,6 @@ CLOSED, _LOST = range(2)
 
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
-
-LARGEST_TURN = 0.5
-"""Longest turn, rad, of a pose at a time on the way from the reference: half a turn away the direction is lost."""
 
 
 class Start(NamedTuple):
