@@ -46,8 +46,8 @@ _SHORTEST_STEP = 2.0**-3
 reach, and without this bound maps take two to five times as long."""
 
 _TRUSTED_STEP = 0.2
-"""Longest step, characteristic lengths or rad, that tells the branch by continuity alone. Without this bound a twelfth
-of a delta's nodes are on another branch; with it, or one of 0.3, none."""
+"""Longest step, characteristic lengths or rad, that tells the branch by continuity alone. Without this bound an
+eleventh of a delta's nodes are on another branch; with it, or one of 0.3, none."""
 
 _STARTS = 360
 """Random configurations from which islands are searched, with a fixed seed. They meet all islands of fifteen random

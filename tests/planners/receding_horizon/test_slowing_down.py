@@ -14,6 +14,7 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import OnLineRun, Preview, RecedingHorizon, run_online
 from redundancy_pin.planners.receding_horizon.slowing import Slowing
@@ -172,7 +173,7 @@ def test_a_preview_that_is_a_function_is_asked_in_its_own_time() -> None:
 
 
 def out_of_reach(name: str = "five_bar", far: float = 0.5) -> Trajectory:
-    home = machine(name)[0].reference[1]
+    home = follower(machine(name)[0].robot).home.x
     path = through_points(home + np.array([[0.0, 0.0], [0.1, 0.05], [0.2, far]]))
     return Trajectory(path, SpeedProfile(path.length, 0.4, 0.3))
 
