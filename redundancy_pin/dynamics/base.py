@@ -540,7 +540,9 @@ def one_sample(
 def _each(k: int, part: ArrayLike, name: str) -> Array:
     """Return (k,) an argument of the carriers: empty for zero, one number for all of them."""
     shape = np.shape(part)
-    return checked(np.zeros(k) if shape == (0,) else np.full(k, part) if shape == () else part, name, (k,))
+    if shape == ():
+        part = np.full(k, checked(part, name, ()))
+    return checked(np.zeros(k) if shape == (0,) else part, name, (k,))
 
 
 def require_choice(unreachable: str) -> None:

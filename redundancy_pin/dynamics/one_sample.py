@@ -50,9 +50,11 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
 
 
 def is_finite(given: Sequence[ArrayLike], t: float) -> bool:
-    """Return whether all numbers of a sample are finite; later checks refuse other types."""
+    """Return whether all numbers of a sample are finite; later checks refuse what is no real number."""
     try:
-        return all(np.isfinite(np.asarray(part, dtype=np.float64)).all() for part in (*given, t))
+        parts = [np.asarray(part) for part in (*given, t)]
+        real = [part for part in parts if part.dtype.kind != "c" and None not in part.ravel().tolist()]
+        return all(np.isfinite(part.astype(np.float64)).all() for part in real)
     except (TypeError, ValueError):
         return True
 

@@ -199,8 +199,10 @@ class RneaDynamics(Dynamics):
         """
         robot, own = self._robot, follower(self._robot)
         try:
-            x, xd, xdd, *carriers = (np.asarray(part, dtype=float) for part in given)
-        except (TypeError, ValueError):
+            x, xd, xdd, *carriers = (np.asarray(part) for part in given)
+        except ValueError:
+            return None
+        if any(part.dtype.kind not in "biuf" for part in (x, xd, xdd, *carriers)):
             return None
         s, sd, sdd = (np.zeros(robot.k) if part.shape == (0,) else part for part in carriers)
         home = own.home if start is None else start

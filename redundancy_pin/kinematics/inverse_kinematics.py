@@ -345,7 +345,7 @@ def advance_turns(own: Follower, here: ClosedState, x: Array) -> ClosedState | B
     return own.diagnose(here, x) if end is None else end
 
 
-def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> ClosedState:
+def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time: float | None = None) -> ClosedState:
     """Return a closed state at coordinates, in the robot's working mode.
 
     First the straight line from the reference configuration is followed; where that leaves the workspace, multistart
@@ -355,6 +355,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
         system: closures and platform rows; the robot's ``q_reference`` must be closed.
         x: (n,) coordinates or a pose (4, 4), base frame.
         sample: index to name in the error.
+        time: s, to name in place of the sample.
 
     Raises:
         UnreachablePoseError: no start leads to a closed configuration; carries the smallest residual.
@@ -363,28 +364,31 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
     """
     robot, own = system.robot, follower(system.robot)
     home = own.home
+    where, details = f"of sample {sample}", dict[str, float](sample=sample)
+    if time is not None:
+        where, details = f"at t = {time:.9g} s", {"time": time}
     reached = advance_turns(own, home, x) if np.isfinite(home.gamma).all() else None
     if isinstance(reached, BranchEnd) and reached.reason:
-        raise UnreachablePoseError(reached.reason, remedy=_FEWER_TURNS, sample=sample)
+        raise UnreachablePoseError(reached.reason, remedy=_FEWER_TURNS, **details)
     if isinstance(reached, ClosedState):
         # a configuration where working modes meet belongs to both
         between = bool((np.abs(mode_indicator(robot, reached.q[None])) < SAME_CONFIGURATION).any())
         if between or in_working_mode(robot, reached.q[None])[0]:
             return reached
     q, residual, in_mode = multistart(system, home.q, x)
-    closed, pose = residual < closure_tolerance(robot), f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
+    closed, pose = residual < closure_tolerance(robot), f"The pose {where}, x = {np.round(x, 6).tolist()},"
     if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
         raise SingularPoseError(
             f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
             remedy=_STAY_AWAY,
-            sample=sample,
+            **details,
         )
     if closed and not in_mode:
         raise WorkingModeError(
             f"{pose} closes only in other working modes than {mode_name(robot.working_mode)} of {robot.name}, such as "
             f"{mode_name(tuple(working_modes(robot, q[None])[0]))}.",
             remedy="Load the robot in that working_mode, or move the pose.",
-            sample=sample,
+            **details,
         )
     state = own.close(q, x) if in_mode else None
     if state is None:
@@ -392,7 +396,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Clos
             f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {residual:.3g} m."
             f"{millimetres(residual, robot.characteristic_length)}",
             remedy="Move the pose into the workspace, or load the robot in another working_mode.",
-            sample=sample,
+            **details,
             gap=residual,
         )
     return state

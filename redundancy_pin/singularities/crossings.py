@@ -209,22 +209,11 @@ class FollowedPath:
         first = 0
         if start is None:
             try:
-                start = self._start(x[0], 0)
+                start = point_on_branch(system, x[0], time=float(self.t[0]))
             except SingularPoseError:  # a motion may start on a type I singularity; the next sample is regular
-                first, start = 1, self._start(x[1], 1)
+                first, start = 1, point_on_branch(system, x[1], time=float(self.t[1]))
         self._known, self._states, self._q = [float(self.t[first])], [start], dict[float, Array]()
         self.configurations(self.t)
-
-    def _start(self, x: Array, sample: int) -> ClosedState:
-        """Return the state of the working mode at a sample of the search, from the reference configuration."""
-        try:
-            return point_on_branch(self.system, x, sample)
-        except (UnreachablePoseError, SingularPoseError, WorkingModeError) as error:
-            # the samples of the search are not the caller's: he knows times
-            details = {name: value for name, value in error.details.items() if name != "sample"}
-            t = float(self.t[sample])
-            message = error.message.replace(f"of sample {sample}", f"at t = {t:.9g} s")
-            raise type(error)(message, remedy=error.remedy, time=t, **details) from None
 
     def configurations(self, times: Array) -> Array:
         """Return (M, nq) configurations at times of the motion: on the branch, or closed at a type I singularity.

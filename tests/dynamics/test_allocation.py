@@ -260,3 +260,29 @@ def test_efforts_and_carrier_forces_may_be_as_large_as_their_limits():
     assert not forces.allow(np.array([-2.5, 0.25]))  # −3.875 N
     assert forces.of(np.array([1.0, 0.5])).tolist() == [3.25, 0.5]
     assert forces.of(np.array([-2.5, -1.0])).tolist() == [-3.25, -0.5]
+
+
+def test_an_effort_that_was_clamped_comes_back_where_that_is_cheaper():
+    """One of three efforts is beyond its limit at first and within it in the optimum, by scipy's own solver."""
+    W, coupling = [[0.0, -1.0, 3.0], [-2.0, 3.0, -3.0]], [[1.0, 0.0], [2.0, -1.0]]
+    force, limit, scale = np.array([5.0, 2.0]), np.array([1.5, 0.5, 1.5]), np.array([1.0, 1.0, 1.0, 0.3, 0.3])
+    allocation = shared(
+        W,
+        coupling,
+        force,
+        planned=np.zeros(3),
+        effort_scale=scale[:3],
+        carrier_scale=scale[3:],
+        effort_limit=limit,
+    )
+    full = np.hstack([W, -np.array(coupling)])
+    best = minimize(
+        lambda u: float(np.sum((u / scale) ** 2)),
+        np.zeros(5),
+        bounds=[(-one, one) for one in limit] + [(None, None)] * 2,
+        constraints={"type": "eq", "fun": lambda u: full @ u - force},
+        options={"ftol": 1e-12},
+    )
+    assert (allocation.status, allocation.saturated) == (SampleStatus.OK, True)
+    assert np.concatenate([allocation.tau, allocation.deviation]) == pytest.approx(best.x, abs=1e-5)
+    assert abs(allocation.tau[1]) < 0.48

@@ -6,6 +6,7 @@ import ctypes
 import itertools
 import json
 import re
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -516,3 +517,45 @@ def test_times_are_printed(tmp_path: Path) -> None:
     match = re.findall(r"median ([\d.]+) us, 99\.9 % ([\d.]+) us, worst ([\d.]+) us", done.stdout)
     assert len(match) == 4
     assert run(program, "--time").returncode == 2
+
+
+@pytest.mark.long_for("fewer actuators")
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
+@pytest.mark.parametrize("name", ["2rpr", "fewer actuators", *LONG])
+def test_valgrind_finds_nothing(name: str) -> None:
+    done = run(Path("valgrind"), "-q", "--error-exitcode=9", "--leak-check=full", str(program_of(name)))
+    assert done.returncode == 0, done.stderr
+
+
+def test_two_robots_are_linked_into_one_program(tmp_path: Path) -> None:
+    for name in ("2rpr", "four_bar"):
+        written = codegen.write_c(robot_of(name), tmp_path / name)
+        assert written.prefix == {"2rpr": "robot_2rpr", "four_bar": "four_bar"}[name]
+    main = tmp_path / "main.c"
+    main.write_text(
+        '#include "robot_2rpr.h"\n#include "four_bar.h"\n'
+        "int main(void) { robot_2rpr_state a; four_bar_state b; return robot_2rpr_reset(&a) + four_bar_reset(&b); }\n"
+    )
+    sources = [main, tmp_path / "2rpr" / "robot_2rpr.c", tmp_path / "four_bar" / "four_bar.c"]
+    program = compiled(sources, tmp_path / "both", f"-I{tmp_path / '2rpr'}", f"-I{tmp_path / 'four_bar'}")
+    assert run(program).returncode == 0
+
+
+@pytest.mark.long
+def test_from_far_away_it_is_that_branch_or_none() -> None:
+    """Newton's method without its rule of contraction ends below the base here and there."""
+    code, random, statuses = code_of("2rpr"), np.random.default_rng(0), []
+    x = np.stack([random.uniform(-0.2, 0.7, 200), random.uniform(0.02, 0.5, 200)], axis=1)
+    still = np.zeros((1, 2))
+    for start, end in zip(x[::2], x[1::2], strict=True):
+        positions, _ = drives_along(robot_of("2rpr"), rp.PlatformMotion([0.0], end[None], still, still))
+        state = code.start()
+        assert code.go_to(state, start) == 0
+        kept = bytes(state)
+        got = code.platform(state, positions[0], np.zeros(2))
+        statuses.append(got.status)
+        if got.status == NOTHING_WRITTEN:
+            assert bytes(state) == kept
+        else:
+            np.testing.assert_allclose(got.x, end, rtol=0.0, atol=1e-9)
+    assert 10 < statuses.count(NOTHING_WRITTEN) < 90

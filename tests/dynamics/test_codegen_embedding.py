@@ -382,3 +382,24 @@ def test_the_table_of_the_documentation_is_of_the_code_as_it_is() -> None:
     for name in zoo.SHIPPED:
         promised = promised_of(folder_of(robot_of(name)))
         assert abs(table[name][0] - promised) <= 0.05 * promised, "run python benchmarks/stack.py"
+
+
+def matrices(n: int, m: int, rank: int) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(5)
+    W = random.normal(size=(6, n, rank)) @ random.normal(size=(6, rank, m))
+    f = np.einsum("Nij,Nj->Ni", W, random.normal(size=(6, m)))
+    f[3:] = random.normal(size=(3, n))  # outside the range of W where that is less than all
+    return W, f
+
+
+@pytest.mark.parametrize(("n", "m", "rank"), [(3, 3, 3), (3, 3, 2), (2, 4, 2), (4, 2, 2)])
+def test_distribute_is_linear_at_any_size(n: int, m: int, rank: int) -> None:
+    W, f = matrices(n, m, rank)
+    one = rp.distribute(reduced_of(W, f), force_tolerance=0.0)
+    for power in POWERS:
+        got = rp.distribute(reduced_of(W, times_power(f, power)), force_tolerance=0.0)
+        np.testing.assert_array_equal(got.status, one.status)
+        np.testing.assert_array_equal(got.tau, times_power(one.tau, power))
+        lost = one.status >= SampleStatus.SINGULAR_INCONSISTENT
+        np.testing.assert_array_equal(got.residual[lost], times_power(one.residual[lost], power))
+        assert (got.residual[~lost] <= 1e-13 * np.abs(times_power(f, power)).max()).all()

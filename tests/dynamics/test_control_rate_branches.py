@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.machine_code import find_compiler
 from redundancy_pin.robot import Robot, Wrench
+from redundancy_pin.robot.scales import closure_tolerance
 from redundancy_pin.status import SampleStatus
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
@@ -31,6 +33,8 @@ STOPPED, STOPPED_GUESS = (0.4, 0.3, 0.2, 0.25), (1.0, 2.0, 1.5)
 """A four-bar whose crank turns to ±1.4 rad and no farther: it reaches angles near a turn, but not on the same way."""
 
 ROUNDING = 1e-9
+
+OK = SampleStatus.OK
 
 BOTH = pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
 
@@ -76,6 +80,7 @@ def test_a_jump_by_more_than_a_right_angle_keeps_the_branch(axis: int, turn: flo
     calls = rp.CompiledDynamics(robot), rp.RneaDynamics(robot)
     jumped, stepped = ([one.torque(pose, still, still) for pose in poses][1] for one in calls)
     assert (jumped.status, stepped.status) == (SampleStatus.OK, SampleStatus.OK)
+    assert max(jumped.residual, stepped.residual) < closure_tolerance(robot)
     np.testing.assert_allclose(jumped.tau, stepped.tau, rtol=0.0, atol=ROUNDING * np.abs(stepped.tau).max())
 
 
@@ -201,12 +206,52 @@ def test_whatever_is_not_finite_is_a_status(backend: type[Dynamics], bad: float)
     assert dynamics.torque(*given).status is SampleStatus.OK
 
 
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
+@pytest.mark.parametrize("wrong", [1j, None, "1"])
+def test_what_is_no_real_number_is_refused(backend: type[Dynamics], wrong: complex | str | None) -> None:
+    """In every argument of every call for one sample: numpy makes NaN of None, and a real part of a complex number."""
+    dynamics = backend("3rrr")
+    given = [zoo.home_of(dynamics.robot), *np.zeros((5, 3))]
+    calls: list[tuple[Any, list[Array]]] = [(dynamics.torque, given), (dynamics.sample, given)]
+    if isinstance(dynamics, rp.CompiledDynamics):
+        q, v = np.array(dynamics.robot.q_reference), np.zeros(dynamics.robot.model.nv)
+        calls += [
+            (dynamics.joint_state, [q[:3], *np.zeros((3, 3))]),
+            (dynamics.acceleration, [q, v, *np.zeros((2, 3))]),
+        ]
+    for call, arguments in calls:
+        for place in range(len(arguments)):
+            for bad in (wrong, [wrong] * len(arguments[place])):
+                with pytest.raises(InputError):
+                    call(*arguments[:place], bad, *arguments[place + 1 :])
+
+
 @BOTH
 def test_numbers_that_are_not_finite_are_found_where_no_result_depends_on_them(backend: type[Dynamics]) -> None:
     """The position of a carrier on a rail of the base, across gravity."""
     dynamics = backend(parallelogram("rail"))
     for s, status in ((0.1, SampleStatus.OK), (np.nan, SampleStatus.NOT_FINITE), (-0.1, SampleStatus.OK)):
         assert dynamics.torque([1.3], [1.0], [2.0], [s], [0.2], [0.3]).status is status
+
+
+@pytest.mark.parametrize("name", ["five_bar", "3rrr", "delta"])
+def test_motors_that_jump_lead_where_small_steps_do(name: str) -> None:
+    """Farther than Newton's method gets in two steps; in random directions, to where the steps are still regular."""
+    dynamics, random = compiled(name), np.random.default_rng(4)
+    robot = dynamics.robot
+    start, jumps = np.array(robot.q_reference), 0
+    motors = [robot.model.joints[robot.model.getJointId(motor)].idx_q for motor in robot.actuated]
+    for direction in random.normal(size=(40, robot.m)):
+        way = start[motors] + np.linspace(0.0, 1.2, 60)[1:, None] * direction / np.linalg.norm(direction)
+        dynamics.joint_state(start[motors], start=start)
+        stepped = list(itertools.takewhile(lambda state: state.status is OK, map(dynamics.joint_state, way)))
+        if len(stepped) > 30:
+            dynamics.joint_state(start[motors], start=start)
+            jumped = dynamics.joint_state(way[len(stepped) - 1])
+            assert jumped.status is OK
+            np.testing.assert_allclose(jumped.q, stepped[-1].q, rtol=0.0, atol=ROUNDING)
+            jumps += 1
+    assert jumps > 10
 
 
 def test_states_and_motors_that_are_not_finite_are_a_status() -> None:

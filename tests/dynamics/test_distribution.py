@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -211,3 +212,18 @@ def test_an_effort_may_pass_its_bound_by_a_share_of_the_largest_one(sign, share,
     assert d.residual[0] == pytest.approx(passed, rel=1e-6)
     if label == "ok":
         assert d.tau[0].tolist() == [1000.0, sign * (1.0 - passed)]
+
+
+def test_weighted_optimum_against_a_general_optimiser():
+    rng = np.random.default_rng(4)
+    W, f, weights = rng.normal(size=(1, 2, 4)), rng.normal(size=(1, 2)), np.array([1.0, 5.0, 0.2, 2.0])
+    other = scipy.optimize.minimize(
+        lambda tau: weights @ tau**2,
+        np.zeros(4),
+        jac=lambda tau: 2.0 * weights * tau,
+        constraints={"type": "eq", "fun": lambda tau: W[0] @ tau - f[0], "jac": lambda tau: W[0]},
+        method="SLSQP",
+        options={"ftol": 1e-15},
+    )
+    # SLSQP stops on the cost, so its minimiser is good to the square root of 1e-15
+    assert distribute(reduced(W, f), weights=weights).tau[0] == pytest.approx(other.x, abs=1e-6)

@@ -7,12 +7,19 @@ from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
+from scipy.linalg import null_space
 from scipy.optimize import LinearConstraint, minimize
 
 from redundancy_pin.arrays import RANK_TOLERANCE
 from redundancy_pin.dynamics.allocation import fit_into_bounds, least_miss, least_residual, within_bounds
 from redundancy_pin.dynamics.distribution import EffortRows, distribute, torque_speed_bounds
+from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.loading import load_robot
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Robot
 from redundancy_pin.status import SampleStatus
 
 OPTIMUM = 1e-8
@@ -358,3 +365,78 @@ def test_a_bound_that_nothing_moves_may_be_missed_by_rounding_of_the_size_at_sta
         assert (z is not None) == kept
         if kept:
             np.testing.assert_allclose(2.0 * z, [max(1.0 - 0.3 * size, 0.0)], atol=1e-9)
+
+
+def test_residual_of_infeasible_bounds_is_the_least_within_them():
+    rng = np.random.default_rng(2)
+    _, W, _ = factors(rng, 5, 2, 3, [2.0, 1.0])
+    f = times(W, rng.normal(size=(5, 3))) * 50.0
+    d = distribute(reduced(W, f), lower=[-1.0, 0.5, -2.0], upper=[1.0, 0.5, 2.0])  # the second is held at 0.5
+    assert (d.status == SampleStatus.BOUND_INFEASIBLE).all()
+    grid = np.linspace(-1.0, 1.0, 401)
+    box = np.stack(np.broadcast_arrays(grid[:, None], 0.5, 2.0 * grid[None, :]), axis=-1).reshape(-1, 3)
+    brute = np.linalg.norm(np.einsum("Nij,bj->Nbi", W, box) - f[:, None, :], axis=2).min(axis=1)
+    assert (d.residual <= brute + 1e-9).all()
+    assert d.residual == pytest.approx(brute, abs=2.0 * 0.01)  # ‖W‖ times the diagonal of half a grid cell
+
+
+def optimiser(W, f, weights, lower, upper):
+    """Return the least Σ w τ² over W τ = f and the bounds, by a method that knows nothing of null spaces."""
+    optimum = scipy.optimize.minimize(
+        lambda tau: weights @ tau**2,
+        0.5 * (lower + upper),
+        jac=lambda tau: 2.0 * weights * tau,
+        constraints={"type": "eq", "fun": lambda tau: W @ tau - f, "jac": lambda tau: W},
+        bounds=scipy.optimize.Bounds(lower, upper),
+        method="SLSQP",
+        options={"ftol": 1e-14, "maxiter": 1000},
+    )
+    assert optimum.success
+    assert np.linalg.norm(W @ optimum.x - f) < 1e-10
+    return optimum.fun
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bounded_optimum_costs_what_a_general_optimiser_finds(seed):
+    rng = np.random.default_rng(seed)
+    _, W, _ = factors(rng, 1, 2, 5, [2.0, 1.0])
+    inner, weights = rng.uniform(-1.0, 1.0, 5), rng.uniform(0.2, 5.0, 5)
+    lower, upper = inner - rng.uniform(0.05, 0.3, 5), inner + rng.uniform(0.05, 0.3, 5)
+    f = times(W, inner[None])
+    free = distribute(reduced(W, f), weights=weights)
+    d = distribute(reduced(W, f), weights=weights, lower=lower, upper=upper)
+    cost = weights @ d.tau[0] ** 2
+    assert cost > weights @ free.tau[0] ** 2 + 1e-3  # the bounds bind
+    assert cost == pytest.approx(optimiser(W[0], f[0], weights, lower, upper), rel=1e-8)
+
+
+def test_preload_against_backlash_presses_every_gear_to_its_side():
+    """A five-bar with a third motor: bounds one side of zero, against the segment of all solutions, by hand."""
+    shipped = load_robot("five_bar", carriers=True)
+    robot = Robot.from_model(
+        shipped.model, closures=shipped.closures, actuated=[*shipped.actuated, "elbow_1"], carriers=shipped.carriers,
+        independent=shipped.platform, reference=np.array(shipped.q_reference),
+    )  # fmt: skip
+    t = np.linspace(0.0, 2.0 * np.pi, 60)
+    home = constraint_system(robot).evaluate(np.array(robot.q_reference)[None])
+    x = coordinates(robot, home)[0] + 0.03 * np.stack([np.sin(3 * t), 1 - np.cos(3 * t)], axis=1)
+    xd, xdd = (0.03 * np.stack(pair, axis=1) for pair in (
+        (3 * np.cos(3 * t), 3 * np.sin(3 * t)), (-9 * np.sin(3 * t), 9 * np.cos(3 * t))
+    ))  # fmt: skip
+    machine = RneaDynamics(robot).reduce(PlatformMotion(t, x, xd, xdd))
+    free = distribute(machine)
+    solutions = null_space(machine.W[0])  # one direction, whose signs say which way each motor is pressed
+    assert solutions.shape == (3, 1)
+    side, least = np.sign(solutions[:, 0]), 0.2
+    assert (free.tau * side < least).any(axis=0).any()  # else there is nothing to show
+    lower, upper = np.where(side > 0, least, -np.inf), np.where(side > 0, np.inf, -least)
+    pressed = distribute(machine, lower=lower, upper=upper)
+    assert pressed.solved.all()
+    assert (pressed.tau * side >= least).all()
+    for k, (W, f) in enumerate(zip(machine.W, machine.f, strict=True)):
+        direction = null_space(W)[:, 0]
+        direction *= np.sign(direction @ side)
+        assert (direction * side > 0.0).all()
+        some = np.linalg.lstsq(W, f, rcond=None)[0]  # the shortest, for equal scales of three torques
+        push = max(0.0, float(((least - some * side) / (direction * side)).max()))
+        np.testing.assert_allclose(pressed.tau[k], some + push * direction, atol=1e-8 * np.abs(some).max())

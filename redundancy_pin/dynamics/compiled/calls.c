@@ -155,7 +155,10 @@ int rp_torque(const double *numbers, double *state, double *reached, const doubl
   if (closed == OUT_OF_REACH) return STATUS_UNREACHABLE;
   if (closed != CLOSED) return closed == LOST ? STATUS_BRANCH_LOST : status_of(closed);
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
-  if (status == STATUS_NOT_FINITE) return status;
+  if (status == STATUS_NOT_FINITE) { /* efforts overflow: a sample without results moves no state */
+    copy(state, reached, NQ + 1);
+    return status;
+  }
   copy(tau, efforts.tau, M);
   tau[M] = efforts.margin;
   if (status > STATUS_SINGULAR_CONSISTENT) return status;

@@ -110,11 +110,10 @@ def _state_at(robot: Robot, start: Start) -> ClosedState:
     """Return the closed state at a start; raises WorkingModeError where the chains do not close nearby."""
     own, q = follower(robot), start.q.copy()
     q[robot.carrier_position] = 0.0
-    own.chain.place(q)
-    x = read_only(own.chain.coordinates(q))
     if start.gamma is not None:
-        return known_state(robot, x, q, start.gamma)
-    closed = own.close(q, x)
+        own.chain.place(q)
+        return known_state(robot, read_only(own.chain.coordinates(q)), q, start.gamma)
+    closed = own.state_at(q)
     if closed is None:
         raise WorkingModeError(
             f"The chains of {robot.name} do not close at the start, or K is singular there: no branch goes on from it.",

@@ -49,7 +49,7 @@ _WITHOUT_RESULT = frozenset(
         _NO_POSE,
     }
 )
-"""Codes of samples that the C writes no results of; its state is not moved."""
+"""Codes of samples that have no results; the state of the C is not moved."""
 
 _OPTIONAL = frozenset({"s", "sd", "sdd", "carrier_force", "velocity"})
 """Arguments that are zero where they are left out, and that one number may stand for."""
@@ -91,11 +91,14 @@ class _Arguments:
 def _converted(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
     """Return numbers of any kind as an array of a shape; raises InputError. They need not be finite."""
     try:
-        given = np.asarray(value, dtype=np.float64)
+        raw = np.asarray(value)
+        if raw.dtype.kind in "cSU" or (raw.dtype.kind == "O" and None in raw.ravel().tolist()):
+            raise TypeError  # numpy makes a real part of complex numbers, numbers of text, and NaN of None
+        given = raw.astype(np.float64)
     except (TypeError, ValueError):
         return checked(value, name, shape)  # raises, and says why
-    if value is None or given.shape != shape:  # numpy takes None for NaN
-        checked(value if value is None else np.nan_to_num(given), name, shape)
+    if given.shape != shape:
+        checked(np.nan_to_num(given), name, shape)
     return given
 
 
