@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,19 +28,20 @@ from redundancy_pin.kinematics.coordinates import (
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
-from redundancy_pin.robot import Closure, Coupling, Robot
-from redundancy_pin.robot.build import build, characteristic_length, robot_of_tree
+from redundancy_pin.robot import Closure, Robot
+from redundancy_pin.robot.build import characteristic_length, read_robot
 from redundancy_pin.robot.changes import changed_urdf, require_still_joined
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
-from redundancy_pin.robot.formats.urdf_tree import WITHOUT_INERTIAL
-from redundancy_pin.robot.from_model import declared, depth_first, in_order_of, not_in_force
-from redundancy_pin.robot.loads import JointForces, Load
+from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL, read_urdf, urdf_mechanism
+from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
+from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.robot.model_files import is_model_file, read_mechanism
+from redundancy_pin.robot.model_files import is_model_file, is_urdf, open_model
 from redundancy_pin.robot.named import too_few_motors
+from redundancy_pin.robot.rebuild import rebuilt, span
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
-from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, render, source_of
+from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, source_of
 
 _LOG = logging.getLogger(__name__)
 
@@ -106,7 +107,7 @@ def load_with(
     # what is kept is known by a path that means the same in all folders
     request = _Request(path.resolve() if kept else path, written, arguments, gravity, working_mode, trust)
     if is_model_file(path):
-        return _load_model(request, {})
+        return _load(request, {})
     if not kept:
         return _declared(request)
     robot = _shipped(request)
@@ -161,11 +162,19 @@ def robot_with(
         return robot
     file = read_declaration(path)
     with file.naming():
-        declaration = parse(file.data, robot.parameters)
-        urdf = changed_urdf(robot.urdf, masses, lengths)
-        new = _built(declaration, path, urdf, robot.parameters, robot.gravity.tolist(), mode)
+        declaration = parse(_whole(file.data, path), robot.parameters)
+        urdf = read_urdf(changed_urdf(robot.urdf, masses, lengths), path.parent / declaration.urdf)
+        new, _ = _joined(
+            declaration,
+            urdf_mechanism(urdf, robot.name, kinds=declaration.joint_types),
+            gravity=robot.gravity.tolist(),
+            parameters=robot.parameters,
+            source=robot.source,
+            mode=mode,
+        )
         new = replace(
             new,
+            name=robot.name,
             urdf_folder=robot.urdf_folder,
             carrier_limits=robot.carrier_limits,
             own_meshes_only=robot.own_meshes_only,
@@ -177,9 +186,7 @@ def robot_with(
                 setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
         if lengths:
             require_still_joined(robot, new)
-            new = _closed(
-                new, declaration, lambda: reference_coordinates(new, declaration.coordinates(robot.parameters))
-            )
+            new = _closed(new, declaration, robot.parameters)
         else:  # masses close no loop: the reference is that of the robot
             new = replace(new, q_reference=robot.q_reference, characteristic_length=robot.characteristic_length)
         return _with_added(new, robot.loads)
@@ -205,33 +212,15 @@ def _lengths_only(robot: Robot, lengths: Iterable[str]) -> tuple[str, ...]:
 
 
 def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
-    source_file = request.path.parent / data["urdf"]
-    if is_model_file(source_file):
-        return _load_model(request, data)
-    # before xacro runs, which would make a cryptic error of a length that is negative; and after, on what it evaluated
-    require_conditions(data, known_values(source_file, request.arguments))
-    urdf, parameters = render(source_file, request.arguments, trust=request.trust)
-    require_conditions(data, parameters)
-    declaration = parse(data, parameters)
-    robot = _built(declaration, request.path, urdf, parameters, request.gravity, request.working_mode)
-    _report(robot.notes, source_file)
-    robot = replace(robot, urdf_folder=str(source_file.resolve().parent))
-    return _closed(robot, declaration, lambda: reference_coordinates(robot, declaration.coordinates(parameters)))
-
-
-def _built(declaration: Declaration, *arguments: Any) -> Robot:
-    """Return what ``build`` makes of a declaration, without redundant closure rows where it says that there are any."""
-    robot = build(declaration, *arguments)
-    if not declaration.redundant_rows:
-        return robot
-    robot, _, notes = _with_rows_that_count(robot, redundant=True, rounded=True)
-    return replace(robot, notes=(*robot.notes, *notes))
-
-
-def _load_model(request: _Request, data: Mapping[str, Any]) -> Robot:
-    """Load a file that describes a whole mechanism, with what a declaration that names it adds to that."""
+    """Load a mechanism with what a declaration adds to it, or without one."""
     file = request.path.parent / data["urdf"] if data else request.path
-    mechanism, parameters = read_mechanism(file, request.arguments)
+    if is_urdf(file):
+        # before xacro runs, which would make a cryptic error of a length that is negative
+        require_conditions(data, known_values(file, request.arguments))
+    parameters, read = open_model(file, request.arguments, trust=request.trust)
+    require_conditions(data, parameters)
+    kinds = parse(_whole(data, request.path), parameters).joint_types if data.get("joint_types") else {}
+    mechanism = read(kinds)
     try:
         robot = _of_mechanism(mechanism, request, file, data, parameters)
     except DeclarationError as error:
@@ -239,49 +228,39 @@ def _load_model(request: _Request, data: Mapping[str, Any]) -> Robot:
             raise
         mechanism = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
         robot = _of_mechanism(mechanism, request, file, data, parameters)
-    _report(mechanism.notes, file)
-    robot = replace(robot, notes=(*mechanism.notes, *robot.notes), urdf_folder=str(file.resolve().parent))
-    if data.get("urdf_dynamics") is False:
-        return replace(robot, notes=(*robot.notes, f"Friction and springs of {file.name} are not in force."))
-    named = {load.joint for load in robot.loads if isinstance(load, JointForces)}  # the declaration comes first
-    return robot.loaded(*(load for load in mechanism.forces if load.joint not in named))
+    _report(robot.notes, file)
+    return replace(robot, urdf_folder=str(file.resolve().parent))
+
+
+def _whole(data: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    """Return a declaration with what can be left out."""
+    return {"name": path.resolve().parent.name, "reference": {}, **data}
 
 
 def _of_mechanism(
     mechanism: Mechanism, request: _Request, file: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]
 ) -> Robot:
-    model = mechanism.model(str(file))
-    wanted = data.get("gravity") if request.gravity is None else request.gravity
-    if wanted is not None:
-        model.gravity.linear = np.array(checked(wanted, "gravity", (3,)))
-    own = [{"name": c.name, "frames": [c.frame_a, c.frame_b], "axes": list(c.axes)} for c in mechanism.closures]
-    further = data.get("closures")
-    roles = {
-        "name": request.path.parent.name if data else mechanism.name,
-        "urdf": file.name,
-        "actuated": list(mechanism.actuated),
-        "reference": {},
-        **data,
-        "closures": [*own, *further] if isinstance(further, list) else own if further is None else further,
-    }
-    if not roles["actuated"]:
-        sdf = file.suffix.lower() == ".sdf"  # which has no actuators
-        drive = 'Name what is driven (actuated="a,b", or --set actuated=a,b)' if sdf else "Give it actuators"
+    given = _whole(data, request.path) if data else {"name": mechanism.name, "reference": {}}
+    given = {"urdf": file.name, "actuated": list(mechanism.actuated), **given}
+    if not given["actuated"]:
+        if is_urdf(file):
+            drive = "Give it a transmission or ros2_control"
+        elif file.suffix.lower() == ".sdf":  # which has no actuators
+            drive = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
+        else:
+            drive = "Give it actuators"
         remedy = f"{drive}, or write a robot.yaml that names it under `urdf`, and joints under `actuated`."
         raise DeclarationError(f"{file.name} drives no joint.", remedy=remedy)
+    own = data.get("gravity", mechanism.model.gravity.linear.tolist())
     return made(
-        roles,
-        model,
-        mechanism.configuration(model),
-        loose=True,
-        urdf=mechanism.shapes,
+        given,
+        mechanism,
+        gravity=own if request.gravity is None else request.gravity,
+        loose=not (data and is_urdf(file)) or bool(mechanism.loop_joints),
         mode=request.working_mode,
         parameters=parameters,
         source=source_of(request.path),
         drive_independent=not (mechanism.drives_declared or data.get("actuated") or data.get("independent")),
-        couplings=mechanism.couplings,
-        resisted={load.joint for load in mechanism.forces}
-        | {name for name, size in mechanism.armature.items() if size},
     )
 
 
@@ -297,13 +276,13 @@ def _warn_once(text: str) -> None:
     _LOG.warning(text)
 
 
-def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] | None, dropped: bool = False) -> Robot:
+def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Argument], dropped: bool = False) -> Robot:
     """Return the robot with its reference closed and its mobility checked.
 
     Args:
         robot: with the guess as reference.
         declaration: what it was made of.
-        target: gives the reference coordinates, (1, n) or (1, 4, 4); None to close the loops by the smallest change.
+        parameters: what its expressions are in.
         dropped: redundant rows were left out though the declaration does not say `redundant_rows: true`.
     """
     system = ConstraintSystem(robot)
@@ -312,12 +291,13 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
     _require_radians(robot, declaration.reference.guess, "reference.guess")
     guess = np.array(robot.q_reference)
     columns = _columns(robot.model, declaration.reference.guess)
-    if target is None:
+    given = declaration.reference
+    if given.platform is None and given.joints is None:
         # no pose is prescribed: the nearest closed configuration of all joints is kept
         q = closed_near(robot, guess)
         gap, closed = 0.0, bool(in_working_mode(robot, q[None])[0])
     else:
-        goal = target()[0]
+        goal = reference_coordinates(robot, declaration.coordinates(parameters))[0]
         _require_radians(robot, dict(zip(robot.independent_joints, goal.tolist(), strict=False)), "reference.joints")
         prescribed = _prescribed(robot, guess, goal)
         q, gap, closed = multistart(system, guess, goal, known=columns, prescribed=prescribed)
@@ -428,7 +408,7 @@ def robot_from_model(
 ) -> Robot:
     """Return a robot as ``Robot.from_model`` says, which has its named ``arguments`` here."""
     reference, closures = arguments["reference"], arguments["closures"]
-    given, (model, at) = model, depth_first(model)
+    given, (model, at) = model, rebuilt(model)
     data: dict[str, Any] = {
         "name": arguments["name"] or str(getattr(model, "name", "")) or "robot",
         "urdf": "model",
@@ -442,7 +422,8 @@ def robot_from_model(
     near = not (reference is None or isinstance(reference, Mapping))
     start = in_order_of(model, given, at, checked(reference, "reference", (model.nq,))) if near else None
     loose = any(hasattr(each, "joint1_placement") for each in closures)
-    robot = made(data, model, start, loose=loose, urdf=urdf, mode=working_mode)
+    mechanism = Mechanism(data["name"], model, pin.neutral(model) if start is None else start, shapes=urdf)
+    robot = made(data, mechanism, loose=loose, mode=working_mode)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
     if note := too_few_motors(robot):
         _warn_once(note)
@@ -451,69 +432,80 @@ def robot_from_model(
 
 def made(
     data: Mapping[str, Any],
-    model: pin.Model,
-    start: Array | None,
+    mechanism: Mechanism,
     *,
     loose: bool,
-    urdf: str = "",
+    gravity: Sequence[float] | None = None,
     mode: Sequence[int] | None = None,
     parameters: Mapping[str, Argument] = MappingProxyType({}),
     source: str = "",
     drive_independent: bool = False,
-    couplings: Sequence[Coupling] = (),
-    resisted: Collection[str] = (),
 ) -> Robot:
-    """Return the robot of a declaration and a model that was built already.
+    """Return the robot of a declaration and a mechanism.
 
     Args:
         data: the declaration, checked here; without ``independent`` joints are chosen.
-        model: the tree, which becomes the robot's own.
-        start: (nq,) where the reference is looked for; joints of the declaration's guess go where it says.
+        mechanism: the tree, which becomes the robot's own; the reference is looked for where it starts.
         loose: leave out closure rows that are redundant.
-        urdf: what shapes are drawn from.
+        gravity: (3,) m/s²; that of the model when left out.
         mode: ±1 a leg; as declared when left out.
         parameters: of the robot.
         source: of the robot, where a file says what it is; its numbers may be rounded.
         drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
-        couplings: those of the model, beside those of the declaration.
-        resisted: joints with damping or armature.
     """
     chosen = dict(data)
     chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
-    declaration = parse(chosen, {})
-    robot = robot_of_tree(
+    declaration = parse(chosen, parameters)
+    loose = loose or declaration.redundant_rows or bool(declaration.loop_joints)
+    robot, selection = _joined(
         declaration,
-        model,
-        name=str(declaration.name),
+        mechanism,
+        gravity=gravity,
         parameters=parameters,
-        urdf=urdf,
         source=source,
         mode=mode,
-        couplings=couplings,
+        loose=loose,
+        choose=not data.get("independent"),
     )
-    if start is not None:
-        listed = _columns(model, declaration.reference.guess)
-        guess = np.array(start)
-        guess[listed] = robot.q_reference[listed]
-        robot = replace(robot, q_reference=frozen(guess))
-    notes: list[str] = []
-    loose = loose or declaration.redundant_rows
-    if loose or not data.get("independent"):
-        robot, selection, notes = _with_rows_that_count(robot, redundant=loose, rounded=bool(source), resisted=resisted)
-        if not data.get("independent"):
-            robot = replace(robot, independent_joints=selection.independent)
-            notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
+    if selection and not data.get("independent"):
+        notes = [*robot.notes, f"Independent joints, chosen: {', '.join(selection.independent)}."]
+        robot = replace(robot, independent_joints=selection.independent)
         if drive_independent:
-            columns = [find_joint(model, name).idx_v for name in selection.independent]
+            columns = [find_joint(robot.model, name).idx_v for name in selection.independent]
             driven = read_only(np.array(columns, dtype=np.intp))
             robot = replace(robot, actuated=selection.independent, actuated_velocity=driven)
             notes.append(
                 "The file does not say what is driven: taken are the independent joints; actuated=... names others."
             )
-    given = declaration.reference
-    prescribed = given.platform is not None or given.joints is not None
-    target = (lambda: reference_coordinates(robot, declaration.coordinates({}))) if prescribed else None
-    return replace(_closed(robot, declaration, target, loose), notes=tuple(notes))
+        robot = replace(robot, notes=tuple(notes))
+    return _closed(robot, declaration, parameters, loose)
+
+
+def _joined(
+    declaration: Declaration,
+    mechanism: Mechanism,
+    *,
+    gravity: Sequence[float] | None = None,
+    loose: bool = False,
+    choose: bool = False,
+    **of: Any,
+) -> tuple[Robot, Selection | None]:
+    """Return the robot, not closed yet, without redundant closure rows where ``loose``; and what was chosen."""
+    if gravity is not None:
+        mechanism.model.gravity.linear = np.array(checked(gravity, "gravity", (3,)))
+    robot = read_robot(declaration, mechanism, **of)
+    loose = loose or declaration.redundant_rows or bool(declaration.loop_joints)
+    if not (loose or choose):
+        return robot, None
+    model, resisted = robot.model, {load.joint for load in mechanism.forces}
+    turning = [index for index in range(1, model.njoints) if np.any(model.armature[span(model, index, "v")])]
+    robot, selection, notes = _with_rows_that_count(
+        robot,
+        redundant=loose,
+        rounded=bool(of.get("source")),
+        resisted=resisted | {str(model.names[index]) for index in turning},
+    )
+    return replace(robot, notes=(*robot.notes, *notes)), selection
 
 
 def _with_rows_that_count(

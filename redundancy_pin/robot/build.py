@@ -1,34 +1,19 @@
-"""Put a declaration and a URDF together into a ``Robot`` (its reference configuration still a guess)."""
+"""Put a declaration and a mechanism together into a ``Robot`` (its reference configuration still a guess)."""
 
 from __future__ import annotations
 
-import os
-import re
-import sys
-import tempfile
-import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, checked, read_only
-from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.errors import DeclarationError, InputError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
-from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.formats.urdf_tree import (
-    MOST_FREEDOMS,
-    Tree,
-    impossible_moments,
-    links_without_inertial,
-    read_tree,
-    require_same,
-)
+from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, Mechanism
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import (
@@ -39,123 +24,55 @@ from redundancy_pin.robot.lookup import (
     joint_names,
     link_names,
 )
-from redundancy_pin.robot.types import CarrierLimits, Coupling, Platform, Robot, slides
-from redundancy_pin.robot.urdf import Argument, source_of
+from redundancy_pin.robot.loop_joints import add_frames
+from redundancy_pin.robot.types import CarrierLimits, Closure, Coupling, Platform, Robot, slides
+from redundancy_pin.robot.urdf import Argument
 
 
-def build(
+def read_robot(
     declaration: Declaration,
-    path: Path,
-    urdf: str,
-    parameters: Mapping[str, Argument],
-    gravity: Sequence[float] | None,
-    working_mode: Sequence[int] | None,
+    mechanism: Mechanism,
+    *,
+    parameters: Mapping[str, Argument] = MappingProxyType({}),
+    source: str = "",
+    mode: Sequence[int] | None = None,
+    of: str = "model",
 ) -> Robot:
-    """Build the robot and check every name and role of the declaration against the URDF.
+    """Return the robot that a declaration makes of a mechanism, its names and roles checked.
 
     The reference configuration is the declared guess; it is not closed yet, and an undeclared characteristic length is
     provisional.
 
+    Args:
+        declaration: what it says counts before what the mechanism says of the same joints.
+        mechanism: the tree, which becomes the robot's own, and what its file says of it.
+        parameters: arguments of the file, with their values.
+        source: what finds the robot again.
+        mode: ±1 a leg; as declared when left out.
+        of: what the tree is called in messages.
+
     Raises:
-        ModelFileError: Pinocchio refuses the URDF, complains about it, or reads other numbers than are in it.
         DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
-        InputError: a gravity or working mode of the wrong form.
+        InputError: a working mode of the wrong form.
     """
+    model = mechanism.model
     _require_closed_form(declaration, parameters)
-    tree = read_tree(urdf, path.parent / declaration.urdf)
-    model, couplings, start = built(tree, urdf, path.parent / declaration.urdf), tree.couplings, None
-    kinds = declaration.joint_types
-    massless = links_without_inertial(tree, kinds)
-    if kinds or _turns_count(tree, (*couplings, *declaration.coupled)):
-        mechanism = tree_mechanism(tree, path.parent.name, kinds=kinds, closures=(), actuated=(), shapes=urdf)
-        model, couplings = mechanism.model(declaration.urdf), mechanism.couplings
-        start = mechanism.configuration(model)
-        replaced = set(kinds) | {joint.name for joint in tree.joints if joint.kind in ("planar", "floating")}
-        tree = replace(tree, joints=tuple(joint for joint in tree.joints if joint.name not in replaced))
-    model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
-    name = path.parent.name if declaration.name is None else str(declaration.name)
-    robot = robot_of_tree(
-        declaration,
-        model,
-        name=name,
-        parameters=parameters,
-        urdf=urdf,
-        source=source_of(path),
-        mode=working_mode,
-        of="URDF",
-        couplings=couplings,
-        start=start,
-    )
-    frictions, notes = _frictions(declaration, tree)
-    notes += (*massless, *impossible_moments(tree.links.values()))
-    return replace(robot.loaded(*frictions), notes=notes) if frictions or notes else robot
-
-
-def _turns_count(tree: Tree, couplings: Sequence[Coupling]) -> bool:
-    """Return whether continuous joints are coupled: Pinocchio has cosine and sine of them, which forget the turns."""
-    endless = {joint.name for joint in tree.joints if joint.kind == "continuous"}
-    return any({each.joint, each.of} & endless for each in couplings)
-
-
-def model_of(tree: Tree, urdf: str, path: Path) -> pin.Model:
-    """Return the model of a URDF by itself, as a declaration that replaces none of its joints has it."""
-    model = built(tree, urdf, path)
-    if not _turns_count(tree, tree.couplings):
-        return model
-    return tree_mechanism(tree, path.stem, kinds={}, closures=(), actuated=()).model(str(path))
-
-
-def _frictions(declaration: Declaration, tree: Tree) -> tuple[list[JointForces], tuple[str, ...]]:
-    """Return what the URDF says of friction in joints, but for joints that the declaration speaks of; and notes."""
-    with_friction = [joint for joint in tree.joints if joint.dynamics and joint.kind != "fixed"]
-    if with_friction and not declaration.urdf_dynamics:
-        names = ", ".join(joint.name for joint in with_friction)
-        return [], (f"Friction of the URDF is not in force (urdf_dynamics: false): {names}.",)
-    declared = {entry.joint for entry in declaration.joint_forces}
-    single = [joint for joint in with_friction if joint.kind not in ("planar", "floating")]
-    notes = tuple(
-        f"Friction of the {joint.kind} joint {joint.name} is not in force: it has several freedoms."
-        for joint in with_friction
-        if joint not in single
-    )
-    return [JointForces(joint.name, **joint.dynamics) for joint in single if joint.name not in declared], notes
-
-
-def robot_of_tree(
-    declaration: Declaration,
-    model: pin.Model,
-    *,
-    name: str,
-    parameters: Mapping[str, Argument] = MappingProxyType({}),
-    urdf: str = "",
-    source: str = "",
-    mode: Sequence[int] | None = None,
-    of: str = "model",
-    couplings: Sequence[Coupling] = (),
-    start: Array | None = None,
-) -> Robot:
-    """Return the robot that a declaration makes of a Pinocchio tree, its names and roles checked.
-
-    Of the ``couplings`` of the model those count whose joints the declaration does not mention. ``start`` (nq,) is
-    where joints are that the declaration's guess does not name; neutral when left out.
-
-    Raises:
-        DeclarationError, InputError: as ``build``.
-    """
+    add_frames(model, (*mechanism.loop_joints, *declaration.loop_joints))
+    closures = (*(joint.closure() for joint in mechanism.loop_joints), *declaration.loops)
     entries = tuple(entry for entry in declaration.carriers if entry.when)
     carriers = tuple(entry.joint for entry in entries)
     own = {each.joint for each in declaration.coupled}
-    coupled = (*declaration.coupled, *(each for each in couplings if each.joint not in own))
-    _check_roles(declaration, carriers, model, of)
-    _check_couplings(coupled, declaration, carriers, model, of)
-    guess = _guess(model, declaration.reference.guess, start)
+    couplings = (*declaration.coupled, *(each for each in mechanism.couplings if each.joint not in own))
+    _check_roles(declaration, closures, carriers, model, of)
+    _check_couplings(couplings, declaration, carriers, model, of)
+    guess = _guess(model, declaration.reference.guess, mechanism.start)
     robot = Robot(
-        name=name,
+        name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
-        urdf=urdf,
+        urdf=mechanism.shapes,
         model=model,
-        closures=declaration.loops,
-        couplings=coupled,
+        closures=closures,
+        couplings=couplings,
         platform=with_pointer(declaration.platform, model, guess),
         independent_joints=declaration.independent.joints,
         actuated=declaration.actuated,
@@ -174,72 +91,21 @@ def robot_of_tree(
         source=source,
     )
     _check_carriers_carry(robot)
+    forces, notes = _forces(declaration, mechanism)
     try:
-        return robot.loaded(*declaration.loads) if declaration.loads else robot
+        loaded = robot.loaded(*declaration.loads, *forces)
     except InputError as error:  # of a name; the declaration is where to correct it
         raise DeclarationError(error.message, remedy=error.remedy, **error.details) from error
+    return replace(loaded, notes=(*notes, *mechanism.notes))
 
 
-def built(tree: Tree, urdf: str, path: Path) -> pin.Model:
-    """Return Pinocchio's model of a URDF, which is what the file says."""
-    with complaints_of_urdfdom() as complaints:
-        try:
-            model = pin.buildModelFromXML(urdf)
-        except (ValueError, RuntimeError) as error:
-            complaints.append(str(error))
-    if any(not _OF_PICTURES.match(complaint) for complaint in complaints):
-        text = " ".join(f"{complaint.rstrip('.')}." for complaint in complaints)
-        named = {(kind.lower(), name) for kind, name in re.findall(r"\b(Link|joint) +\[(.*?)\]", text, re.IGNORECASE)}
-        lines = sorted(tree.lines[each] for each in named if each in tree.lines)
-        raise ModelFileError(
-            f"Pinocchio cannot read the URDF {path}: {text}",
-            remedy=f"Correct the {'element in line ' + str(lines[0]) if lines else 'file'}.",
-            path=str(path),
-            lines=tuple(lines),
-        )
-    require_same(tree, model, path)
-    return model
-
-
-@contextmanager
-def complaints_of_urdfdom() -> Iterator[list[str]]:
-    """Give the list that urdfdom's complaints are put into; it writes them to the error stream and goes on.
-
-    What others write there meanwhile reaches it afterwards.
-    """
-    complaints: list[str] = []
-    with _ERROR_STREAM, tempfile.TemporaryFile() as written:
-        try:
-            stream = os.dup(2)
-        except OSError:  # a process without an error stream
-            yield complaints
-            return
-        try:
-            os.dup2(written.fileno(), 2)
-            try:
-                yield complaints
-            finally:
-                os.dup2(stream, 2)
-        finally:
-            os.close(stream)
-        written.seek(0)
-        text = written.read().decode("utf-8", "replace")
-    complaints[:0] = [" ".join(match[1].split()) for match in _COMPLAINT.finditer(text)]
-    rest = _COMPLAINT.sub("", text)
-    if rest:
-        sys.stderr.write(rest)
-
-
-_ERROR_STREAM = threading.Lock()
-"""There is one error stream in a process."""
-
-_COMPLAINT = re.compile(
-    r"^(?:Error|Warning):\s+(.*?)\n\s+at line \d+ in \S*\.(?:cpp|h|hpp)\n?", re.MULTILINE | re.DOTALL
-)
-"""What console_bridge writes for urdfdom."""
-
-_OF_PICTURES = re.compile(r"Could not parse (visual|collision) element for Link ")
-"""Alone: a shape that urdfdom does not know, such as a capsule. After another complaint: a known one with a mistake."""
+def _forces(declaration: Declaration, mechanism: Mechanism) -> tuple[list[JointForces], tuple[str, ...]]:
+    """Return what the file says of friction and springs, but for joints that the declaration speaks of; and notes."""
+    if mechanism.forces and not declaration.urdf_dynamics:
+        names = ", ".join(load.joint for load in mechanism.forces)
+        return [], (f"Friction and springs of the file are not in force (urdf_dynamics: false): {names}.",)
+    declared = {entry.joint for entry in declaration.joint_forces}
+    return [load for load in mechanism.forces if load.joint not in declared], ()
 
 
 def _require_closed_form(declaration: Declaration, parameters: Mapping[str, Argument]) -> None:
@@ -283,8 +149,10 @@ def _require_name(name: str, known: Sequence[str], what: str, of: str) -> None:
         raise _refused(name, f"The {of} has no {what} {name!r}.", remedy)
 
 
-def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.Model, of: str) -> None:
-    count = len(declaration.closures)
+def _check_roles(
+    declaration: Declaration, closures: Sequence[Closure], carriers: Sequence[str], model: pin.Model, of: str
+) -> None:
+    count = len(closures)
     if count > MOST_FREEDOMS:  # each of them takes a freedom at least
         raise DeclarationError(
             f"The {of} has {count} closures, more than the {MOST_FREEDOMS} freedoms that one may have.",
@@ -305,7 +173,7 @@ def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.M
     if twice:
         remedy = "A carrier is neither a main actuator nor independent, and is listed once."
         raise _refused(twice[0], f"Joint {twice[0]!r} is declared in two roles.", remedy)
-    for closure in declaration.loops:
+    for closure in closures:
         for name in (closure.frame_a, closure.frame_b):
             _require_name(name, links, "link", of)
         if _body_of(model, closure.frame_a) == _body_of(model, closure.frame_b):

@@ -8,17 +8,27 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, RootModel, ValidationInfo, field_validator
+import pinocchio as pin
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    RootModel,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
-from redundancy_pin.arrays import LARGEST
+from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.io.reading import read_text
 from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, validated
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
 from redundancy_pin.robot.formats.expressions import MATHEMATICS, Budget, evaluate
-from redundancy_pin.robot.formats.urdf_mechanism import KINDS
+from redundancy_pin.robot.formats.urdf import KINDS
 from redundancy_pin.robot.formats.xml_files import FORMATS, format_of
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
+from redundancy_pin.robot.loop_joints import LoopJoint, placed, turned_to
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform, WorkingModes
 from redundancy_pin.robot.urdf import Argument
 
@@ -105,12 +115,91 @@ Signs = Annotated[tuple[Literal[1, -1], ...], Field(description="a list of 1 and
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
+Pair = Annotated[
+    tuple[str, str], Field(description="the names of two different links"), AfterValidator(_without_repetitions)
+]
+Points = Annotated[tuple[Triple, Triple], Field(description="two lists of 3 numbers")]
+Direction = Literal["x", "y", "z"] | Triple
+
+
 class ClosureEntry(Schema):
-    """A loop closure: two links, and the axes of the first along which they coincide."""
+    """What closes a loop: a joint between points of two links, or two frames and the axes along which they coincide.
+
+    A joint is named by its kind: ``{hinge: [rod, rocker], at: [[0.2, 0, 0], [0.15, 0, 0]], axis: z}``. Its frame is at
+    a point of each link, turned by ``rpy``; its axis is read in that frame, one for both or one in each.
+    """
 
     name: str | None = None
-    frames: Annotated[Names, Field(min_length=2, max_length=2, description="two different frames")]
-    axes: Axes
+    frames: Pair | None = Field(None, description="two different frames")
+    axes: Axes = ()
+    hinge: Pair | None = None
+    slider: Pair | None = None
+    cylinder: Pair | None = None
+    ball: Pair | None = None
+    universal: Pair | None = None
+    weld: Pair | None = None
+    rod: Pair | None = None
+    at: Points = (_ORIGIN, _ORIGIN)
+    rpy: Points = (_ORIGIN, _ORIGIN)
+    axis: Direction | tuple[Direction, Direction] | None = Field(
+        None, description="x, y, z or a list of 3 numbers, or one of these for each link"
+    )
+    length: Limit = None
+
+    @model_validator(mode="after")
+    def _has_what_its_kind_takes(self) -> ClosureEntry:
+        kinds = [kind for kind in _TAKES if getattr(self, kind)]
+        if len(kinds) != 1:
+            raise ValueError(f"a mapping with one of {', '.join(_TAKES)}")
+        needed, more = _TAKES[kinds[0]]
+        given = self.model_fields_set - {"name", *kinds}
+        if not set(needed) <= given <= {*needed, *more}:
+            left_out = f"; {', '.join(more)} may be left out" if more else ""
+            raise ValueError(f"a mapping with {', '.join((*kinds, *needed, *more))}{left_out}")
+        if any(not np.any(direction) for direction in self._directions()):
+            raise ValueError("a mapping with an axis that is not zero")
+        return self
+
+    def _directions(self) -> tuple[Array, Array]:
+        """Return the axis of the joint in each of its frames."""
+        axis = "z" if self.axis is None else self.axis
+        pair = axis if isinstance(axis, tuple) and len(axis) == 2 else (axis, axis)
+        one, other = (np.eye(3)["xyz".index(each)] if isinstance(each, str) else np.array(each) for each in pair)
+        return one, other
+
+    def joint(self) -> LoopJoint | None:
+        """Return the joint; None where frames and axes are given."""
+        kind = next(kind for kind in _TAKES if getattr(self, kind))
+        if kind == "frames":
+            return None
+        links = getattr(self, kind)
+        columns = (1, 0) if kind == "universal" else (2, 2)
+        places = []
+        for point, rpy, axis, column in zip(self.at, self.rpy, self._directions(), columns, strict=True):
+            turn = pin.rpy.rpyToMatrix(*rpy)
+            places.append(placed(turn if kind in ("ball", "weld", "rod") else turn @ turned_to(axis, column), point))
+        name = self.name or f"{kind} {' = '.join(links)}"
+        return LoopJoint(name, kind, links, (places[0], places[1]), self.length or 0.0)
+
+    def closure(self) -> Closure:
+        """Return the closure, with a name."""
+        if joint := self.joint():
+            return joint.closure()
+        one, other = self.frames or ("", "")
+        return Closure(self.name or f"{one} = {other}", one, other, self.axes)
+
+
+_TAKES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "frames": (("axes",), ()),
+    "hinge": ((), ("at", "axis", "rpy")),
+    "slider": ((), ("at", "axis", "rpy")),
+    "cylinder": ((), ("at", "axis", "rpy")),
+    "ball": ((), ("at",)),
+    "universal": (("axis",), ("at", "rpy")),
+    "weld": ((), ("at", "rpy")),
+    "rod": (("length",), ("at",)),
+}
+"""Keys beside a kind: those that it needs, and those that may be left out."""
 
 
 class CouplingEntry(Schema):
@@ -290,7 +379,12 @@ class Declaration(Schema):
     @property
     def loops(self) -> tuple[Closure, ...]:
         """The closures, each with a name."""
-        return tuple(Closure(c.name or " = ".join(c.frames), c.frames[0], c.frames[1], c.axes) for c in self.closures)
+        return tuple(entry.closure() for entry in self.closures)
+
+    @property
+    def loop_joints(self) -> tuple[LoopJoint, ...]:
+        """The closures that are joints, whose frames a model has to get (``loop_joints.add_frames``)."""
+        return tuple(joint for entry in self.closures if (joint := entry.joint()))
 
     @property
     def coupled(self) -> tuple[Coupling, ...]:

@@ -11,62 +11,19 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.robot.lookup import find_joint_frame, has_link
+from redundancy_pin.robot.rebuild import span
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform
 
 _NO_MOMENT = 1e-12
 """kg·m²: rounding of moments of inertia."""
 
-_OF_VELOCITIES = ("armature", "rotorInertia", "rotorGearRatio")
-_OF_LIMITS = tuple(f"{bound}{what}Limit" for bound in ("lower", "upper") for what in ("Position", "Velocity", "Effort"))
-
-
-def depth_first(model: pin.Model) -> tuple[pin.Model, list[int]]:
-    """Return a model whose joints are followed by what they carry, and its index of each joint of the given one.
-
-    Pinocchio's mass matrix is wrong for another order.
-
-    Raises:
-        InputError: no Pinocchio model.
-    """
-    if not isinstance(model, pin.Model):
-        raise InputError(f"The model is {shown(model)}.", remedy="Pass a pinocchio.Model (pin.buildModelFromUrdf).")
-    order: list[int] = []
-    waiting = [index for index in range(model.njoints - 1, 0, -1) if model.parents[index] == 0]
-    while waiting:
-        order.append(index := waiting.pop())
-        waiting += [each for each in range(model.njoints - 1, 0, -1) if model.parents[each] == index]
-    if order == sorted(order):
-        return pin.Model(model), list(range(model.njoints))
-    new, at = pin.Model(), [0] * model.njoints
-    new.name, new.gravity = model.name, model.gravity
-    new.inertias[0] = model.inertias[0]
-    for index in order:
-        placement, name = model.jointPlacements[index], str(model.names[index])
-        at[index] = new.addJoint(at[model.parents[index]], model.joints[index], placement, name)
-        new.inertias[at[index]] = model.inertias[index]
-    for attribute in (*_OF_VELOCITIES, *_OF_LIMITS):
-        values, kind = getattr(new, attribute), "q" if "Position" in attribute else "v"
-        for index in order:
-            values[_span(new, at[index], kind)] = getattr(model, attribute)[_span(model, index, kind)]
-        setattr(new, attribute, values)
-    for frame in list(model.frames)[1:]:
-        joint = at[frame.parentJoint]
-        new.addFrame(pin.Frame(frame.name, joint, frame.parentFrame, frame.placement, frame.type), False)
-    return new, at
-
 
 def in_order_of(model: pin.Model, given: pin.Model, at: list[int], q: Array) -> Array:
-    """Return a configuration (nq,) of a model in the order of the one that ``depth_first`` made of it."""
+    """Return a configuration (nq,) of a model in the order of the one that ``rebuilt`` made of it."""
     result = np.empty(model.nq)
     for index in range(1, given.njoints):
-        result[_span(model, at[index], "q")] = q[_span(given, index, "q")]
+        result[span(model, at[index], "q")] = q[span(given, index, "q")]
     return result
-
-
-def _span(model: pin.Model, index: int, kind: str) -> slice:
-    joint = model.joints[index]
-    first, count = (joint.idx_q, joint.nq) if kind == "q" else (joint.idx_v, joint.nv)
-    return slice(int(first), int(first + count))
 
 
 def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> dict[str, Any]:

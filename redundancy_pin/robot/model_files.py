@@ -1,4 +1,4 @@
-"""Files that describe a whole mechanism, loops and motors too: which there are, and how they are read."""
+"""Files of mechanisms: URDF and xacro, MJCF, SDF, and the robot.yaml of example-parallel-robots."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.formats.parallel_yaml import is_parallel_yaml, read_parallel_yaml
 from redundancy_pin.robot.formats.sdf import read_sdf
+from redundancy_pin.robot.formats.urdf import read_urdf, urdf_mechanism
 from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_model
-from redundancy_pin.robot.urdf import Argument
+from redundancy_pin.robot.urdf import Argument, render
 
+_URDF = (".urdf", ".xacro")
 _SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", ".yaml", ".yml")
 _PARALLEL = "a robot.yaml of example-parallel-robots"
 _READERS: Mapping[str, Callable[..., Mechanism]] = {
@@ -29,9 +31,14 @@ _ARGUMENTS: Mapping[str, Mapping[str, Argument]] = {
 """Such files by what they are, and the arguments that they have in place of those of a xacro file."""
 
 
+def is_urdf(path: Path) -> bool:
+    """Return whether a file is a URDF or xacro, by its name."""
+    return path.suffix.lower() in _URDF
+
+
 def is_model_file(path: Path) -> bool:
-    """Return whether a file is one of those that need no declaration: by its name, and by its top element."""
-    return path.suffix.lower() in _SUFFIXES and is_file(path) and _format(path) in _ARGUMENTS
+    """Return whether a file describes a mechanism and needs no declaration: by its name, and by its top element."""
+    return is_file(path) and (is_urdf(path) or (path.suffix.lower() in _SUFFIXES and _format(path) in _ARGUMENTS))
 
 
 def _format(path: Path) -> str:
@@ -42,28 +49,45 @@ def _format(path: Path) -> str:
 
 
 def defaults_of(path: Path) -> Mapping[str, Argument]:
-    """Return the arguments of a model file, and their values when left out."""
+    """Return the arguments of a model file that is no URDF, and their values when left out."""
     return _ARGUMENTS[_format(path)]
 
 
-def read_mechanism(path: Path, arguments: Mapping[str, object]) -> tuple[Mechanism, dict[str, Argument]]:
-    """Read a model file; return what it describes, and the arguments with their values.
+Reader = Callable[[Mapping[str, str]], Mechanism]
+"""Reads a file, given the kinds that replace those of some of its joints."""
+
+
+def open_model(
+    path: Path, arguments: Mapping[str, object], *, trust: bool = False
+) -> tuple[dict[str, Argument], Reader]:
+    """Return the arguments of a model file with their values, and what reads its mechanism.
 
     Args:
         path: the file.
-        arguments: ``base``: "free", or "fixed" to hold a free body where it starts; of MJCF ``keyframe``, the name of
-            the one that the mechanism starts from; of SDF ``actuated``, names of driven joints with commas between.
+        arguments: of a xacro file its own; of others ``base``: "free", or "fixed" to hold a free body where it starts;
+            of MJCF ``keyframe``, the name of the one that the mechanism starts from; of SDF ``actuated``, names of
+            driven joints with commas between.
+        trust: let xacro evaluate its expressions as Python.
 
     Raises:
         ModelFileError: a file that cannot be read, or says what is not covered.
         InputError: another argument, or another value.
     """
+    if is_urdf(path):
+        text, values = render(path, arguments, trust=trust)
+        return values, lambda kinds: urdf_mechanism(read_urdf(text, path), path.stem.partition(".")[0], kinds=kinds)
     defaults = defaults_of(path)
     for name in arguments:
         if name not in defaults:
             remedy = f"{did_you_mean(name, defaults)}Its arguments: {', '.join(defaults)}."
             raise InputError(f"{path.name} has no argument {name!r}.", remedy=remedy, argument=name)
-    values = {name: str(arguments.get(name, default)) for name, default in defaults.items()}
-    if values["base"] not in ("free", "fixed"):
-        raise InputError(f"The argument 'base' is {shown(values['base'])}.", remedy="It must be free or fixed.")
-    return _READERS[_format(path)](path, **values), dict(values)
+    given = {name: str(arguments.get(name, default)) for name, default in defaults.items()}
+    if given["base"] not in ("free", "fixed"):
+        raise InputError(f"The argument 'base' is {shown(given['base'])}.", remedy="It must be free or fixed.")
+
+    def read(kinds: Mapping[str, str]) -> Mechanism:
+        if kinds:
+            raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
+        return _READERS[_format(path)](path, **given)
+
+    return dict(given), read

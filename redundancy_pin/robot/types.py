@@ -33,13 +33,16 @@ class Closure:
         name: what to call it in messages.
         frame_a, frame_b: names of the two frames (URDF links).
         axes: the constrained axes, a subset of ``AXES``, read in frame a. A planar pin joint is
-            ``("x", "y")``, a hinge about z ``("x", "y", "z", "rx", "ry")``, a ball joint ``("x", "y", "z")``.
+            ``("x", "y")``, a hinge about z ``("x", "y", "z", "rx", "ry")``, a ball joint ``("x", "y", "z")``;
+            ``("distance",)`` is a rod that weighs nothing, between balls at the origins of both frames.
+        length: m, of a rod.
     """
 
     name: str
     frame_a: str
     frame_b: str
     axes: tuple[str, ...]
+    length: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,12 +54,14 @@ class Coupling:
         joint: the joint whose position q follows; of one freedom, revolute or prismatic.
         of: the joint whose position p is followed; empty for a joint that is held at a place.
         polynomial: (c₀, c₁, …) in q = c₀ + c₁ p + c₂ p² + …, rad and m; of one number where ``of`` is empty.
+        also: further joints and the factors by which their positions are added.
     """
 
     name: str
     joint: str
     of: str
     polynomial: tuple[float, ...]
+    also: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)

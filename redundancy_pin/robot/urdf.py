@@ -12,7 +12,6 @@ from pathlib import Path, PurePosixPath
 from redundancy_pin.arrays import decimal
 from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
-from redundancy_pin.robot.formats.urdf_tree import read_tree
 from redundancy_pin.robot.formats.xacro_engine import expand, is_within, own_folders
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES, parsed, read_model
 
@@ -227,8 +226,7 @@ def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) 
         trust: let xacro evaluate its expressions as Python, with all that Python can do.
 
     Raises:
-        ModelFileError: missing file, broken XML, a xacro expression that fails or that models may not use, or a URDF
-            that is none (``read_tree``).
+        ModelFileError: missing file, broken XML, a xacro expression that fails or that models may not use.
     """
     if path.suffix == ".xacro":
         parsed(path)
@@ -242,7 +240,6 @@ def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) 
         parameters = {name: from_text(value) for name, value in resolved}
     else:
         urdf, parameters = read_model(path), {}
-        read_tree(urdf, path)
     return urdf, parameters
 
 
@@ -250,5 +247,4 @@ def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) 
 def _expanded(path: Path, given: tuple[tuple[str, str], ...], trust: bool) -> tuple[str, tuple[tuple[str, str], ...]]:
     """Return the URDF of a xacro file, checked, and its arguments."""
     urdf, resolved = expand(path, dict(given), trust=trust)
-    read_tree(urdf, path)
     return urdf, tuple(resolved.items())

@@ -13,7 +13,8 @@ from zoo import robot_of
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
 from redundancy_pin.robot import Closure, Platform
-from redundancy_pin.robot.from_model import depth_first, in_order_of
+from redundancy_pin.robot.from_model import in_order_of
+from redundancy_pin.robot.rebuild import rebuilt
 
 SIDE = 0.4
 
@@ -239,7 +240,7 @@ def test_joints_of_several_numbers_keep_theirs_in_another_order():
         model.appendBodyToJoint(model.addJoint(parent, kind, pin.SE3.Identity(), name), body, pin.SE3.Identity())
     model.armature, model.upperPositionLimit = np.arange(6.0), np.arange(8.0)
     model.lowerEffortLimit, model.upperEffortLimit = -np.arange(6.0) - 1.0, np.arange(6.0) + 2.0
-    own, at = depth_first(model)
+    own, at = rebuilt(model)
     assert list(own.names)[1:] == ["ball", "slide", "wheel", "knob"]
     assert at == [0, 1, 3, 2, 4]
     # numbers 0 to 3 of the ball, 4 and 5 of the wheel, 6 of the slide, 7 of the knob

@@ -19,11 +19,12 @@ from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
 from redundancy_pin.dynamics.compiled.parameters import motion_subspaces, numbers_of, places_of
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.robot import Payload, Robot
-from redundancy_pin.robot.build import build
+from redundancy_pin.robot.build import read_robot
 from redundancy_pin.robot.declaration import parse, read_declaration
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.lookup import find_link, has_link
-from redundancy_pin.robot.urdf import declaration_path, render
+from redundancy_pin.robot.model_files import open_model
+from redundancy_pin.robot.urdf import declaration_path
 
 _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and
@@ -215,9 +216,10 @@ def _reloaded(robot: Robot, name: str, value: float, trust: bool) -> Robot:
     path = declaration_path(robot.source)
     file = read_declaration(path)
     with file.naming():
-        source = path.parent / file.data["urdf"]
-        urdf, parameters = render(source, {**robot.parameters, name: value}, trust=trust)
-        other = build(parse(file.data, parameters), path, urdf, parameters, None, None)
+        arguments = {**robot.parameters, name: value}
+        parameters, read = open_model(path.parent / file.data["urdf"], arguments, trust=trust)
+        declaration = parse({"reference": {}, **file.data}, parameters)
+        other = read_robot(declaration, read(declaration.joint_types), parameters=parameters)
     if not _alike(robot, other):
         raise UnsupportedRobotError(
             f"The parameter {name!r} changes the joints of {robot.name}, their axes or their number (at {value:g}).",

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
-from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, MOST_LINKS, JointEntry, LinkEntry
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.lookup import find_joint, find_joint_index
+from redundancy_pin.robot.loop_joints import ROWS, LoopJoint
+from redundancy_pin.robot.rebuild import joint_along, rebuilt, span
 from redundancy_pin.robot.types import AXES, Closure, Coupling
 
-_ALIGNED = {
-    "revolute": (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned),
-    "prismatic": (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned),
-}
-FREEDOMS = {"fixed": 0, "revolute": 1, "prismatic": 1, "ball": 3}
-"""Kinds of joints, and the freedoms of each; what has others is made of these."""
+MOST_LINKS = 2000
+"""Links of a robot: urdfdom looks each up among all."""
+
+MOST_FREEDOMS = 120
+"""Joint velocities. Pinocchio's data grow with their cube: 0.1 GB with 100 of them, 1.6 GB with 300."""
+
+TRIANGLE_TOLERANCE = 1e-6
+"""A moment of inertia may exceed the sum of the other two by this fraction: files carry six digits."""
+
+NO_MOMENT = 1e-12
+"""kg·m². Less is zero: exporters leave products of 1e-35 beside moments of nothing, as for iCub's head."""
 
 NOT_IN_FORCE = "Not in force, though the file says it:"
 """How the note begins that names forces which are left out."""
@@ -29,142 +36,216 @@ NOT_IN_FORCE = "Not in force, though the file says it:"
 UNLIMITED = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mechanism:
     """What a file describes.
 
     Attributes:
         name: of the model.
-        links: the bodies and frames by name, the first of them the world.
-        joints: each after those that carry it.
-        closures: what closes the loops.
+        model: the tree; every link is a frame of it. Its gravity, limits and rotors' inertias are in force.
+        start: (nq,) the configuration that the file starts from.
+        loop_joints: what closes the loops.
         couplings: joints that follow others.
-        actuated: names of the joints that are driven.
-        gravity: (3,) m/s².
-        start: positions of joints at the file's own configuration, rad or m; (4,) of a ball, x, y, z, w.
+        actuated: names of the joints that are driven, or may be.
+        drives_declared: whether the file says what is driven.
         forces: friction and springs in joints of one freedom, in force.
-        armature: inertia of rotors by joint, kg·m² or kg, in force.
         notes: what is not in force though the file says it, and what is taken in one of several ways.
-        driven_is_said: whether the file says what is driven; else ``actuated`` are joints that may be.
-        shapes: a URDF with the shapes of the bodies, for drawing only.
+        shapes: a URDF with the shapes of the bodies, for drawing.
     """
 
     name: str
-    links: Mapping[str, LinkEntry]
-    joints: tuple[JointEntry, ...]
-    closures: tuple[Closure, ...]
-    actuated: tuple[str, ...]
-    gravity: Array
-    start: Mapping[str, float | Array] = field(default_factory=dict)
-    armature: Mapping[str, float] = field(default_factory=dict)
+    model: pin.Model
+    start: Array
+    loop_joints: tuple[LoopJoint, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    actuated: tuple[str, ...] = ()
+    drives_declared: bool = True
     forces: tuple[JointForces, ...] = ()
     notes: tuple[str, ...] = ()
     shapes: str = ""
-    drives_declared: bool = True
-    couplings: tuple[Coupling, ...] = ()
 
-    def model(self, path: str) -> pin.Model:
-        """Return Pinocchio's model, its joints depth first; every link is a frame of it.
+    def with_joints(
+        self, replaced: Mapping[str, Sequence[tuple[str, pin.JointModel]]], start: Mapping[str, float] | None = None
+    ) -> Mechanism:
+        """Return the mechanism with other joints in place of some; see ``rebuild.rebuilt``.
 
-        Raises:
-            ModelFileError: more links or freedoms than a model may have.
+        Args:
+            replaced: by joint, what stands for it.
+            start: positions of joints of one freedom that are new, rad or m; 0 where it is left out.
         """
-        freedoms = sum(FREEDOMS[joint.kind] for joint in self.joints)
-        for count, most, what in ((freedoms, MOST_FREEDOMS, "freedoms"), (len(self.links), MOST_LINKS, "bodies")):
-            if count > most:
-                raise ModelFileError(
-                    f"{path}: the model has {count} {what}, more than the {most} that one may have.",
-                    remedy="Take out what is no part of the mechanism.",
-                    path=path,
-                )
-        model = pin.Model()
-        model.name = self.name
-        model.gravity.linear = self.gravity
-        root = next(iter(self.links))
-        places = {root: (0, pin.SE3.Identity())}
-        model.addBodyFrame(root, 0, pin.SE3.Identity(), 0)
-        for joint in self._depth_first():
-            carrier, place = places[joint.parent]
-            place = place * pin.SE3(joint.placement)
-            if joint.kind != "fixed":
-                carrier, place = _added(model, joint, carrier, place), pin.SE3.Identity()
-                columns = model.joints[carrier]
-                rotor = self.armature.get(joint.name, 0.0)
-                armature = model.armature
-                armature[columns.idx_v : columns.idx_v + columns.nv] = rotor
-                model.armature = armature
-            places[joint.child] = carrier, place
-            link = self.links[joint.child]
-            if link.mass or link.inertia.any():
-                model.appendBodyToJoint(carrier, pin.Inertia(link.mass, link.centre, link.inertia), place)
-            model.addBodyFrame(joint.child, carrier, place, 0)
-        return model
-
-    def _depth_first(self) -> Iterator[JointEntry]:
-        """Give the joints so that what a joint carries follows it: Pinocchio's mass matrix is wrong otherwise."""
-        above: dict[str, list[JointEntry]] = {}
-        for joint in reversed(self.joints):
-            above.setdefault(joint.parent, []).append(joint)
-        waiting = above.get(next(iter(self.links)), [])
-        while waiting:
-            joint = waiting.pop()
-            yield joint
-            waiting += above.get(joint.child, [])
+        model, at = rebuilt(self.model, replaced)
+        q = pin.neutral(model)
+        for index in range(1, self.model.njoints):
+            if str(self.model.names[index]) not in replaced:
+                q[span(model, at[index], "q")] = self.start[span(self.model, index, "q")]
+        for name, value in (start or {}).items():
+            q[find_joint(model, name).idx_q] = value
+        forces = tuple(load for load in self.forces if load.joint not in replaced)
+        return replace(self, model=model, start=q, forces=forces)
 
     def with_hinges(self, names: Sequence[str]) -> Mechanism:
         """Return the mechanism with three hinges (yaw, pitch, roll) in place of each of some ball joints."""
-        joints: list[JointEntry] = []
-        links, start = dict(self.links), {name: value for name, value in self.start.items() if name not in names}
-        for joint in self.joints:
-            if joint.name not in names:
-                joints.append(joint)
-                continue
-            parent, placement = joint.parent, joint.placement
-            turn = pin.Quaternion(np.asarray(self.start.get(joint.name, (0.0, 0.0, 0.0, 1.0)))).toRotationMatrix()
-            for axis, angle in zip("zyx", angles(turn), strict=True):
-                name = f"{joint.name}_r{axis}"
-                child = joint.child if axis == "x" else f"{name}::link"
-                links.setdefault(child, LinkEntry(child, 0.0, np.zeros(3), np.zeros((3, 3))))
-                direction = np.eye(3)["xyz".index(axis)]
-                joints.append(JointEntry(name, "revolute", parent, child, placement, direction, UNLIMITED))
-                parent, placement, start[name] = child, np.eye(4), angle
-        armature = {name: value for name, value in self.armature.items() if not (value and name in names)}
-        if len(armature) < len(self.armature):
-            raise ModelFileError(
-                f"A ball joint of {self.name} that moves freely has an armature, which is not covered.",
-                remedy="Make it of three hinges.",
-            )
+        start: dict[str, float] = {}
+        for name in names:
+            index = find_joint_index(self.model, name)
+            if np.any(self.model.armature[span(self.model, index, "v")]):
+                raise ModelFileError(
+                    f"A ball joint of {self.name} that moves freely has an armature, which is not covered.",
+                    remedy="Make it of three hinges.",
+                )
+            turn = pin.Quaternion(np.array(self.start[span(self.model, index, "q")])).toRotationMatrix()
+            start |= zip((f"{name}_r{axis}" for axis in "zyx"), angles(turn), strict=True)
         damped = [load.joint for load in self.forces if load.joint in names]
         left_out = (f"{NOT_IN_FORCE} damping of {', '.join(damped)}.",) if damped else ()
-        forces = tuple(load for load in self.forces if load.joint not in names)
         note = f"Ball joints that move freely are three hinges each (singular at a pitch of 90°): {', '.join(names)}."
-        return replace(
-            self,
-            links=links,
-            joints=tuple(joints),
-            start=start,
-            armature=armature,
-            forces=forces,
-            notes=(*self.notes, *left_out, note),
-        )
+        made = self.with_joints({name: in_a_row(name, ("rz", "ry", "rx")) for name in names}, start)
+        return replace(made, notes=(*self.notes, *left_out, note))
 
-    def configuration(self, model: pin.Model) -> Array:
-        """Return (nq,) the configuration that the file starts from."""
-        q: Array = pin.neutral(model)
-        for name, value in self.start.items():
-            joint = find_joint(model, name)
-            q[joint.idx_q : joint.idx_q + joint.nq] = value
-        return q
+
+def in_a_row(name: str, axes: Sequence[str]) -> list[tuple[str, pin.JointModel]]:
+    """Return slides ("x") and hinges ("rx") along axes of a joint's frame, named after that joint."""
+    return [
+        (f"{name}_{axis}", joint_along("revolute" if len(axis) == 2 else "prismatic", np.eye(3)["xyz".index(axis[-1])]))
+        for axis in axes
+    ]
+
+
+# --- trees that a reader puts together by itself ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LinkEntry:
+    """A link of a file.
+
+    Attributes:
+        name: its name.
+        mass: kg.
+        centre: (3,) centre of mass in the frame of the link, m.
+        inertia: (3, 3) about the centre of mass, in the axes of the link, kg·m².
+        has_inertial: whether the file states mass and inertia; what it does not state is zero.
+        has_shape: whether a URDF gives the link a visual or collision element.
+    """
+
+    name: str
+    mass: float
+    centre: Array
+    inertia: Array
+    has_inertial: bool = True
+    has_shape: bool = False
+
+
+@dataclass(frozen=True)
+class JointEntry:
+    """A joint of a file: its (4, 4) placement in the frame of the parent link, its axis of length 1, its limits.
+
+    ``dynamics``: its damping, N·s/m or N·m·s, and friction, N or N·m, where the file gives them. ``mimic``: what it
+    follows.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    placement: Array
+    axis: Array
+    limits: Mapping[str, float]
+    dynamics: Mapping[str, float] = field(default_factory=dict)
+    mimic: Coupling | None = None
+
+
+FREEDOMS = {"fixed": 0, "revolute": 1, "prismatic": 1, "ball": 3}
+"""Kinds of joints in a tree, and the freedoms of each; what has others is made of these."""
+
+
+def mechanism_of_tree(
+    name: str,
+    links: Mapping[str, LinkEntry],
+    joints: Sequence[JointEntry],
+    closures: Sequence[Closure],
+    actuated: tuple[str, ...],
+    gravity: Array,
+    start: Mapping[str, float | Array] | None = None,
+    *,
+    armature: Mapping[str, float] | None = None,
+    path: str = "",
+    **more: Any,
+) -> Mechanism:
+    """Return the mechanism of a tree that is put together of links and joints.
+
+    Args:
+        name: of the model.
+        links: the bodies and frames by name, the first of them the world.
+        joints: each after those that carry it.
+        closures: between frames that are links.
+        actuated: names of the joints that are driven.
+        gravity: (3,) m/s².
+        start: positions of joints at the file's own configuration, rad or m; (4,) of a ball, x, y, z, w.
+        armature: inertia of rotors by joint, kg·m² or kg.
+        path: the file, for messages.
+        more: what else a ``Mechanism`` has.
+
+    Raises:
+        ModelFileError: more links or freedoms than a model may have.
+    """
+    freedoms = sum(FREEDOMS[joint.kind] for joint in joints)
+    for count, most, what in ((freedoms, MOST_FREEDOMS, "freedoms"), (len(links), MOST_LINKS, "bodies")):
+        if count > most:
+            raise ModelFileError(
+                f"{path}: the model has {count} {what}, more than the {most} that one may have.",
+                remedy="Take out what is no part of the mechanism.",
+                path=path,
+            )
+    model = pin.Model()
+    model.name, model.gravity.linear = name, gravity
+    root = next(iter(links))
+    places = {root: (0, pin.SE3.Identity())}
+    model.addBodyFrame(root, 0, pin.SE3.Identity(), 0)
+    inertias = model.armature
+    for joint in _depth_first(root, joints):
+        carrier, place = places[joint.parent]
+        place = place * pin.SE3(joint.placement)
+        if joint.kind != "fixed":
+            carrier, place = _added(model, joint, carrier, place), pin.SE3.Identity()
+            inertias = np.concatenate(
+                [inertias, np.full(model.nv - len(inertias), (armature or {}).get(joint.name, 0.0))]
+            )
+        places[joint.child] = carrier, place
+        link = links[joint.child]
+        if link.mass or link.inertia.any():
+            model.appendBodyToJoint(carrier, pin.Inertia(link.mass, link.centre, link.inertia), place)
+        model.addBodyFrame(joint.child, carrier, place, 0)
+    model.armature = inertias
+    q: Array = pin.neutral(model)
+    for moved, value in (start or {}).items():
+        at = find_joint(model, moved)
+        q[at.idx_q : at.idx_q + at.nq] = value
+    kinds = {rows: kind for kind, rows in ROWS.items()}
+    loops = tuple(
+        LoopJoint(each.name, kinds[each.axes], (each.frame_a, each.frame_b), (np.eye(4), np.eye(4)))
+        for each in closures
+    )
+    return Mechanism(name, model, q, loops, actuated=actuated, **more)
+
+
+def _depth_first(root: str, joints: Sequence[JointEntry]) -> Iterator[JointEntry]:
+    """Give the joints so that what a joint carries follows it: Pinocchio's mass matrix is wrong otherwise."""
+    above: dict[str, list[JointEntry]] = {}
+    for joint in reversed(joints):
+        above.setdefault(joint.parent, []).append(joint)
+    waiting = above.get(root, [])
+    while waiting:
+        joint = waiting.pop()
+        yield joint
+        waiting += above.get(joint.child, [])
 
 
 def _added(model: pin.Model, joint: JointEntry, carrier: int, place: pin.SE3) -> int:
     if joint.kind == "ball":
         return int(model.addJoint(carrier, pin.JointModelSpherical(), place, joint.name))
-    *aligned, unaligned = _ALIGNED[joint.kind]
-    along = np.flatnonzero(joint.axis == 1.0)
-    kind = aligned[int(along[0])]() if len(along) == 1 else unaligned(joint.axis)
     limits = [np.array([joint.limits[key]]) for key in ("velocity", "lower", "upper")]
-    number = int(model.addJoint(carrier, kind, place, joint.name, np.array([np.inf]), *limits))
+    number = int(
+        model.addJoint(carrier, joint_along(joint.kind, joint.axis), place, joint.name, np.array([np.inf]), *limits)
+    )
     column, effort = model.joints[number].idx_v, joint.limits["effort"]
     # efforts may all be of one sign, and addJoint takes the least for minus the most
     for name, bound in (("lower", joint.limits.get("effort_lower", -effort)), ("upper", effort)):
@@ -194,13 +275,6 @@ def six_joints(name: str, parent: str, child: str, place: Array) -> tuple[list[J
     return joints, {f"{name}_{axis}": value for axis, value in values.items()}
 
 
-def placed(rotation: Array, translation: Array) -> Array:
-    """Return the (4, 4) placement of a rotation (3, 3) and a translation (3,)."""
-    placement: Array = np.eye(4)
-    placement[:3, :3], placement[:3, 3] = rotation, translation
-    return placement
-
-
 def angles(turn: Array) -> tuple[float, float, float]:
     """Return yaw, pitch and roll of a rotation (3, 3), R_z R_y R_x, rad."""
     pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
@@ -227,6 +301,25 @@ def combined_mass(name: str, parts: list[LinkEntry]) -> LinkEntry:
         away = part.centre - centre
         inertia += part.inertia + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
     return LinkEntry(name, mass, centre, inertia)
+
+
+def impossible_moments(links: Iterable[LinkEntry]) -> tuple[str, ...]:
+    """Return a note on each link whose largest principal moment of inertia exceeds the sum of the other two.
+
+    No body has such moments, but files have. With masses and moments that are not negative the mass matrix still has
+    no negative eigenvalue, so that they are taken as they stand; negative ones are refused.
+    """
+    notes = []
+    for link in links:
+        moments = np.linalg.eigvalsh(link.inertia)
+        allowed = TRIANGLE_TOLERANCE * float(np.abs(moments).max()) + NO_MOMENT
+        if moments[2] > moments[0] + moments[1] + allowed:
+            text = np.array2string(moments, precision=4)
+            notes.append(
+                f"The link {link.name!r} has principal moments of inertia {text} that no body can have, the largest "
+                "exceeds the sum of the other two; taken as they stand."
+            )
+    return tuple(notes)
 
 
 def drawn(shapes: Mapping[str, Sequence[str]]) -> str:

@@ -16,11 +16,14 @@ import numpy as np
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean, shown
 from redundancy_pin.robot.formats.mechanism import (
+    MOST_FREEDOMS,
     UNLIMITED,
+    JointEntry,
+    LinkEntry,
     Mechanism,
     angles,
     drawn,
-    placed,
+    mechanism_of_tree,
     six_joints,
 )
 from redundancy_pin.robot.formats.mjcf_file import (
@@ -33,8 +36,8 @@ from redundancy_pin.robot.formats.mjcf_file import (
 )
 from redundancy_pin.robot.formats.mjcf_forces import Forces, forces_of
 from redundancy_pin.robot.formats.mjcf_masses import POSE, body_mass, place_of_geom, shape_of
-from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, JointEntry, LinkEntry
 from redundancy_pin.robot.formats.xml_files import Element
+from redundancy_pin.robot.loop_joints import placed
 from redundancy_pin.robot.types import AXES, Closure, Coupling
 
 _IGNORED = ("visual", "statistic", "asset", "size", "sensor", "custom", "contact", "default", "keyframe")
@@ -239,7 +242,7 @@ class _Reader:
         if self._fluid:
             self.forces.left_out["fluid"] = ["density or viscosity of the option"]
         self.notes += self.forces.notes(self._colliding)
-        return Mechanism(
+        return mechanism_of_tree(
             self.files.root.get("model") or self.files.path.stem,
             self.links,
             tuple(self.joints),
@@ -247,10 +250,11 @@ class _Reader:
             actuated,
             self.gravity,
             start,
-            self.forces.armature,
-            tuple(self.forces.loads),
-            tuple(self.notes),
-            drawn(self.shapes),
+            armature=self.forces.armature,
+            path=str(self.files.path),
+            forces=tuple(self.forces.loads),
+            notes=tuple(self.notes),
+            shapes=drawn(self.shapes),
             couplings=couplings,
         )
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.robot.formats.mechanism import angles, combined_mass, moved_to, placed
+from redundancy_pin.robot.formats.mechanism import LinkEntry, angles, combined_mass, moved_to
 from redundancy_pin.robot.formats.mjcf_file import ORIENTATION, Part, from_z
-from redundancy_pin.robot.formats.urdf_tree import LinkEntry
+from redundancy_pin.robot.loop_joints import placed
 
 POSE = ("pos", *ORIENTATION)
 

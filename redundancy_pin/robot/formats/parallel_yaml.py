@@ -12,16 +12,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from redundancy_pin.errors import DeclarationError, ModelFileError, did_you_mean
 from redundancy_pin.io.schema import Schema, bad_value, validated
 from redundancy_pin.io.yaml_file import parse_yaml
 from redundancy_pin.robot.formats.mechanism import Mechanism
-from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.formats.urdf_tree import Tree, impossible_moments, links_without_inertial, read_tree
+from redundancy_pin.robot.formats.urdf import Urdf, read_urdf, urdf_mechanism
 from redundancy_pin.robot.formats.xml_files import read_model
-from redundancy_pin.robot.types import AXES, Closure
+from redundancy_pin.robot.loop_joints import LoopJoint
 
 _OWN_KEY = re.compile(r"^(closed_loop|name_mot)[ \t]*:", re.MULTILINE)
 
@@ -62,7 +62,7 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
         content = validated(_File, file.data if isinstance(file.data, dict) else {})
         source = _urdf_beside(path)
         urdf = read_model(source)
-        tree = read_tree(urdf, source)
+        tree = read_urdf(urdf, source)
         types = content.type or ("6d",) * len(content.closed_loop)
         for key, given, names in (
             ("type", types, content.closed_loop),
@@ -74,7 +74,9 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
         for number, ((one, other), kind) in enumerate(zip(content.closed_loop, types, strict=True)):
             if kind.lower() not in ("3d", "6d"):
                 raise bad_value(f"type[{number}]", kind, "3d or 6d")
-            closures.append(Closure(f"{one} = {other}", _link(tree, one), _link(tree, other), AXES[: int(kind[0])]))
+            ends = (_link(tree, one), _link(tree, other))
+            joint = "ball" if kind.lower() == "3d" else "weld"
+            closures.append(LoopJoint(f"{one} = {other}", joint, ends, (np.eye(4), np.eye(4))))
         for kind in content.joint_type:
             if kind not in _KINDS:
                 raise bad_value("joint_type", kind, f"one of {', '.join(_KINDS)}")
@@ -83,12 +85,14 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
         for name in unknown:  # as the collection's own loader does, and said
             del kinds[name]
         notes = (f"Passed over, joint_name says what the URDF has not: {', '.join(unknown)}.",) if unknown else ()
-        name = path.resolve().parent.name
-        made = tree_mechanism(
-            tree, name, kinds=kinds, closures=tuple(closures), actuated=content.name_mot, base=base, shapes=urdf
+        made = urdf_mechanism(tree, path.resolve().parent.name, kinds=kinds, base=base)
+        return replace(
+            made,
+            loop_joints=(*made.loop_joints, *closures),
+            actuated=content.name_mot,
+            drives_declared=True,
+            notes=(*notes, *made.notes),
         )
-        massless = links_without_inertial(tree, kinds, root_moves=base == "free")
-        return replace(made, notes=(*notes, *massless, *impossible_moments(tree.links.values())))
 
 
 def _urdf_beside(path: Path) -> Path:
@@ -103,7 +107,7 @@ def _urdf_beside(path: Path) -> Path:
     return candidates[0]
 
 
-def _link(tree: Tree, name: str) -> str:
+def _link(tree: Urdf, name: str) -> str:
     """Return the link of a frame; that of a joint is the frame of its child."""
     child = next((joint.child for joint in tree.joints if joint.name == name), None)
     if child is None and name not in tree.links:

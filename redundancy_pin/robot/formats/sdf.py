@@ -18,10 +18,19 @@ import numpy as np
 
 from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
-from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, UNLIMITED, Mechanism, placed, six_joints
-from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry, impossible_moments
+from redundancy_pin.robot.formats.mechanism import (
+    NOT_IN_FORCE,
+    UNLIMITED,
+    JointEntry,
+    LinkEntry,
+    Mechanism,
+    impossible_moments,
+    mechanism_of_tree,
+    six_joints,
+)
 from redundancy_pin.robot.formats.xml_files import Element, parsed
 from redundancy_pin.robot.loads import JointForces
+from redundancy_pin.robot.loop_joints import placed
 from redundancy_pin.robot.types import Closure, Coupling
 
 _SAME_DIRECTION = 1e-6
@@ -377,7 +386,7 @@ class _Reader:
             names = ", ".join(load.joint for load in loads)
             self.notes.append(f"In force: damping, friction and springs of {names}.")
         self._say()
-        return Mechanism(
+        return mechanism_of_tree(
             self.model.get("name") or self.path.stem,
             self.links,
             tuple(self.entries),
@@ -385,6 +394,7 @@ class _Reader:
             tuple(driven) or self._candidates(moving.values()),
             np.array([0.0, 0.0, -9.81]),
             start,
+            path=str(self.path),
             forces=loads,
             notes=tuple(self.notes),
             drives_declared=bool(driven),

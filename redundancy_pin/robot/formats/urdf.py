@@ -1,0 +1,388 @@
+"""Read a URDF: Pinocchio makes the tree of it, and what Pinocchio leaves out is read here.
+
+Left out are loops and couplings (``urdf_loops``), friction, motors and whether a link has a mass at all. Everything is
+checked by the specification first, as urdfdom drops an inertial element that it cannot parse and goes on, so that a
+typing error makes a massless link. An element that is not understood is an error or a note with its line.
+"""
+
+from __future__ import annotations
+
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.errors import DeclarationError, did_you_mean, shown
+from redundancy_pin.robot.formats.mechanism import (
+    MOST_FREEDOMS,
+    NO_MOMENT,
+    TRIANGLE_TOLERANCE,
+    JointEntry,
+    LinkEntry,
+    Mechanism,
+    impossible_moments,
+    in_a_row,
+)
+from redundancy_pin.robot.formats.urdf_loops import read_loops
+from redundancy_pin.robot.formats.urdf_parts import FRICTION, Part, short
+from redundancy_pin.robot.formats.xml_files import FORMATS, parsed_text
+from redundancy_pin.robot.loads import JointForces
+from redundancy_pin.robot.lookup import find_joint_index
+from redundancy_pin.robot.rebuild import axis_of, joint_along
+from redundancy_pin.robot.types import Coupling
+
+DEEPEST_CHAIN = 200
+"""Links in a row. urdfdom and Pinocchio go down by recursion: 10,000 end the process where the stack has 8 MB."""
+
+_FREEDOMS = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """What a URDF says.
+
+    Attributes:
+        text: the file, after xacro.
+        top: its top element.
+        root: the link that no joint carries.
+        links: by name.
+        joints: each after those that carry it.
+    """
+
+    text: str
+    top: Part
+    root: str
+    links: Mapping[str, LinkEntry]
+    joints: tuple[JointEntry, ...]
+
+    @property
+    def couplings(self) -> tuple[Coupling, ...]:
+        """What the joints that mimic others follow."""
+        return tuple(joint.mimic for joint in self.joints if joint.mimic)
+
+
+def read_urdf(text: str, path: Path) -> Urdf:
+    """Read a URDF.
+
+    Args:
+        text: its text.
+        path: the file that it comes from, for messages.
+
+    Raises:
+        ModelFileError: naming the file, the line, and the link or joint: numbers that are none, elements that are
+            missing, there twice or misspelt; names that are; negative masses and moments of inertia; links that make no
+            tree; a joint that mimics none; more links or freedoms than a model may have.
+    """
+    robot = Part(parsed_text(text, str(path)), path, "The robot")
+    if robot.element.tag != "robot":
+        known = FORMATS.get(robot.element.tag)
+        what = f": it is {known}" if known else ""
+        remedy = "Convert it to URDF, or call it .xml, .mjcf or .sdf." if known else ""
+        robot.refuse(f"The top element of {path.name} is <{short(robot.element.tag)}>, not <robot>{what}", remedy)
+    robot.require_known_parts()
+    parts = {kind: robot.named(kind) for kind in ("link", "joint")}
+    links = {name: _link(name, part) for name, part in parts["link"].items()}
+    joints = {name: _joint(name, part, links) for name, part in parts["joint"].items()}
+    for name, joint in joints.items():
+        followed = joint.mimic and joint.mimic.of
+        if followed and (followed == name or followed not in joints or not _FREEDOMS[joints[followed].kind]):
+            remedy = did_you_mean(followed, joints).strip() or "Name another joint, which moves."
+            parts["joint"][name].refuse(f"{parts['joint'][name].owner} mimics {followed!r}, which it cannot", remedy)
+    freedoms = sum(_FREEDOMS[joint.kind] for joint in joints.values())
+    if freedoms > MOST_FREEDOMS:
+        robot.refuse(f"The joints have {freedoms} freedoms, more than the {MOST_FREEDOMS} of a model")
+    return Urdf(text, robot, *_in_order(robot, links, joints, parts["joint"]))
+
+
+WITHOUT_INERTIAL = "Links without <inertial> count as massless:"
+"""How the note begins that names them."""
+
+
+def links_without_inertial(
+    file: Urdf, kinds: Mapping[str, str] = MappingProxyType({}), *, root_moves: bool = False
+) -> tuple[str, ...]:
+    """Return a note that names the moving links whose mass the file does not state; none if there are no such links.
+
+    These are links with a shape, and bodies (links between two moving joints, with all links fixed to them) of which no
+    link has an ``<inertial>``. A mark, a link without shape that is fixed to another, is not among them; nor is a link
+    that the file states to be massless, by an ``<inertial>`` of mass zero.
+
+    Args:
+        file: what it says.
+        kinds: by joint, the kind that replaces the one of the file.
+        root_moves: whether the root of the tree is not fixed to the ground.
+    """
+    body = {file.root: file.root}
+    for joint in file.joints:
+        is_fixed = kinds.get(joint.name, joint.kind) == "fixed"
+        body[joint.child] = body[joint.parent] if is_fixed else joint.child
+    stated = {body[name] for name, link in file.links.items() if link.has_inertial}
+    names = [
+        name
+        for name, link in file.links.items()
+        if (root_moves or body[name] != file.root)
+        and not link.has_inertial
+        and (link.has_shape or (body[name] == name and name not in stated))
+    ]
+    remedy = "Give each an <inertial>; one with mass 0 states that the link is massless."
+    return (f"{WITHOUT_INERTIAL} {', '.join(names)}. {remedy}",) if names else ()
+
+
+def _link(name: str, part: Part) -> LinkEntry:
+    part.require_known_parts()
+    inertial = part.one("inertial")
+    has_shape = any(child.tag in ("visual", "collision") for child in part.element)
+    if inertial is None:
+        return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)), False, has_shape)
+    inertial.require_known_parts()
+    mass, inertia = inertial.required("mass"), inertial.required("inertia")
+    kilograms = mass.number("value", "mass")
+    if kilograms < 0.0:
+        mass.refuse(f"{part.owner} has a negative mass, {kilograms:g} kg")
+    matrix = np.array([[inertia.number("i" + "".join(sorted(a + b))) for b in "xyz"] for a in "xyz"])
+    moments = np.linalg.eigvalsh(matrix)
+    allowed = TRIANGLE_TOLERANCE * float(np.abs(moments).max()) + NO_MOMENT
+    if moments[0] < -allowed:
+        text = np.array2string(moments, precision=4)
+        inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have: a negative one")
+    placement = inertial.placement()
+    turn = placement[:3, :3]
+    return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T, True, has_shape)
+
+
+def _joint(name: str, part: Part, links: Mapping[str, LinkEntry]) -> JointEntry:
+    kind = part.element.get("type", "")
+    if kind not in _FREEDOMS:
+        remedy = f"{did_you_mean(kind, _FREEDOMS)}There are: {', '.join(_FREEDOMS)}."
+        part.refuse(f"{part.owner} has the type {short(kind)!r}", remedy)
+    part.require_known_parts()
+    ends = []
+    for role in ("parent", "child"):
+        end = part.one(role)
+        link = "" if end is None else end.element.get("link", "")
+        if link not in links:
+            what = f"the {role} {short(link)!r}, which is no link" if link else f"no {role}"
+            part.refuse(f"{part.owner} has {what}", did_you_mean(link, links), link=link)
+        ends.append(link)
+    axis = np.array([1.0, 0.0, 0.0])  # as the specification has it
+    given = part.one("axis")
+    # urdfdom looks at no axis of the other kinds
+    if given is not None and kind not in ("fixed", "floating"):
+        axis = given.triple("xyz", "the axis")
+        length = float(np.linalg.norm(axis))
+        if not length > 0.0:
+            given.refuse(f"{part.owner} has an axis of length zero")
+        axis = axis / length
+    if kind == "planar" and axis[2] != 1.0:
+        part.refuse(f"{part.owner} is planar about another axis than z, which Pinocchio does not know")
+    placement, limits, dynamics = part.placement(), _limits(part, kind), _dynamics(part)
+    return JointEntry(name, kind, ends[0], ends[1], placement, axis, limits, dynamics, _mimic(name, kind, part))
+
+
+def _mimic(name: str, kind: str, part: Part) -> Coupling | None:
+    given = part.one("mimic")
+    if given is None or not _FREEDOMS[kind]:  # a joint that is fixed follows nothing, whatever it says
+        return None
+    if not (of := given.element.get("joint", "")):
+        given.refuse(f"{part.owner} has a mimic without the name of a joint")
+    multiplier, offset = (
+        given.number(key, f"{key} of its mimic") if key in given.element.attrib else default
+        for key, default in (("multiplier", 1.0), ("offset", 0.0))
+    )
+    return Coupling(f"{name} of {of}", name, of, (offset, multiplier))
+
+
+def _dynamics(part: Part) -> Mapping[str, float]:
+    """Return damping and friction of a joint, those that are not zero."""
+    given = part.one("dynamics")
+    friction = {} if given is None else {key: given.number(key) for key in FRICTION if key in given.element.attrib}
+    for key, value in friction.items():
+        if value < 0.0 and given is not None:
+            given.refuse(f"{part.owner} has a negative {key}, {value:g}")
+    return {key: value for key, value in friction.items() if value}
+
+
+def _limits(part: Part, kind: str) -> Mapping[str, float]:
+    limit = part.one("limit")
+    if limit is None:
+        if kind in ("revolute", "prismatic"):
+            part.refuse(f"{part.owner} is {kind} and has no <limit>")
+        return {}
+    return {
+        key: limit.number(key, f"{key} limit", sys.float_info.max)
+        if key in limit.element.attrib or key in ("effort", "velocity")
+        else 0.0
+        for key in ("lower", "upper", "effort", "velocity")
+    }
+
+
+def _in_order(
+    robot: Part, links: Mapping[str, LinkEntry], joints: Mapping[str, JointEntry], parts: Mapping[str, Part]
+) -> tuple[str, Mapping[str, LinkEntry], tuple[JointEntry, ...]]:
+    """Return the root, the links, and the joints from the root outwards."""
+    carried: dict[str, str] = {}
+    outwards: dict[str, list[JointEntry]] = {name: [] for name in links}
+    for name, joint in joints.items():
+        if joint.child in carried:
+            what = f"The link {joint.child!r} is the child of two joints, {carried[joint.child]!r} and {name!r}"
+            remedy = "Cut the loop: give the second joint a link of its own, and close it in the declaration."
+            replace(parts[name], details={}).refuse(what, remedy, link=joint.child)
+        carried[joint.child] = name
+        outwards[joint.parent].append(joint)
+    roots = [name for name in links if name not in carried]
+    if len(roots) > 1:
+        names = ", ".join(map(repr, roots[:5]))
+        remedy = "Join them by joints: a robot has one link that no joint carries."
+        robot.refuse(f"The links are no tree: {names} are carried by no joint", remedy, links=tuple(roots[:5]))
+    ordered: list[JointEntry] = []
+    level, depth = roots, 0
+    while level:
+        if depth > DEEPEST_CHAIN:
+            robot.refuse(f"More than {DEEPEST_CHAIN} links follow on one another", "Shorten the chain.")
+        made = [joint for name in level for joint in outwards[name]]
+        ordered += made
+        level, depth = [joint.child for joint in made], depth + 1
+    reached = {*roots, *(joint.child for joint in ordered)}
+    circle = [name for name in links if name not in reached]
+    if circle:
+        names = ", ".join(map(repr, circle[:5]))
+        remedy = "Cut the circle at a joint and close it in the declaration."
+        robot.refuse(f"The links {names} carry one another in a circle", remedy, links=tuple(circle[:5]))
+    if not links:
+        robot.refuse("The robot has no links")
+    return roots[0], links, tuple(ordered)
+
+
+# --- Pinocchio's model ------------------------------------------------------------------------------------------------
+
+
+_TREE = {
+    "link": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "joint": ("origin", "parent", "child", "axis", "limit"),
+}
+"""What makes the tree: urdfdom complains on the error stream of what it does not know in shapes and extensions."""
+
+
+def _tree(file: Urdf, kinds: Mapping[str, str], base: str) -> pin.Model:
+    """Return Pinocchio's model of a URDF, in which every link is a frame.
+
+    Joints that are to be replaced are floating ones here: a body of their own is what they carry.
+    """
+    robot = ElementTree.Element("robot", {"name": file.top.text_of("name") or "robot"})
+    for part in file.top.element:
+        if part.tag in ("link", "joint"):
+            robot.append(_reduced(part))
+            if part.tag == "joint" and (kind := kinds.get(part.get("name", ""))):
+                robot[-1].set("type", "fixed" if kind == "fixed" else "floating")
+    text = ElementTree.tostring(robot, encoding="unicode")
+    return pin.buildModelFromXML(text, pin.JointModelFreeFlyer()) if base == "free" else pin.buildModelFromXML(text)
+
+
+def _reduced(element: ElementTree.Element) -> ElementTree.Element:
+    attributes = {key: value for key, value in element.attrib.items() if "}" not in key}
+    result = ElementTree.Element(element.tag, attributes)
+    for part in element:
+        if part.tag in _TREE.get(element.tag, ()):
+            result.append(_reduced(part))
+    return result
+
+
+SIX = ("x", "y", "z", "rz", "ry", "rx")
+ROWS_OF_JOINTS: Mapping[str, tuple[str, ...]] = {
+    "six_joints": SIX,
+    "three_joints": ("x", "y", "rz"),
+    **{f"universal_{one}{two}": (f"r{one}", f"r{two}") for one in "xyz" for two in "xyz" if one != two},
+}
+"""Joints of one freedom in a row, in place of a floating, a planar and a universal joint: the last turns about the
+first axis of its frame, then about the second."""
+
+KINDS = ("ball", "fixed", *ROWS_OF_JOINTS)
+"""What a joint of the file can be replaced by."""
+
+_SINGLE = ("revolute", "continuous", "prismatic")
+
+
+def urdf_mechanism(
+    file: Urdf, name: str, *, kinds: Mapping[str, str] = MappingProxyType({}), base: str = "fixed"
+) -> Mechanism:
+    """Return what a URDF describes.
+
+    Args:
+        file: what it says.
+        name: of the mechanism.
+        kinds: by joint, what it is replaced by, one of ``KINDS``.
+        base: "free" to let the root move, by six joints.
+
+    Raises:
+        DeclarationError: an unknown joint or kind.
+        ModelFileError: what ``urdf_loops`` does not know, or does not find the other end of.
+    """
+    named = {joint.name: joint for joint in file.joints}
+    for replaced, kind in kinds.items():
+        if replaced not in named:
+            remedy = f"{did_you_mean(replaced, named)}It has: {', '.join(named)}."
+            raise DeclarationError(f"The URDF has no joint {replaced!r}.", remedy=remedy, name=replaced)
+        if kind not in KINDS:
+            remedy = f"{did_you_mean(kind, KINDS)}There are: {', '.join(KINDS)}."
+            raise DeclarationError(
+                f"The joint {replaced!r} cannot be made {shown(kind)}.", remedy=remedy, name=replaced
+            )
+    model = _tree(file, {joint: kind for joint, kind in kinds.items() if kind}, base)
+    carriers = {joint.child: (joint.name, joint.parent) for joint in file.joints}
+    loops = read_loops(file.top, carriers, model)
+    couplings = (*(joint.mimic for joint in file.joints if joint.mimic), *loops.couplings)
+    counted = {name for each in couplings for name in (each.joint, each.of, *(more for more, _ in each.also))}
+    replaced: dict[str, list[tuple[str, pin.JointModel]]] = {}
+    if base == "free":
+        replaced["root_joint"] = in_a_row(file.root, SIX)
+    for joint in file.joints:
+        kind = kinds.get(joint.name, "")
+        if kind == "ball":
+            replaced[joint.name] = [(joint.name, pin.JointModelSpherical())]
+        elif kind in ROWS_OF_JOINTS:
+            replaced[joint.name] = in_a_row(joint.name, ROWS_OF_JOINTS[kind])
+        elif joint.kind == "continuous" and joint.name in counted:
+            # Pinocchio has cosine and sine of it, which forget the turns
+            axis = axis_of(model, find_joint_index(model, joint.name))
+            replaced[joint.name] = [(joint.name, joint_along("revolute", axis))]
+    single = {joint.name for joint in file.joints if joint.kind in _SINGLE and joint.name not in kinds}
+    for each in couplings:
+        if not {each.joint, each.of, *(more for more, _ in each.also)} <= single:
+            raise DeclarationError(
+                f"The coupling {each.name!r} is of joints that are replaced, or have several freedoms.",
+                remedy="Couple joints of one freedom.",
+                name=each.name,
+            )
+    forces = tuple(
+        JointForces(joint.name, **joint.dynamics) for joint in file.joints if joint.dynamics and joint.name in single
+    )
+    lost = [
+        joint
+        for joint in file.joints
+        if joint.dynamics and joint.name not in single and kinds.get(joint.name, joint.kind) != "fixed"
+    ]
+    notes = [f"Friction of the joint {joint.name} is not in force: it has several freedoms." for joint in lost]
+    notes += [
+        *links_without_inertial(file, kinds, root_moves=base == "free"),
+        *impossible_moments(file.links.values()),
+        *loops.notes,
+    ]
+    made = Mechanism(
+        name,
+        model,
+        pin.neutral(model),
+        loops.joints,
+        couplings,
+        loops.motors,
+        bool(loops.motors),
+        forces,
+        tuple(notes),
+        file.text,
+    )
+    return made.with_joints(replaced) if replaced else made

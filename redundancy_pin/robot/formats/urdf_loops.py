@@ -1,0 +1,256 @@
+"""Loops, couplings and motors of a URDF, in the words of each program that has added them to the format.
+
+| element | of |
+|---|---|
+| ``<loop>``, ``<coupling>`` | URDF+ (generalized_rbda) |
+| ``<constraint>`` | the proposal for urdfdom, joint_state_transformer |
+| ``<loop_joint>`` | Isaac Sim |
+| ``<gazebo><joint>`` | Gazebo: SDF in a URDF; the joint is where its child is when all joints are at zero |
+| ``<drake:ball_constraint>`` | Drake |
+| ``closing_NAME_1``, ``closing_NAME_2`` | links of onshape-to-robot and placo, at one point when closed |
+| ``<mimic>`` | URDF |
+| ``<transmission>``, ``<ros2_control>`` | ROS: what is driven |
+
+All loops of a file are read, or none: what is not understood, or has one end only, is an error that names it. Other
+elements that a program has added are passed over with a note.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import did_you_mean
+from redundancy_pin.robot.formats.urdf_parts import Part
+from redundancy_pin.robot.loop_joints import LoopJoint, placed, turned_to
+from redundancy_pin.robot.types import Coupling
+
+_DRAKE = "{http://drake.mit.edu}"
+
+_KINDS = {
+    "revolute": "hinge",
+    "continuous": "hinge",
+    "hinge": "hinge",
+    "prismatic": "slider",
+    "cylindrical": "cylinder",
+    "spherical": "ball",
+    "ball": "ball",
+    "universal": "universal",
+    "planar": "planar",
+    "fixed": "weld",
+}
+"""Kinds of joints that close loops, by their names in the files."""
+
+_ENDS = {
+    "loop": ("predecessor", "successor"),
+    "constraint": ("parent", "child"),
+    "loop_joint": ("link1", "link2"),
+}
+"""Elements that are loops, and those in them that name the two links."""
+
+_PASSED_OVER = ("material", "sensor", "fixed_frame", "plugin")
+"""Elements beside links and joints that change nothing in the mechanics."""
+
+_FORCES = ("linear_spring_damper", "linear_bushing_rpy")
+_CLOSING = re.compile(r"closing_(.+)_([12])")
+
+
+@dataclass(frozen=True)
+class Loops:
+    """What the extensions of a URDF say.
+
+    Attributes:
+        joints: what closes the loops.
+        couplings: joints that follow others, those that mimic not among them.
+        motors: names of joints that are driven.
+        closing: pairs of links that are at one point when closed; the file does not say by which joint.
+        notes: elements that are passed over.
+    """
+
+    joints: tuple[LoopJoint, ...]
+    couplings: tuple[Coupling, ...]
+    motors: tuple[str, ...]
+    closing: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
+
+
+def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.Model) -> Loops:
+    """Read the extensions of a URDF.
+
+    Args:
+        robot: its top element.
+        carriers: by link, the joint that carries it and the parent link of that; the root is not among them.
+        model: the tree, in which links are frames.
+
+    Raises:
+        ModelFileError: naming the file, the line, and the element.
+    """
+    links = {model.frames[k].name for k in range(model.nframes) if model.frames[k].type == pin.FrameType.BODY}
+    joints, couplings, motors, unknown = list[LoopJoint](), list[Coupling](), list[str](), list[Part]()
+    moving = set(model.names) - {model.names[0]}
+    for part in robot.parts():
+        tag = part.tag.removeprefix(_DRAKE)
+        if tag in _ENDS and part.tag == tag:
+            joints.append(_loop(part, links))
+        elif tag == "coupling":
+            couplings.append(_coupling(part, carriers, moving))
+        elif tag == "ball_constraint" and part.tag != tag:
+            joints.append(_ball_constraint(part, links))
+        elif tag in ("transmission", "ros2_control"):
+            motors += [name for name in _driven(part) if name not in motors]
+        elif tag == "gazebo":
+            joints += [_of_gazebo(each, model, links) for each in part.parts("joint")]
+        elif tag not in ("link", "joint", *_PASSED_OVER):
+            unknown.append(part)
+    for name in motors:
+        if name not in moving:
+            remedy = did_you_mean(name, sorted(moving)).strip() or "Name a joint that moves."
+            robot.refuse(f"A transmission or ros2_control drives {name!r}, which is no joint that moves", remedy)
+    names = [joint.name for joint in joints]
+    if twice := {name for name in names if names.count(name) > 1}:
+        robot.refuse(f"Two loops have the name {sorted(twice)[0]!r}")
+    notes = [f"Passed over: <{part.label}> in line {part.line}, which is not understood." for part in unknown]
+    return Loops(tuple(joints), tuple(couplings), tuple(motors), _closing(robot, links), tuple(notes))
+
+
+def _loop(part: Part, links: set[str]) -> LoopJoint:
+    """Return a loop whose ends are two elements, each with its place in it or beside it."""
+    name = part.name()
+    kind = _KINDS.get(part.text_of("type"), "")
+    if not kind:
+        remedy = f"{did_you_mean(part.text_of('type'), _KINDS)}There are: {', '.join(_KINDS)}."
+        part.refuse(f"{part.owner} has the type {part.text_of('type')!r}", remedy)
+    ends = [end for tag in _ENDS[part.tag] for end in part.parts(tag)]  # Isaac's manual has link1 twice
+    ends = ends or [end for tag in ("parent", "child") for end in part.parts(tag)]
+    if len(ends) != 2:
+        part.refuse(f"{part.owner} has {len(ends)} ends", f"Name two links, by {' and '.join(_ENDS[part.tag])}.")
+    names, places = [], []
+    for end, side in zip(ends, ("parent", "child"), strict=True):
+        names.append(_link(end, end.text_of("link"), links))
+        beside = part.one(f"{side}_origin")
+        if "xyz" in end.attributes or "rpy" in end.attributes:
+            places.append(end.pose())
+        else:
+            places.append(beside.pose() if beside else end.placement())
+    return joint_at(part, name, kind, names, places, _axes(part, places))
+
+
+def _axes(part: Part, places: list[Array]) -> list[Array]:
+    """Return the axis of a loop in each of its two frames."""
+    given = [part.one(tag) for tag in ("parent_axis", "child_axis")]
+    both = part.one("axis")
+    if both is not None and "frame" in both.attributes and both.text_of("frame") != "parent":
+        both.refuse(f"{part.owner} has an axis in the frame of {both.text_of('frame')!r}", "Write it in the parent's.")
+    default = both.triple("xyz", "the axis") if both else np.array([1.0, 0.0, 0.0])  # as a joint's of a URDF
+    axes = [each.triple("xyz", "the axis") if each else default for each in given]
+    for axis in axes:
+        if not np.linalg.norm(axis) > 0.0:
+            part.refuse(f"{part.owner} has an axis of length zero")
+    return axes
+
+
+def joint_at(part: Part, name: str, kind: str, links: list[str], places: list[Array], axes: list[Array]) -> LoopJoint:
+    """Return a joint that closes a loop, from its frame and its axis in both links."""
+    if links[0] == links[1]:
+        part.refuse(f"{part.owner} has one link at both ends, {links[0]!r}", "Name two links.")
+    columns = (1, 0) if kind == "universal" else (2, 2)
+    if kind not in ("ball", "weld"):
+        places = [
+            place @ placed(turned_to(axis, column), np.zeros(3))
+            for place, axis, column in zip(places, axes, columns, strict=True)
+        ]
+    return LoopJoint(name, kind, (links[0], links[1]), (places[0], places[1]))
+
+
+def _ball_constraint(part: Part, links: set[str]) -> LoopJoint:
+    names, places = [], []
+    for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
+        end = part.required(f"{_DRAKE}ball_constraint_{body}")
+        names.append(_link(end, end.text_of("name"), links))
+        at = part.required(f"{_DRAKE}ball_constraint_{point}").triple("value", "a point")
+        places.append(placed(np.eye(3), at))
+    return joint_at(part, f"ball {' = '.join(names)}", "ball", names, places, [np.eye(3)[2]] * 2)
+
+
+def _of_gazebo(part: Part, model: pin.Model, links: set[str]) -> LoopJoint:
+    """Return a loop of Gazebo: its frame is given in the child, and there in the parent at the zero configuration."""
+    name, kind = part.name(), _KINDS.get(part.text_of("type"), "")
+    if not kind or kind == "universal":
+        part.refuse(f"{part.owner} has the type {part.text_of('type')!r}", f"There are: {', '.join(_KINDS)}.")
+    parent, child = (_link(part, part.required(role).content(), links) for role in ("parent", "child"))
+    pose = part.one("pose")
+    numbers = pose.numbers(pose.content(), 6, "a pose") if pose else np.zeros(6)
+    if pose and pose.attributes:
+        pose.refuse(f"{part.owner} has a pose with {', '.join(pose.attributes)}", "Write it relative to the child.")
+    place = placed(pin.rpy.rpyToMatrix(numbers[3:]), numbers[:3])
+    axis = part.one("axis")
+    direction = axis.required("xyz") if axis else None
+    along = direction.numbers(direction.content(), 3, "an axis") if direction else np.eye(3)[2]
+    if direction and direction.attributes:
+        direction.refuse(f"{part.owner} has an axis in another frame", "Write it in the frame of the joint.")
+    if not np.linalg.norm(along) > 0.0:
+        part.refuse(f"{part.owner} has an axis of length zero")
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    at = {link: data.oMf[model.getFrameId(link, pin.FrameType.BODY)] for link in (parent, child)}
+    in_parent = (at[parent].actInv(at[child]) * pin.SE3(place)).homogeneous
+    return joint_at(part, name, kind, [parent, child], [in_parent, place], [along, along])
+
+
+def _coupling(part: Part, carriers: Mapping[str, tuple[str, str]], moving: set[str]) -> Coupling:
+    """Return a coupling of URDF+: ratio times the angles to the predecessor are those to the successor.
+
+    Both are sums over the joints from the nearest link that carries both.
+    """
+    name, ratio = part.name(), part.required("ratio").number("value", "ratio")
+    chains = []
+    for tag in ("predecessor", "successor"):
+        end = part.required(tag)
+        link, chain = _link(end, end.text_of("link"), {*carriers, *(parent for _, parent in carriers.values())}), []
+        while link in carriers:
+            joint, link = carriers[link]
+            chain.append(joint)
+        chains.append([joint for joint in chain if joint in moving])
+    common = set(chains[0]) & set(chains[1])
+    first, second = ([joint for joint in chain if joint not in common] for chain in chains)
+    if not first or not second:
+        part.refuse(f"{part.owner} couples links between which nothing moves", "Name links of two branches.")
+    own, *others = second
+    (of, *more) = first
+    also = (*((joint, ratio) for joint in more), *((joint, -1.0) for joint in others))
+    return Coupling(name, own, of, (0.0, ratio), also)
+
+
+def _driven(part: Part) -> list[str]:
+    """Return the joints that a transmission names, or those of ros2_control that take commands."""
+    names = []
+    for joint in part.deep("joint"):
+        name = joint.text_of("name") or joint.content()
+        if part.tag == "transmission" or joint.parts("command_interface"):
+            names.append(name)
+    return names
+
+
+def _closing(robot: Part, links: set[str]) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of links closing_NAME_1 and closing_NAME_2."""
+    ends: dict[str, dict[str, str]] = {}
+    for link in sorted(links):
+        if match := _CLOSING.fullmatch(link):
+            ends.setdefault(match[1], {})[match[2]] = link
+    for name, pair in ends.items():
+        if len(pair) != 2:
+            (only,) = pair.values()
+            robot.refuse(f"The link {only!r} has no other end, closing_{name}_1 or _2", "Add it, or rename the link.")
+    return tuple((pair["1"], pair["2"]) for pair in ends.values())
+
+
+def _link(part: Part, name: str, links: set[str]) -> str:
+    if name not in links:
+        what = f"names {name!r}, which is no link" if name else "names no link"
+        part.refuse(f"{part.owner} {what}", did_you_mean(name, sorted(links)).strip() or "Name a link of the file.")
+    return name

@@ -1,0 +1,103 @@
+"""Joints that close loops: the rows that each kind constrains, and the frames on both links between which it acts.
+
+Every reader of a format says what closes a loop in these terms, whichever words its files use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.errors import DeclarationError, InputError
+from redundancy_pin.robot.lookup import find_link, has_link
+from redundancy_pin.robot.types import AXES, Closure
+
+ROWS: Mapping[str, tuple[str, ...]] = {
+    "hinge": ("x", "y", "z", "rx", "ry"),
+    "slider": ("x", "y", "rx", "ry", "rz"),
+    "cylinder": ("x", "y", "rx", "ry"),
+    "ball": ("x", "y", "z"),
+    "universal": ("x", "y", "z", "rz"),
+    "weld": AXES,
+    "rod": ("distance",),
+}
+"""Constrained axes of each kind. The z axes of both frames are the axis of a hinge, slider or cylinder. A universal
+joint turns about the y axis of the first frame and the x axis of the second, which stay at right angles."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopJoint:
+    """A joint that closes a loop.
+
+    Attributes:
+        name: what to call it in messages.
+        kind: one of ``ROWS``.
+        links: the two links that it joins.
+        placements: (4, 4) of its frame in each link, placed as ``ROWS`` says; the frames coincide where it is closed.
+        length: m, that of a rod between the origins of both frames.
+    """
+
+    name: str
+    kind: str
+    links: tuple[str, str]
+    placements: tuple[Array, Array]
+    length: float = 0.0
+
+    def frames(self) -> tuple[str, str]:
+        """Return the names of both frames: the link's own where the joint is at its origin."""
+        one, other = (
+            link if np.array_equal(placement, np.eye(4)) else f"{self.name}:{side}"
+            for side, link, placement in zip("ab", self.links, self.placements, strict=True)
+        )
+        return one, other
+
+    def closure(self) -> Closure:
+        """Return the closure between its frames."""
+        return Closure(self.name, *self.frames(), ROWS[self.kind], self.length)
+
+
+def add_frames(model: pin.Model, joints: Sequence[LoopJoint]) -> None:
+    """Add the frames of joints that close loops to a model, as links that weigh nothing.
+
+    Raises:
+        DeclarationError: the model has no such link, or has one with the name of such a frame.
+    """
+    for joint in joints:
+        for name, link, placement in zip(joint.frames(), joint.links, joint.placements, strict=True):
+            try:
+                carrier = find_link(model, link)
+            except InputError as error:
+                raise DeclarationError(error.message, remedy=error.remedy, name=link) from error
+            if name == link:
+                continue
+            if has_link(model, name):
+                message = f"The joint {joint.name!r} that closes a loop needs the name {name!r}, which a link has."
+                raise DeclarationError(message, remedy="Give the closure another name.", name=name)
+            place = carrier.placement * pin.SE3(placement)
+            model.addFrame(pin.Frame(name, carrier.parentJoint, place, pin.FrameType.BODY))
+
+
+def turned_to(axis: Array, column: int = 2) -> Array:
+    """Return a rotation (3, 3) whose column of that number is along an axis (3,), of any length but zero.
+
+    It is the smallest turn that does this, the identity for an axis that is there already.
+    """
+    unit = axis / np.linalg.norm(axis)
+    own = np.eye(3)[column]
+    normal = np.cross(own, unit)
+    sine, cosine = float(np.linalg.norm(normal)), float(own @ unit)
+    if sine < RANK_TOLERANCE:  # the same way, or half a turn about another axis
+        return np.eye(3) if cosine > 0.0 else np.asarray(pin.exp3(np.pi * np.eye(3)[column - 1]))
+    return np.asarray(pin.exp3(np.arctan2(sine, cosine) * normal / sine))
+
+
+def placed(rotation: Array, translation: ArrayLike) -> Array:
+    """Return the (4, 4) placement of a rotation (3, 3) and a translation (3,)."""
+    placement: Array = np.eye(4)
+    placement[:3, :3], placement[:3, 3] = rotation, translation
+    return placement
