@@ -141,7 +141,7 @@ def robot_with(
 ) -> Robot:
     """Return a robot with other parameters; see ``Robot.with_parameters``."""
     path = declaration_path(robot.source) if robot.source else Path()
-    if not robot.source or is_model_file(path) or is_model_file(path.parent / read_declaration(path).data["urdf"]):
+    if not robot.source or not is_urdf(path if is_model_file(path) else Path(read_declaration(path).data["urdf"])):
         raise InputError(
             f"{robot.name} was not loaded from a URDF.",
             remedy="Change its Pinocchio model, or its file, and make the robot of that.",

@@ -14,7 +14,7 @@ from redundancy_pin.cli.output import TextTable, report, row
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot import Load, Robot
-from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
+from redundancy_pin.robot.urdf import declaration_path, shipped_robots
 from redundancy_pin.studies.table import json_data
 
 _LIMITS = ("speed", "acceleration", "force")
@@ -46,13 +46,13 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
     """Return what there is to know about a robot as plain data."""
     from redundancy_pin.kinematics.coordinates import all_working_modes, gravity_acts, mode_name
     from redundancy_pin.robot.declaration import read_declaration
-    from redundancy_pin.robot.model_files import defaults_of, is_model_file
+    from redundancy_pin.robot.model_files import is_model_file, open_model
     from redundancy_pin.robot.named import too_few_motors
 
     # once more from the files: a robot knows its parameters' values, but not which of them are defaults
     data = {} if is_model_file(declaration) else read_declaration(declaration).data
     file = declaration.parent / data["urdf"] if data else declaration
-    defaults = defaults_of(file) if is_model_file(file) else render(file, {}, trust=trust)[1]
+    defaults, _ = open_model(file, {}, trust=trust)
     platform, limits = robot.platform, zip(robot.carriers, robot.carrier_limits, strict=True)
     counts = {"independent velocities n": robot.n, "main actuators m": robot.m, "carriers k": robot.k}
     return {

@@ -48,11 +48,6 @@ def _format(path: Path) -> str:
     return format_of(text)
 
 
-def defaults_of(path: Path) -> Mapping[str, Argument]:
-    """Return the arguments of a model file that is no URDF, and their values when left out."""
-    return _ARGUMENTS[_format(path)]
-
-
 Reader = Callable[[Mapping[str, str]], Mechanism]
 """Reads a file, given the kinds that replace those of some of its joints."""
 
@@ -76,7 +71,7 @@ def open_model(
     if is_urdf(path):
         text, values = render(path, arguments, trust=trust)
         return values, lambda kinds: urdf_mechanism(read_urdf(text, path), path.stem.partition(".")[0], kinds=kinds)
-    defaults = defaults_of(path)
+    defaults = _ARGUMENTS[_format(path)]
     for name in arguments:
         if name not in defaults:
             remedy = f"{did_you_mean(name, defaults)}Its arguments: {', '.join(defaults)}."

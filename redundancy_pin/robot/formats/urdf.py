@@ -32,7 +32,7 @@ from redundancy_pin.robot.formats.urdf_loops import read_loops
 from redundancy_pin.robot.formats.urdf_parts import FRICTION, Part, short
 from redundancy_pin.robot.formats.xml_files import FORMATS, parsed_text
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.lookup import find_joint_index
+from redundancy_pin.robot.lookup import find_joint, find_joint_index
 from redundancy_pin.robot.rebuild import axis_of, joint_along
 from redundancy_pin.robot.types import Coupling
 
@@ -385,4 +385,13 @@ def urdf_mechanism(
         tuple(notes),
         file.text,
     )
+    for joint in file.joints:
+        if joint.kind in ("revolute", "prismatic") and joint.name in single and not _is_bounded(joint):
+            at = find_joint(model, joint.name).idx_q
+            model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
     return made.with_joints(replaced) if replaced else made
+
+
+def _is_bounded(joint: JointEntry) -> bool:
+    """Return whether a joint has limits of position: 0 and 0, or none at all, stand for "not known"."""
+    return joint.limits.get("lower", 0.0) < joint.limits.get("upper", 0.0)
