@@ -1,15 +1,17 @@
-"""Write robots for other programs: MJCF that MuJoCo runs, loops and motors included; URDF, a declaration beside it."""
+"""Write a robot as MJCF that MuJoCo runs: loops, couplings, motors, forces in joints.
+
+The text is put together here and not by MuJoCo's ``MjSpec``, whose ``to_xml`` writes six digits: loops would be open by
+1e-6 of their size, and a file that is read again would be another machine.
+"""
 
 from __future__ import annotations
 
 import itertools
-import json
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,13 +21,11 @@ from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.kinematics.closing import close
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
-from redundancy_pin.robot import AXES, Closure, JointForces, Payload, Robot
-from redundancy_pin.robot.formats.mechanism import angles
-from redundancy_pin.robot.lookup import find_joint_index, find_link
+from redundancy_pin.robot import AXES, Closure, Coupling, JointForces, Payload, Robot
+from redundancy_pin.robot.lookup import find_joint_index, find_link, find_link_index
 from redundancy_pin.robot.scales import closure_tolerance
 
 IMPEDANCE = 0.9999
@@ -53,16 +53,8 @@ _NO_LIMIT, _FAR = 1e300, 1e10
 """rad or m: Pinocchio's joints without limits have those of doubles, 1.8e308; what stands for one where the other end
 has a limit."""
 
-_LARGEST = float(np.finfo(float).max)
-
-_LONGEST_NAME = 255
-"""Letters of a name that readers accept."""
-
 _MOST_COUPLED = 5
 """Numbers of the polynomial of an equality of MuJoCo."""
-
-
-# --- MJCF -------------------------------------------------------------------------------------------------------------
 
 
 def write_mjcf(robot: Robot, path: str | Path, step: float = 1e-3, *, reflected: bool = False) -> Path:
@@ -115,30 +107,28 @@ def mjcf(
         _add(body, "joint", **_joint(model, data, index, armature), **forces.get(name, {}))
         _inertial(body, model.inertias[index])
         bodies.append(body)
-    equality = _add(root, "equality")
+    tendons, equality = _add(root, "tendon"), _add(root, "equality")
     soft = {"solref": (time_constant, 1.0), "solimp": (impedance, impedance, 0.001, 0.5, 2.0)}
     sites: set[str] = set()
     for closure in robot.closures:
         kind, places = constraint_of(robot, closure)
         for number, offset in enumerate(places):
-            names = [_free_name(closure.name, f":{number}{side}", sites) for side in "ab"]
+            names = [_free_name(f"{closure.name}:{number}{side}", sites) for side in "ab"]
             for name, frame in zip(names, (closure.frame_a, closure.frame_b), strict=True):
                 _site(bodies, model, name, frame, offset)
-            _add(equality, kind, site1=names[0], site2=names[1], **soft)
+            if kind == "tendon":
+                rod = _add(tendons, "spatial", name=closure.name)
+                for name in names:
+                    _add(rod, "site", site=name)
+                longer = closure.length - _distance(model, closure)
+                _add(equality, "tendon", name=closure.name, tendon1=closure.name, polycoef=(longer, *[0.0] * 4), **soft)
+            else:
+                _add(equality, kind, site1=names[0], site2=names[1], **soft)
     for coupling in robot.couplings:
-        if len(coupling.polynomial) > _MOST_COUPLED:
-            raise UnsupportedRobotError(
-                f"The coupling {coupling.name!r} has a polynomial of degree {len(coupling.polynomial) - 1}.",
-                remedy=f"MuJoCo takes degrees up to {_MOST_COUPLED - 1}.",
-                coupling=coupling.name,
-            )
-        powers = np.zeros(_MOST_COUPLED)
-        powers[: len(coupling.polynomial)] = coupling.polynomial
-        other = {"joint2": coupling.of} if coupling.of else {}
-        _add(equality, "joint", name=coupling.name, joint1=coupling.joint, **other, polycoef=powers, **soft)
+        _couple(equality, tendons, coupling, soft)
     if robot.platform is not None:
         frame = robot.platform.frame
-        _site(bodies, model, _free_name(f"platform:{frame}", "", sites), frame, np.zeros(3))
+        _site(bodies, model, _free_name(f"platform:{frame}", sites), frame, np.zeros(3))
     motors = _add(root, "actuator")
     strongest = np.array([limits.force for limits in robot.carrier_limits])
     efforts = np.hstack([robot.effort_limits, [-strongest, strongest]]).T
@@ -147,6 +137,49 @@ def mjcf(
         _add(motors, "motor", name=name, joint=name, **({"ctrlrange": np.clip(ends, -_FAR, _FAR)} if limited else {}))
     _add(_add(root, "keyframe"), "key", name="reference", qpos=_position(model, np.array(robot.q_reference)))
     return root
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """Return a name that is not among those taken, and take it."""
+    free = next(each for number in itertools.count() if (each := f"{name}{number or ''}") not in taken)
+    taken.add(free)
+    return free
+
+
+def _distance(model: pin.Model, closure: Closure) -> float:
+    """Return how far the frames of a closure are apart at the initial configuration of the file, m."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    one, other = (data.oMf[find_link_index(model, frame)] for frame in (closure.frame_a, closure.frame_b))
+    return float(np.linalg.norm(other.translation - one.translation))
+
+
+def _couple(
+    equality: ElementTree.Element, tendons: ElementTree.Element, coupling: Coupling, soft: dict[str, tuple[float, ...]]
+) -> None:
+    """Add a coupling: an equality of two joints, or of two tendons where it has further terms.
+
+    The first tendon's length is q_joint − Σ f_i q_i, the second's q_of; both are zero at the initial configuration.
+    """
+    if len(coupling.polynomial) > _MOST_COUPLED:
+        raise UnsupportedRobotError(
+            f"The coupling {coupling.name!r} has a polynomial of degree {len(coupling.polynomial) - 1}.",
+            remedy=f"MuJoCo takes degrees up to {_MOST_COUPLED - 1}.",
+            coupling=coupling.name,
+        )
+    powers = np.zeros(_MOST_COUPLED)
+    powers[: len(coupling.polynomial)] = coupling.polynomial
+    ends, kind = [coupling.joint, *filter(None, [coupling.of])], "joint"
+    if coupling.also:
+        minus = [(name, -factor) for name, factor in coupling.also]
+        terms = [[(coupling.joint, 1.0), *minus], *([(name, 1.0)] for name in ends[1:])]
+        ends, kind = [f"{coupling.name}:{number}" for number in range(len(terms))], "tendon"
+        for name, joints in zip(ends, terms, strict=True):
+            tendon = _add(tendons, "fixed", name=name)
+            for joint, factor in joints:
+                _add(tendon, "joint", joint=joint, coef=factor)
+    named = {f"{kind}{number + 1}": name for number, name in enumerate(ends)}
+    _add(equality, kind, name=coupling.name, **named, polycoef=powers, **soft)
 
 
 def _joint(model: pin.Model, data: pin.Data, index: int, armatures: Array) -> dict[str, object]:
@@ -194,6 +227,8 @@ def constraint_of(robot: Robot, closure: Closure) -> tuple[str, list[Array]]:
     Raises:
         UnsupportedRobotError: no constraint of MuJoCo's has this mask.
     """
+    if closure.axes == ("distance",):
+        return "tendon", [np.zeros(3)]
     if closure.frame_a.endswith(UNIVERSAL):
         return "connect", [np.zeros(3)] if "x" in closure.axes else []
     constrained = set(closure.axes) | _idle(robot, closure)
@@ -349,203 +384,3 @@ def _text(value: object) -> str:
     if isinstance(value, Iterable) and not isinstance(value, str):
         return " ".join(repr(float(part)) for part in value)
     return repr(float(value)) if isinstance(value, float) else str(value)
-
-
-# --- URDF -------------------------------------------------------------------------------------------------------------
-
-
-def write_urdf(robot: Robot, path: str | Path) -> Path:
-    """Write a robot as URDF with a declaration; see ``Robot.to_urdf``."""
-    target = require_writable(path)
-    beside = require_writable(target.with_suffix(".yaml"))
-    root = ElementTree.Element("robot", name=robot.name)
-    model, data = robot.model, robot.model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    if model.armature.any():
-        joints = list(enumerate(model.joints))[1:]
-        names = [str(model.names[i]) for i, at in joints if model.armature[at.idx_v : at.idx_v + at.nv].any()]
-        raise UnsupportedRobotError(
-            f"A URDF does not say the armature of {', '.join(names)}.", remedy="Write MJCF, or make it a rotor_inertia."
-        )
-    forces: dict[str, Array] = {}  # damping and friction
-    for load in (each for each in robot.loads if isinstance(each, JointForces)):
-        forces[load.joint] = forces.get(load.joint, np.zeros(2)) + np.array([load.damping, load.friction])
-    names = _link_names(robot)
-    linear = (each for each in robot.couplings if each.of and len(each.polynomial) <= 2)
-    mimics = {each.joint: (each.of, (*each.polynomial, 0.0)[:2]) for each in linear}
-    for index in range(model.njoints):
-        link = _add(root, "link", name=names[index])
-        inertia = model.inertias[index]
-        if index or inertia.mass or np.any(inertia.inertia):  # of mass 0: that the link is massless, and meant
-            _urdf_inertial(link, inertia)
-    for index in range(1, model.njoints):
-        _urdf_joint(root, model, data, index, names, forces, mimics)
-    taken = {str(name) for name in model.names}
-    for frame in _named_frames(robot):
-        entry = find_link(model, frame)
-        _add(root, "link", name=frame)
-        joint = _add(root, "joint", name=_free_name(frame, "::fixed", taken), type="fixed")
-        _add(joint, "parent", link=names[entry.parentJoint])
-        _add(joint, "child", link=frame)
-        _origin(joint, entry.placement)
-    write_text(target, _xml(root))
-    write_text(beside, _declaration(robot, target.name))
-    return target
-
-
-def _named_frames(robot: Robot) -> list[str]:
-    closures = robot.all_closures or robot.closures
-    frames = [name for closure in closures for name in (closure.frame_a, closure.frame_b)]
-    frames += [robot.platform.frame] if robot.platform else []
-    return list(dict.fromkeys(frames))
-
-
-def _link_names(robot: Robot) -> list[str]:
-    """Return a name for the body behind each joint that no frame has; the base first."""
-    taken = set(_named_frames(robot))
-    base = _free_name("base", "::link" if "base" in taken else "", taken)
-    return [base, *(_free_name(str(name), "::body", taken) for name in list(robot.model.names)[1:])]
-
-
-def _free_name(name: str, suffix: str, taken: set[str]) -> str:
-    """Return a name with a suffix that is not among those taken, and take it; readers allow 255 characters."""
-    ends = (f"{suffix}{number or ''}" for number in itertools.count())
-    free = next(free for end in ends if (free := name[: _LONGEST_NAME - len(end)] + end) not in taken)
-    taken.add(free)
-    return free
-
-
-def _urdf_inertial(link: ElementTree.Element, inertia: pin.Inertia) -> None:
-    part, matrix = _add(link, "inertial"), inertia.inertia
-    _add(part, "origin", xyz=inertia.lever)
-    _add(part, "mass", value=float(inertia.mass))
-    entries = {f"i{a}{b}": float(matrix[i, j]) for i, a in enumerate("xyz") for j, b in enumerate("xyz") if i <= j}
-    _add(part, "inertia", **entries)
-
-
-def _urdf_joint(
-    root: ElementTree.Element,
-    model: pin.Model,
-    data: pin.Data,
-    index: int,
-    names: list[str],
-    forces: dict[str, Array],
-    mimics: dict[str, tuple[str, tuple[float, ...]]],
-) -> None:
-    name, joint = str(model.names[index]), model.joints[index]
-    if joint.nv != 1 and not str(joint.shortname()).endswith("FreeFlyer"):
-        raise UnsupportedRobotError(
-            f"A URDF has no joint like {name!r} ({joint.shortname()}).",
-            remedy="Build it from hinges and slides, or write MJCF.",
-            joint=name,
-        )
-    kind, axis = "floating", np.zeros(3)
-    if joint.nv == 1:
-        subspace = motion_subspace(model, data, index)[:, 0]
-        turning = bool(np.abs(subspace[3:]).any())
-        axis = subspace[3:] if turning else subspace[:3]
-        kind = "continuous" if joint.nq == 2 else "revolute" if turning else "prismatic"
-    element = _add(root, "joint", name=name, type=kind)
-    _add(element, "parent", link=names[model.parents[index]])
-    _add(element, "child", link=names[index])
-    _origin(element, model.jointPlacements[index])
-    if joint.nv != 1:
-        return
-    _add(element, "axis", xyz=axis)
-    least, most = model.lowerEffortLimit[joint.idx_v], model.upperEffortLimit[joint.idx_v]
-    if least != -most:
-        raise UnsupportedRobotError(
-            f"A URDF has one limit of effort, the same both ways; those of joint {name!r} are {least:g} to {most:g}.",
-            remedy=f"Set one: robot.with_limits({{{name!r}: {{'effort': ...}}}}).",
-            joint=name,
-        )
-    limits = {"effort": most, "velocity": model.upperVelocityLimit[joint.idx_v]}
-    if joint.nq == 1:
-        lower, upper = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
-        limits |= {"lower": 0.0, "upper": 0.0}
-        if np.isfinite([lower, upper]).any():
-            limits |= {"lower": max(lower, -_LARGEST), "upper": min(upper, _LARGEST)}
-    # zeros stand for limits that are not known
-    _add(element, "limit", **{key: float(value) if np.isfinite(value) else 0.0 for key, value in limits.items()})
-    damping, friction = forces.get(name, np.zeros(2)).tolist()
-    if damping or friction:
-        _add(element, "dynamics", damping=damping, friction=friction)
-    if name in mimics:
-        of, (offset, multiplier) = mimics[name]
-        _add(element, "mimic", joint=of, multiplier=multiplier, offset=offset)
-
-
-def _origin(parent: ElementTree.Element, place: pin.SE3) -> None:
-    yaw, pitch, roll = angles(place.rotation)
-    _add(parent, "origin", xyz=place.translation, rpy=(roll, pitch, yaw))
-
-
-def _declaration(robot: Robot, urdf: str) -> str:
-    """Return the robot.yaml that goes with the URDF."""
-    q, model = np.array(robot.q_reference), robot.model
-    positions = {}
-    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
-        if joint.nv == 1 and name not in robot.carriers:
-            positions[str(name)] = float(q[joint.idx_q] if joint.nq == 1 else np.arctan2(*q[joint.idx_q :][1::-1]))
-    data: dict[str, Any] = {"name": robot.name, "urdf": urdf, "gravity": robot.gravity.tolist()}
-    data["closures"] = [
-        {"name": each.name, "frames": [each.frame_a, each.frame_b], "axes": list(each.axes)}
-        for each in robot.all_closures or robot.closures
-    ]
-    if robot.all_closures:
-        data["redundant_rows"] = True
-    data["couplings"] = [
-        {
-            "name": each.name,
-            "joint": each.joint,
-            **({"of": each.of} if each.of else {}),
-            "polynomial": list(each.polynomial),
-        }
-        for each in robot.couplings
-    ]
-    data["actuated"] = list(robot.actuated)
-    data["carriers"] = [
-        {
-            "joint": name,
-            "position": [limits.lower, limits.upper],
-            **{key: value for key in ("speed", "acceleration", "force") if np.isfinite(value := getattr(limits, key))},
-        }
-        for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True)
-    ]
-    if robot.platform:
-        data["independent"] = {"platform": robot.platform.frame, "axes": list(robot.platform.axes)}
-        data["reference"] = {"platform": _reference(robot), "guess": positions}
-    else:
-        free = {name: positions.pop(name) for name in robot.independent_joints}
-        data["independent"] = {"joints": list(robot.independent_joints)}
-        data["reference"] = {"joints": free, "guess": positions}
-    if robot.working_modes:
-        modes = robot.working_modes
-        data["working_modes"] = {"joints": list(modes.joints), "signs": list(modes.signs)}
-        data["working_modes"]["default"] = list(robot.working_mode)
-    data["characteristic_length"] = robot.characteristic_length
-    data |= _declared_loads(robot)
-    lines = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in data.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _reference(robot: Robot) -> Any:
-    system = ConstraintSystem(robot)
-    x = coordinates(robot, system.evaluate(np.array(robot.q_reference)[None]))[0]
-    if x.ndim == 1:
-        return x.tolist()
-    yaw, pitch, roll = angles(x[:3, :3])
-    return {"xyz": x[:3, 3].tolist(), "rpy": [roll, pitch, yaw]}
-
-
-def _declared_loads(robot: Robot) -> dict[str, Any]:
-    """Return what the declaration says of loads; payloads are in the masses."""
-    joints = []
-    for load in robot.loads:
-        if isinstance(load, JointForces):
-            joints.append({key: value for key, value in asdict(load).items() if value or key == "gear"})
-        elif not isinstance(load, Payload):
-            raise UnsupportedRobotError(
-                f"{load!r} is not written.", remedy="Write the robot without, and load it again."
-            )
-    return {"joint_forces": joints, "urdf_dynamics": False} if joints else {}

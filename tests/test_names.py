@@ -171,19 +171,6 @@ def in_pictures(one: Named, folder: Path) -> None:
     assert not tags & {"script", "a", "foreignObject", "image"}
 
 
-def in_urdf(one: Named, folder: Path) -> None:
-    one.robot.to_urdf(folder / "robot.urdf")
-    read = rp.load_robot(folder / "robot.yaml")
-    assert (read.name, *read.actuated, *read.carriers) == (one.name, *one.joints)
-    assert [closure.name for closure in read.closures] == [one.name]
-    assert read.platform == one.robot.platform
-    root = ElementTree.parse(folder / "robot.urdf").getroot()
-    for kind in ("link", "joint"):
-        names = [element.get("name", "") for element in root.iter(kind)]
-        assert len(set(names)) == len(names)
-        assert max(map(len, names)) <= 255
-
-
 def in_mjcf(one: Named, folder: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_path(str(one.robot.to_mjcf(folder / "robot.xml")))
@@ -215,7 +202,6 @@ WRITERS: dict[str, Callable[..., None]] = {
     "ros": in_ros,
     "html": in_html,
     "pictures": in_pictures,
-    "urdf": in_urdf,
     "mjcf": in_mjcf,
     "c": in_c,
 }

@@ -128,12 +128,12 @@ def _answer(error: RedundancyPinError, wording: Wording) -> tuple[str, str] | No
 
 def _other_robot(details: Mapping[str, Any]) -> str:
     """Say how the robot of a plan or a simulation is named; what Python passes as ``robot=`` has no flag."""
-    written = "write it, robot.to_urdf('machine.urdf') in Python, and name that: --robot machine.yaml."
+    in_python = "show it there, with its robot: rp.show(plan, robot=robot)"
     return {
         "outside": f"Where you trust that robot, name it: --robot {shlex.quote(str(details.get('source', '')))}.",
         "gone": "Name its robot.yaml where it is now: --robot robot.yaml.",
-        "changed": f"Plan again, or name the robot as it was, --robot robot.yaml; one changed in Python: {written}",
-        "python": f"{written[0].upper()}{written[1:]}",
+        "changed": f"Plan again, or name the robot as it was, --robot robot.yaml; one changed in Python: {in_python}.",
+        "python": f"{in_python[0].upper()}{in_python[1:]}.",
     }[str(details["plan_robot"])]
 
 

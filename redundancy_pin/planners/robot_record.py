@@ -278,7 +278,7 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trus
 
 
 def _loaded_from(place: str | Path, record: RobotRecord, *, trust: bool, named: bool) -> Robot:
-    """Load the robot of a record from a place; from files that ``to_urdf`` wrote, which have no arguments, if named."""
+    """Load the robot of a record from a place; a file without arguments, if named."""
     settings: dict[str, Any] = {"gravity": record.gravity, "working_mode": record.working_mode or None, "trust": trust}
     try:
         return load_with(place, record.arguments, **settings)
@@ -319,8 +319,7 @@ def _own_source(record: RobotRecord) -> str:
     if not record.source:
         raise PlanFileError(
             f"The plan does not say where its robot {shown(record.name)} was loaded from: it was made in Python.",
-            remedy=f"Pass the robot itself: {_PASS_ROBOT} Or write it, robot.to_urdf('machine.urdf'), and load it: "
-            "robot = rp.load_robot_of(plan, 'machine.yaml').",
+            remedy=f"Pass the robot itself: {_PASS_ROBOT}",
             plan_robot="python",
         )
     if record.folder is None or record.source in shipped_sources():

@@ -340,24 +340,6 @@ class Robot(Frozen):
         written: Path = writers.write_mjcf(self, path, step, reflected=reflected)
         return written
 
-    def to_urdf(self, path: str | Path) -> Path:
-        """Write the tree of the robot as URDF, and beside it, as .yaml, the declaration that makes this robot of it.
-
-        Closures, roles, limits, couplings and forces in joints are in the declaration, payloads in the masses.
-
-        Args:
-            path: the URDF.
-
-        Returns:
-            The path of the URDF.
-
-        Raises:
-            UnsupportedRobotError: a joint or a load that these files do not say.
-            OutputError: a file cannot be written.
-        """
-        written: Path = importlib.import_module("redundancy_pin.writers").write_urdf(self, path)
-        return written
-
     @property
     def n(self) -> int:
         """Number of independent velocities."""

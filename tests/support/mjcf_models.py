@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -180,9 +181,11 @@ class Engine:
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
         self.data = mujoco.MjData(self.model)
 
-    def set(self, robot, q: Array, v: Array | None = None) -> None:
-        """Set the state of a robot."""
+    def set(self, robot, q: Array, v: Array | None = None, without: Collection[str] = ()) -> None:
+        """Set the state of a robot, but for joints that MuJoCo has not: those of tendons."""
         for index in range(1, robot.model.njoints):
+            if robot.model.names[index] in without:
+                continue
             joint, name = robot.model.joints[index], robot.model.names[index]
             own = self.model.joint(name)
             part = q[joint.idx_q : joint.idx_q + joint.nq]
@@ -193,22 +196,23 @@ class Engine:
                 self.data.qvel[own.dofadr[0] : own.dofadr[0] + joint.nv] = v[joint.idx_v : joint.idx_v + joint.nv]
         self.mujoco.mj_forward(self.model, self.data)
 
-    def columns(self, robot) -> list[int]:
-        """Return the index in MuJoCo's velocities of each of the robot's."""
-        return [
-            int(self.model.joint(robot.model.names[index]).dofadr[0]) + i
-            for index in range(1, robot.model.njoints)
-            for i in range(robot.model.joints[index].nv)
-        ]
+    def columns(self, robot, without: Collection[str] = ()) -> tuple[list[int], list[int]]:
+        """Return the index in MuJoCo's velocities of each of the robot's, and which of the robot's these are."""
+        columns, kept = [], []
+        for name, joint in list(zip(robot.model.names, robot.model.joints, strict=True))[1:]:
+            if name not in without:
+                columns += [int(self.model.joint(name).dofadr[0]) + i for i in range(joint.nv)]
+                kept += range(joint.idx_v, joint.idx_v + joint.nv)
+        return columns, kept
 
     def torque(self, robot, a: Array, held: Array) -> Array:
-        """Return the efforts (m,) of the actuators that give the state an acceleration, equalities holding.
+        """Return the efforts (m + k,) of motors and carriers that give the state an acceleration, equalities holding.
 
         M a + h = p + Sᵀ τ + Jᵀ λ, with p of dampers and springs, all of MuJoCo's own making, solved by
         least squares; ``held`` (h, nv) are rows that the
         robot has and MuJoCo has not.
         """
-        nv, columns = self.model.nv, self.columns(robot)
+        nv, (columns, _) = self.model.nv, self.columns(robot)
         mass = np.zeros((nv, nv))
         self.mujoco.mj_fullM(self.model, self.data, mass)
         acceleration = np.zeros(nv)
@@ -218,10 +222,11 @@ class Engine:
         J = np.zeros((int(equality.sum()) + len(held), nv))
         J[len(held) :] = self.data.efc_J.reshape(-1, nv)[equality]
         J[: len(held), columns] = held
-        selection = np.zeros((nv, robot.m))
-        selection[np.array(columns)[robot.actuated_velocity], np.arange(robot.m)] = 1.0
+        driven = np.concatenate([robot.actuated_velocity, robot.carrier_velocity])
+        selection = np.zeros((nv, len(driven)))
+        selection[np.array(columns)[driven], np.arange(len(driven))] = 1.0
         matrix = np.concatenate([selection, J.T], axis=1)
         solution, *_ = np.linalg.lstsq(matrix, needed, rcond=1e-9)
         np.testing.assert_allclose(matrix @ solution, needed, atol=1e-9)
-        effort: Array = solution[: robot.m]
+        effort: Array = solution[: len(driven)]
         return effort

@@ -1,584 +1,538 @@
 """Read MJCF, the models of MuJoCo: bodies, joints and sites, the equalities that close loops, what drives the joints.
 
-A subset, read as MuJoCo reads it; what else changes the mechanics is refused by name, file and line. Forces that are
-left out (contacts, tendons) are named in the notes.
+MuJoCo's own compiler reads the file (extra ``mjcf``): defaults, composites, masses of meshes and the rest are as it has
+them. What a rigid mechanism cannot mean is refused by name; what is left out of it is named in the notes.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
+import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import did_you_mean, shown
+from redundancy_pin.errors import ModelFileError, did_you_mean
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
-    UNLIMITED,
-    JointEntry,
-    LinkEntry,
+    MOST_LINKS,
+    NOT_IN_FORCE,
     Mechanism,
     angles,
     drawn,
-    mechanism_of_tree,
-    six_joints,
+    in_a_row,
 )
-from redundancy_pin.robot.formats.mjcf_file import (
-    CompilerSettings,
-    Defaults,
-    Included,
-    Part,
-    about,
-    from_quaternion,
-)
-from redundancy_pin.robot.formats.mjcf_forces import Forces, forces_of
-from redundancy_pin.robot.formats.mjcf_masses import POSE, body_mass, place_of_geom, shape_of
-from redundancy_pin.robot.formats.xml_files import Element
-from redundancy_pin.robot.loop_joints import placed
-from redundancy_pin.robot.types import AXES, Closure, Coupling
+from redundancy_pin.robot.formats.mjcf_compiled import Compiled, compile_mjcf, rotation_of
+from redundancy_pin.robot.loads import JointForces
+from redundancy_pin.robot.lookup import find_joint, find_joint_index, has_joint, has_link
+from redundancy_pin.robot.loop_joints import LoopJoint
+from redundancy_pin.robot.rebuild import axis_of, joint_along
+from redundancy_pin.robot.types import Coupling, slides
 
-_IGNORED = ("visual", "statistic", "asset", "size", "sensor", "custom", "contact", "default", "keyframe")
-"""Sections that move nothing: pictures, measurements, sizes of memory; contacts are named in the notes."""
+_SIX = ("x", "y", "z", "rz", "ry", "rx")
+"""Joints in place of a free one: independent joints have one degree of freedom each."""
 
-_SECTIONS = (*_IGNORED, "compiler", "option", "worldbody", "equality", "actuator", "tendon")
-
-_SOLVER = ("solref", "solimp", "margin", "gap")
-_OF_JOINT = (
-    *("type", "group", "pos", "axis", "range", "limited", "ref", "user", "margin", "springref"),
-    *("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "actuatorfrclimited", "actuatorfrcrange"),
-    *("stiffness", "damping", "frictionloss", "springdamper", "armature", "actuatorgravcomp"),
-)
-_OF_GEOM = (
-    *(*POSE, *_SOLVER, "type", "size", "fromto", "mass", "density", "group", "rgba", "material", "contype", "user"),
-    *("conaffinity", "condim", "priority", "friction", "solmix", "hfield", "mesh", "fitscale", "shellinertia"),
-    *("fluidshape", "fluidcoef"),
-)
-_OF_BODY = (*POSE, "childclass", "mocap", "gravcomp", "user", "sleep")
-_OF_SITE = (*POSE, "type", "size", "fromto", "group", "rgba", "material", "user")
-_OF_ACTUATOR = (
-    *(
-        "group",
-        "ctrllimited",
-        "forcelimited",
-        "actlimited",
-        "ctrlrange",
-        "forcerange",
-        "actrange",
-        "lengthrange",
-        "gear",
-    ),
-    *("joint", "jointinparent", "user", "dyntype", "gaintype", "biastype", "dynprm", "gainprm", "biasprm", "actearly"),
-    *("kp", "kv", "dampratio", "timeconst", "inheritrange", "nsample", "interp", "delay", "actdim"),
-)
-_NO_JOINT = "Drive a joint: forces along tendons, at sites and on bodies are not covered."
-_NO_TRANSMISSION = dict.fromkeys(
-    ("tendon", "site", "refsite", "body", "slidersite", "cranksite", "cranklength"), _NO_JOINT
-)
-_OF_COMPILER = (
-    *("angle", "eulerseq", "autolimits", "inertiafromgeom", "inertiagrouprange", "meshdir", "texturedir", "assetdir"),
-    *("strippath", "discardvisual", "usethread", "fusestatic", "coordinate", "convexhull", "exactmeshinertia"),
-    *("balanceinertia", "boundmass", "boundinertia", "settotalmass", "alignfree", "saveinertial", "fitaabb"),
-)
-_EQUALITIES = {
-    "connect": ("body1", "body2", "site1", "site2", "anchor"),
-    "weld": ("body1", "body2", "site1", "site2", "anchor", "relpose", "torquescale"),
-    "joint": ("joint1", "joint2", "polycoef"),
+_NO_JOINT = "Drive a joint or a fixed tendon."
+_LAWS = {
+    "dyn": ("none", "integrator", "filter", "filterexact", "pid"),
+    "gain": ("fixed", "affine", "pid"),
+    "bias": ("none", "affine"),
 }
-"""Kinds of equalities, and the attributes that each has."""
+"""What the force of an actuator may follow from; muscles and motors with circuits of their own are others."""
 
-_FLAGS = (
-    *("constraint", "equality", "frictionloss", "limit", "contact", "spring", "damper", "gravity", "clampctrl"),
-    *("warmstart", "filterparent", "actuation", "refsafe", "sensor", "midphase", "eulerdamp", "autoreset"),
-    *("nativeccd", "island", "multiccd", "override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact"),
-    *("ipc", "speculative"),
-)
-"""Those of MuJoCo. Most say how it computes; ranges and drives stay those of the machine, whatever it simulates."""
+_FORCES = {
+    "damping": ("damper", "damping"),
+    "frictionloss": ("frictionloss", "friction"),
+    "stiffness": ("spring", "stiffness"),
+}
+"""Forces of joints, the flags that disable them, and what ``JointForces`` calls them."""
 
-_SMALLEST = 1e-15
-"""MuJoCo's mjMINVAL: a quaternion that is shorter is no turn."""
+_FLAGS = ("spring", "damper", "frictionloss")
+"""Forces that flags of the model disable; older releases of MuJoCo have one, "passive", for the first two."""
 
 
-def read_mjcf(path: Path, *, keyframe: str = "", base: str = "free") -> Mechanism:
+def read_mjcf(
+    path: Path, *, keyframe: str = "", base: str = "free", trust: bool = False, untrusted: bool = False
+) -> Mechanism:
     """Read a model of MuJoCo.
 
     Args:
         path: the file.
         keyframe: name of the keyframe that the mechanism starts from; the initial configuration when empty.
         base: "free", or "fixed" to hold bodies with free joints where they start.
+        trust: let it name files outside of its own folder.
+        untrusted: compile it in a child process with limits of time and memory.
 
     Raises:
-        ModelFileError: naming file and line: a file that is none, or what this reader does not know.
+        ModelFileError: naming the file: what MuJoCo refuses, or a rigid mechanism cannot mean.
+        RedundancyPinError: MuJoCo is not installed.
     """
-    return _Reader(Included(path), keyframe, base).mechanism()
+    return _Reader(path, compile_mjcf(path, trust=trust, untrusted=untrusted), keyframe, base).mechanism()
 
 
 class _Reader:
-    """What is gathered on the way through a file."""
+    """What is gathered on the way from MuJoCo's model to Pinocchio's."""
 
-    def __init__(self, files: Included, keyframe: str, base: str) -> None:
-        self.files, self._base = files, base
-        root = files.root
-        if root.tag != "mujoco":
-            files.refuse(root, f"the top element is <{root.tag}>, not <mujoco>", "Pass a model of MuJoCo.")
-        for element in root:
-            if element.tag not in _SECTIONS and isinstance(element, Element):
-                files.refuse(element, f"<{element.tag}> is not covered", did_you_mean(element.tag, _SECTIONS))
-        self.settings = self._settings()
-        self._defaults = Defaults(files)
-        self._disabled = self._flags()
-        self.gravity = self._gravity()
-        self.links: dict[str, LinkEntry] = {"world": LinkEntry("world", 0.0, np.zeros(3), np.zeros((3, 3)))}
-        self.joints: list[JointEntry] = []
-        self.places: dict[str, Array] = {"world": np.eye(4)}
-        """Of each link in the world, at the initial configuration."""
-        self.bodies, self.sites, self.names = {"world": "world"}, dict[str, str](), dict[str, tuple[str, ...]]()
-        """Links of bodies and sites, and joints made of each joint of the file, by its name."""
-        self.initial: dict[str, float | Array] = {}
-        self.shapes: dict[str, list[str]] = {}
+    def __init__(self, path: Path, compiled: Compiled, keyframe: str, base: str) -> None:
+        self.path, self.m, self.base = path, compiled, base
+        self.left_out: dict[str, list[str]] = {}
+        self._require_rigid()
+        self.model = pin.Model()
+        self.model.name = compiled.name or path.stem
+        self.disabled = {flag for flag in _FLAGS if self._is_disabled(flag)}
+        self.qpos: Array = self._start(keyframe)
+        self.links: list[str] = []
+        self.sites: list[str] = []
+        self.joints: list[tuple[str, ...]] = [() for _ in compiled["jnt_type"]]
+        """By joint of the file, what it is made of here; nothing where it is held."""
+        self.places: list[tuple[int, pin.SE3]] = [(0, pin.SE3.Identity())]
+        """By body, the joint that carries it and its placement there."""
+        self.start: dict[str, Any] = {}
+        self.armature: dict[str, Array] = {}
+        self.loads: dict[str, dict[str, float]] = {}
+        self.tendons: dict[int, str] = {}
+        """By fixed tendon, the joint that has its length as position."""
+        self.couplings: list[Coupling] = []
         self.notes: list[str] = []
-        self.forces = Forces(self._disabled)
-        self._positions: list[tuple[str, ...]] = []  # joints in the order of qpos
-        self._skipped: list[tuple[int, int]] = []  # in qpos, of no joint here: before which, how many
-        self._colliding = False
-        self._keyframe = keyframe
-
-    # --- sections -----------------------------------------------------------------------------------------------------
-
-    def _sections(self, tag: str) -> Iterator[Element]:
-        for section in self.files.root:
-            if section.tag == tag and isinstance(section, Element):
-                yield section
-
-    def _elements(self, tag: str) -> Iterator[Part]:
-        for section in self._sections(tag):
-            for element in section:
-                if isinstance(element, Element):
-                    yield self._part(element, "", tag)
-
-    def _part(self, element: Element, inherited: str, section: str = "") -> Part:
-        defaults = self._defaults.of(self.files, element, inherited, section)
-        return Part(self.files, element, self.settings, defaults)
-
-    def _settings(self) -> CompilerSettings:
-        given: dict[str, str] = {}
-        for section in self._sections("compiler"):
-            part = Part(self.files, section, CompilerSettings())
-            part.require_known(_OF_COMPILER)
-            given.update(section.attrib)
-            for child in section:
-                if child.tag != "lengthrange" and isinstance(child, Element):
-                    self.files.refuse(child, f"<{child.tag}> is not covered")
-            for key, harmless in (
-                *(("coordinate", ("local",)), ("balanceinertia", ("false",)), ("alignfree", ("false", "auto"))),
-                *(("boundmass", ("0",)), ("boundinertia", ("0",)), ("settotalmass", ("-1",))),
-            ):
-                if section.get(key, harmless[0]).strip() not in harmless:
-                    part.refuse(f"the compiler has {key}={shown(section.get(key))}, which is not covered")
-        first = next(self._sections("compiler"), self.files.root)
-        merged = Part(self.files, first, CompilerSettings(), given)
-        sequence = given.get("eulerseq", "xyz")
-        if len(sequence) != 3 or not set(sequence.lower()) <= set("xyz"):
-            merged.refuse(f"the compiler has eulerseq={shown(sequence)}", "Write three of xyz, or of XYZ.")
-        groups = merged.numbers("inertiagrouprange", 2, default="0 5")
-        chosen = {
-            key: given.get(key, default) for key, default in (("autolimits", "true"), ("inertiafromgeom", "auto"))
-        }
-        if chosen["autolimits"] not in ("true", "false") or chosen["inertiafromgeom"] not in ("true", "false", "auto"):
-            merged.refuse("the compiler has autolimits or inertiafromgeom of another value than true, false, auto")
-        return CompilerSettings(
-            given.get("angle", "degree") != "radian",
-            sequence,
-            chosen["autolimits"] == "true",
-            chosen["inertiafromgeom"],
-            (float(groups[0]), float(groups[1])),
-        )
-
-    def _gravity(self) -> Array:
-        gravity = np.array([0.0, 0.0, -9.81])
-        self._fluid = False
-        for section in self._sections("option"):
-            part = Part(self.files, section, self.settings)
-            if part.has("gravity"):
-                gravity = part.numbers("gravity", 3)
-            self._fluid |= any(part.number(key, 0.0) != 0.0 for key in ("density", "viscosity"))
-        return np.zeros(3) if "gravity" in self._disabled else gravity
-
-    def _flags(self) -> set[str]:
-        """Return the flags that are disabled; of several that say one, the last counts."""
-        flags: dict[str, Part] = {}
-        for section in self._sections("option"):
-            for child in section:
-                if not isinstance(child, Element):
-                    continue
-                part = Part(self.files, child, self.settings)
-                if part.tag != "flag":
-                    part.refuse(f"<{part.tag}> is not covered", did_you_mean(part.tag, ["flag"]))
-                for key in child.attrib:
-                    if key not in _FLAGS:
-                        part.refuse(f"there is no flag {shown(key)}", did_you_mean(key, _FLAGS).strip())
-                    part.choice(key, ("enable", "disable"), "enable")
-                    flags[key] = part
-        disabled = {key for key, part in flags.items() if part.text(key) == "disable"}
-        for key in sorted(disabled & {"constraint", "equality"}):
-            flags[key].refuse(f"the flag {key}=disable is not covered: loops would be open")
-        return disabled
-
-    # --- bodies -------------------------------------------------------------------------------------------------------
 
     def mechanism(self) -> Mechanism:
         """Return what the file describes."""
-        for section in self._sections("worldbody"):
-            self._contents(self._part(section, ""), "world", "world", np.eye(4), section.get("childclass", ""))
-        if len(self.bodies) == 1:
-            self.files.refuse(self.files.root, "the model has no bodies")
-        start = self._start()
-        closures, couplings = self._equalities()
+        self._bodies()
+        self._add_sites()
+        for tendon in range(len(self.m.names["tendon"])):
+            if any(self.m.has(f"tendon_{what}", tendon) for what in _OF_TENDONS):
+                self._joint_of_tendon(tendon)
+        loop_joints = tuple(self._equalities())
         actuated = self._actuators()
-        for part in self._elements("tendon"):
-            self.forces.read_tendon(part)
-        if self._fluid:
-            self.forces.left_out["fluid"] = ["density or viscosity of the option"]
-        self.notes += self.forces.notes(self._colliding)
-        return mechanism_of_tree(
-            self.files.root.get("model") or self.files.path.stem,
-            self.links,
-            tuple(self.joints),
-            closures,
+        model = self.model
+        model.gravity.linear = np.zeros(3) if self._is_disabled("gravity") else self.m["gravity"]
+        armature = np.zeros(model.nv)
+        for name, inertia in self.armature.items():
+            joint = find_joint(model, name)
+            armature[joint.idx_v : joint.idx_v + joint.nv] = inertia
+        model.armature = armature
+        q: Array = pin.neutral(model)
+        for name, value in self.start.items():
+            joint = find_joint(model, name)
+            q[joint.idx_q : joint.idx_q + joint.nq] = value
+        forces = tuple(JointForces(name, **load) for name, load in self.loads.items() if any(load.values()))
+        shapes: dict[str, list[str]] = {}
+        for body, shape in self.m.shapes:
+            shapes.setdefault(self.links[body], []).append(shape)
+        return Mechanism(
+            str(model.name),
+            model,
+            q,
+            loop_joints,
+            tuple(self.couplings),
             actuated,
-            self.gravity,
-            start,
-            armature=self.forces.armature,
-            path=str(self.files.path),
-            forces=tuple(self.forces.loads),
-            notes=tuple(self.notes),
-            shapes=drawn(self.shapes),
-            couplings=couplings,
+            forces=forces,
+            notes=self._all_notes(forces),
+            shapes=drawn(shapes),
         )
 
-    def _contents(self, part: Part, body: str, link: str, frame: Array, inherited: str) -> None:
-        """Read the bodies and sites in a body or the world, and in frames there.
+    # --- what is refused, and what is noted ---------------------------------------------------------------------------
 
-        Args:
-            part: the element.
-            body: name of the body, for messages.
-            link: the link that its contents are fixed to.
-            frame: (4, 4) of the element in that link.
-            inherited: class of defaults around it.
-        """
-        for child in part.element:
-            if not isinstance(child, Element):
-                continue
-            inner = self._part(child, inherited)
-            tag = inner.tag
-            if tag == "body":
-                self._body(inner, link, frame, inherited)
-            elif tag == "site":
-                inner.require_known(_OF_SITE)
-                self._site(inner, link, frame)
-            elif tag == "frame":
-                inner.require_known((*POSE, "childclass"))
-                within = frame @ inner.placement()
-                self._contents(inner, body, link, within, child.get("childclass", inherited))
-            elif tag in ("joint", "freejoint", "inertial", "geom"):
-                if body == "world" and tag != "geom":
-                    inner.refuse(f"the world has a {tag}", "Put it into a body.")
-                if tag == "geom":
-                    inner.require_known(_OF_GEOM)
-                    self._colliding |= inner.text("contype", "1") != "0" or inner.text("conaffinity", "1") != "0"
-            elif tag not in ("camera", "light"):
-                inner.refuse(f"<{tag}> is not covered")
+    def _refuse(self, what: str, remedy: str) -> NoReturn:
+        raise ModelFileError(f"{self.path}: {what}.", remedy=remedy, path=str(self.path))
 
-    def _body(self, part: Part, parent: str, frame: Array, inherited: str) -> None:
-        part.require_known(_OF_BODY)
-        if part.text("mocap", "false") != "false":
-            part.refuse(f"{part} is a mocap body, which is not covered", "Make it a body without joints.")
-        if part.number("gravcomp", 0.0) != 0.0:
-            self.forces.left_out.setdefault("gravcomp", []).append(part.name or "a body")
-        inherited = part.element.get("childclass", inherited)
-        name = self._fresh(part.name or f"body_{len(self.bodies)}", part)
-        if part.name in self.bodies:
-            part.refuse(f"there are two bodies {part.name!r}", "Rename one.")
-        place = frame @ part.placement()
-        own = list(self._of_body(part, np.eye(4), inherited))
-        joints = [(each, within) for each, within in own if each.tag in ("joint", "freejoint")]
-        for geom, within in own:
-            if geom.tag == "geom" and (shape := shape_of(geom, within)):
-                self.shapes.setdefault(name, []).append(shape)
-        mass = body_mass(part, name, own)
-        self.places[name] = self.places[parent] @ place
-        link, rest = parent, place
-        welded = self._base == "fixed" and parent == "world" and self._is_floating([joint for joint, _ in joints])
-        for number, (joint, within) in enumerate([] if welded else joints):
-            link, rest = self._joint(joint, within, link, rest, name, number, len(joints))
-        self._link(mass, link, rest, name)
-        self.bodies[part.name or name] = name
-        self._contents(part, name, name, np.eye(4), inherited)
+    def _is_disabled(self, flag: str) -> bool:
+        return flag in self.m["disabled"] or (flag in ("spring", "damper") and "passive" in self.m["disabled"])
 
-    def _is_floating(self, joints: list[Part]) -> bool:
-        """Whether joints give a body all six freedoms; if so, their place in qpos is noted."""
-        kinds = ["free" if part.tag == "freejoint" else part.text("type", "hinge") for part in joints]
-        freedoms = {"free": 6, "ball": 3, "hinge": 1, "slide": 1}
-        if sum(freedoms.get(kind, 0) for kind in kinds) != 6:
-            return False
-        self._skipped += [(len(self._positions), {"free": 7, "ball": 4}.get(kind, 1)) for kind in kinds]
-        return True
+    def _require_rigid(self) -> None:
+        """Refuse what a rigid mechanism cannot mean, and more of it than a model may have."""
+        m = self.m
+        for count, most, what in (
+            (len(m["dof_damping"]), MOST_FREEDOMS, "degrees of freedom"),
+            (len(m["body_mass"]), MOST_LINKS, "bodies"),
+            (len(m["eq_type"]), MOST_FREEDOMS, "equalities"),
+        ):
+            if count > most:
+                self._refuse(
+                    f"the model has {count} {what}, more than the {most} that one may have",
+                    "Take out what is no part of the mechanism.",
+                )
+        if len(m["body_mass"]) == 1:
+            self._refuse("the model has no bodies", "Give it some.")
+        bodies = [name or f"body {number}" for number, name in enumerate(m.names["body"])]
+        joints = m.names["joint"]
+        for found, what in (
+            (m["flexes"], "soft bodies (flex)"),
+            (np.any(m["fluid"] > 0.0), "a fluid (density or viscosity of the option)"),
+            *((m.has("body_gravcomp", body), f"gravcomp of {name}") for body, name in enumerate(bodies)),
+            *((m["body_plugin"][body] >= 0, f"a plugin of {name}") for body, name in enumerate(bodies)),
+            *((m.has("jnt_springyield", joint), f"a yielding spring of {name}") for joint, name in enumerate(joints)),
+            *(
+                (np.any(m["eq_active0"]) and self._is_disabled(flag), f"equalities that the flag {flag}=disable opens")
+                for flag in ("equality", "constraint")
+            ),
+        ):
+            if found:
+                self._refuse(f"it has {what}, which is not covered", "Take it out.")
 
-    def _of_body(self, part: Part, frame: Array, inherited: str) -> Iterator[tuple[Part, Array]]:
-        """Give the joints, geoms and inertial of a body, with the frame (4, 4) that each is written in."""
-        for child in part.element:
-            if not isinstance(child, Element):
-                continue
-            inner = self._part(child, inherited)
-            if inner.tag == "frame":
-                yield from self._of_body(inner, frame @ inner.placement(), child.get("childclass", inherited))
-            elif inner.tag in ("joint", "freejoint", "geom", "inertial"):
-                yield inner, frame
+    def _all_notes(self, forces: Sequence[JointForces]) -> tuple[str, ...]:
+        notes = [*self.notes, *(f"MuJoCo warns: {each}." for each in self.m["warnings"])]
+        if listed := "; ".join(f"{what} of {', '.join(names)}" for what, names in self.left_out.items()):
+            notes.append(f"{NOT_IN_FORCE} {listed}.")
+        if self.m["colliding"] and not self._is_disabled("contact"):
+            notes.append("Contacts between geoms are not modelled.")
+        if self.disabled:
+            notes.append(f"Disabled by flags of the model: {', '.join(sorted(self.disabled))}.")
+        if forces:
+            notes.append(f"In force: damping, friction and springs of {', '.join(load.joint for load in forces)}.")
+        if turning := [name for name, inertia in self.armature.items() if np.any(inertia)]:
+            notes.append(f"In force: armature of {', '.join(turning)}.")
+        if mocap := [link for link, number in zip(self.links, self.m["body_mocapid"], strict=True) if number >= 0]:
+            notes.append(f"Mocap bodies stay where they are: {', '.join(mocap)}.")
+        return tuple(notes)
 
-    def _fresh(self, name: str, part: Part) -> str:
-        """Return a name that no link has: bodies, sites and what is made for closures have one space of names here."""
-        if name not in self.links:
-            return name
-        return next(
-            f"{part.tag}:{name}" + "'" * i for i in range(99) if f"{part.tag}:{name}" + "'" * i not in self.links
-        )
+    # --- bodies and joints --------------------------------------------------------------------------------------------
 
-    def _link(self, mass: LinkEntry, parent: str, placement: Array, name: str) -> None:
-        self.links[name] = replace(mass, name=name)
-        self.joints.append(JointEntry(f"{name}::fixed", "fixed", parent, name, placement, np.zeros(3), {}))
+    def _start(self, keyframe: str) -> Array:
+        """Return qpos of a keyframe, or the initial one."""
+        if not keyframe:
+            return np.array(self.m["qpos0"])
+        names = self.m.names["key"]
+        if keyframe not in names:
+            listed = ", ".join(filter(None, names)) or "none"
+            self._refuse(
+                f"there is no keyframe {keyframe!r}", f"{did_you_mean(keyframe, names)}Its keyframes: {listed}."
+            )
+        return np.array(self.m["key_qpos"][names.index(keyframe)])
 
-    def _frame(self, name: str, parent: str, placement: Array) -> None:
-        self._link(LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3))), parent, placement, name)
-        self.places[name] = self.places[parent] @ placement
+    def _bodies(self) -> None:
+        m = self.m
+        self.links.append(self._link("world", "body", 0, pin.SE3.Identity()))
+        for body in range(1, len(m["body_mass"])):
+            carrier, place = self.places[m["body_parentid"][body]]
+            place = place * pin.SE3(rotation_of(m["body_quat"][body]), m["body_pos"][body])
+            name = m.names["body"][body] or f"body_{body}"
+            joints = range(m["body_jntadr"][body], m["body_jntadr"][body] + m["body_jntnum"][body])
+            freedoms = {"free": 6, "ball": 3}
+            is_floating = sum(freedoms.get(m["jnt_type"][joint], 1) for joint in joints) == 6
+            is_held = self.base == "fixed" and m["body_parentid"][body] == 0 and is_floating
+            for number, joint in enumerate(joints):
+                if is_held:
+                    place = self._moved(joint, place)
+                else:
+                    single = "" if len(joints) == 1 else f"_{number + 1}"
+                    own = m.names["joint"][joint] or f"{name}_joint{single}"
+                    carrier, place = self._joint(joint, own, carrier, place)
+            turn = rotation_of(m["body_iquat"][body])
+            inertia = turn @ np.diag(m["body_inertia"][body]) @ turn.T
+            if m["body_mass"][body] or inertia.any():
+                of_body = pin.Inertia(float(m["body_mass"][body]), np.array(m["body_ipos"][body]), inertia)
+                self.model.appendBodyToJoint(carrier, of_body, place)
+            self.places.append((carrier, place))
+            self.links.append(self._link(name, "body", carrier, place))
 
-    def _site(self, part: Part, link: str, frame: Array) -> None:
-        name = self._fresh(part.name or f"site_{len(self.sites)}", part)
-        if part.name in self.sites:
-            part.refuse(f"there are two sites {part.name!r}", "Rename one.")
-        self._frame(name, link, frame @ place_of_geom(part))
-        self.sites[part.name or name] = name
+    def _link(self, name: str, kind: str, carrier: int, place: pin.SE3) -> str:
+        """Add a frame for a body or site, which have one space of names here; return its name."""
+        if has_link(self.model, name):
+            name = f"{kind}:{name}"
+        while has_link(self.model, name):
+            name += "'"
+        self.model.addBodyFrame(name, carrier, place, 0)
+        return name
 
-    # --- joints -------------------------------------------------------------------------------------------------------
+    def _add_sites(self) -> None:
+        m = self.m
+        for site, body in enumerate(m["site_bodyid"]):
+            carrier, place = self.places[body]
+            place = place * pin.SE3(rotation_of(m["site_quat"][site]), m["site_pos"][site])
+            self.sites.append(self._link(m.names["site"][site] or f"site_{site}", "site", carrier, place))
 
-    def _joint(
-        self, part: Part, within: Array, parent: str, place: Array, body: str, number: int, count: int
-    ) -> tuple[str, Array]:
-        """Add a joint; return the link behind it, and the placement (4, 4) of the body's frame in that link."""
-        kind = "free" if part.tag == "freejoint" else part.choice("type", ("hinge", "slide", "ball", "free"), "hinge")
-        part.require_known(("group", "align") if part.tag == "freejoint" else _OF_JOINT)
-        name = part.name or (f"{body}_joint" if count == 1 else f"{body}_joint_{number + 1}")
-        if name in self.names:
-            part.refuse(f"there are two joints {name!r}", "Rename one.")
-        self.forces.read(part, name, kind)
+    def _moved(self, joint: int, place: pin.SE3) -> pin.SE3:
+        """Return where the body of a joint is that is held at the start, given its placement before that joint."""
+        m, kind, at = self.m, self.m["jnt_type"][joint], self.m["jnt_qposadr"][joint]
+        q, anchor, axis = self.qpos[at : at + 7], m["jnt_pos"][joint], m["jnt_axis"][joint]
         if kind == "free":
-            return self._free(part, name, parent, place, count)
-        if part.has("armature"):
-            rotor = part.number("armature", 0.0)
-            if rotor < 0.0:
-                part.refuse(f"{part} has armature={rotor:g}")
-            self.forces.armature[name] = rotor
-        anchor = within @ np.append(part.numbers("pos", 3, default="0 0 0"), 1.0)
-        anchored = place @ placed(np.eye(3), anchor[:3])
-        back = placed(np.eye(3), -anchor[:3])
-        self.names[name] = (name,)
-        self._positions.append((name,))
+            return pin.SE3(rotation_of(q[3:]), q[:3])
+        away = q[0] - m["qpos0"][at]
+        if kind == "slide":
+            return place * pin.SE3(np.eye(3), away * axis)
+        turn = rotation_of(q[:4]) if kind == "ball" else pin.exp3(away * axis)
+        return place * pin.SE3(turn, anchor - turn @ anchor)
+
+    def _joint(self, joint: int, name: str, carrier: int, place: pin.SE3) -> tuple[int, pin.SE3]:
+        """Add a joint to a body at a placement; return the joint that carries the body, and the placement there."""
+        m, kind, at, dof = self.m, self.m["jnt_type"][joint], self.m["jnt_qposadr"][joint], self.m["jnt_dofadr"][joint]
+        single, rest = kind in ("hinge", "slide"), m["qpos_spring"][at]
+        curved = m.has("dof_dampingpoly", dof), m.has("jnt_stiffnesspoly", joint)
+        self._take(name, "damping", m["dof_damping"][dof], curved=curved[0], covered=kind != "free")
+        self._take(name, "frictionloss", m["dof_frictionloss"][dof], curved=False, covered=single)
+        self._take(name, "stiffness", m["jnt_stiffness"][joint], curved=curved[1], covered=single, rest=rest)
+        if kind == "free":
+            if np.any(m["dof_armature"][dof : dof + 6]):
+                self._refuse(f"the joint {name!r} is free and has an armature, which is not covered", "Take it out.")
+            start = self._moved(joint, place)
+            yaw, pitch, roll = angles(start.rotation)
+            row = in_a_row(name, _SIX)
+            for own, model in row:
+                carrier = self.model.addJoint(carrier, model, pin.SE3.Identity(), own)
+            self.joints[joint] = tuple(own for own, _ in row)
+            values = (*start.translation.tolist(), yaw, pitch, roll)
+            self.start.update(zip(self.joints[joint], values, strict=True))
+            self.notes.append(
+                f"The free joint {name!r} is three slides and three hinges (yaw, pitch, roll; singular at a pitch of "
+                f"90°): {', '.join(self.joints[joint])}. Nothing drives it; base=fixed holds it."
+            )
+            return carrier, pin.SE3.Identity()
+        self.joints[joint] = (name,)
+        self.armature[name] = m["dof_armature"][dof]
+        anchor = pin.SE3(np.eye(3), np.array(m["jnt_pos"][joint]))
+        limited = bool(m["jnt_limited"][joint])
         if kind == "ball":
-            if part.limited("limited", "range"):
-                self.forces.left_out.setdefault("range", []).append(name)
-            self._moving(JointEntry(name, "ball", parent, f"{name}::link", anchored, np.zeros(3), UNLIMITED))
-            self.initial[name] = np.array([0.0, 0.0, 0.0, 1.0])
-            return f"{name}::link", back
-        axis = within[:3, :3] @ part.numbers("axis", 3, default="0 0 1")
-        length = float(np.linalg.norm(axis))
-        if not length > 1e-12:
-            part.refuse(f"{part} has an axis of length zero", "Correct it.")
-        axis = axis / length
-        turning = kind == "hinge"
-        unit = math.pi / 180.0 if turning and self.settings.degrees else 1.0
-        ref = unit * part.number("ref", 0.0)
+            if limited:
+                self._leave_out("range", name)
+            self.start[name] = pin.Quaternion(rotation_of(self.qpos[at : at + 4])).coeffs()
+            return self.model.addJoint(carrier, pin.JointModelSpherical(), place * anchor, name), anchor.inverse()
+        axis, ref = np.array(m["jnt_axis"][joint]), float(m["qpos0"][at])
         # at the initial configuration q is ref: the joint is mounted as far back
-        mounted = placed(about(axis, -ref), np.zeros(3)) if turning else placed(np.eye(3), -ref * axis)
-        limits = dict(UNLIMITED)
-        if part.limited("limited", "range"):
-            limits["lower"], limits["upper"] = (unit * part.numbers("range", 2)).tolist()
-        if part.limited("actuatorfrclimited", "actuatorfrcrange"):
-            self.forces.ranges[name] = part.numbers("actuatorfrcrange", 2)
-        entry = JointEntry(
-            name, "revolute" if turning else "prismatic", parent, f"{name}::link", anchored @ mounted, axis, limits
-        )
-        self._moving(entry)
-        self.initial[name] = ref
-        return f"{name}::link", back
+        back = pin.SE3(pin.exp3(-ref * axis), np.zeros(3)) if kind == "hinge" else pin.SE3(np.eye(3), -ref * axis)
+        self.start[name] = float(self.qpos[at])
+        ends = m["jnt_range"][joint] if limited else np.array([-np.inf, np.inf])
+        bounds = m["jnt_actfrcrange"][joint] if m["jnt_actfrclimited"][joint] else np.array([-np.inf, np.inf])
+        turns = "revolute" if kind == "hinge" else "prismatic"
+        return self._single(name, turns, axis, carrier, place * anchor * back, ends, bounds), anchor.inverse()
 
-    def _moving(self, joint: JointEntry) -> None:
-        self.links[joint.child] = LinkEntry(joint.child, 0.0, np.zeros(3), np.zeros((3, 3)))
-        self.joints.append(joint)
+    def _single(
+        self, name: str, kind: str, axis: Array, carrier: int, place: pin.SE3, ends: Array, efforts: Array
+    ) -> int:
+        """Add a joint of one degree of freedom between ends (2,), with bounds of its effort (2,); return its index."""
+        none, lower, upper = np.array([np.inf]), ends[:1], ends[1:]
+        index = int(self.model.addJoint(carrier, joint_along(kind, axis), place, name, none, none, lower, upper))
+        self._bound(name, efforts)
+        return index
 
-    def _free(self, part: Part, name: str, parent: str, place: Array, count: int) -> tuple[str, Array]:
-        """Add the six freedoms of a free body as three slides and three hinges: independent joints have one each."""
-        if parent != "world" or count > 1:
-            part.refuse(f"{part} is free, in a body that is inside of another or has other joints")
-        if part.number("armature", 0.0):
-            part.refuse(f"{part} is free and has an armature, which is not covered")
-        made, start = six_joints(name, parent, f"{name}::link", place)
-        for joint in made:
-            self._moving(joint)
-        self.names[name] = tuple(start)
-        self._positions.append(tuple(start))
-        self.initial.update(start)
-        self.notes.append(
-            f"The free joint {name!r} is three slides and three hinges (yaw, pitch, roll; singular at a pitch of 90°): "
-            f"{', '.join(start)}. Nothing drives it; base=fixed holds it."
-        )
-        return f"{name}::link", np.eye(4)
+    def _bound(self, name: str, efforts: Array) -> None:
+        column = find_joint(self.model, name).idx_v
+        for which, bound in zip(("lower", "upper"), efforts, strict=True):  # efforts may all be of one sign
+            bounds = getattr(self.model, f"{which}EffortLimit")
+            bounds[column] = bound
+            setattr(self.model, f"{which}EffortLimit", bounds)
 
-    # --- what closes loops, what drives, where it starts --------------------------------------------------------------
+    def _leave_out(self, what: str, name: str) -> None:
+        names = self.left_out.setdefault(what, [])
+        if name not in names:
+            names.append(name)
 
-    def _equalities(self) -> tuple[tuple[Closure, ...], tuple[Coupling, ...]]:
-        closures: list[Closure] = []
-        couplings: list[Coupling] = []
-        for number, part in enumerate(self._elements("equality")):
-            name = part.name or f"{part.tag}_{number + 1}"
-            if part.tag not in _EQUALITIES:
-                kinds = ", ".join(_EQUALITIES)
-                part.refuse(f"{part} is an equality of another kind than {kinds}, which is not covered")
-            part.require_known(("active", "solref", "solimp", *_EQUALITIES[part.tag]))
-            if part.choice("active", ("true", "false"), "true") == "false":
+    def _take(
+        self, name: str, what: str, value: float, *, curved: bool, covered: bool = True, rest: float = 0.0
+    ) -> None:
+        """Put a force of a joint in force where it is covered and linear, unless a flag of the model disables it."""
+        flag, key = _FORCES[what]
+        if flag in self.disabled or not (value or curved):
+            return
+        if curved or not covered:
+            self._leave_out(what, name)
+            return
+        load = self.loads.setdefault(name, {})
+        load[key] = load.get(key, 0.0) + float(value)
+        if what == "stiffness":
+            load["rest"] = float(rest)
+
+    # --- tendons ------------------------------------------------------------------------------------------------------
+
+    def _label(self, tendon: int) -> str:
+        return str(self.m.names["tendon"][tendon] or f"tendon_{tendon + 1}")
+
+    def _wraps(self, tendon: int) -> range:
+        return range(self.m["tendon_adr"][tendon], self.m["tendon_adr"][tendon] + self.m["tendon_num"][tendon])
+
+    def _terms(self, tendon: int) -> list[tuple[str, float]]:
+        """Return the joints of a fixed tendon and their factors: its length is the sum of factor · position."""
+        m, label = self.m, self._label(tendon)
+        if any(m["wrap_type"][wrap] != "joint" for wrap in self._wraps(tendon)):
+            remedy = "Use a fixed tendon, or an equality of two sites at a constant distance."
+            self._refuse(f"the tendon {label!r} goes through sites and pulls, which is not covered", remedy)
+        return [
+            (self._one(int(m["wrap_objid"][wrap]), f"the tendon {label!r}"), float(m["wrap_prm"][wrap]))
+            for wrap in self._wraps(tendon)
+        ]
+
+    def _joint_of_tendon(self, tendon: int) -> str:
+        """Return the joint without mass whose position is the length of a fixed tendon, to which it is coupled."""
+        if tendon in self.tendons:
+            return self.tendons[tendon]
+        m, label, terms = self.m, self._label(tendon), self._terms(tendon)
+        name = label
+        while has_joint(self.model, name):
+            name += "'"
+        data = self.model.createData()
+        pin.forwardKinematics(self.model, data, pin.neutral(self.model))
+        index = find_joint_index(self.model, terms[0][0])
+        kind = "prismatic" if slides(self.model.joints[index]) else "revolute"
+        ends = m["tendon_range"][tendon] if m["tendon_limited"][tendon] else np.array([-np.inf, np.inf])
+        bounds = np.array([-np.inf, np.inf])
+        if m.has("tendon_actfrclimited", tendon):
+            bounds = m["tendon_actfrcrange"][tendon]
+        self._single(name, kind, axis_of(self.model, index), 0, data.oMi[index], ends, bounds)
+        self.start[name] = sum(factor * float(self.start[joint]) for joint, factor in terms)
+        self.tendons[tendon] = name
+        (of, factor), *more = terms
+        self.couplings.append(Coupling(f"length of {name}", name, of, (0.0, factor), tuple(more)))
+        if m.has("tendon_armature", tendon):
+            self.armature[name] = m["tendon_armature"][tendon]
+        low, high = (float(end) for end in m["tendon_lengthspring"][tendon])
+        if m["tendon_stiffness"][tendon] and (low != high or m.has("tendon_springyield", tendon)):
+            self._refuse(f"the tendon {label!r} has a spring with slack, which is not covered", "Give it one length.")
+        self._take(name, "damping", m["tendon_damping"][tendon], curved=m.has("tendon_dampingpoly", tendon))
+        self._take(name, "frictionloss", m["tendon_frictionloss"][tendon], curved=False)
+        bent = m.has("tendon_stiffnesspoly", tendon)
+        self._take(name, "stiffness", m["tendon_stiffness"][tendon], curved=bent, rest=low)
+        return name
+
+    def _one(self, joint: int, what: str) -> str:
+        """Return the name of a joint of one degree of freedom that moves."""
+        if self.m["jnt_type"][joint] not in ("hinge", "slide") or not self.joints[joint]:
+            name = self.m.names["joint"][joint] or f"joint {joint + 1}"
+            self._refuse(f"{what} acts on {name!r}, a joint that is held or of several degrees of freedom", _NO_JOINT)
+        return self.joints[joint][0]
+
+    # --- equalities ---------------------------------------------------------------------------------------------------
+
+    def _equalities(self) -> Iterator[LoopJoint]:
+        m = self.m
+        for number, word in enumerate(m["eq_type"]):
+            name = m.names["equality"][number] or f"{word}_{number + 1}"
+            one, other, data = int(m["eq_obj1id"][number]), int(m["eq_obj2id"][number]), m["eq_data"][number]
+            if not m["eq_active0"][number]:
                 self.notes.append(f"The equality {name!r} is not active, and left out.")
-                continue
-            if len(closures) + len(couplings) == MOST_FREEDOMS:  # each takes a freedom at least
-                part.refuse(f"{part} is one more than the {MOST_FREEDOMS} that a model may have")
-            if part.tag == "joint":
-                couplings.append(self._coupling(part, name))
-                continue
-            first, second = self._ends(part, name)
-            if self._carrier(first) == self._carrier(second):
-                part.refuse(f"{part} joins two frames of one rigid body", "Take it out.")
-            closures.append(Closure(name, first, second, AXES[:3] if part.tag == "connect" else AXES))
-        return tuple(closures), tuple(couplings)
-
-    def _coupling(self, part: Part, name: str) -> Coupling:
-        """Return q₁ − r₁ = Σ a_k (q₂ − r₂)^k in powers of q₂; r are positions at the initial configuration."""
-        joints = {joint.name for joint in self.joints if joint.kind in ("revolute", "prismatic")}
-        ends = []
-        for key in ("joint1", "joint2")[: 1 + part.has("joint2")]:
-            if (end := part.text(key)) not in joints:
-                remedy = did_you_mean(end, joints).strip()
-                part.refuse(f"{part} names {key}={shown(end)}, which is no joint of one freedom", remedy)
-            ends.append(end)
-        given = part.numbers("polycoef", 1, 5, default="0 1 0 0 0")
-        offset, *rest = (float(self.initial[end]) for end in ends)
-        polynomial = np.polynomial.Polynomial(given if rest else given[:1])
-        powers = (polynomial(np.polynomial.Polynomial([-rest[0], 1.0])) if rest else polynomial).coef
-        powers[0] += offset
-        return Coupling(name, ends[0], ends[1] if rest else "", tuple(np.trim_zeros(powers, "b").tolist() or [0.0]))
-
-    def _ends(self, part: Part, name: str) -> tuple[str, str]:
-        """Return the two links that an equality makes coincide."""
-        if part.has("site1") or part.has("site2"):
-            if any(part.has(key) for key in ("body1", "body2", "anchor", "relpose")):
-                part.refuse(f"{part} names sites and bodies", "Name one or the other.")
-            return self._named(part, "site1", self.sites), self._named(part, "site2", self.sites)
-        first = self._named(part, "body1", self.bodies)
-        second = self._named(part, "body2", self.bodies) if part.has("body2") else "world"
-        one, two = self.places[first], self.places[second]
-        back = np.linalg.inv
-        if part.tag == "connect":
-            anchor = placed(np.eye(3), part.numbers("anchor", 3))
-            on_first, on_second = anchor, back(two) @ one @ anchor
-        else:
-            on_second = placed(np.eye(3), part.numbers("anchor", 3, default="0 0 0"))
-            pose = part.numbers("relpose", 7, default="0 1 0 0 0 0 0")
-            if np.linalg.norm(pose[3:]) > 0.0:
-                turn = from_quaternion(pose[3:] / np.linalg.norm(pose[3:]))
-                on_first = placed(turn, pose[:3])
+            elif word in ("connect", "weld"):
+                yield self._loop_joint(number, name, one, other, data)
+            elif word == "joint":
+                ends = [self._one(each, f"the equality {name!r}") for each in (one, other) if each >= 0]
+                lengths = [float(m["qpos0"][m["jnt_qposadr"][each]]) for each in (one, other) if each >= 0]
+                self._couple(name, ends, lengths, data[:5])
+            elif word == "tendon":
+                if rod := self._rod(name, one, other, data):
+                    yield rod
+                else:
+                    self._couple_tendons(name, one, other, data)
             else:
-                on_first = back(one) @ two @ on_second
-        ends = self._fresh(f"{name}:1", part), self._fresh(f"{name}:2", part)
-        self._frame(ends[0], first, on_first)
-        self._frame(ends[1], second, on_second)
-        return ends
+                self._refuse(f"the equality {name!r} is of the kind {word}, which is not covered", "Take it out.")
 
-    def _named(self, part: Part, key: str, known: Mapping[str, str]) -> str:
-        name = part.text(key)
-        if name not in known:
-            part.refuse(f"{part} names {key}={shown(name)}, which is not there", did_you_mean(name, known).strip())
-        return known[name]
+    def _couple(self, name: str, ends: list[str], initial: list[float], polycoef: Array) -> None:
+        """Add q₁ − r₁ = Σ a_k (q₂ − r₂)^k in powers of q₂; r are positions at the initial configuration."""
+        given = np.polynomial.Polynomial(polycoef[:5] if len(ends) == 2 else polycoef[:1])
+        powers = (given(np.polynomial.Polynomial([-initial[1], 1.0])) if len(ends) == 2 else given).coef
+        powers[0] += initial[0]
+        polynomial = tuple(np.trim_zeros(powers, "b").tolist() or [0.0])
+        self.couplings.append(Coupling(name, ends[0], ends[1] if len(ends) == 2 else "", polynomial))
 
-    def _carrier(self, link: str) -> str:
-        """Return the moving joint that carries a link; empty for the world's."""
-        above = {joint.child: joint for joint in self.joints}
-        while link in above and above[link].kind == "fixed":
-            link = above[link].parent
-        return above[link].name if link in above else ""
+    def _couple_tendons(self, name: str, one: int, other: int, data: Array) -> None:
+        """Add what an equality says of one or two tendons: of their joints where it is linear, as most are."""
+        tendons = [each for each in (one, other) if each >= 0]
+        initial = [float(self.m["tendon_length0"][each]) for each in tendons]
+        if len(tendons) == 2 and np.any(data[2:5]):
+            self._couple(name, [self._joint_of_tendon(each) for each in tendons], initial, data)
+            return
+        slope = float(data[1]) if len(tendons) == 2 else 0.0
+        factors: dict[str, float] = {}  # of Σ factor · position = constant
+        for joint, factor in self._terms(one):
+            factors[joint] = factors.get(joint, 0.0) + factor
+        for joint, factor in self._terms(other) if slope else ():
+            factors[joint] = factors.get(joint, 0.0) - slope * factor
+        (joint, first), *rest = [(joint, factor) for joint, factor in factors.items() if factor]
+        constant = (initial[0] + float(data[0]) - slope * initial[-1]) / first
+        (of, slope), *also = [(each, -factor / first) for each, factor in rest] or [("", 0.0)]
+        polynomial = (constant, slope) if of else (constant,)
+        self.couplings.append(Coupling(name, joint, of, polynomial, tuple(also)))
+
+    def _rod(self, name: str, tendon: int, other: int, data: Array) -> LoopJoint | None:
+        """Return the rod that a tendon between two sites is whose length an equality holds; None for other tendons."""
+        m = self.m
+        wraps = self._wraps(tendon)
+        if other >= 0 or len(wraps) != 2 or any(m["wrap_type"][wrap] != "site" for wrap in wraps):
+            return None
+        first, second = (self.sites[int(m["wrap_objid"][wrap])] for wrap in wraps)
+        length = float(m["tendon_length0"][tendon] + data[0])
+        return LoopJoint(name, "rod", (first, second), (np.eye(4), np.eye(4)), length)
+
+    def _loop_joint(self, number: int, name: str, one: int, other: int, data: Array) -> LoopJoint:
+        kind = "ball" if self.m["eq_type"][number] == "connect" else "weld"
+        if self.m["eq_objtype"][number] == "site":
+            return LoopJoint(name, kind, (self.sites[one], self.sites[other]), (np.eye(4), np.eye(4)))
+        places = np.eye(4), np.eye(4)
+        # MuJoCo keeps a connect's points in the order of its bodies, a weld's the other way round
+        for place, point in zip(
+            places, (data[:3], data[3:6]) if kind == "ball" else (data[3:6], data[:3]), strict=True
+        ):
+            place[:3, 3] = point
+        if kind == "weld":
+            places[0][:3, :3] = rotation_of(data[6:10])
+        return LoopJoint(name, kind, (self.links[one], self.links[other]), places)
+
+    # --- actuators ----------------------------------------------------------------------------------------------------
 
     def _actuators(self) -> tuple[str, ...]:
+        m = self.m
         efforts: dict[str, Array] = {}
-        kinds = {joint.name: joint.kind for joint in self.joints}
-        feedback = []
-        for part in self._elements("actuator"):
-            if part.tag not in ("motor", "position", "velocity", "intvelocity", "general"):
-                part.refuse(f"<{part.tag}> is not covered", "Use motor, position, velocity or general on a joint.")
-            part.require_known(_OF_ACTUATOR, _NO_TRANSMISSION)
-            key = "joint" if part.has("joint") else "jointinparent"
-            name = part.text(key)
-            made = self.names.get(name)
-            if made is None:
-                part.refuse(f"{part} drives {shown(name)}, which is no joint", did_you_mean(name, self.names).strip())
-            if len(made) != 1 or kinds.get(name) == "ball":
-                part.refuse(f"{part} drives {name!r}, a joint of several freedoms", _NO_JOINT)
-            effort, servo = forces_of(part)
-            efforts[name] = efforts.get(name, np.zeros(2)) + effort
-            if servo:
-                feedback.append(name)
-        bounds = {**self.forces.ranges, **efforts}
-        for name in self.forces.ranges.keys() & efforts.keys():
-            bounds[name] = efforts[name].clip(*self.forces.ranges[name])
-        for number, joint in enumerate(self.joints):
-            if joint.name in bounds:
-                least, most = bounds[joint.name].tolist()
-                limits = {**joint.limits, "effort": most, "effort_lower": least}
-                self.joints[number] = replace(joint, limits=limits)
-                if least != -most:
-                    self.notes.append(f"Efforts of {joint.name} are from {least:g} to {most:g}: robot.effort_limits.")
-        if feedback:
-            self.notes.append(f"Servos count as motors, their control law is left out: {', '.join(feedback)}.")
+        servos: list[str] = []
+        for number, word in enumerate(m["actuator_trntype"]):
+            label, target = m.names["actuator"][number] or f"actuator {number + 1}", int(m["actuator_trnid"][number][0])
+            if word in ("joint", "jointinparent"):
+                name = self._one(target, f"the actuator {label!r}")
+            elif word == "tendon":
+                name = self._joint_of_tendon(target)
+            else:
+                self._refuse(f"the actuator {label!r} acts by a {word}, which is not covered", _NO_JOINT)
+            gear = float(m["actuator_gear"][number][0])
+            if not gear:
+                self._refuse(f"the actuator {label!r} has a gear of zero", "Give it another.")
+            ends, is_servo = self._force(number, label)
+            efforts[name] = efforts.get(name, np.zeros(2)) + np.sort(gear * ends)
+            if is_servo and name not in servos:
+                servos.append(name)
+            if m.has("actuator_armature", number):
+                self.armature[name] = self.armature.get(name, 0.0) + gear**2 * m["actuator_armature"][number]
+            if m.has("actuator_damping", number) or m.has("actuator_dampingpoly", number):
+                damping = gear**2 * m["actuator_damping"][number]
+                self._take(name, "damping", damping, curved=m.has("actuator_dampingpoly", number))
+        for name, ends in efforts.items():
+            column = find_joint(self.model, name).idx_v
+            own = (self.model.lowerEffortLimit[column], self.model.upperEffortLimit[column])
+            least, most = ends.clip(*own).tolist()
+            self._bound(name, np.array([least, most]))
+            if least != -most:
+                self.notes.append(f"Efforts of {name} are from {least:g} to {most:g}: robot.effort_limits.")
+        if servos:
+            self.notes.append(f"Servos count as motors, their control law is left out: {', '.join(servos)}.")
         return tuple(efforts)
 
-    def _start(self) -> dict[str, float | Array]:
-        keys = [part for part in self._elements("keyframe") if part.tag == "key"]
-        if not self._keyframe:
-            return self.initial
-        chosen = next((part for part in keys if part.name == self._keyframe), None)
-        if chosen is None:
-            names = ", ".join(part.name for part in keys if part.name) or "none"
-            root = self.files.root
-            self.files.refuse(root, f"there is no keyframe {self._keyframe!r}", f"Its keyframes: {names}.")
-        if not chosen.has("qpos"):
-            return self.initial
-        sizes = [self._size(made) for made in self._positions]
-        skipped = sum(size for _, size in self._skipped)
-        values, start = list(chosen.numbers("qpos", sum(sizes) + skipped)), dict(self.initial)
-        for number, (made, size) in enumerate(zip(self._positions, sizes, strict=True)):
-            del values[: sum(each for before, each in self._skipped if before == number)]
-            part, values = np.array(values[:size]), values[size:]
-            if size == 1:
-                start[made[0]] = float(part[0])
-            elif size == 4:
-                start[made[0]] = np.roll(_unit(part), -1)
-            else:
-                yaw, pitch, roll = angles(from_quaternion(_unit(part[3:])))
-                start.update(zip(made, (*part[:3].tolist(), roll, pitch, yaw), strict=True))
-        return start
+    def _force(self, number: int, label: str) -> tuple[Array, bool]:
+        """Return the least and largest force (2,) of an actuator, N or N·m before its gear; and whether it is a servo.
 
-    def _size(self, made: tuple[str, ...]) -> int:
-        """Return how many numbers of qpos a joint has, made of one joint here, or of six."""
-        return 7 if len(made) > 1 else 4 if isinstance(self.initial[made[0]], np.ndarray) else 1
+        The force is infinite if not bounded. Servos have a law of position or speed, which leaves their controls
+        without units of force. Other forces are gain · input + bias; the input is the control, or an activation that
+        follows it: of a filter within its range too, of an integrator anywhere, except where the activation itself has
+        a range.
+        """
+        m, laws = self.m, {}
+        for what, allowed in _LAWS.items():
+            laws[what] = word = m[f"actuator_{what}type"][number]
+            if word not in allowed or m["actuator_plugin"][number] >= 0:
+                remedy = "Make it a motor, position or velocity."
+                self._refuse(f"the actuator {label!r} has {what}type={word}, which is not covered", remedy)
+        gains = m["actuator_gainprm"][number][: 1 if laws["gain"] == "fixed" else 3]
+        terms = m["actuator_biasprm"][number][: 0 if laws["bias"] == "none" else 3]
+        is_servo = bool(np.any(gains[1:]) or np.any(terms[1:])) or "pid" in laws.values()
+        ends = np.array([-math.inf, math.inf])
+        if not is_servo:
+            dynamics, gain, bias = laws["dyn"], float(gains[0]), float(np.sum(terms[:1]))
+            if dynamics != "integrator" and m["actuator_ctrllimited"][number]:
+                ends = np.array(m["actuator_ctrlrange"][number])
+            if dynamics != "none" and m["actuator_actlimited"][number]:
+                ends = ends.clip(*m["actuator_actrange"][number])
+            ends = (gain * ends if gain else np.zeros(2)) + bias
+        if m["actuator_forcelimited"][number]:
+            ends = np.sort(ends).clip(*m["actuator_forcerange"][number])
+        return np.sort(ends), is_servo
 
 
-def _unit(wxyz: Array) -> Array:
-    """Return a quaternion (4,) of length one; as MuJoCo does, that of no turn where all its numbers are zero."""
-    length = float(np.linalg.norm(wxyz))
-    return np.array([1.0, 0.0, 0.0, 0.0]) if length < _SMALLEST else wxyz / length
+_OF_TENDONS = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss", "armature")
+"""What makes a tendon part of the mechanics, where nothing drives it."""
