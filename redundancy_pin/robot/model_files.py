@@ -62,7 +62,7 @@ def open_model(
         arguments: of a xacro file its own; of others ``base``: "free", or "fixed" to hold a free body where it starts;
             of MJCF ``keyframe``, the name of the one that the mechanism starts from; of SDF ``actuated``, names of
             driven joints with commas between.
-        trust: let xacro evaluate its expressions as Python.
+        trust: let xacro evaluate its expressions as Python, and MJCF read files of other folders.
 
     Raises:
         ModelFileError: a file that cannot be read, or says what is not covered.
@@ -83,6 +83,7 @@ def open_model(
     def read(kinds: Mapping[str, str]) -> Mechanism:
         if kinds:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
-        return _READERS[_format(path)](path, **given)
+        reader = _READERS[_format(path)]
+        return reader(path, **given, trust=trust) if reader is read_mjcf else reader(path, **given)
 
     return dict(given), read

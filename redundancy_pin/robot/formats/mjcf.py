@@ -6,7 +6,6 @@ them. What a rigid mechanism cannot mean is refused by name; what is left out of
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -29,11 +28,16 @@ from redundancy_pin.robot.formats.mjcf_compiled import Compiled, compile_mjcf, r
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, has_joint, has_link
 from redundancy_pin.robot.loop_joints import LoopJoint
-from redundancy_pin.robot.rebuild import axis_of, joint_along
+from redundancy_pin.robot.rebuild import axis_of, joint_along, span
 from redundancy_pin.robot.types import Coupling, slides
 
 _SIX = ("x", "y", "z", "rz", "ry", "rx")
 """Joints in place of a free one: independent joints have one degree of freedom each."""
+
+_NO_ENDS = np.array([-np.inf, np.inf])
+
+_UNNAMED = "MuJoCo Model"
+"""What MuJoCo calls a model without a name."""
 
 _NO_JOINT = "Drive a joint or a fixed tendon."
 _LAWS = {
@@ -81,7 +85,7 @@ class _Reader:
         self.left_out: dict[str, list[str]] = {}
         self._require_rigid()
         self.model = pin.Model()
-        self.model.name = compiled.name or path.stem
+        self.model.name = compiled["name"] if compiled["name"] != _UNNAMED else path.stem
         self.disabled = {flag for flag in _FLAGS if self._is_disabled(flag)}
         self.qpos: Array = self._start(keyframe)
         self.links: list[str] = []
@@ -92,6 +96,8 @@ class _Reader:
         """By body, the joint that carries it and its placement there."""
         self.start: dict[str, Any] = {}
         self.armature: dict[str, Array] = {}
+        self.efforts: dict[str, Array] = {}
+        """By joint of one degree of freedom, its least and largest effort (2,)."""
         self.loads: dict[str, dict[str, float]] = {}
         self.tendons: dict[int, str] = {}
         """By fixed tendon, the joint that has its length as position."""
@@ -102,25 +108,25 @@ class _Reader:
         """Return what the file describes."""
         self._bodies()
         self._add_sites()
-        for tendon in range(len(self.m.names["tendon"])):
+        for tendon in range(len(self.m["tendon_names"])):
             if any(self.m.has(f"tendon_{what}", tendon) for what in _OF_TENDONS):
                 self._joint_of_tendon(tendon)
         loop_joints = tuple(self._equalities())
         actuated = self._actuators()
         model = self.model
         model.gravity.linear = np.zeros(3) if self._is_disabled("gravity") else self.m["gravity"]
-        armature = np.zeros(model.nv)
+        armature, least, most = np.zeros(model.nv), np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
         for name, inertia in self.armature.items():
-            joint = find_joint(model, name)
-            armature[joint.idx_v : joint.idx_v + joint.nv] = inertia
-        model.armature = armature
+            armature[span(model, find_joint_index(model, name), "v")] = inertia
+        for name, ends in self.efforts.items():
+            least[find_joint(model, name).idx_v], most[find_joint(model, name).idx_v] = ends
+        model.armature, model.lowerEffortLimit, model.upperEffortLimit = armature, least, most
         q: Array = pin.neutral(model)
         for name, value in self.start.items():
-            joint = find_joint(model, name)
-            q[joint.idx_q : joint.idx_q + joint.nq] = value
+            q[span(model, find_joint_index(model, name), "q")] = value
         forces = tuple(JointForces(name, **load) for name, load in self.loads.items() if any(load.values()))
         shapes: dict[str, list[str]] = {}
-        for body, shape in self.m.shapes:
+        for body, shape in zip(self.m["shaped"], self.m["shapes"], strict=True):
             shapes.setdefault(self.links[body], []).append(shape)
         return Mechanism(
             str(model.name),
@@ -157,8 +163,8 @@ class _Reader:
                 )
         if len(m["body_mass"]) == 1:
             self._refuse("the model has no bodies", "Give it some.")
-        bodies = [name or f"body {number}" for number, name in enumerate(m.names["body"])]
-        joints = m.names["joint"]
+        bodies = [name or f"body {number}" for number, name in enumerate(m["body_names"])]
+        joints = m["joint_names"]
         for found, what in (
             (m["flexes"], "soft bodies (flex)"),
             (np.any(m["fluid"] > 0.0), "a fluid (density or viscosity of the option)"),
@@ -195,7 +201,7 @@ class _Reader:
         """Return qpos of a keyframe, or the initial one."""
         if not keyframe:
             return np.array(self.m["qpos0"])
-        names = self.m.names["key"]
+        names = list(self.m["key_names"])
         if keyframe not in names:
             listed = ", ".join(filter(None, names)) or "none"
             self._refuse(
@@ -209,7 +215,7 @@ class _Reader:
         for body in range(1, len(m["body_mass"])):
             carrier, place = self.places[m["body_parentid"][body]]
             place = place * pin.SE3(rotation_of(m["body_quat"][body]), m["body_pos"][body])
-            name = m.names["body"][body] or f"body_{body}"
+            name = m["body_names"][body] or f"body_{body}"
             joints = range(m["body_jntadr"][body], m["body_jntadr"][body] + m["body_jntnum"][body])
             freedoms = {"free": 6, "ball": 3}
             is_floating = sum(freedoms.get(m["jnt_type"][joint], 1) for joint in joints) == 6
@@ -219,7 +225,7 @@ class _Reader:
                     place = self._moved(joint, place)
                 else:
                     single = "" if len(joints) == 1 else f"_{number + 1}"
-                    own = m.names["joint"][joint] or f"{name}_joint{single}"
+                    own = m["joint_names"][joint] or f"{name}_joint{single}"
                     carrier, place = self._joint(joint, own, carrier, place)
             turn = rotation_of(m["body_iquat"][body])
             inertia = turn @ np.diag(m["body_inertia"][body]) @ turn.T
@@ -243,7 +249,7 @@ class _Reader:
         for site, body in enumerate(m["site_bodyid"]):
             carrier, place = self.places[body]
             place = place * pin.SE3(rotation_of(m["site_quat"][site]), m["site_pos"][site])
-            self.sites.append(self._link(m.names["site"][site] or f"site_{site}", "site", carrier, place))
+            self.sites.append(self._link(m["site_names"][site] or f"site_{site}", "site", carrier, place))
 
     def _moved(self, joint: int, place: pin.SE3) -> pin.SE3:
         """Return where the body of a joint is that is held at the start, given its placement before that joint."""
@@ -294,8 +300,8 @@ class _Reader:
         # at the initial configuration q is ref: the joint is mounted as far back
         back = pin.SE3(pin.exp3(-ref * axis), np.zeros(3)) if kind == "hinge" else pin.SE3(np.eye(3), -ref * axis)
         self.start[name] = float(self.qpos[at])
-        ends = m["jnt_range"][joint] if limited else np.array([-np.inf, np.inf])
-        bounds = m["jnt_actfrcrange"][joint] if m["jnt_actfrclimited"][joint] else np.array([-np.inf, np.inf])
+        ends = m["jnt_range"][joint] if limited else _NO_ENDS
+        bounds = m["jnt_actfrcrange"][joint] if m["jnt_actfrclimited"][joint] else _NO_ENDS
         turns = "revolute" if kind == "hinge" else "prismatic"
         return self._single(name, turns, axis, carrier, place * anchor * back, ends, bounds), anchor.inverse()
 
@@ -304,16 +310,8 @@ class _Reader:
     ) -> int:
         """Add a joint of one degree of freedom between ends (2,), with bounds of its effort (2,); return its index."""
         none, lower, upper = np.array([np.inf]), ends[:1], ends[1:]
-        index = int(self.model.addJoint(carrier, joint_along(kind, axis), place, name, none, none, lower, upper))
-        self._bound(name, efforts)
-        return index
-
-    def _bound(self, name: str, efforts: Array) -> None:
-        column = find_joint(self.model, name).idx_v
-        for which, bound in zip(("lower", "upper"), efforts, strict=True):  # efforts may all be of one sign
-            bounds = getattr(self.model, f"{which}EffortLimit")
-            bounds[column] = bound
-            setattr(self.model, f"{which}EffortLimit", bounds)
+        self.efforts[name] = efforts
+        return int(self.model.addJoint(carrier, joint_along(kind, axis), place, name, none, none, lower, upper))
 
     def _leave_out(self, what: str, name: str) -> None:
         names = self.left_out.setdefault(what, [])
@@ -338,7 +336,7 @@ class _Reader:
     # --- tendons ------------------------------------------------------------------------------------------------------
 
     def _label(self, tendon: int) -> str:
-        return str(self.m.names["tendon"][tendon] or f"tendon_{tendon + 1}")
+        return str(self.m["tendon_names"][tendon] or f"tendon_{tendon + 1}")
 
     def _wraps(self, tendon: int) -> range:
         return range(self.m["tendon_adr"][tendon], self.m["tendon_adr"][tendon] + self.m["tendon_num"][tendon])
@@ -366,10 +364,8 @@ class _Reader:
         pin.forwardKinematics(self.model, data, pin.neutral(self.model))
         index = find_joint_index(self.model, terms[0][0])
         kind = "prismatic" if slides(self.model.joints[index]) else "revolute"
-        ends = m["tendon_range"][tendon] if m["tendon_limited"][tendon] else np.array([-np.inf, np.inf])
-        bounds = np.array([-np.inf, np.inf])
-        if m.has("tendon_actfrclimited", tendon):
-            bounds = m["tendon_actfrcrange"][tendon]
+        ends = m["tendon_range"][tendon] if m["tendon_limited"][tendon] else _NO_ENDS
+        bounds = m["tendon_actfrcrange"][tendon] if m.has("tendon_actfrclimited", tendon) else _NO_ENDS
         self._single(name, kind, axis_of(self.model, index), 0, data.oMi[index], ends, bounds)
         self.start[name] = sum(factor * float(self.start[joint]) for joint, factor in terms)
         self.tendons[tendon] = name
@@ -389,7 +385,7 @@ class _Reader:
     def _one(self, joint: int, what: str) -> str:
         """Return the name of a joint of one degree of freedom that moves."""
         if self.m["jnt_type"][joint] not in ("hinge", "slide") or not self.joints[joint]:
-            name = self.m.names["joint"][joint] or f"joint {joint + 1}"
+            name = self.m["joint_names"][joint] or f"joint {joint + 1}"
             self._refuse(f"{what} acts on {name!r}, a joint that is held or of several degrees of freedom", _NO_JOINT)
         return self.joints[joint][0]
 
@@ -398,7 +394,7 @@ class _Reader:
     def _equalities(self) -> Iterator[LoopJoint]:
         m = self.m
         for number, word in enumerate(m["eq_type"]):
-            name = m.names["equality"][number] or f"{word}_{number + 1}"
+            name = m["equality_names"][number] or f"{word}_{number + 1}"
             one, other, data = int(m["eq_obj1id"][number]), int(m["eq_obj2id"][number]), m["eq_data"][number]
             if not m["eq_active0"][number]:
                 self.notes.append(f"The equality {name!r} is not active, and left out.")
@@ -474,7 +470,7 @@ class _Reader:
         efforts: dict[str, Array] = {}
         servos: list[str] = []
         for number, word in enumerate(m["actuator_trntype"]):
-            label, target = m.names["actuator"][number] or f"actuator {number + 1}", int(m["actuator_trnid"][number][0])
+            label, target = m["actuator_names"][number] or f"actuator {number + 1}", int(m["actuator_trnid"][number][0])
             if word in ("joint", "jointinparent"):
                 name = self._one(target, f"the actuator {label!r}")
             elif word == "tendon":
@@ -494,10 +490,8 @@ class _Reader:
                 damping = gear**2 * m["actuator_damping"][number]
                 self._take(name, "damping", damping, curved=m.has("actuator_dampingpoly", number))
         for name, ends in efforts.items():
-            column = find_joint(self.model, name).idx_v
-            own = (self.model.lowerEffortLimit[column], self.model.upperEffortLimit[column])
-            least, most = ends.clip(*own).tolist()
-            self._bound(name, np.array([least, most]))
+            self.efforts[name] = ends.clip(*self.efforts[name])
+            least, most = self.efforts[name]
             if least != -most:
                 self.notes.append(f"Efforts of {name} are from {least:g} to {most:g}: robot.effort_limits.")
         if servos:
@@ -521,7 +515,7 @@ class _Reader:
         gains = m["actuator_gainprm"][number][: 1 if laws["gain"] == "fixed" else 3]
         terms = m["actuator_biasprm"][number][: 0 if laws["bias"] == "none" else 3]
         is_servo = bool(np.any(gains[1:]) or np.any(terms[1:])) or "pid" in laws.values()
-        ends = np.array([-math.inf, math.inf])
+        ends = _NO_ENDS
         if not is_servo:
             dynamics, gain, bias = laws["dyn"], float(gains[0]), float(np.sum(terms[:1]))
             if dynamics != "integrator" and m["actuator_ctrllimited"][number]:

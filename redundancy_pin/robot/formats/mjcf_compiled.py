@@ -9,8 +9,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,30 +25,8 @@ from redundancy_pin.robot.formats.xml_files import MOST_ELEMENTS, Element, parse
 MUJOCO = ("mujoco", "Models of MuJoCo (MJCF) need", "Install it with `pip install 'redundancy_pin[mjcf]'`.")
 """What ``errors.optional`` takes."""
 
-_ARRAYS = (
-    *("body_parentid", "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
-    *("body_jntadr", "body_jntnum", "body_mocapid", "body_gravcomp", "body_plugin"),
-    *("jnt_bodyid", "jnt_qposadr", "jnt_dofadr", "jnt_pos", "jnt_axis", "jnt_limited", "jnt_range"),
-    *("jnt_stiffness", "jnt_stiffnesspoly", "jnt_springyield", "jnt_actfrclimited", "jnt_actfrcrange"),
-    *("dof_armature", "dof_damping", "dof_dampingpoly", "dof_frictionloss", "qpos0", "qpos_spring"),
-    *("site_bodyid", "site_pos", "site_quat", "key_qpos"),
-    *("eq_obj1id", "eq_obj2id", "eq_active0", "eq_data"),
-    *("tendon_adr", "tendon_num", "tendon_length0", "tendon_limited", "tendon_range", "tendon_stiffness"),
-    *("tendon_stiffnesspoly", "tendon_springyield", "tendon_damping", "tendon_dampingpoly", "tendon_frictionloss"),
-    *("tendon_armature", "tendon_lengthspring", "tendon_actfrclimited", "tendon_actfrcrange"),
-    *("wrap_objid", "wrap_prm"),
-    *(
-        "actuator_trnid",
-        "actuator_gear",
-        "actuator_gainprm",
-        "actuator_biasprm",
-        "actuator_ctrllimited",
-        "actuator_ctrlrange",
-    ),
-    *("actuator_forcelimited", "actuator_forcerange", "actuator_actlimited", "actuator_actrange"),
-    *("actuator_damping", "actuator_dampingpoly", "actuator_armature", "actuator_plugin"),
-)
-"""Those of MuJoCo's model that are kept. Older releases have not all of them: what is missing is zero."""
+_KEPT = ("body_", "jnt_", "dof_", "qpos", "site_", "key_qpos", "eq_", "tendon_", "wrap_", "actuator_")
+"""How the arrays of MuJoCo's model begin that are kept."""
 
 _WORDS = {
     **{"jnt_type": "Joint", "eq_type": "Eq", "eq_objtype": "Obj", "wrap_type": "Wrap"},
@@ -57,39 +34,29 @@ _WORDS = {
 }
 """Arrays of numbers that stand for words, and the enumeration that has them: "hinge" for mjJNT_HINGE of mjtJoint."""
 
-_NAMED = ("body", "joint", "site", "tendon", "actuator", "equality", "key")
+_NAMED = {
+    **{kind: f"n{kind}" for kind in ("body", "site", "tendon", "key")},
+    **{"joint": "njnt", "actuator": "nu", "equality": "neq"},
+}
+"""Kinds of elements, and what MuJoCo's model calls their number."""
 
 _COUNTS = ("replicate", "composite")
 _SHOWN_GROUPS = 3
 """MuJoCo's viewer shows the first groups of geoms; by its convention the others are for contacts."""
 
 
-@dataclass(frozen=True, eq=False)
-class Compiled:
-    """A model that MuJoCo compiled.
+class Compiled(dict[str, Any]):
+    """Arrays of a model that MuJoCo compiled, by MuJoCo's names; lists of words for numbers that stand for some.
 
-    Attributes:
-        name: of the model.
-        arrays: those of MuJoCo's model by their names, with words for the numbers that stand for some; and "gravity"
-            (3,), "fluid" (2,) its density and viscosity, "disabled" (N,) the flags that are, "colliding" () whether
-            geoms may collide, "flexes" () the number of soft bodies, "warnings" (N,) of MuJoCo.
-        names: of its elements, by kind; empty for elements without.
-        shapes: of the bodies, by number: elements ``visual`` of a URDF.
+    Besides: "body_names", "joint_names", ... (N,), empty for elements without; "name" of the model, "gravity" (3,),
+    "fluid" (2,) its density and viscosity, "disabled" (N,) the flags that are, "colliding" whether geoms may collide,
+    "flexes" the number of soft bodies, "warnings" (N,) of MuJoCo, "shapes" (N,) of the bodies "shaped" (N,), elements
+    ``visual`` of a URDF.
     """
-
-    name: str
-    arrays: Mapping[str, Any]
-    names: Mapping[str, Sequence[str]]
-    shapes: Sequence[tuple[int, str]]
-
-    def __getitem__(self, name: str) -> Any:
-        """Return an array."""
-        return self.arrays[name]
 
     def has(self, name: str, index: int) -> bool:
         """Return whether an entry is not zero, of an array that not every release of MuJoCo has."""
-        array = self.arrays[name]
-        return bool(array.ndim and np.any(array[index]))
+        return name in self and bool(np.any(self[name][index]))
 
 
 def compile_mjcf(path: Path, *, trust: bool = False, untrusted: bool = False) -> Compiled:
@@ -105,10 +72,19 @@ def compile_mjcf(path: Path, *, trust: bool = False, untrusted: bool = False) ->
         RedundancyPinError: MuJoCo is not installed.
     """
     optional(*MUJOCO)
-    if untrusted:
-        return _unpacked(run_limited("redundancy_pin.robot.formats.mjcf_compiled", [str(path)], str(path)))
-    _require_bounded(path, trust)
-    return _compiled(path, trust)
+    if not untrusted:
+        _require_bounded(path, trust)
+        return _compiled(path, trust)
+    content = run_limited("redundancy_pin.robot.formats.mjcf_compiled", [str(path)], str(path))
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    return Compiled({name: each.tolist() if each.dtype.kind == "U" else each for name, each in arrays.items()})
+
+
+def _packed(path: str) -> bytes:
+    output = io.BytesIO()
+    np.savez(output, **compile_mjcf(Path(path)))
+    return output.getvalue()
 
 
 # --- before MuJoCo sees it --------------------------------------------------------------------------------------------
@@ -191,34 +167,32 @@ def _compiled(path: Path, trust: bool) -> Compiled:
         raise ModelFileError(f"{path}: MuJoCo refuses it: {said}.", remedy=remedy, path=str(path)) from error
     finally:
         mujoco.set_mju_user_warning(before)
-    arrays = {name: np.array(getattr(model, name, 0.0)) for name in _ARRAYS}
+    every = {name: getattr(model, name) for name in dir(model) if name.startswith(_KEPT)}
+    result = Compiled({name: np.array(values) for name, values in every.items() if isinstance(values, np.ndarray)})
     for name, enum in _WORDS.items():
-        words = [_word(getattr(mujoco, f"mjt{enum}")(int(number))) for number in getattr(model, name)]
-        arrays[name] = np.array(words, dtype=str)
-    flags = [_word(flag) for flag in mujoco.mjtDisableBit.__members__.values() if model.opt.disableflags & int(flag)]
-    arrays |= {
-        "gravity": np.array(model.opt.gravity),
-        "fluid": np.array([model.opt.density, model.opt.viscosity]),
-        "disabled": np.array(flags, dtype=str),
-        "colliding": np.array(colliding),
-        "flexes": np.array(model.nflex),
-        "warnings": np.array([" ".join(str(each.message).split()) for each in warned], dtype=str),
-    }
-    names = {
-        kind: tuple(mujoco.mj_id2name(model, which, number) or "" for number in range(_count(model, kind)))
-        for kind in _NAMED
-        for which in [getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")]
-    }
-    files = {geom.id: (file, scale) for geom, file, scale in idle}
-    return Compiled(spec.modelname, arrays, names, list(_shapes(mujoco, model, files)))
+        result[name] = [_word(getattr(mujoco, f"mjt{enum}")(int(number))) for number in result[name]]
+    flags = mujoco.mjtDisableBit.__members__.values()
+    shapes = list(_shapes(mujoco, model, {geom.id: (file, scale) for geom, file, scale in idle}))
+    result.update(
+        name=spec.modelname,
+        gravity=np.array(model.opt.gravity),
+        fluid=np.array([model.opt.density, model.opt.viscosity]),
+        disabled=[_word(flag) for flag in flags if model.opt.disableflags & int(flag)],
+        colliding=np.array(colliding),
+        flexes=np.array(model.nflex),
+        warnings=[" ".join(str(each.message).split()) for each in warned],
+        shaped=np.array([body for body, _ in shapes], dtype=np.intp),
+        shapes=[shape for _, shape in shapes],
+    )
+    for kind, count in _NAMED.items():
+        which = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+        names = [mujoco.mj_id2name(model, which, number) or "" for number in range(getattr(model, count))]
+        result[f"{kind}_names"] = names
+    return result
 
 
 def _word(value: Any) -> str:
     return str(value.name).partition("_")[2].lower()
-
-
-def _count(model: Any, kind: str) -> int:
-    return int(getattr(model, {"joint": "njnt", "actuator": "nu", "equality": "neq"}.get(kind, f"n{kind}")))
 
 
 def _without_idle_shapes(spec: Any, ball: Any) -> list[tuple[Any, str, Array]]:
@@ -303,29 +277,6 @@ def rotation_of(wxyz: Array) -> Array:
 
 _SMALLEST = 1e-15
 """MuJoCo's mjMINVAL: a quaternion that is shorter is no turn."""
-
-
-# --- from a child process ---------------------------------------------------------------------------------------------
-
-
-def _packed(path: str) -> bytes:
-    _require_bounded(Path(path), trust=False)
-    model = _compiled(Path(path), trust=False)
-    names = {f"names of {kind}": np.array(names, dtype=str) for kind, names in model.names.items()}
-    links = np.array([link for link, _ in model.shapes], dtype=np.intp)
-    shapes = np.array([shape for _, shape in model.shapes], dtype=str)
-    output = io.BytesIO()
-    arrays: dict[str, Any] = {"name": np.array(model.name), "shapes": shapes, "shaped": links, **names, **model.arrays}
-    np.savez(output, **arrays)
-    return output.getvalue()
-
-
-def _unpacked(content: bytes) -> Compiled:
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
-    names = {kind: tuple(map(str, arrays.pop(f"names of {kind}"))) for kind in _NAMED}
-    shaped, shapes = arrays.pop("shaped").tolist(), arrays.pop("shapes").tolist()
-    return Compiled(str(arrays.pop("name")), arrays, names, list(zip(shaped, shapes, strict=True)))
 
 
 if __name__ == "__main__":
