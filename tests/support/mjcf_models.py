@@ -205,6 +205,15 @@ class Engine:
                 kept += range(joint.idx_v, joint.idx_v + joint.nv)
         return columns, kept
 
+    def mass(self) -> Array:
+        """Return the mass matrix (nv, nv); releases of MuJoCo differ in how ``mj_fullM`` is called."""
+        mass: Array = np.zeros((self.model.nv, self.model.nv))
+        for column, unit in enumerate(np.eye(self.model.nv)):
+            product = np.zeros(self.model.nv)
+            self.mujoco.mj_mulM(self.model, self.data, product, unit)
+            mass[:, column] = product
+        return mass
+
     def torque(self, robot, a: Array, held: Array) -> Array:
         """Return the efforts (m + k,) of motors and carriers that give the state an acceleration, equalities holding.
 
@@ -212,9 +221,7 @@ class Engine:
         least squares; ``held`` (h, nv) are rows that the
         robot has and MuJoCo has not.
         """
-        nv, (columns, _) = self.model.nv, self.columns(robot)
-        mass = np.zeros((nv, nv))
-        self.mujoco.mj_fullM(self.model, self.data, mass)
+        nv, (columns, _), mass = self.model.nv, self.columns(robot), self.mass()
         acceleration = np.zeros(nv)
         acceleration[columns] = a
         needed = mass @ acceleration + self.data.qfrc_bias - self.data.qfrc_passive

@@ -32,7 +32,7 @@ _WORDS = {
     **{"jnt_type": "Joint", "eq_type": "Eq", "eq_objtype": "Obj", "wrap_type": "Wrap"},
     **{"actuator_trntype": "Trn", "actuator_dyntype": "Dyn", "actuator_gaintype": "Gain", "actuator_biastype": "Bias"},
 }
-"""Arrays of numbers that stand for words, and the enumeration that has them: "hinge" for mjJNT_HINGE of mjtJoint."""
+"""Arrays of numbers that stand for words, and the enumeration of MuJoCo that has them."""
 
 _NAMED = {
     **{kind: f"n{kind}" for kind in ("body", "site", "tendon", "key")},
@@ -170,14 +170,14 @@ def _compiled(path: Path, trust: bool) -> Compiled:
     every = {name: getattr(model, name) for name in dir(model) if name.startswith(_KEPT)}
     result = Compiled({name: np.array(values) for name, values in every.items() if isinstance(values, np.ndarray)})
     for name, enum in _WORDS.items():
-        result[name] = [_word(getattr(mujoco, f"mjt{enum}")(int(number))) for number in result[name]]
-    flags = mujoco.mjtDisableBit.__members__.values()
-    shapes = list(_shapes(mujoco, model, {geom.id: (file, scale) for geom, file, scale in idle}))
+        result[name] = [_word(enum, number) for number in result[name]]
+    flags = [flag for name, flag in mujoco.mjtDisableBit.__members__.items() if name.startswith("mjDSBL")]
+    shapes = list(_shapes(model, {geom.id: (file, scale) for geom, file, scale in idle}))
     result.update(
         name=spec.modelname,
         gravity=np.array(model.opt.gravity),
         fluid=np.array([model.opt.density, model.opt.viscosity]),
-        disabled=[_word(flag) for flag in flags if model.opt.disableflags & int(flag)],
+        disabled=[_word("DisableBit", flag) for flag in flags if model.opt.disableflags & int(flag)],
         colliding=np.array(colliding),
         flexes=np.array(model.nflex),
         warnings=[" ".join(str(each.message).split()) for each in warned],
@@ -191,8 +191,9 @@ def _compiled(path: Path, trust: bool) -> Compiled:
     return result
 
 
-def _word(value: Any) -> str:
-    return str(value.name).partition("_")[2].lower()
+def _word(enum: str, value: Any) -> str:
+    """Return the word of an enumeration for a value: "hinge" for mjJNT_HINGE of mjtJoint."""
+    return str(getattr(optional(*MUJOCO), f"mjt{enum}")(int(value)).name).partition("_")[2].lower()
 
 
 def _without_idle_shapes(spec: Any, ball: Any) -> list[tuple[Any, str, Array]]:
@@ -202,7 +203,7 @@ def _without_idle_shapes(spec: Any, ball: Any) -> list[tuple[Any, str, Array]]:
     kept = set()
     for geom in spec.geoms:
         geom.material = ""
-        if _word(geom.type) not in ("mesh", "sdf", "hfield") and not geom.meshname:
+        if _word("Geom", geom.type) not in ("mesh", "sdf", "hfield") and not geom.meshname:
             continue
         if _counts(spec, geom):
             kept.add(geom.meshname)
@@ -222,12 +223,12 @@ def _without_idle_shapes(spec: Any, ball: Any) -> list[tuple[Any, str, Array]]:
 
 
 def _mesh_file(spec: Any, mesh: Any, folder: Path) -> Path:
-    return folder / str(getattr(mesh.compiler, "meshdir", "") or spec.meshdir or "") / str(mesh.file)
+    return folder / str(getattr(mesh, "compiler", spec).meshdir or spec.meshdir or "") / str(mesh.file)
 
 
 def _counts(spec: Any, geom: Any) -> bool:
     """Return whether the mass of a body follows from a geom."""
-    body, rule = geom.parent, _word(spec.compiler.inertiafromgeom)
+    body, rule = geom.parent, _word("InertiaFromGeom", spec.compiler.inertiafromgeom)
     if body.name == "world" or rule == "false" or (rule == "auto" and body.explicitinertial):
         return False
     low, high = spec.compiler.inertiagrouprange
@@ -235,11 +236,11 @@ def _counts(spec: Any, geom: Any) -> bool:
     return bool(low <= geom.group <= high and has_mass)
 
 
-def _shapes(mujoco: Any, model: Any, files: Mapping[int, tuple[str, Array]]) -> Iterator[tuple[int, str]]:
+def _shapes(model: Any, files: Mapping[int, tuple[str, Array]]) -> Iterator[tuple[int, str]]:
     """Give the shapes of bodies that are shown, as a URDF has them."""
     for number in range(model.ngeom):
         file, scale = files.get(number, ("", np.ones(3)))
-        size, kind = model.geom_size[number], _word(mujoco.mjtGeom(int(model.geom_type[number])))
+        size, kind = model.geom_size[number], _word("Geom", model.geom_type[number])
         if model.geom_group[number] >= _SHOWN_GROUPS or (number in files and not file):
             continue
         if file:
