@@ -26,14 +26,17 @@ from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, Coupling, JointForces, Payload, Robot
 from redundancy_pin.robot.lookup import find_joint_index, find_link, find_link_index
-from redundancy_pin.robot.scales import closure_tolerance
+from redundancy_pin.robot.scales import closure_tolerance, force_terms
 
 IMPEDANCE = 0.9999
 """The highest impedance that MuJoCo accepts (its mjMAXIMP): the share of the acceleration a constraint may ask for."""
 
 LEAST_INERTIA = 1e-12
-"""Mass, kg, and moments of inertia, kg·m², of links that have none: MuJoCo accepts no zero. On machines of a kilogram
-and a metre this changes the motion by a millionth of a micrometre."""
+"""Mass and moments of inertia of links that have none, relative to those of the machine: MuJoCo accepts no zero. This
+changes the motion by a millionth of a micrometre on machines of a metre."""
+
+_SMALLEST, _SMALL = 2e-15, 1e-6
+"""kg and kg·m²: MuJoCo accepts no less than 1e-15 (its mjMINVAL); and the share of the machine's own that it may be."""
 
 LEAST_SHARE = 1e-8
 """Smallest eigenvalue of the open tree's mass matrix, its diagonal scaled to 1, that MuJoCo can divide by: the rounding
@@ -43,11 +46,11 @@ _TRIALS = 5
 """Random configurations at which a row has to be idle."""
 
 _STILL = 1e-12
-"""Rounding of a row of a one-metre machine."""
+"""Rounding of a row, in characteristic lengths or rad."""
 
 _AROUND, _ROUNDED = 0.1, 2e-5
-"""How far from the reference frames are looked at, rad, or in characteristic lengths; and how far they may part where a
-file is rounded, m or rad."""
+"""How far from the reference frames are looked at, and how far they may part where a file is rounded, both in
+characteristic lengths or rad."""
 
 _NO_LIMIT, _FAR = 1e300, 1e10
 """rad or m: Pinocchio's joints without limits have those of doubles, 1.8e308; what stands for one where the other end
@@ -90,6 +93,7 @@ def mjcf(
             without inertia in some direction.
     """
     _require_inertia(robot)
+    least = _least_inertia(robot)
     forces, armature = _forces(robot, reflected=reflected)
     model, data = robot.model, robot.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
@@ -105,7 +109,7 @@ def mjcf(
         parent = bodies[model.parents[index]]
         body = _add(parent, "body", name=name, pos=placement.translation, quat=_quaternion(placement.rotation))
         _add(body, "joint", **_joint(model, data, index, armature), **forces.get(name, {}))
-        _inertial(body, model.inertias[index])
+        _inertial(body, model.inertias[index], least)
         bodies.append(body)
     tendons, equality = _add(root, "tendon"), _add(root, "equality")
     soft = {"solref": (time_constant, 1.0), "solimp": (impedance, impedance, 0.001, 0.5, 2.0)}
@@ -254,11 +258,12 @@ def _idle(robot: Robot, closure: Closure) -> set[str]:
     rng = np.random.default_rng(0)
     steps = rng.uniform(-1.0, 1.0, (_TRIALS, robot.model.nv))
     state = whole.evaluate(np.array([pin.integrate(robot.model, np.array(robot.q_reference), d) for d in steps]))
-    moved = np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)
+    unit = whole.closure_unit
+    moved = (np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)) / unit
     system, q = ConstraintSystem(robot), np.array(robot.q_reference)
     reached = [close(system, each) for each in draw_starts(system, q, _TRIALS, rng, turn=_AROUND, slide=_AROUND)]
     closed = np.array([q, *(each for each, gap in reached if gap < closure_tolerance(robot))])
-    apart = np.abs(whole.evaluate(closed).phi).max(axis=0)
+    apart = np.abs(whole.evaluate(closed).phi).max(axis=0) / unit
     still = (moved < _STILL) | ((apart < _ROUNDED) & (len(closed) > 1))
     return {axis for axis, idle in zip(AXES, still, strict=True) if idle}
 
@@ -329,10 +334,23 @@ def _turns_with_its_rotor(model: pin.Model, index: int) -> bool:
     return False
 
 
-def _inertial(body: ElementTree.Element, inertia: pin.Inertia) -> None:
+def _least_inertia(robot: Robot) -> tuple[float, float]:
+    """Return the least mass, kg, and moment of inertia, kg·m², to write."""
+    mass = force_terms(robot).mass
+    sizes = mass, mass * robot.characteristic_length**2
+    if _SMALL * min(sizes) < _SMALLEST:
+        raise UnsupportedRobotError(
+            f"{robot.name} has {sizes[0]:.2g} kg and {sizes[1]:.2g} kg·m²; MuJoCo takes nothing below 1e-15.",
+            remedy="Write it in other units, such as millimetres and grams.",
+        )
+    least, inertia = (max(_SMALLEST, LEAST_INERTIA * size) for size in sizes)
+    return least, inertia
+
+
+def _inertial(body: ElementTree.Element, inertia: pin.Inertia, least: tuple[float, float]) -> None:
     moments, axes = np.linalg.eigh(inertia.inertia)
     axes = axes * np.sign(np.linalg.det(axes))
-    moments, mass = np.maximum(moments, LEAST_INERTIA), max(float(inertia.mass), LEAST_INERTIA)
+    mass, moments = max(float(inertia.mass), least[0]), np.maximum(moments, least[1])
     moments[0] += 1e-12 * moments[2]  # flat bodies: two moments make the third, which rounding must not exceed
     _add(body, "inertial", pos=inertia.lever, quat=_quaternion(axes), mass=mass, diaginertia=moments)
 

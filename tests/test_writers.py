@@ -194,6 +194,11 @@ def test_what_mjcf_does_not_say_is_refused_by_name(tmp_path: Path) -> None:
         robot.loaded(JointForces(elbow_of(robot), rotor_inertia=0.1)).to_mjcf(path)
     with pytest.raises(UnsupportedRobotError, match="moves \\(nearly\\) no mass"):
         robot_of("2rpr", end_effector_mass=0.5).to_mjcf(path)
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "speck")
+    model.appendBodyToJoint(joint, pin.Inertia(1e-10, np.zeros(3), 1e-10 * np.eye(3)), pin.SE3.Identity())
+    with pytest.raises(UnsupportedRobotError, match="MuJoCo takes nothing below"):
+        Robot.from_model(model, actuated=["speck"]).to_mjcf(path)
     for step in (0.0, "x", None, [1.0], np.nan):
         with pytest.raises(InputError, match="step is"):
             robot.to_mjcf(path, step=step)

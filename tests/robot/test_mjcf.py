@@ -147,6 +147,7 @@ def test_a_tendon_that_drives_is_a_joint_without_mass():
     assert (model.lowerEffortLimit[column], model.upperEffortLimit[column]) == (-10.0, 20.0)
     assert (model.lowerPositionLimit[column], model.upperPositionLimit[column]) == (-1.0, 2.0)
     assert JointForces("split", 0.3, 0.2, stiffness=2.0, rest=0.1) in mechanism.forces
+    assert mechanism.start[model.joints[model.getJointId("split")].idx_q] == pytest.approx(-0.7 * 0.3)
     length = next(each for each in mechanism.couplings if each.joint == "split")
     assert (length.of, length.polynomial, length.also) == ("left", (0.0, 0.5), (("right", -0.7),))
 
@@ -167,7 +168,7 @@ def test_bad_files_are_refused_by_name(file):
 
 # --- free bodies, starts ----------------------------------------------------------------------------------------------
 
-SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+SLIDES = "".join(f'<joint type="slide" axis="{axis}" ref="0.4"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
 
 
 @pytest.mark.parametrize(
@@ -177,7 +178,7 @@ SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0
         ('<freejoint name="root"/>', "1 2 3 0 0 0 0"),
         ('<freejoint name="root"/>', "1 2 3 1e-16 0 1e-16 0"),
         ('<freejoint name="root"/>', "1 2 3 0 1e-14 1e-14 0"),
-        (SLIDES + '<joint type="ball"/>', "0.1 0.2 0.3 2 0.2 0 1"),
+        (SLIDES + '<joint type="ball" pos="0.1 0 0.2"/>', "0.1 0.2 0.3 2 0.2 0 1"),
     ],
 )
 def test_free_bodies_start_where_mujoco_has_them_and_may_be_held_there(root, key, tmp_path):
@@ -388,6 +389,13 @@ def test_without_mujoco_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(RedundancyPinError, match=r"redundancy_pin\[mjcf\]"):
         rp.load_robot(write(tmp_path, hinge()))
+
+
+def test_bodies_that_are_welded_are_frames_whatever_the_file_fuses(tmp_path):
+    text = GOOD["tops"].replace("<worldbody>", '<compiler fusestatic="true" discardvisual="true"/><worldbody>')
+    fused, model = (read_mjcf(write(tmp_path, each)).model for each in (text, GOOD["tops"]))
+    assert fused == model
+    assert model.existFrame("glued", pin.BODY)
 
 
 def test_shapes_are_drawn(tmp_path):

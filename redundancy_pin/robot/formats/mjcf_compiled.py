@@ -164,7 +164,9 @@ def _compiled(path: Path, trust: bool) -> Compiled:
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).removeprefix("Error: ").removeprefix("XML Error: ")
         remedy = "Correct it there: MuJoCo does not run it either."
-        raise ModelFileError(f"{path}: MuJoCo refuses it: {said}.", remedy=remedy, path=str(path)) from error
+        raise ModelFileError(
+            f"{path}: MuJoCo refuses it: {said.rstrip('.!')}.", remedy=remedy, path=str(path)
+        ) from error
     finally:
         mujoco.set_mju_user_warning(before)
     every = {name: getattr(model, name) for name in dir(model) if name.startswith(_KEPT)}
