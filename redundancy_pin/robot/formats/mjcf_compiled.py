@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import ModelFileError, optional, shown
 from redundancy_pin.io.limited import answer, run_limited
 from redundancy_pin.io.reading import is_file
@@ -171,6 +171,10 @@ def _compiled(path: Path, trust: bool) -> Compiled:
         mujoco.set_mju_user_warning(before)
     every = {name: getattr(model, name) for name in dir(model) if name.startswith(_KEPT)}
     result = Compiled({name: np.array(values) for name, values in every.items() if isinstance(values, np.ndarray)})
+    for name, values in result.items():
+        if not np.abs(values.astype(float)).max(initial=0.0) <= LARGEST:
+            what = f"{path}: {name.replace('_', ' ')} has a number beyond {LARGEST:g}"
+            raise ModelFileError(f"{what}.", remedy="Correct it.", path=str(path))
     for name, enum in _WORDS.items():
         result[name] = [_word(enum, number) for number in result[name]]
     flags = [flag for name, flag in mujoco.mjtDisableBit.__members__.items() if name.startswith("mjDSBL")]
