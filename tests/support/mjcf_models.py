@@ -206,7 +206,7 @@ class Engine:
         return columns, kept
 
     def mass(self) -> Array:
-        """Return the mass matrix (nv, nv); releases of MuJoCo differ in how ``mj_fullM`` is called."""
+        """Return the mass matrix (nv, nv)."""
         mass: Array = np.zeros((self.model.nv, self.model.nv))
         for column, unit in enumerate(np.eye(self.model.nv)):
             product = np.zeros(self.model.nv)

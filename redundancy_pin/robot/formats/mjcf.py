@@ -55,7 +55,7 @@ _FORCES = {
 """Forces of joints, the flags that disable them, and what ``JointForces`` calls them."""
 
 _FLAGS = ("spring", "damper", "frictionloss")
-"""Forces that flags of the model disable; older releases of MuJoCo have one, "passive", for the first two."""
+"""Forces that flags of the model disable."""
 
 
 def read_mjcf(
@@ -146,7 +146,7 @@ class _Reader:
         raise ModelFileError(f"{self.path}: {what}.", remedy=remedy, path=str(self.path))
 
     def _is_disabled(self, flag: str) -> bool:
-        return flag in self.m["disabled"] or (flag in ("spring", "damper") and "passive" in self.m["disabled"])
+        return flag in self.m["disabled"]
 
     def _require_rigid(self) -> None:
         """Refuse what a rigid mechanism cannot mean, and more of it than a model may have."""

@@ -55,7 +55,7 @@ class Compiled(dict[str, Any]):
     """
 
     def has(self, name: str, index: int) -> bool:
-        """Return whether an entry is not zero, of an array that not every release of MuJoCo has."""
+        """Return whether an entry is not zero, of an array that releases of MuJoCo from 3.6 on may lack."""
         return name in self and bool(np.any(self[name][index]))
 
 
@@ -156,7 +156,7 @@ def _compiled(path: Path, trust: bool) -> Compiled:
             colliding = any(geom.contype or geom.conaffinity for geom in spec.geoms)
             idle = _without_idle_shapes(spec, mujoco.mjtGeom.mjGEOM_SPHERE)
             for mesh in () if trust else spec.meshes:
-                if mesh.file and not _is_within(_mesh_file(spec, mesh, path.parent), path.resolve().parent):
+                if mesh.file and not _is_within(_mesh_file(mesh, path.parent), path.resolve().parent):
                     raise ModelFileError(f"{path}: file={shown(mesh.file)} {_OUTSIDE}.", remedy=_MOVE, path=str(path))
             # bodies stay links by their names, whatever they are welded to
             spec.compiler.fusestatic = spec.compiler.discardvisual = False
@@ -211,12 +211,12 @@ def _without_idle_shapes(spec: Any, ball: Any) -> list[tuple[Any, str, Array]]:
         geom.material = ""
         if _word("Geom", geom.type) not in ("mesh", "sdf", "hfield") and not geom.meshname:
             continue
-        if _counts(spec, geom):
+        if _counts(geom):
             kept.add(geom.meshname)
             continue
         mesh: Any = meshes.get(geom.meshname)
         if mesh is not None and mesh.file and not np.any(mesh.refpos) and abs(mesh.refquat[0]) == 1.0:
-            idle.append((geom, str(_mesh_file(spec, mesh, Path())), np.array(mesh.scale)))
+            idle.append((geom, str(_mesh_file(mesh, Path())), np.array(mesh.scale)))
         else:
             idle.append((geom, "", np.ones(3)))
         geom.type, geom.meshname, geom.hfieldname, geom.size = ball, "", "", [1.0, 1.0, 1.0]
@@ -228,16 +228,17 @@ def _without_idle_shapes(spec: Any, ball: Any) -> list[tuple[Any, str, Array]]:
     return idle
 
 
-def _mesh_file(spec: Any, mesh: Any, folder: Path) -> Path:
-    return folder / str(getattr(mesh, "compiler", spec).meshdir or spec.meshdir or "") / str(mesh.file)
+def _mesh_file(mesh: Any, folder: Path) -> Path:
+    return folder / str(mesh.compiler.meshdir or "") / str(mesh.file)
 
 
-def _counts(spec: Any, geom: Any) -> bool:
+def _counts(geom: Any) -> bool:
     """Return whether the mass of a body follows from a geom."""
-    body, rule = geom.parent, _word("InertiaFromGeom", spec.compiler.inertiafromgeom)
+    body, compiler = geom.parent, geom.compiler  # of the model that it is attached from
+    rule = _word("InertiaFromGeom", compiler.inertiafromgeom)
     if body.name == "world" or rule == "false" or (rule == "auto" and body.explicitinertial):
         return False
-    low, high = spec.compiler.inertiagrouprange
+    low, high = compiler.inertiagrouprange
     has_mass = geom.density != 0.0 if math.isnan(geom.mass) else geom.mass != 0.0
     return bool(low <= geom.group <= high and has_mass)
 
