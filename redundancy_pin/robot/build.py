@@ -229,7 +229,7 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
         )
         remedy = "Give a position within these, or leave it out to take them; or widen the <limit> of the joint."
         raise _refused(entry.joint, what, remedy)
-    if not lower < upper:
+    if not -np.inf < lower < upper < np.inf:
         what = f"The track of the carrier {entry.joint!r} runs from {lower:g} to {upper:g}."
         remedy = "Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`."
         raise _refused(entry.joint, what, remedy)

@@ -39,6 +39,9 @@ from redundancy_pin.robot.types import Coupling
 DEEPEST_CHAIN = 200
 """Links in a row. urdfdom and Pinocchio go down by recursion: 10,000 end the process where the stack has 8 MB."""
 
+_VERSIONS = ("", "1.0", "1.1", "1.2")
+"""Versions of the format. Later ones add shapes and quaternions, which are read or refused whatever the version."""
+
 _FREEDOMS = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 
 
@@ -84,6 +87,8 @@ def read_urdf(text: str, path: Path) -> Urdf:
         what = f": it is {known}" if known else ""
         remedy = "Convert it to URDF, or call it .xml, .mjcf or .sdf." if known else ""
         robot.refuse(f"The top element of {path.name} is <{short(robot.element.tag)}>, not <robot>{what}", remedy)
+    if (version := robot.text_of("version")) not in _VERSIONS:
+        robot.refuse(f"The robot has the version {short(version)!r} of URDF", "There are 1.0, 1.1 and 1.2.")
     robot.require_known_parts()
     parts = {kind: robot.named(kind) for kind in ("link", "joint")}
     links = {name: _link(name, part) for name, part in parts["link"].items()}
@@ -324,15 +329,13 @@ def urdf_mechanism(
         ModelFileError: what ``urdf_loops`` does not know, or does not find the other end of.
     """
     named = {joint.name: joint for joint in file.joints}
-    for replaced, kind in kinds.items():
-        if replaced not in named:
-            remedy = f"{did_you_mean(replaced, named)}It has: {', '.join(named)}."
-            raise DeclarationError(f"The URDF has no joint {replaced!r}.", remedy=remedy, name=replaced)
+    for each, kind in kinds.items():
+        if each not in named:
+            remedy = f"{did_you_mean(each, named)}It has: {', '.join(named)}."
+            raise DeclarationError(f"The URDF has no joint {each!r}.", remedy=remedy, name=each)
         if kind not in KINDS:
             remedy = f"{did_you_mean(kind, KINDS)}There are: {', '.join(KINDS)}."
-            raise DeclarationError(
-                f"The joint {replaced!r} cannot be made {shown(kind)}.", remedy=remedy, name=replaced
-            )
+            raise DeclarationError(f"The joint {each!r} cannot be made {shown(kind)}.", remedy=remedy, name=each)
     model = _tree(file, {joint: kind for joint, kind in kinds.items() if kind}, base)
     carriers = {joint.child: (joint.name, joint.parent) for joint in file.joints}
     loops = read_loops(file.top, carriers, model)

@@ -27,6 +27,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean
 from redundancy_pin.robot.formats.urdf_parts import Part
+from redundancy_pin.robot.lookup import find_link_index, joint_names, link_names
 from redundancy_pin.robot.loop_joints import LoopJoint, placed, turned_to
 from redundancy_pin.robot.types import Coupling
 
@@ -90,9 +91,9 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
     Raises:
         ModelFileError: naming the file, the line, and the element.
     """
-    links = {model.frames[k].name for k in range(model.nframes) if model.frames[k].type == pin.FrameType.BODY}
+    links = set(link_names(model))
     joints, couplings, motors, unknown = list[LoopJoint](), list[Coupling](), list[str](), list[Part]()
-    moving = set(model.names) - {model.names[0]}
+    moving = set(joint_names(model))
     for part in robot.parts():
         tag = part.tag.removeprefix(_DRAKE)
         if tag in _ENDS and part.tag == tag:
@@ -197,7 +198,7 @@ def _of_gazebo(part: Part, model: pin.Model, links: set[str]) -> LoopJoint:
         part.refuse(f"{part.owner} has an axis of length zero")
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
-    at = {link: data.oMf[model.getFrameId(link, pin.FrameType.BODY)] for link in (parent, child)}
+    at = {link: data.oMf[find_link_index(model, link)] for link in (parent, child)}
     in_parent = (at[parent].actInv(at[child]) * pin.SE3(place)).homogeneous
     return joint_at(part, name, kind, [parent, child], [in_parent, place], [along, along])
 
