@@ -163,13 +163,21 @@ def test_joints_of_drake(kind: str, names: list[str], tmp_path: Path) -> None:
     assert moving == (["knee_rz", "knee_ry", "knee_rx"] if kind == "ball" else names)
 
 
-def test_a_coupling_is_of_sums_of_angles(tmp_path: Path) -> None:
-    """A belt: the arm turns twice as far as crank and bar together, counted from the ground."""
-    loop = '<coupling name="belt"><predecessor link="bar"/><successor link="arm"/><ratio value="2"/></coupling>'
-    path = changed(tmp_path, ("<loop ", f"{loop}<!--"), ("</loop>", "-->"))
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        (("bar", "arm"), ("foot", "knee", (("motor", 2.0),))),  # foot = 2 (knee + motor)
+        (("arm", "bar"), ("knee", "foot", (("motor", -1.0),))),  # knee + motor = 2 foot
+    ],
+)
+def test_a_coupling_is_of_sums_of_angles(ends: tuple[str, str], expected: object, tmp_path: Path) -> None:
+    """URDF+: ratio times the angle to the predecessor is that to the successor, both from what carries both."""
+    one, other = ends
+    belt = f'<coupling name="belt"><predecessor link="{one}"/><successor link="{other}"/><ratio value="2"/></coupling>'
+    path = changed(tmp_path, ("<loop ", f"{belt}<!--<loop "), ("</loop>", "</loop>-->"))
     (coupling,) = rp.load_robot(path).couplings
-    assert (coupling.joint, coupling.polynomial) == ("foot", (0.0, 2.0))
-    assert {coupling.of, *(name for name, _ in coupling.also)} == {"motor", "knee"}
+    assert (coupling.joint, coupling.of, coupling.also) == expected
+    assert coupling.polynomial == (0.0, 2.0)
 
 
 def test_joints_of_a_plain_file_are_named_as_driven_and_its_base_may_move(tmp_path: Path) -> None:
