@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -214,20 +215,25 @@ def _lengths_only(robot: Robot, lengths: Iterable[str]) -> tuple[str, ...]:
 def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     """Load a mechanism with what a declaration adds to it, or without one."""
     file = request.path.parent / data["urdf"] if data else request.path
-    if is_urdf(file):
+    if data and is_urdf(file):
         # before xacro runs, which would make a cryptic error of a length that is negative
         require_conditions(data, known_values(file, request.arguments))
     parameters, read = open_model(file, request.arguments, trust=request.trust)
     require_conditions(data, parameters)
-    kinds = parse(_whole(data, request.path), parameters).joint_types if data.get("joint_types") else {}
+    kinds: Mapping[str, str] | None = {} if data else None
+    if data.get("joint_types"):
+        kinds = parse(_whole(data, request.path), parameters).joint_types
     mechanism = read(kinds)
     try:
         robot = _of_mechanism(mechanism, request, file, data, parameters)
     except DeclarationError as error:
-        if "balls" not in error.details:
+        if "balls" in error.details:
+            mechanism = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
+            robot = _of_mechanism(mechanism, request, file, data, parameters)
+        elif "rank" in error.details and mechanism.loop_joints and not data:
+            robot = _beside(mechanism, request, file, parameters, error)
+        else:
             raise
-        mechanism = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
-        robot = _of_mechanism(mechanism, request, file, data, parameters)
     _report(robot.notes, file)
     return replace(robot, urdf_folder=str(file.resolve().parent))
 
@@ -237,14 +243,47 @@ def _whole(data: Mapping[str, Any], path: Path) -> dict[str, Any]:
     return {"name": path.resolve().parent.name, "reference": {}, **data}
 
 
+_BESIDE = 0.5
+"""rad and m: how far from the start of a file poses are tried where loops lie in a line there."""
+
+_TRIES = 8
+"""How many poses are tried: each is as good as any other, and fails only near a singularity."""
+
+
+def _beside(
+    mechanism: Mechanism, request: _Request, file: Path, parameters: Mapping[str, Argument], error: DeclarationError
+) -> Robot:
+    """Return a robot whose reference is near the start of its file, where rows are redundant; no file says where.
+
+    Raises:
+        DeclarationError: the one that is given, if no pose serves.
+    """
+    model, rng = mechanism.model, np.random.default_rng(1)
+    for _ in range(_TRIES):
+        start = pin.integrate(model, mechanism.start, rng.uniform(-_BESIDE, _BESIDE, model.nv))
+        if model.nq == model.nv:
+            start = np.clip(start, model.lowerPositionLimit, model.upperPositionLimit)
+        with suppress(DeclarationError):
+            robot = _of_mechanism(replace(mechanism, start=start), request, file, {}, parameters)
+            note = (
+                "Where the file starts, loops lie in a line, and branches meet: the reference is a pose near it. "
+                "See that it is on the branch of your machine, or declare a `reference`."
+            )
+            _warn_once(f"{file.name}: {note}")
+            return replace(robot, notes=(*robot.notes, note))
+    raise error
+
+
 def _of_mechanism(
     mechanism: Mechanism, request: _Request, file: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]
 ) -> Robot:
     given = _whole(data, request.path) if data else {"name": mechanism.name, "reference": {}}
+    if mechanism.independent:
+        given = {"independent": {"joints": list(mechanism.independent)}, **given}
     given = {"urdf": file.name, "actuated": list(mechanism.actuated), **given}
     if not given["actuated"]:
         if is_urdf(file):
-            drive = "Give it a transmission or ros2_control"
+            drive = 'Name what is driven (actuated="a,b"), give it a transmission or ros2_control'
         elif file.suffix.lower() == ".sdf":  # which has no actuators
             drive = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
         else:
@@ -254,7 +293,7 @@ def _of_mechanism(
     own = data.get("gravity", mechanism.model.gravity.linear.tolist())
     return made(
         given,
-        mechanism,
+        replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again
         gravity=own if request.gravity is None else request.gravity,
         loose=not (data and is_urdf(file)) or bool(mechanism.loop_joints),
         mode=request.working_mode,

@@ -57,8 +57,10 @@ def read_robot(
     """
     model = mechanism.model
     _require_closed_form(declaration, parameters)
-    add_frames(model, (*mechanism.loop_joints, *declaration.loop_joints))
-    closures = (*(joint.closure() for joint in mechanism.loop_joints), *declaration.loops)
+    joined = {frozenset((loop.frame_a, loop.frame_b)) for loop in declaration.loops}
+    file_joints = [joint for joint in mechanism.loop_joints if frozenset(joint.frames()) not in joined]
+    add_frames(model, (*file_joints, *declaration.loop_joints))
+    closures = (*(joint.closure() for joint in file_joints), *declaration.loops)
     entries = tuple(entry for entry in declaration.carriers if entry.when)
     carriers = tuple(entry.joint for entry in entries)
     own = {each.joint for each in declaration.coupled}
@@ -229,7 +231,7 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
         )
         remedy = "Give a position within these, or leave it out to take them; or widen the <limit> of the joint."
         raise _refused(entry.joint, what, remedy)
-    if not lower < upper:
+    if not -np.inf < lower < upper < np.inf:
         what = f"The track of the carrier {entry.joint!r} runs from {lower:g} to {upper:g}."
         remedy = "Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`."
         raise _refused(entry.joint, what, remedy)

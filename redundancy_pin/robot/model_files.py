@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from redundancy_pin.errors import InputError, did_you_mean, shown
@@ -11,9 +12,9 @@ from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.formats.parallel_yaml import is_parallel_yaml, read_parallel_yaml
 from redundancy_pin.robot.formats.sdf import read_sdf
-from redundancy_pin.robot.formats.urdf import read_urdf, urdf_mechanism
+from redundancy_pin.robot.formats.urdf import SEVERAL_FREEDOMS, read_urdf, urdf_mechanism
 from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_model
-from redundancy_pin.robot.urdf import Argument, render
+from redundancy_pin.robot.urdf import Argument, known_values, render
 
 _URDF = (".urdf", ".xacro")
 _SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", ".yaml", ".yml")
@@ -48,8 +49,8 @@ def _format(path: Path) -> str:
     return format_of(text)
 
 
-Reader = Callable[[Mapping[str, str]], Mechanism]
-"""Reads a file, given the kinds that replace those of some of its joints."""
+Reader = Callable[[Mapping[str, str] | None], Mechanism]
+"""Reads a file, given the kinds that replace those of some of its joints; None without a declaration."""
 
 
 def open_model(
@@ -60,8 +61,8 @@ def open_model(
     Args:
         path: the file.
         arguments: of a xacro file its own; of others ``base``: "free", or "fixed" to hold a free body where it starts;
-            of MJCF ``keyframe``, the name of the one that the mechanism starts from; of SDF ``actuated``, names of
-            driven joints with commas between.
+            of MJCF ``keyframe``, the name of the one that the mechanism starts from; of URDF and SDF ``actuated``,
+            names of driven joints with commas between.
         trust: let xacro evaluate its expressions as Python, and MJCF read files of other folders.
 
     Raises:
@@ -69,21 +70,49 @@ def open_model(
         InputError: another argument, or another value.
     """
     if is_urdf(path):
-        text, values = render(path, arguments, trust=trust)
-        return values, lambda kinds: urdf_mechanism(read_urdf(text, path), path.stem.partition(".")[0], kinds=kinds)
+        return _open_urdf(path, arguments, trust)
     defaults = _ARGUMENTS[_format(path)]
     for name in arguments:
         if name not in defaults:
             remedy = f"{did_you_mean(name, defaults)}Its arguments: {', '.join(defaults)}."
             raise InputError(f"{path.name} has no argument {name!r}.", remedy=remedy, argument=name)
     given = {name: str(arguments.get(name, default)) for name, default in defaults.items()}
-    if given["base"] not in ("free", "fixed"):
-        raise InputError(f"The argument 'base' is {shown(given['base'])}.", remedy="It must be free or fixed.")
+    _require_base(given["base"])
 
-    def read(kinds: Mapping[str, str]) -> Mechanism:
+    def read(kinds: Mapping[str, str] | None) -> Mechanism:
         if kinds:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
         reader = _READERS[_format(path)]
         return reader(path, **given, trust=trust) if reader is read_mjcf else reader(path, **given)
 
     return dict(given), read
+
+
+def _open_urdf(path: Path, arguments: Mapping[str, object], trust: bool) -> tuple[dict[str, Argument], Reader]:
+    """As ``open_model``; a URDF that is no xacro file has the arguments ``base`` and ``actuated``."""
+    plain = path.suffix.lower() == ".urdf"
+    own: dict[str, Argument] = {
+        name: str(value) for name, value in arguments.items() if plain and name in ("base", "actuated")
+    }
+    base = str(own.get("base", "fixed"))
+    _require_base(base)
+    others = {name: value for name, value in arguments.items() if name not in own}
+    known_values(path, others)
+    text, values = render(path, others, trust=trust)
+
+    def read(kinds: Mapping[str, str] | None) -> Mechanism:
+        file = read_urdf(text, path)
+        if kinds is None:
+            kinds = {
+                joint.name: SEVERAL_FREEDOMS[joint.kind] for joint in file.joints if joint.kind in SEVERAL_FREEDOMS
+            }
+        made = urdf_mechanism(file, path.stem.partition(".")[0], kinds=kinds, base=base)
+        driven = tuple(name.strip() for name in str(own.get("actuated", "")).split(",") if name.strip())
+        return replace(made, actuated=driven, drives_declared=True) if driven else made
+
+    return {**values, **own}, read
+
+
+def _require_base(base: str) -> None:
+    if base not in ("free", "fixed"):
+        raise InputError(f"The argument 'base' is {shown(base)}.", remedy="It must be free or fixed.")

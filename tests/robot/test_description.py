@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from redundancy_pin import load_robot
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.robot.urdf import declaration_path, known_values, models_root, render, shipped_robots, source_in
 
@@ -91,7 +92,7 @@ def test_missing_and_broken_files(tmp_path, xacro):
 def test_masses_and_inertias_that_are_none(xacro, old, new, message):
     xacro.write_text(XACRO.replace(old, new))
     with pytest.raises(ModelFileError, match=message):
-        render(xacro, {})[0]
+        load_robot(xacro)
 
 
 def test_robots_are_found_by_name_file_and_folder(tmp_path):

@@ -65,8 +65,8 @@ def model_by_hand(urdf: str, content: dict) -> pin.Model:
         if kind == "FIXED":
             places[index] = carrier, place
         elif kind.startswith("UJOINT"):
-            first = model.addJoint(carrier, hinges[kind[-2]](), place, f"{name}_{kind[-2].lower()}")
-            second = model.addJoint(first, hinges[kind[-1]](), pin.SE3.Identity(), f"{name}_{kind[-1].lower()}")
+            first = model.addJoint(carrier, hinges[kind[-2]](), place, f"{name}_r{kind[-2].lower()}")
+            second = model.addJoint(first, hinges[kind[-1]](), pin.SE3.Identity(), f"{name}_r{kind[-1].lower()}")
             places[index] = second, pin.SE3.Identity()
         else:
             joint = pin.JointModelSpherical() if kind else tree.joints[index]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ElementTree
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -144,9 +145,10 @@ def test_axes_of_every_version(version, xyz, more, expected, tmp_path):
     attribute = f' {given[2].strip()}"' if given[2] else ""
     text = text.replace("<xyz>@</xyz>", f"<xyz{attribute}>{given[0]}</xyz>")
     path = written(tmp_path, sdf(LINKS[0], LINKS[1], text, version=version))
-    mechanism = read_sdf(path)
-    (moving,) = (entry for entry in mechanism.joints if entry.kind == "revolute")
-    np.testing.assert_allclose(moving.axis, expected, atol=1e-12)
+    model = read_sdf(path).model
+    data = model.createData()
+    pin.computeJointJacobians(model, data, np.zeros(1))
+    np.testing.assert_allclose(np.ravel(data.J)[3:], expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(("version", "taken"), [("1.5", True), ("1.6", True), ("1.7", False), ("1.10", False)])
@@ -155,7 +157,7 @@ def test_the_frame_of_the_model_is_asked_for_up_to_version_1_6(version, taken, t
     path = written(tmp_path, sdf(LINKS[0], LINKS[1], joint("crank", "revolute", "base", "crank", more=more)))
     path.write_text(path.read_text().replace('version="1.6"', f'version="{version}"'))
     if taken:
-        assert len(read_sdf(path).joints) > 0
+        assert read_sdf(path).model.nv == 1
     else:
         with pytest.raises(ModelFileError, match=r"use_parent_model_frame is no part of SDF 1\.7"):
             read_sdf(path)
@@ -182,11 +184,13 @@ def test_limits_hold_up_to_1e15(kind, text, end, most, tmp_path):
     for key in none:
         more = f"<limit><{key}>{text}</{key}></limit>"
         path = written(tmp_path, sdf(LINKS[0], LINKS[1], joint("crank", kind, "base", "crank", more=more)))
-        (found,) = (entry.limits for entry in read_sdf(path).joints if entry.name == "crank")
+        model = read_sdf(path).model
+        limits = model.lowerPositionLimit, model.upperPositionLimit, model.upperEffortLimit, model.upperVelocityLimit
+        found = dict(zip(none, (float(limit[0]) for limit in limits), strict=True))
         is_end = key in ("lower", "upper")
         without = kind == "continuous" or end is None
         expected = (none[key] if without else end) if is_end else most
-        assert dict(found) == none | {key: expected}
+        assert found == none | {key: expected}
 
 
 def test_poses_relative_to_others(tmp_path):
@@ -196,8 +200,7 @@ def test_poses_relative_to_others(tmp_path):
         "<pose>", '<pose relative_to="__model__">'
     )
     base = LINKS[0].replace("0 0 0.1 0 0 0", "0 2 0 0 0 1.5707963267948966")
-    mechanism = read_sdf(written(tmp_path, sdf(base, crank, text, version="1.9")))
-    model = mechanism.model("machine")
+    model = read_sdf(written(tmp_path, sdf(base, crank, text, version="1.9"))).model
     data = model.createData()
     pin.framesForwardKinematics(model, data, np.zeros(1))
     np.testing.assert_allclose(data.oMi[1].translation, [0.0, 0.0, 5.0], atol=1e-12)
@@ -342,7 +345,7 @@ def test_cassie_loads_and_moves(name, freedoms):
     robot = rp.load_robot(_cassie() / f"cassie{name}.sdf")
     assert (robot.n, robot.m) == (freedoms, freedoms)
     assert sum(body.mass for body in robot.model.inertias) == pytest.approx(
-        sum(link.mass for link in read_sdf(_cassie() / f"cassie{name}.sdf").links.values())
+        sum(float(mass.text) for mass in ElementTree.parse(_cassie() / f"cassie{name}.sdf").iter("mass"))
     )
     x = home_of(robot) + 0.03 * np.sin(np.arange(robot.n))
     motion = rp.PlatformMotion([0.0], x[None], 0.1 * np.ones((1, robot.n)), np.zeros((1, robot.n)))
@@ -374,7 +377,7 @@ def test_arms_of_a_cross_that_closes_a_loop_are_at_right_angles(aside, right, tm
     ]
     path = written(tmp_path, sdf(*parts))
     if right:
-        (closure,) = read_sdf(path).closures
+        (closure,) = read_sdf(path).loop_joints
         assert closure.name == "cross"
     else:
         with pytest.raises(ModelFileError, match="'cross' has axes that are not at right angles"):
@@ -391,7 +394,7 @@ def test_poses_follow_one_another_a_hundred_times(count, taken, tmp_path):
         parts.append(joint(f"joint_{i}", "fixed" if i > 1 else "revolute", f"link_{i - 1}", f"link_{i}"))
     path = written(tmp_path, sdf(*parts, version="1.9"))
     if taken:
-        model = read_sdf(path).model("chain")
+        model = read_sdf(path).model
         data = model.createData()
         pin.framesForwardKinematics(model, data, np.zeros(1))
         last = data.oMf[model.getFrameId(f"link_{count - 1}", pin.FrameType.BODY)].translation
@@ -417,5 +420,5 @@ def test_joints_along_an_axis_are_pinocchios_own(tmp_path):
             child = f"body_{len(names)}"
             parts += [link(child, "0 0 0 0 0 0"), joint(f"to_{child}", kind, "base", child, xyz=xyz)]
             names.append(f"JointModel{name}")
-    model = read_sdf(written(tmp_path, sdf(*parts))).model("many")
+    model = read_sdf(written(tmp_path, sdf(*parts))).model
     assert [str(each.shortname()) for each in list(model.joints)[1:]] == names

@@ -51,6 +51,7 @@ class Mechanism:
         forces: friction and springs in joints of one freedom, in force.
         notes: what is not in force though the file says it, and what is taken in one of several ways.
         shapes: a URDF with the shapes of the bodies, for drawing.
+        independent: names of the joints that the file marks as independent; empty where it marks none.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Mechanism:
     forces: tuple[JointForces, ...] = ()
     notes: tuple[str, ...] = ()
     shapes: str = ""
+    independent: tuple[str, ...] = ()
 
     def with_joints(
         self, replaced: Mapping[str, Sequence[tuple[str, pin.JointModel]]], start: Mapping[str, float] | None = None

@@ -21,6 +21,7 @@ from redundancy_pin.errors import DeclarationError, did_you_mean, shown
 from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     NO_MOMENT,
+    NOT_IN_FORCE,
     TRIANGLE_TOLERANCE,
     JointEntry,
     LinkEntry,
@@ -28,18 +29,25 @@ from redundancy_pin.robot.formats.mechanism import (
     impossible_moments,
     in_a_row,
 )
-from redundancy_pin.robot.formats.urdf_loops import read_loops
-from redundancy_pin.robot.formats.urdf_parts import FRICTION, Part, short
+from redundancy_pin.robot.formats.urdf_loops import not_understood, read_loops
+from redundancy_pin.robot.formats.urdf_parts import DRAKE, FRICTION, Part, short
 from redundancy_pin.robot.formats.xml_files import FORMATS, parsed_text
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index
+from redundancy_pin.robot.loop_joints import LoopJoint
 from redundancy_pin.robot.rebuild import axis_of, joint_along
 from redundancy_pin.robot.types import Coupling
 
 DEEPEST_CHAIN = 200
 """Links in a row. urdfdom and Pinocchio go down by recursion: 10,000 end the process where the stack has 8 MB."""
 
+_VERSIONS = ("", "1.0", "1.1", "1.2")
+"""Versions of the format. Later ones add shapes and quaternions, which are read or refused whatever the version."""
+
 _FREEDOMS = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+
+_JOINTS_OF_DRAKE = {"ball": "ball", "universal": "universal_xy", "planar": "three_joints"}
+"""Types of ``<drake:joint>``, and what such a joint is replaced by."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +60,8 @@ class Urdf:
         root: the link that no joint carries.
         links: by name.
         joints: each after those that carry it.
+        independent: names of the joints that URDF+ marks as independent; empty where it marks none.
+        notes: elements that are passed over.
     """
 
     text: str
@@ -59,11 +69,8 @@ class Urdf:
     root: str
     links: Mapping[str, LinkEntry]
     joints: tuple[JointEntry, ...]
-
-    @property
-    def couplings(self) -> tuple[Coupling, ...]:
-        """What the joints that mimic others follow."""
-        return tuple(joint.mimic for joint in self.joints if joint.mimic)
+    independent: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def read_urdf(text: str, path: Path) -> Urdf:
@@ -84,7 +91,9 @@ def read_urdf(text: str, path: Path) -> Urdf:
         what = f": it is {known}" if known else ""
         remedy = "Convert it to URDF, or call it .xml, .mjcf or .sdf." if known else ""
         robot.refuse(f"The top element of {path.name} is <{short(robot.element.tag)}>, not <robot>{what}", remedy)
-    robot.require_known_parts()
+    if (version := robot.text_of("version")) not in _VERSIONS:
+        robot.refuse(f"The robot has the version {short(version)!r} of URDF", "There are 1.0, 1.1 and 1.2.")
+    robot.unknown_parts()  # those that are no slips of the pen are read by urdf_loops
     parts = {kind: robot.named(kind) for kind in ("link", "joint")}
     links = {name: _link(name, part) for name, part in parts["link"].items()}
     joints = {name: _joint(name, part, links) for name, part in parts["joint"].items()}
@@ -93,10 +102,26 @@ def read_urdf(text: str, path: Path) -> Urdf:
         if followed and (followed == name or followed not in joints or not _FREEDOMS[joints[followed].kind]):
             remedy = did_you_mean(followed, joints).strip() or "Name another joint, which moves."
             parts["joint"][name].refuse(f"{parts['joint'][name].owner} mimics {followed!r}, which it cannot", remedy)
-    freedoms = sum(_FREEDOMS[joint.kind] for joint in joints.values())
+    freedoms = sum(_FREEDOMS.get(joint.kind, 3) for joint in joints.values())
     if freedoms > MOST_FREEDOMS:
         robot.refuse(f"The joints have {freedoms} freedoms, more than the {MOST_FREEDOMS} of a model")
-    return Urdf(text, robot, *_in_order(robot, links, joints, parts["joint"]))
+    ordered = _in_order(robot, links, joints, parts["joint"])
+    marks = {name: part.text_of("independent") for name, part in parts["joint"].items()}
+    independent = [joint.name for joint in ordered[2] if _FREEDOMS.get(joint.kind, 3) and marks[joint.name] != "false"]
+    return Urdf(text, robot, *ordered, tuple(independent) if any(marks.values()) else (), _passed_over(parts))
+
+
+def _passed_over(parts: Mapping[str, Mapping[str, Part]]) -> tuple[str, ...]:
+    """Return notes on what links and joints have beside what the specification knows."""
+    notes = []
+    for part in (*parts["link"].values(), *parts["joint"].values()):
+        inertial = part.one("inertial")
+        for each in (*part.unknown_parts(), *(inertial.unknown_parts() if inertial else ())):
+            if each.tag != "joint_properties":
+                notes.append(not_understood(each))
+            elif any(each.text_of(key) not in ("", "0", "0.0") for key in FRICTION):  # of onshape-to-robot
+                notes.append(f"{NOT_IN_FORCE} friction by {each.place}.")
+    return tuple(notes)
 
 
 WITHOUT_INERTIAL = "Links without <inertial> count as massless:"
@@ -134,12 +159,10 @@ def links_without_inertial(
 
 
 def _link(name: str, part: Part) -> LinkEntry:
-    part.require_known_parts()
     inertial = part.one("inertial")
     has_shape = any(child.tag in ("visual", "collision") for child in part.element)
     if inertial is None:
         return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)), False, has_shape)
-    inertial.require_known_parts()
     mass, inertia = inertial.required("mass"), inertial.required("inertia")
     kilograms = mass.number("value", "mass")
     if kilograms < 0.0:
@@ -156,11 +179,13 @@ def _link(name: str, part: Part) -> LinkEntry:
 
 
 def _joint(name: str, part: Part, links: Mapping[str, LinkEntry]) -> JointEntry:
-    kind = part.element.get("type", "")
-    if kind not in _FREEDOMS:
-        remedy = f"{did_you_mean(kind, _FREEDOMS)}There are: {', '.join(_FREEDOMS)}."
+    kind, known = part.element.get("type", ""), _JOINTS_OF_DRAKE if part.tag == DRAKE + "joint" else _FREEDOMS
+    if kind not in known:
+        remedy = f"{did_you_mean(kind, known)}There are: {', '.join(known)}."
         part.refuse(f"{part.owner} has the type {short(kind)!r}", remedy)
-    part.require_known_parts()
+    if part.tag == DRAKE + "joint":
+        kind = _JOINTS_OF_DRAKE[kind]
+    part.unknown_parts()
     ends = []
     for role in ("parent", "child"):
         end = part.one(role)
@@ -172,7 +197,7 @@ def _joint(name: str, part: Part, links: Mapping[str, LinkEntry]) -> JointEntry:
     axis = np.array([1.0, 0.0, 0.0])  # as the specification has it
     given = part.one("axis")
     # urdfdom looks at no axis of the other kinds
-    if given is not None and kind not in ("fixed", "floating"):
+    if given is not None and kind in (*_SINGLE, "planar"):
         axis = given.triple("xyz", "the axis")
         length = float(np.linalg.norm(axis))
         if not length > 0.0:
@@ -186,7 +211,7 @@ def _joint(name: str, part: Part, links: Mapping[str, LinkEntry]) -> JointEntry:
 
 def _mimic(name: str, kind: str, part: Part) -> Coupling | None:
     given = part.one("mimic")
-    if given is None or not _FREEDOMS[kind]:  # a joint that is fixed follows nothing, whatever it says
+    if given is None or not _FREEDOMS.get(kind, 3):  # a joint that is fixed follows nothing, whatever it says
         return None
     if not (of := given.element.get("joint", "")):
         given.refuse(f"{part.owner} has a mimic without the name of a joint")
@@ -276,9 +301,9 @@ def _tree(file: Urdf, kinds: Mapping[str, str], base: str) -> pin.Model:
     """
     robot = ElementTree.Element("robot", {"name": file.top.text_of("name") or "robot"})
     for part in file.top.element:
-        if part.tag in ("link", "joint"):
+        if part.tag in ("link", "joint", DRAKE + "joint"):
             robot.append(_reduced(part))
-            if part.tag == "joint" and (kind := kinds.get(part.get("name", ""))):
+            if part.tag != "link" and (kind := kinds.get(part.get("name", ""))):
                 robot[-1].set("type", "fixed" if kind == "fixed" else "floating")
     text = ElementTree.tostring(robot, encoding="unicode")
     return pin.buildModelFromXML(text, pin.JointModelFreeFlyer()) if base == "free" else pin.buildModelFromXML(text)
@@ -286,9 +311,9 @@ def _tree(file: Urdf, kinds: Mapping[str, str], base: str) -> pin.Model:
 
 def _reduced(element: ElementTree.Element) -> ElementTree.Element:
     attributes = {key: value for key, value in element.attrib.items() if "}" not in key}
-    result = ElementTree.Element(element.tag, attributes)
+    result = ElementTree.Element(element.tag.removeprefix(DRAKE), attributes)
     for part in element:
-        if part.tag in _TREE.get(element.tag, ()):
+        if part.tag in _TREE.get(result.tag, ()):
             result.append(_reduced(part))
     return result
 
@@ -324,16 +349,15 @@ def urdf_mechanism(
         ModelFileError: what ``urdf_loops`` does not know, or does not find the other end of.
     """
     named = {joint.name: joint for joint in file.joints}
-    for replaced, kind in kinds.items():
-        if replaced not in named:
-            remedy = f"{did_you_mean(replaced, named)}It has: {', '.join(named)}."
-            raise DeclarationError(f"The URDF has no joint {replaced!r}.", remedy=remedy, name=replaced)
+    for own, kind in kinds.items():
+        if own not in named:
+            remedy = f"{did_you_mean(own, named)}It has: {', '.join(named)}."
+            raise DeclarationError(f"The URDF has no joint {own!r}.", remedy=remedy, name=own)
         if kind not in KINDS:
             remedy = f"{did_you_mean(kind, KINDS)}There are: {', '.join(KINDS)}."
-            raise DeclarationError(
-                f"The joint {replaced!r} cannot be made {shown(kind)}.", remedy=remedy, name=replaced
-            )
-    model = _tree(file, {joint: kind for joint, kind in kinds.items() if kind}, base)
+            raise DeclarationError(f"The joint {own!r} cannot be made {shown(kind)}.", remedy=remedy, name=own)
+    kinds = {joint.name: joint.kind for joint in file.joints if joint.kind in _JOINTS_OF_DRAKE.values()} | {**kinds}
+    model = _tree(file, kinds, base)
     carriers = {joint.child: (joint.name, joint.parent) for joint in file.joints}
     loops = read_loops(file.top, carriers, model)
     couplings = (*(joint.mimic for joint in file.joints if joint.mimic), *loops.couplings)
@@ -371,25 +395,51 @@ def urdf_mechanism(
     notes += [
         *links_without_inertial(file, kinds, root_moves=base == "free"),
         *impossible_moments(file.links.values()),
+        *file.notes,
         *loops.notes,
     ]
+    for driven, inertia in loops.armature.items():
+        model.armature[find_joint(model, driven).idx_v] = inertia
+    marked = tuple(
+        LoopJoint(f"{one} = {other}", "ball", (one, other), (np.eye(4), np.eye(4))) for one, other in loops.closing
+    )
+    if marked:
+        names = ", ".join(each.name for each in marked)
+        notes.append(f"The file does not say which joints close the loops at {names}: taken are balls.")
+    independent = _independent(file, kinds, base)
+    if independent and not loops.motors:
+        notes.append("The file does not say what is driven: taken are the joints that it marks as independent.")
     made = Mechanism(
         name,
         model,
         pin.neutral(model),
-        loops.joints,
+        (*loops.joints, *marked),
         couplings,
-        loops.motors,
+        loops.motors or tuple(name for name in independent if name in named),
         bool(loops.motors),
         forces,
         tuple(notes),
         file.text,
+        independent,
     )
     for joint in file.joints:
         if joint.kind in ("revolute", "prismatic") and joint.name in single and not _is_bounded(joint):
             at = find_joint(model, joint.name).idx_q
             model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
     return made.with_joints(replaced) if replaced else made
+
+
+def _independent(file: Urdf, kinds: Mapping[str, str], base: str) -> tuple[str, ...]:
+    """Return the joints that URDF+ marks as independent, of one freedom each; those of a base that moves too."""
+    names = [name for name, _ in in_a_row(file.root, SIX)] if base == "free" and file.independent else []
+    for name in file.independent:
+        rows = ROWS_OF_JOINTS.get(kinds.get(name, ""), ())
+        names += [row for row, _ in in_a_row(name, rows)] if rows else [name]
+    return tuple(name for name in names if kinds.get(name) != "fixed")
+
+
+SEVERAL_FREEDOMS = {"floating": "six_joints", "planar": "three_joints"}
+"""What stands for a joint of several freedoms where no declaration says it: independent joints have one each."""
 
 
 def _is_bounded(joint: JointEntry) -> bool:

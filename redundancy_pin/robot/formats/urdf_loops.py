@@ -26,11 +26,11 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean
-from redundancy_pin.robot.formats.urdf_parts import Part
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
+from redundancy_pin.robot.formats.urdf_parts import DRAKE, Part
+from redundancy_pin.robot.lookup import find_link_index, joint_names, link_names
 from redundancy_pin.robot.loop_joints import LoopJoint, placed, turned_to
 from redundancy_pin.robot.types import Coupling
-
-_DRAKE = "{http://drake.mit.edu}"
 
 _KINDS = {
     "revolute": "hinge",
@@ -53,10 +53,15 @@ _ENDS = {
 }
 """Elements that are loops, and those in them that name the two links."""
 
-_PASSED_OVER = ("material", "sensor", "fixed_frame", "plugin")
+_PASSED_OVER = ("material", "sensor", "fixed_frame", "plugin", "collision_filter_group")
 """Elements beside links and joints that change nothing in the mechanics."""
 
 _FORCES = ("linear_spring_damper", "linear_bushing_rpy")
+"""Forces of Drake between two links."""
+
+_FORCES_OF_GAZEBO = ("springStiffness", "springReference", "implicitSpringDamper", "gravity", "turnGravityOff")
+"""Elements of Gazebo that change forces on a link or joint."""
+
 _CLOSING = re.compile(r"closing_(.+)_([12])")
 
 
@@ -68,6 +73,7 @@ class Loops:
         joints: what closes the loops.
         couplings: joints that follow others, those that mimic not among them.
         motors: names of joints that are driven.
+        armature: by joint, the inertia of its rotor times the square of its gear ratio, kg·m² or kg, as Drake has it.
         closing: pairs of links that are at one point when closed; the file does not say by which joint.
         notes: elements that are passed over.
     """
@@ -75,6 +81,7 @@ class Loops:
     joints: tuple[LoopJoint, ...]
     couplings: tuple[Coupling, ...]
     motors: tuple[str, ...]
+    armature: Mapping[str, float]
     closing: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
 
@@ -90,11 +97,12 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
     Raises:
         ModelFileError: naming the file, the line, and the element.
     """
-    links = {model.frames[k].name for k in range(model.nframes) if model.frames[k].type == pin.FrameType.BODY}
-    joints, couplings, motors, unknown = list[LoopJoint](), list[Coupling](), list[str](), list[Part]()
-    moving = set(model.names) - {model.names[0]}
+    links = set(link_names(model))
+    joints, couplings, motors, notes = list[LoopJoint](), list[Coupling](), list[str](), list[str]()
+    armature: dict[str, float] = {}
+    moving = set(joint_names(model))
     for part in robot.parts():
-        tag = part.tag.removeprefix(_DRAKE)
+        tag = part.tag.removeprefix(DRAKE)
         if tag in _ENDS and part.tag == tag:
             joints.append(_loop(part, links))
         elif tag == "coupling":
@@ -102,11 +110,18 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
         elif tag == "ball_constraint" and part.tag != tag:
             joints.append(_ball_constraint(part, links))
         elif tag in ("transmission", "ros2_control"):
-            motors += [name for name in _driven(part) if name not in motors]
+            driven = _driven(part)
+            motors += [name for name in driven if name not in motors]
+            if inertia := _rotor_inertia(part):
+                armature |= dict.fromkeys(driven, inertia)
         elif tag == "gazebo":
             joints += [_of_gazebo(each, model, links) for each in part.parts("joint")]
+            forces = [each.place for each in part.parts() if each.tag in _FORCES_OF_GAZEBO]
+            notes += [f"{NOT_IN_FORCE} {place} of Gazebo." for place in forces]
+        elif tag in _FORCES:
+            notes.append(f"{NOT_IN_FORCE} {part.place} of Drake.")
         elif tag not in ("link", "joint", *_PASSED_OVER):
-            unknown.append(part)
+            notes.append(not_understood(part))
     for name in motors:
         if name not in moving:
             remedy = did_you_mean(name, sorted(moving)).strip() or "Name a joint that moves."
@@ -114,8 +129,17 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
     names = [joint.name for joint in joints]
     if twice := {name for name in names if names.count(name) > 1}:
         robot.refuse(f"Two loops have the name {sorted(twice)[0]!r}")
-    notes = [f"Passed over: <{part.label}> in line {part.line}, which is not understood." for part in unknown]
-    return Loops(tuple(joints), tuple(couplings), tuple(motors), _closing(robot, links), tuple(notes))
+    closing = _closing(robot, links)
+    return Loops(tuple(joints), tuple(couplings), tuple(motors), armature, closing, tuple(notes))
+
+
+def not_understood(part: Part) -> str:
+    """Return a note on an element that is passed over."""
+    return f"{PASSED_OVER} {part.place}, which is not understood."
+
+
+PASSED_OVER = "Passed over:"
+"""How the note begins that says so."""
 
 
 def _loop(part: Part, links: set[str]) -> LoopJoint:
@@ -170,9 +194,9 @@ def joint_at(part: Part, name: str, kind: str, links: list[str], places: list[Ar
 def _ball_constraint(part: Part, links: set[str]) -> LoopJoint:
     names, places = [], []
     for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
-        end = part.required(f"{_DRAKE}ball_constraint_{body}")
+        end = part.required(f"{DRAKE}ball_constraint_{body}")
         names.append(_link(end, end.text_of("name"), links))
-        at = part.required(f"{_DRAKE}ball_constraint_{point}").triple("value", "a point")
+        at = part.required(f"{DRAKE}ball_constraint_{point}").triple("value", "a point")
         places.append(placed(np.eye(3), at))
     return joint_at(part, f"ball {' = '.join(names)}", "ball", names, places, [np.eye(3)[2]] * 2)
 
@@ -197,7 +221,7 @@ def _of_gazebo(part: Part, model: pin.Model, links: set[str]) -> LoopJoint:
         part.refuse(f"{part.owner} has an axis of length zero")
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
-    at = {link: data.oMf[model.getFrameId(link, pin.FrameType.BODY)] for link in (parent, child)}
+    at = {link: data.oMf[find_link_index(model, link)] for link in (parent, child)}
     in_parent = (at[parent].actInv(at[child]) * pin.SE3(place)).homogeneous
     return joint_at(part, name, kind, [parent, child], [in_parent, place], [along, along])
 
@@ -234,6 +258,17 @@ def _driven(part: Part) -> list[str]:
         if part.tag == "transmission" or joint.parts("command_interface"):
             names.append(name)
     return names
+
+
+def _rotor_inertia(part: Part) -> float:
+    """Return the inertia of the rotor of a transmission as its joint feels it, as in Drake; 0 without one."""
+    values = {}
+    for key, default in (("rotor_inertia", 0.0), ("gear_ratio", 1.0)):
+        given = part.deep(DRAKE + key)
+        values[key] = given[0].number("value", key) if given else default
+        if values[key] < 0.0:
+            given[0].refuse(f"{part.owner} has a negative {key}, {values[key]:g}")
+    return values["gear_ratio"] ** 2 * values["rotor_inertia"]
 
 
 def _closing(robot: Part, links: set[str]) -> tuple[tuple[str, str], ...]:

@@ -23,12 +23,18 @@ _POSE = ("xyz", "rpy")
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
+DRAKE = "{http://drake.mit.edu}"
+"""Namespace of the elements that Drake adds."""
+
 _PARTS: Mapping[str, tuple[str, ...]] = {
     "robot": ("link", "joint", "material", "transmission", "gazebo"),
     "link": ("inertial", "visual", "collision"),
     "joint": ("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller"),
     "inertial": ("origin", "mass", "inertia"),
 }
+_WITHOUT_MECHANICS = ("self_collision_checking", "contact", "contact_coefficients", "sensor", "hardwareInterface")
+"""Elements in links and joints that programs have added, and that change nothing in the mechanics."""
+
 FRICTION = ("damping", "friction")
 
 _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
@@ -69,7 +75,7 @@ class Part:
     def named(self, kind: str) -> dict[str, Part]:
         """Return the links or joints of the robot by their names, which are checked."""
         parts: dict[str, Part] = {}
-        for element in self.children(kind):
+        for element in (*self.children(kind), *self.children(DRAKE + kind)):
             name = element.get("name", "")
             part = Part(element, self.path, f"The {kind} {name!r} of {self.path.name}", {kind: name})
             unnamed = Part(element, self.path, f"A {kind}")
@@ -91,6 +97,11 @@ class Part:
     def tag(self) -> str:
         """The name of the element, with the namespace in braces before it."""
         return str(self.element.tag)
+
+    @property
+    def place(self) -> str:
+        """The element and its line, for messages."""
+        return f"<{self.tag.rpartition('}')[2]}> in line {self.element.line}"
 
     @property
     def attributes(self) -> Mapping[str, str]:
@@ -149,14 +160,23 @@ class Part:
         """Return a part that has to be there."""
         return self.one(tag) or self.refuse(f"{self.owner} has no {tag}")
 
-    def require_known_parts(self) -> None:
-        """Refuse what is nearly, but not quite, an element that counts: it would be passed over."""
-        known = _PARTS[self.element.tag]
-        for part in self.element:
+    def unknown_parts(self) -> list[Part]:
+        """Return the elements in the element that the specification does not know, and that may change the mechanics.
+
+        Raises:
+            ModelFileError: an element that is nearly, but not quite, one that counts.
+        """
+        known, unknown = _PARTS[self.tag.removeprefix(DRAKE)], []
+        for part in self.parts():
+            if part.tag in known or part.tag in _WITHOUT_MECHANICS:
+                continue
             # names of extensions are far from all
-            if part.tag not in known and (near := difflib.get_close_matches(part.tag.lower(), known, n=1, cutoff=0.8)):
-                place = replace(self, element=part) if isinstance(part, Element) else self
-                place.refuse(f"{self.owner} has an element <{short(part.tag)}>", f"Did you mean {near[0]!r}?")
+            if near := difflib.get_close_matches(part.tag.lower(), known, n=1, cutoff=0.8):
+                replace(part, details=self.details).refuse(
+                    f"{self.owner} has an element <{short(part.tag)}>", f"Did you mean {near[0]!r}?"
+                )
+            unknown.append(part)
+        return unknown
 
     def number(self, key: str, what: str = "", most: float = LARGEST) -> float:
         """Return the number of an attribute."""

@@ -1,0 +1,215 @@
+"""Loops of a URDF in every dialect: torques are those of Pinocchio's tree with the loop as rows of a KKT system."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import RedundancyPinError
+
+FILES = Path(__file__).parent / "files" / "urdf"
+GOOD = sorted(path.stem for path in (FILES / "good").glob("*.urdf"))
+BAD = sorted(path.stem for path in (FILES / "bad").glob("*.urdf"))
+GRAVITY = (0.0, -9.81, 0.0)
+MOTION = (0.3, 1.7, -4.0)
+"""Angle, rad, speed and acceleration of the motor."""
+
+
+def torque(robot: rp.Robot) -> float:
+    x, xd, xdd = (np.array([[value]]) for value in MOTION)
+    return float(rp.distribute(rp.RneaDynamics(robot).reduce(rp.PlatformMotion([0.0], x, xd, xdd))).tau[0, 0])
+
+
+def torque_by_kkt(text: str, points: dict[str, Array], near: Array) -> float:
+    """Return the torque of the motor of a planar four-bar that is closed at a point of each of two links.
+
+    The tree is Pinocchio's own; its passive joints follow from two equations of Newton's method, the torque and both
+    forces at the pin from the equations of motion, and nothing is this package's.
+    """
+    model = pin.buildModelFromXML(text)
+    model.gravity.linear = np.array(GRAVITY)
+    frames = []
+    for link, at in points.items():
+        carrier = model.frames[model.getFrameId(link, pin.BODY)]
+        place = carrier.placement * pin.SE3(np.eye(3), at)
+        frames.append(model.addFrame(pin.Frame(f"point of {link}", carrier.parentJoint, place, pin.OP_FRAME)))
+    data = model.createData()
+    aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+    def rows(q: Array) -> tuple[Array, Array]:
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        one, other = (data.oMf[frame].translation[:2].copy() for frame in frames)
+        jacobians = [pin.getFrameJacobian(model, data, frame, aligned)[:2].copy() for frame in frames]
+        return one - other, jacobians[0] - jacobians[1]
+
+    names = list(model.names)[1:]
+    motor = names.index("motor")
+    passive = [index for index in range(model.nv) if index != motor]
+    q = near.copy()
+    for _ in range(20):
+        gap, jacobian = rows(q)
+        step = np.zeros(model.nv)
+        step[passive] = -np.linalg.solve(jacobian[:, passive], gap)
+        q = pin.integrate(model, q, step)
+    gap, jacobian = rows(q)
+    assert np.abs(gap).max() < 1e-14
+    v, a = np.zeros(model.nv), np.zeros(model.nv)
+    v[motor], a[motor] = MOTION[1:]
+    v[passive] = -np.linalg.solve(jacobian[:, passive], jacobian[:, motor] * v[motor])
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    bias = [pin.getFrameClassicalAcceleration(model, data, frame, aligned).linear[:2].copy() for frame in frames]
+    a[passive] = -np.linalg.solve(jacobian[:, passive], jacobian[:, motor] * a[motor] + bias[0] - bias[1])
+    forces = pin.rnea(model, model.createData(), q, v, a)
+    unknown = np.column_stack([np.eye(model.nv)[motor], jacobian.T])
+    return float(np.linalg.solve(unknown, forces)[0])
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_torques_are_those_of_the_closed_loop(name: str) -> None:
+    path = FILES / "good" / f"{name}.urdf"
+    robot = rp.load_robot(path, gravity=GRAVITY)
+    assert (robot.n, robot.actuated, robot.independent_joints) == (1, ("motor",), ("motor",))
+    text, points = path.read_text(), {"bar": np.array([0.25, 0.0, 0.0]), "arm": np.array([0.2, 0.0, 0.0])}
+    if name == "gazebo":  # its joint is where its child is at zero
+        model = pin.buildModelFromXML(text)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, pin.neutral(model))
+        bar, arm = (data.oMf[model.getFrameId(link, pin.BODY)] for link in ("bar", "arm"))
+        points["bar"] = bar.actInv(arm).act(points["arm"])
+    q = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[MOTION[0]]], [[0.0]], [[0.0]])).q[0]
+    names, own = list(pin.buildModelFromXML(text).names)[1:], list(robot.model.names)[1:]
+    assert names == own
+    assert torque(robot) == pytest.approx(torque_by_kkt(text, points, q), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_file_that_cannot_be_meant_is_refused_by_name(name: str) -> None:
+    """The first line of each says what its error must contain."""
+    path = FILES / "bad" / f"{name}.urdf"
+    message = path.read_text().partition("\n")[0].removeprefix("<!-- ").removesuffix(" -->")
+    with pytest.raises(RedundancyPinError) as refusal:
+        rp.load_robot(path)
+    assert message in str(refusal.value)
+    assert f"{name}.urdf" in str(refusal.value)
+
+
+def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") -> Path:
+    """Write one of the good files with parts of its text replaced."""
+    text = (FILES / "good" / f"{name}.urdf").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = folder / f"{name}.urdf"
+    path.write_text(text)
+    return path
+
+
+def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: Path) -> None:
+    rotor = '<actuator name="m"><drake:rotor_inertia value="2e-5"/><drake:gear_ratio value="30"/></actuator>'
+    plain = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
+    robot = rp.load_robot(changed(tmp_path, ('<actuator name="m"/>', rotor)), gravity=GRAVITY)
+    assert torque(robot) - torque(plain) == pytest.approx(30.0**2 * 2e-5 * MOTION[2], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "note"),
+    [
+        ("</robot>", "<winding/></robot>", "Passed over: <winding>"),
+        (
+            "</robot>",
+            "<drake:linear_bushing_rpy/></robot>",
+            "Not in force, though the file says it: <linear_bushing_rpy>",
+        ),
+        (
+            '<limit lower="-2"',
+            '<joint_properties friction="0.1"/><limit lower="-2"',
+            "friction by <joint_prop",
+        ),
+        ('<limit lower="-2"', '<backlash/><limit lower="-2"', "Passed over: <backlash>"),
+        (
+            "</robot>",
+            '<gazebo reference="motor"><springStiffness>2</springStiffness></gazebo></robot>',
+            "Not in force, though the file says it: <springStiffness>",
+        ),
+    ],
+)
+def test_elements_that_are_not_understood_are_noted_with_their_line(
+    old: str, new: str, note: str, tmp_path: Path
+) -> None:
+    path = changed(tmp_path, (old, new))
+    line = path.read_text().partition(new)[0].count("\n") + 1
+    (found,) = (each for each in rp.load_robot(path).notes if note in each)
+    assert f"in line {line}" in found
+
+
+@pytest.mark.parametrize(("kind", "names"), [("ball", ["knee"]), ("universal", ["knee_rx", "knee_ry"])])
+def test_joints_of_drake(kind: str, names: list[str], tmp_path: Path) -> None:
+    ends = '<parent link="crank"/><child link="ball"/>'
+    joint = f'<link name="ball"/><drake:joint name="knee" type="{kind}">{ends}</drake:joint>'
+    text = (
+        '<robot name="r" xmlns:drake="http://drake.mit.edu"><link name="base"/><link name="crank"/>'
+        '<joint name="motor" type="continuous"><parent link="base"/><child link="crank"/></joint>'
+        f'{joint}<transmission name="t"><joint name="motor"/></transmission></robot>'
+    )
+    path = tmp_path / "r.urdf"
+    path.write_text(text)
+    moving = list(rp.load_robot(path).model.names)[2:]
+    assert moving == (["knee_rz", "knee_ry", "knee_rx"] if kind == "ball" else names)
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        (("bar", "arm"), ("foot", "knee", (("motor", 2.0),))),  # foot = 2 (knee + motor)
+        (("arm", "bar"), ("knee", "foot", (("motor", -1.0),))),  # knee + motor = 2 foot
+    ],
+)
+def test_a_coupling_is_of_sums_of_angles(ends: tuple[str, str], expected: object, tmp_path: Path) -> None:
+    """URDF+: ratio times the angle to the predecessor is that to the successor, both from what carries both."""
+    one, other = ends
+    belt = f'<coupling name="belt"><predecessor link="{one}"/><successor link="{other}"/><ratio value="2"/></coupling>'
+    path = changed(tmp_path, ("<loop ", f"{belt}<!--<loop "), ("</loop>", "</loop>-->"))
+    (coupling,) = rp.load_robot(path).couplings
+    assert (coupling.joint, coupling.of, coupling.also) == expected
+    assert coupling.polynomial == (0.0, 2.0)
+
+
+def test_joints_of_a_plain_file_are_named_as_driven_and_its_base_may_move(tmp_path: Path) -> None:
+    drive = '  <transmission name="drive"><joint name="motor"/><actuator name="m"/></transmission>\n'
+    path = changed(tmp_path, (drive, ""))
+    with pytest.raises(RedundancyPinError, match=r"drives no joint.*actuated="):
+        rp.load_robot(path)
+    assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
+    free = rp.load_robot(path, actuated="motor", base="free")
+    assert (free.n, free.m) == (7, 1)
+    with pytest.raises(RedundancyPinError, match="'base' is 'loose'"):
+        rp.load_robot(path, actuated="motor", base="loose")
+
+
+def test_a_floating_joint_is_six_joints(tmp_path: Path) -> None:
+    floating = (
+        '<link name="world"/><joint name="base" type="floating"><parent link="world"/><child link="ground"/></joint>'
+    )
+    robot = rp.load_robot(changed(tmp_path, ('<link name="ground"/>', f'<link name="ground"/>{floating}')))
+    assert robot.n == 7
+    assert list(robot.model.names)[1:7] == [f"base_{axis}" for axis in ("x", "y", "z", "rz", "ry", "rx")]
+
+
+def test_loops_that_lie_in_a_line_at_zero_are_closed_beside(tmp_path: Path) -> None:
+    """A parallelogram, flat at zero: its rows lose rank there."""
+    flat = changed(
+        tmp_path,
+        ('<origin rpy="0 0 0.8"/>', ""),
+        ('<origin xyz="0.12 0 0" rpy="0 0 -0.5"/>', '<origin xyz="0.12 0 0"/>'),
+        ('<origin xyz="0.3 0 0" rpy="0 0 1.2"/>', '<origin xyz="0.17 0 0"/>'),
+        name="urdf_plus",
+    )
+    robot = rp.load_robot(flat)
+    assert abs(np.sin(robot.q_reference[0])) > 1e-3
+    assert any("lie in a line" in note for note in robot.notes)
