@@ -118,6 +118,44 @@ def assign(target: object, **values: object) -> None:
         object.__setattr__(target, name, value)
 
 
+def numbers(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
+    """Return ``values`` as an array of doubles after checking its shape; they need not be finite.
+
+    Args:
+        values: anything numpy can turn into an array of floats; an array of doubles is returned as it is.
+        name: what to call it in an error.
+        shape: expected length of each axis; a string stands for any length.
+
+    Raises:
+        InputError: not real numbers (complex ones, text, None), wrong number of axes, wrong length.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "cSU" or (array.dtype.kind == "O" and None in array.ravel().tolist()):
+            # numpy makes numbers of text, a real part of complex numbers, and NaN of None
+            raise TypeError(f"it holds {'complex numbers' if array.dtype.kind == 'c' else 'text or None'}")
+        array = array.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{name} is not an array of numbers: {error}.",
+            remedy="Pass a rectangular array of finite floats.",
+            name=name,
+        ) from error
+    if array.shape != shape and not (
+        array.ndim == len(shape)
+        and all(isinstance(want, str) or got == want for got, want in zip(array.shape, shape, strict=True))
+    ):
+        expected = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise InputError(
+            f"{name} has shape {array.shape}, expected {expected}.",
+            remedy="Rows are samples, columns are coordinates.",
+            name=name,
+            shape=array.shape,
+            expected=tuple(shape),
+        )
+    return array
+
+
 def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     """Return a read-only float64 copy of ``values`` after checking shape and finiteness.
 
@@ -127,31 +165,9 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
         shape: expected length of each axis; a string stands for any length.
 
     Raises:
-        InputError: not numeric, wrong number of axes, wrong length, or a NaN or infinity.
+        InputError: as ``numbers``; a NaN or infinity, or a number beyond 1e100.
     """
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind in "cSU":
-            raise TypeError(f"it holds {'complex numbers' if given.dtype.kind == 'c' else 'text'}")
-        array = frozen(given)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{name} is not an array of numbers: {error}.",
-            remedy="Pass a rectangular array of finite floats.",
-            name=name,
-        ) from error
-    matches = array.ndim == len(shape) and all(
-        isinstance(want, str) or got == want for got, want in zip(array.shape, shape, strict=True)
-    )
-    if not matches:
-        expected = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"
-        raise InputError(
-            f"{name} has shape {array.shape}, expected {expected}.",
-            remedy="Rows are samples, columns are coordinates.",
-            name=name,
-            shape=array.shape,
-            expected=tuple(shape),
-        )
+    array = frozen(numbers(values, name, shape))
     bad = ~(np.abs(array) <= LARGEST)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])

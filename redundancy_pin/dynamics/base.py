@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, Typ
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, checked, peak, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, numbers, peak, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError, millimetres
 from redundancy_pin.motion import (
@@ -30,6 +30,9 @@ OnUnreachable = Literal["raise", "mark"]
 
 SampleArguments: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
 """x, xd, xdd, s, sd, sdd of ``Dynamics.torque``."""
+
+SampleArrays: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
+"""The same as arrays: x (n,) or (4, 4), xd and xdd (n,), s, sd and sdd (k,)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -360,7 +363,7 @@ class Dynamics(Protocol):
         Raises:
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
         """
-        motion, carriers = one_sample(self.robot, x, xd, xdd, s, sd, sdd, t=t)
+        motion, carriers = one_sample(self.robot, (x, xd, xdd, s, sd, sdd), t)
         one = self.along(motion).reduce(carriers)
         return Sample(one.W[0], one.f[0], one.carrier_force[0])
 
@@ -513,36 +516,36 @@ def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:
     return CarrierTerms(reduced.W, read_only(constant), read_only(terms))
 
 
-def one_sample(
-    robot: Robot,
-    x: ArrayLike,
-    xd: ArrayLike,
-    xdd: ArrayLike,
-    s: ArrayLike,
-    sd: ArrayLike,
-    sdd: ArrayLike,
-    *,
-    t: float = 0.0,
-) -> tuple[PlatformMotion, CarrierMotion]:
+def sample_arrays(robot: Robot, given: SampleArguments) -> SampleArrays:
+    """Return the arguments of one sample as arrays of doubles; they need not be finite, nor x a pose.
+
+    Arguments of the carriers that are empty are zero; one number is that of all carriers.
+
+    Raises:
+        InputError: wrong shapes, or what is no real number.
+    """
+    x, xd, xdd, *tracks = given
+    n, k = robot.n, robot.k
+    pose = (4, 4) if is_pose(robot) else (n,)
+    platform = numbers(x, "x", pose), numbers(xd, "xd", (n,)), numbers(xdd, "xdd", (n,))
+    carriers = []
+    for part, name in zip(tracks, ("s", "sd", "sdd"), strict=True):
+        shape = np.shape(part)
+        if shape == (0,):
+            carriers.append(np.zeros(k))
+        else:
+            carriers.append(numbers(part, name, (k,)) if shape else np.full(k, numbers(part, name, ())))
+    return (*platform, carriers[0], carriers[1], carriers[2])
+
+
+def one_sample(robot: Robot, given: SampleArguments, t: float) -> tuple[PlatformMotion, CarrierMotion]:
     """Return motions of one sample; arguments as of ``Dynamics.sample``.
 
     Raises:
-        InputError: wrong shapes, or values that are not finite.
+        InputError: wrong shapes, values that are not finite, or a matrix that is no pose.
     """
-    pose = (4, 4) if is_pose(robot) else (robot.n,)
-    platform = zip((x, xd, xdd), ("x", "xd", "xdd"), (pose, (robot.n,), (robot.n,)), strict=True)
-    motion = PlatformMotion([t], *(checked(part, name, shape)[None] for part, name, shape in platform))
-    tracks = zip((s, sd, sdd), ("s", "sd", "sdd"), strict=True)
-    carriers = CarrierMotion(*(_each(robot.k, part, name)[None] for part, name in tracks))
-    return motion, carriers
-
-
-def _each(k: int, part: ArrayLike, name: str) -> Array:
-    """Return (k,) an argument of the carriers: empty for zero, one number for all of them."""
-    shape = np.shape(part)
-    if shape == ():
-        part = np.full(k, checked(part, name, ()))
-    return checked(np.zeros(k) if shape == (0,) else part, name, (k,))
+    x, xd, xdd, s, sd, sdd = (part[None] for part in sample_arrays(robot, given))
+    return PlatformMotion([t], x, xd, xdd), CarrierMotion(s, sd, sdd)
 
 
 def require_choice(unreachable: str) -> None:

@@ -10,11 +10,18 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
-from redundancy_pin.dynamics.base import Dynamics, ReducedSample, SampleArguments, TorqueSample, one_sample
+from redundancy_pin.dynamics.base import (
+    Dynamics,
+    ReducedSample,
+    SampleArguments,
+    SampleArrays,
+    TorqueSample,
+    one_sample,
+    sample_arrays,
+)
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
 from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.robot import Robot
@@ -49,14 +56,9 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
     return without_answer(robot, SampleStatus.TYPE_I if singular else SampleStatus.BRANCH_LOST)
 
 
-def is_finite(given: Sequence[ArrayLike], t: float) -> bool:
-    """Return whether all numbers of a sample are finite; later checks refuse what is no real number."""
-    try:
-        parts = [np.asarray(part) for part in (*given, t)]
-        real = [part for part in parts if part.dtype.kind != "c" and None not in part.ravel().tolist()]
-        return all(np.isfinite(part.astype(np.float64)).all() for part in real)
-    except (TypeError, ValueError):
-        return True
+def is_finite(given: Sequence[Array], t: float) -> bool:
+    """Return whether all numbers of a sample are finite."""
+    return math.isfinite(t) and bool(np.isfinite(np.concatenate([part.ravel() for part in given])).all())
 
 
 @lru_cache(maxsize=64)
@@ -66,7 +68,7 @@ def _unit_of_W(robot: Robot) -> Array:
 
 
 def solve_sample(
-    robot: Robot, sample: ReducedSample, q: Array, kinematics: tuple[float, float], given: SampleArguments, t: float
+    robot: Robot, sample: ReducedSample, q: Array, kinematics: tuple[float, float], given: SampleArrays, t: float
 ) -> TorqueSample:
     """Return the efforts of least norm with W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ), or a status.
 
@@ -81,7 +83,7 @@ def solve_sample(
     Example:
         >>> import redundancy_pin as rp
         >>> robot = rp.load_robot("five_bar")
-        >>> given = [0.1, 0.4], [0.5, 0.0], [0.0, 1.0], (), (), ()
+        >>> given = sample_arrays(robot, ([0.1, 0.4], [0.5, 0.0], [0.0, 1.0], (), (), ()))
         >>> sample = rp.RneaDynamics(robot).sample(*given)
         >>> solve_sample(robot, sample, robot.q_reference, (0.0, 1.0), given, 0.0).status.label
         'ok'
@@ -94,7 +96,7 @@ def solve_sample(
     if failed:
         return without_answer(robot, SampleStatus.NOT_FINITE)
     sizes = values.tolist()
-    smallest, margin, s = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1], given[3]
+    smallest, margin = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1]
     rank = sum(value > smallest for value in sizes)
     components = g @ u
     outside, full = components[rank:], rank == len(sizes)
@@ -109,15 +111,15 @@ def solve_sample(
     else:
         status = SampleStatus.NEAR_SINGULAR if margin < NEAR_SINGULAR_MARGIN else SampleStatus.OK
     whole = q.copy()
-    whole[robot.carrier_position] = s if np.size(s) else 0.0
+    whole[robot.carrier_position] = given[3]
     if not is_in_range(robot, whole):
         status = SampleStatus.OUT_OF_RANGE
     return TorqueSample(tau, status, margin, sample.carrier_force, *kinematics)
 
 
-def _force_size(robot: Robot, given: SampleArguments, t: float) -> float:
+def _force_size(robot: Robot, given: SampleArrays, t: float) -> float:
     """Return the size of the forces of one sample before they cancel, N: ``Scales.force``."""
-    x, xd, xdd, _, sd, sdd = (np.asarray(part, dtype=np.float64) for part in given)
+    x, xd, xdd, _, sd, sdd = given
     unit, terms = coordinate_unit(robot), force_terms(robot)
     rate, acceleration = float(np.abs(xd / unit).max()), float(np.abs(xdd / unit).max())
     if robot.k and sd.size:
@@ -141,9 +143,9 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
         InputError: wrong shapes, or a matrix that is not a pose.
     """
     robot = dynamics.robot
-    if not is_finite(given, t):
+    if not is_finite(sample_arrays(robot, given), t):
         return without_answer(robot, SampleStatus.NOT_FINITE)
-    motion, carriers = one_sample(robot, *given, t=t)
+    motion, carriers = one_sample(robot, given, t)
     try:
         reduced = dynamics.along(motion).reduce(carriers)
     except REFUSALS as error:

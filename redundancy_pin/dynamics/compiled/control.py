@@ -18,7 +18,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import Array, numbers
 from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
 from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.compiled.closing import Lifted, Start
@@ -85,21 +85,7 @@ class _Arguments:
         for part, value, (name, shape) in zip(self.parts, values, self._shapes.items(), strict=False):
             if name in _OPTIONAL and (np.ndim(value) == 0 or not np.size(value)) and value is not None:
                 value = np.full(shape, value if np.ndim(value) == 0 else 0.0)
-            part[:] = _converted(value, name, shape).ravel()
-
-
-def _converted(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
-    """Return numbers of any kind as an array of a shape; raises InputError. They need not be finite."""
-    try:
-        raw = np.asarray(value)
-        if raw.dtype.kind in "cSU" or (raw.dtype.kind == "O" and None in raw.ravel().tolist()):
-            raise TypeError  # numpy makes a real part of complex numbers, numbers of text, and NaN of None
-        given = raw.astype(np.float64)
-    except (TypeError, ValueError):
-        return checked(value, name, shape)  # raises, and says why
-    if given.shape != shape:
-        checked(np.nan_to_num(given), name, shape)
-    return given
+            part[:] = numbers(value, name, shape).ravel()
 
 
 def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
@@ -145,7 +131,7 @@ class _Branch:
         try:
             self._given[:] = cast(Any, start)
         except _NEEDS_CONVERTING:
-            self._start[:] = _converted(start, "start", self._shape)
+            self._start[:] = numbers(start, "start", self._shape)
         begun = bool(self._begin())
         self.known = self.known or begun
         return begun
