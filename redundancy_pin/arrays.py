@@ -131,10 +131,11 @@ def numbers(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     """
     try:
         array = np.asarray(values)
-        if array.dtype.kind in "cSU" or (array.dtype.kind == "O" and None in array.ravel().tolist()):
+        kind = array.dtype.kind
+        if kind in "cSU" or (kind == "O" and None in array.ravel().tolist()):
             # numpy makes numbers of text, a real part of complex numbers, and NaN of None
-            raise TypeError(f"it holds {'complex numbers' if array.dtype.kind == 'c' else 'text or None'}")
-        array = array.astype(np.float64, copy=False)
+            raise TypeError(f"it holds {'complex numbers' if kind == 'c' else 'text or None'}")
+        array = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{name} is not an array of numbers: {error}.",

@@ -58,7 +58,7 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
 
 def is_finite(given: Sequence[Array], t: float) -> bool:
     """Return whether all numbers of a sample are finite."""
-    return math.isfinite(t) and bool(np.isfinite(np.concatenate([part.ravel() for part in given])).all())
+    return math.isfinite(t) and bool(np.isfinite(np.concatenate(given, axis=None)).all())
 
 
 @lru_cache(maxsize=64)
@@ -89,11 +89,9 @@ def solve_sample(
         'ok'
     """
     A, g = sample.W * _unit_of_W(robot), sample.f / row_scale(robot)
-    size = math.sqrt(float(g @ g))
-    if not (math.isfinite(size) and math.isfinite(float(A.sum()))):
-        return without_answer(robot, SampleStatus.NOT_FINITE)
+    size = math.hypot(*g.tolist())  # whose squares do not overflow
     u, values, vt, failed = lapack().dgesdd(A)
-    if failed:
+    if failed or not math.isfinite(size):
         return without_answer(robot, SampleStatus.NOT_FINITE)
     sizes = values.tolist()
     smallest, margin = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1]
@@ -102,7 +100,7 @@ def solve_sample(
     outside, full = components[rank:], rank == len(sizes)
     if len(outside):
         allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * _force_size(robot, given, t)
-        if math.sqrt(float(outside @ outside)) > allowed:
+        if math.hypot(*outside.tolist()) > allowed:
             status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
             return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, *kinematics)
     tau = column_scale(robot) * ((components[:rank] / values[:rank]) @ vt[:rank])
@@ -110,9 +108,10 @@ def solve_sample(
         status = SampleStatus.SINGULAR_CONSISTENT
     else:
         status = SampleStatus.NEAR_SINGULAR if margin < NEAR_SINGULAR_MARGIN else SampleStatus.OK
-    whole = q.copy()
-    whole[robot.carrier_position] = given[3]
-    if not is_in_range(robot, whole):
+    if robot.k:
+        q = q.copy()
+        q[robot.carrier_position] = given[3]
+    if not is_in_range(robot, q):
         status = SampleStatus.OUT_OF_RANGE
     return TorqueSample(tau, status, margin, sample.carrier_force, *kinematics)
 

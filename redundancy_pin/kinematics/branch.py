@@ -140,10 +140,11 @@ class Follower(LoopSolver):
 
     def follow(self, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
         """Return what ``advance`` does, for read-only coordinates that were checked: those of a ``PlatformMotion``."""
-        if not np.isfinite(here.gamma).all():
+        if here.interpolated and not np.isfinite(here.gamma).all():
             return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
         start, whole = here.x, difference(self.robot, x, here.x)
-        length = float(np.linalg.norm(whole / self.unit))
+        scaled = whole / self.unit
+        length = math.sqrt(scaled.dot(scaled))
         longest = size = 1.0 / min(max(math.ceil(length / LONGEST_STEP), 1), _MOST_STEPS)
         done = within_reach = 0.0
         while done < 1.0:
