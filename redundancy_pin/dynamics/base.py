@@ -182,6 +182,10 @@ class CarrierDerivatives(Frozen):
     force_sdd: Array
 
 
+TERMS = 5
+"""Terms by which a carrier on a straight track enters W τ = f: s, s², ṡ, s ṡ and s̈."""
+
+
 class CarrierTerms(NamedTuple):
     """W τ = f at N instants for every motion of carriers on straight tracks: they enter by s, s², ṡ, s ṡ and s̈.
 
@@ -509,7 +513,7 @@ def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:
         square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s) / length
         return np.stack([by_s, square, by_sd, both, by_sdd], axis=-1)  # (N, n or k, k, 5)
 
-    own, terms = np.arange(k), np.zeros((samples, k, 5, n + k))
+    own, terms = np.arange(k), np.zeros((samples, k, TERMS, n + k))
     terms[..., :n] = by_term("f").transpose(0, 2, 3, 1)
     terms[:, own, :, n + own] = by_term("force")[:, own, own].transpose(1, 0, 2)
     constant = np.concatenate([reduced.f, reduced.carrier_force], axis=1)

@@ -51,30 +51,6 @@ class Equations(NamedTuple):
     effort: Array
 
 
-class Reading(NamedTuple):
-    """What controllers read off one state: the platform, and M (ẍ, s̈) + h = (W τ, F); d = n + k.
-
-    Attributes:
-        x: (n,) platform coordinates, base frame, m and rad, or a pose (4, 4).
-        xd: (n,) their rate, m/s and rad/s.
-        mass: (d, d) M, kg, kg·m, kg·m².
-        bias: (d,) h: velocity terms and gravity, N or N·m.
-        W: (n, m) generalised force on the platform per unit of main effort.
-        regular: false at a type I pose, where mass, bias and W mean nothing.
-    """
-
-    x: Array
-    xd: Array
-    mass: Array
-    bias: Array
-    W: Array
-    regular: bool
-
-
-Reader = Callable[[Array, Array], Reading]
-"""From q (nq,), v (nv,) to a ``Reading``; for one thread."""
-
-
 class LinearParts(NamedTuple):
     """Derivatives of the equations of motion at N states in motion; see ``simulation.derivatives.DynamicsDerivatives``.
 
@@ -150,7 +126,7 @@ class Advance:
         y: (nq + nv,) the closed state there.
         values: (w,) functions of the events there.
         near: ratio of singular values of the closures below which a rank loss is looked for.
-        next_step: s; negative if unknown.
+        next_step: at most this long, s.
         sample: the next one to record; ``recorded`` (G, nq + nv) holds those before it.
         steps, evaluations, restarts, largest_correction: see ``Statistics``.
     """
@@ -202,8 +178,8 @@ class ForwardKernel(Protocol):
     def equations(self, q: Array, v: Array) -> Equations:
         """Return the equations of the tree and its closures at a state."""
 
-    def reader(self) -> Reader:
-        """Return what reads one state at a time."""
+    def platform(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return the platform's coordinates (n,), m and rad, or pose (4, 4), base frame, and their rates (n,)."""
 
     def linear(self, q: Array, v: Array, a: Array, tau: Array) -> LinearParts:
         """Return exact derivatives at N states in motion under main efforts (N, m)."""

@@ -335,12 +335,17 @@ class OrdinarySteps:
         if hold is not None and self._by_time:
             self._code.hold(np.concatenate(hold))
         end = stretch.end if self._sampled else float(grid[-1])
+        next_step = progress.next_step
+        if next_step is None:  # scipy's first one
+            rate = _Rate(problem.machine, hold, stretch.end, None)
+            next_step = float(_solver(problem, progress, stretch, rate).h_abs)
+            progress = replace(progress, evaluations=progress.evaluations + rate.evaluations)
         at = Advance(
             progress.t,
             progress.y,
             progress.values,
             progress.near,
-            -1.0 if progress.next_step is None else progress.next_step,
+            next_step,
             len(record.samples),
             *(getattr(progress, name) for name in _COUNTED),
         )
@@ -351,10 +356,9 @@ class OrdinarySteps:
         states = zip(grid[taken].tolist(), self._code.recorded[taken].copy(), strict=True)
         record.samples.extend([SimulatedSample(t, y, hold, None) for t, y in states])
         counted = {name: getattr(at, name) for name in _COUNTED}
-        next_step = at.next_step if at.next_step > 0.0 else None
         if at.steps > progress.steps:
             progress = replace(progress, t=at.t, y=at.y, values=at.values, near=at.near, short=0)
-        return replace(progress, next_step=next_step, **counted)
+        return replace(progress, next_step=at.next_step, **counted)
 
 
 _COUNTED = ("steps", "evaluations", "restarts", "largest_correction")
@@ -378,11 +382,7 @@ def _integrate_stretch(
             if progress.t >= stretch.end:
                 break
         rate = _Rate(problem.machine, hold, stretch.end, progress.sheet)
-        step = None if progress.next_step is None else min(progress.next_step, stretch.end - progress.t)
-        implicit = {} if problem.method in EXPLICIT else {"jac": rate.jacobian}
-        solver = INTEGRATORS[problem.method](
-            rate, progress.t, progress.y, stretch.end, first_step=step, **implicit, **problem.settings
-        )
+        solver = _solver(problem, progress, stretch, rate)
         progress = replace(progress, restarts=progress.restarts + 1)
         again = None
         while solver.status == "running" and progress.status is None and again is None:
@@ -398,6 +398,15 @@ def _integrate_stretch(
             if again.reason and again.length < SHORTEST:
                 progress = progress.failed(again.reason)
     return progress
+
+
+def _solver(problem: InitialValueProblem, progress: Progress, stretch: SmoothInterval, rate: _Rate) -> OdeSolver:
+    """Return scipy's solver over the rest of a stretch; it selects the first step where none is suggested."""
+    step = None if progress.next_step is None else min(progress.next_step, stretch.end - progress.t)
+    implicit = {} if problem.method in EXPLICIT else {"jac": rate.jacobian}
+    return INTEGRATORS[problem.method](
+        rate, progress.t, progress.y, stretch.end, first_step=step, **implicit, **problem.settings
+    )
 
 
 def _step(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from redundancy_pin.arrays import Array, Frozen, checked, each, read_only
-from redundancy_pin.dynamics.forward import Reader
+from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
@@ -80,14 +80,14 @@ class State(Frozen):
         t: time, s.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        read: machine code that reads the platform off q and v; None where ``chain`` does.
+        kernel: machine code for the platform's coordinates and rates; None where ``chain`` computes them.
     """
 
     chain: ClosedChain
     t: float
     q: Array
     v: Array
-    read: Reader | None = None
+    kernel: ForwardKernel | None = None
 
     @property
     def robot(self) -> Robot:
@@ -121,8 +121,8 @@ class State(Frozen):
 
     @cached_property
     def _platform(self) -> tuple[Array, Array]:
-        if self.read is not None:
-            return self.read(self.q, self.v)[:2]
+        if self.kernel is not None:
+            return self.kernel.platform(self.q, self.v)
         self.chain.update(self.q, self.v)
         return self.chain.platform_position(), self.chain.platform_jacobian().dot(self.v)
 

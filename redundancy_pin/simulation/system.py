@@ -119,7 +119,6 @@ class Machine:
     ) -> None:
         self.robot = robot
         self.kernel = kernel
-        self._read = None if kernel is None else kernel.reader()
         self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None)
         self.chain = self.dynamics.chain
         self.manifold = Manifold(self.chain)
@@ -136,10 +135,10 @@ class Machine:
     def state(self, t: float, y: Array) -> State:
         """Return the state of y = (q, v) at time t, carriers where the law wants them."""
         if self._law is None:
-            return State(self.chain, t, y[: self._split], y[self._split :], self._read)
+            return State(self.chain, t, y[: self._split], y[self._split :], self.kernel)
         q, v = y[: self._split].copy(), y[self._split :].copy()
         q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = self._law(t)
-        return State(self.chain, t, q, v, self._read)
+        return State(self.chain, t, q, v, self.kernel)
 
     def rate(self, state: State, command: Command, sheet: Sheet | None = None) -> Array:
         """Return ẏ (nq + nv,) at a state under a command; ``sheet``: see ``ForwardDynamics.acceleration``.
@@ -213,7 +212,7 @@ class Machine:
         law = None if self._law is None else self._law(t)
         if law is not None:
             q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = law
-        state = State(self.chain, t, q, v, self._read)
+        state = State(self.chain, t, q, v, self.kernel)
         try:
             return self._force(state, self.amplifiers.command(state) if hold is None else hold), law
         except InputError:  # a trial step that is too long may leave a controller without an answer

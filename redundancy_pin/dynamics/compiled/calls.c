@@ -169,26 +169,20 @@ int rp_torque(const double *numbers, double *state, double *reached, const doubl
 #endif
 
 #if M && M >= N
-/* Moves a pose to where its actuators are at the given positions, on the straight way of the actuators, in as many steps as
-   Newton's method needs to contract. Returns a status. */
+static int close_drives(const double *numbers, Pose *pose, const double *position, const double *left) {
+  double off[M];
+  Pose next = *pose;
+  int status = forward(numbers, &next, position, left, off);
+  if (status == STATUS_OK) *pose = next;
+  return status;
+}
+
+/* Moves a pose to where its actuators are at the given positions, on the straight way of the actuators. Returns a status. */
 static int follow_drives(const double *numbers, Pose *pose, const double *position) {
-  double left[M], target[M], off[M], done = 0.0, share = 1.0;
-  drives(pose->q, position, left);
-  while (done < 1.0) {
-    Pose next = *pose;
-    double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
-    for (int j = 0; j < M; ++j) target[j] = position[j] - ahead * left[j];
-    int status = forward(numbers, &next, target, off);
-    if (status == STATUS_OK) {
-      *pose = next;
-      done += share;
-      share = fmin(2.0 * share, 1.0 - done);
-    } else {
-      share *= 0.5;
-      if (share < SHORTEST) return status == STATUS_TYPE_II ? status : STATUS_BRANCH_LOST;
-    }
-  }
-  return STATUS_OK;
+  double way[M];
+  drives(pose->q, position, way);
+  int status = follow_way(numbers, pose, close_drives, position, way, M);
+  return status == STATUS_OK || status == STATUS_TYPE_II ? status : STATUS_BRANCH_LOST;
 }
 
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:

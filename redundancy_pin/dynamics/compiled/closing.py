@@ -72,11 +72,11 @@ def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool,
         # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
         given = [np.ascontiguousarray(part) for part in (motion.t, motion.x, motion.xd, motion.xdd)]
         nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
-        shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), ())
+        shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))
         arrays = [np.empty((samples, *shape)) for shape in shapes]
-        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == samples:
-            q, trig, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
-            return Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(np.ones(samples, dtype=bool)))
+        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == CLOSED:
+            q, trig, v, a, gamma, W, gap, sizes = (read_only(array) for array in arrays)
+            return Lifted(motion, q, trig, v, a, gamma, W, gap, sizes[:, 0], read_only(np.ones(samples, dtype=bool)))
     state = None if start is None else _state_at(robot, start)
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
     trig = read_only(trig_at(robot, tree.q))

@@ -390,11 +390,10 @@ class AccelerationCall:
         self._arguments = _Arguments({name: (size,) for name, size in sizes.items()})
         self._q, self._v, self._tau, self._force, _ = self._arguments.views
         self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
-        self._read = forward.reader() if wrenches else None
+        self._forward, self._loaded = forward, bool(wrenches)  # it keeps its numbers
         self._a = np.zeros(model.nv)
         given = forward.numbers, self._arguments.memory, self._a
         self._call = _caller(forward, "rp_acceleration", *given)
-        self._code = forward  # which keeps its numbers
 
     def __call__(self, q: Any, v: Any, tau: Any, carrier_force: Any, t: float) -> AccelerationSample:
         """Return the accelerations; see ``Dynamics.acceleration``."""
@@ -408,9 +407,9 @@ class AccelerationCall:
             self._arguments.convert(q, v, tau, carrier_force)
         if t != 0.0 and not isfinite(t):
             self._arguments.memory[0] = np.nan
-        if self._read is not None and np.isfinite(self._arguments.memory[: -len(self._arguments.parts[-1])]).all():
-            here = self._read(*self._arguments.parts[:2])
-            wrenches = wrench_values(self._loads, np.array([t]), here.x[None], here.xd[None])
+        if self._loaded and np.isfinite(self._arguments.memory[: -len(self._arguments.parts[-1])]).all():
+            x, xd = self._forward.platform(*self._arguments.parts[:2])
+            wrenches = wrench_values(self._loads, np.array([t]), x[None], xd[None])
             self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]
         status = _STATUSES[self._call()]
         return AccelerationSample(self._a.copy(), status)

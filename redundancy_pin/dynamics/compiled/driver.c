@@ -76,24 +76,41 @@ static int newton(const double *numbers, const double *q, const double *x, const
   return 0;
 }
 
-/* From a closed pose to the coordinates x, on the straight way there, the determinant's sign kept. */
-static int follow(const double *numbers, Pose *pose, const double *x) {
-  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], left[N + 1], done = 0.0, share = 1.0, sign = pose->sign;
-  Pose next;
-  rows(numbers, pose->q, pose->trig, x, residual, K, alignment);
+/* Brings a pose to a goal, of which it misses `left` (null: nothing), by Newton's method, the determinant's sign kept; a pose that does
+   not come there is not moved. Returns CLOSED, or why not. */
+typedef int (*Closing)(const double *numbers, Pose *pose, const double *goal, const double *left);
+
+/* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract.
+   Returns CLOSED, or why the last step failed; the pose is then the last one on the way. */
+static int follow_way(const double *numbers, Pose *pose, Closing close, const double *goal, const double *way, int size) {
+  double left[NV + 1], done = 0.0, share = 1.0;
   while (done < 1.0) {
     double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
-    for (int i = 0; i < N; ++i) left[i] = ahead * residual[R + i];
-    if (newton(numbers, pose->q, x, ahead > 0.0 ? left : 0, &next) && next.sign == sign) {
-      *pose = next;
+    for (int i = 0; i < size; ++i) left[i] = ahead * way[i];
+    int failed = close(numbers, pose, goal, ahead > 0.0 ? left : 0);
+    if (!failed) {
       done += share;
       share = fmin(2.0 * share, 1.0 - done);
     } else {
       share *= 0.5;
-      if (share < SHORTEST) return 0;
+      if (share < SHORTEST) return failed;
     }
   }
-  return 1;
+  return CLOSED;
+}
+
+static int close_at(const double *numbers, Pose *pose, const double *x, const double *left) {
+  Pose next;
+  if (!newton(numbers, pose->q, x, left, &next) || next.sign != pose->sign) return LOST;
+  *pose = next;
+  return CLOSED;
+}
+
+/* From a closed pose to the coordinates x, on the straight way there; returns whether it comes there. */
+static int follow(const double *numbers, Pose *pose, const double *x) {
+  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
+  rows(numbers, pose->q, pose->trig, x, residual, K, alignment);
+  return follow_way(numbers, pose, close_at, x, residual + R, N) == CLOSED;
 }
 
 /* --- whole turns: as in robot/whole_turns.py ----------------------------------------------------------------------- */
@@ -127,9 +144,7 @@ static int go_round(const double *numbers, Pose *pose, double *at, int c, double
     left -= times * followed;
     at[c] = first + (fabs(count) - left) * step;
     known = 1;
-    Pose next;
-    if (!newton(numbers, pose->q, at, 0, &next) || next.sign != pose->sign) return 0;
-    *pose = next;
+    if (close_at(numbers, pose, at, 0)) return 0;
   }
   return 1;
 }
