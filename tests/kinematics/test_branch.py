@@ -278,7 +278,7 @@ def test_behind_a_gap_the_motion_is_reacquired_in_the_mode() -> None:
 def test_no_branch_is_changed_where_two_nearly_touch(excess: float, count: int, tmp_path: Path) -> None:
     """The coupler stays on its side of a four-bar that misses its flat pose by a little: followed, or given up."""
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25 + excess), (1.0, 1.9, 1.5))
-    own, coupler = follower(robot), robot.model.joints[robot.model.getJointId("coupler")].idx_q
+    own, coupler = follower(robot), zoo.index(robot, "coupler")
     here = own.advance(own.home, np.array([np.pi - 0.02]))
     assert isinstance(here, ClosedState)
     side = np.sign(np.sin(here.q[coupler]))

@@ -78,7 +78,7 @@ def test_hinges_that_are_opposite_turn_over(tmp_path: Path, kind: str) -> None:
     robot = arm(tmp_path, kind, 1.0)
     q = np.zeros(robot.model.nq)
     over = next(name for name in ("turn_z", "turn_y") if name[-1] != kind[-1])
-    q[robot.model.joints[robot.model.getJointId(over)].idx_q] = np.pi
+    q[zoo.index(robot, over)] = np.pi
     assert apart(robot, q, kind)[1] == pytest.approx(np.pi)
     assert max(apart(robot, close(ConstraintSystem(robot), q)[0], kind)) < CLOSED
 
@@ -100,7 +100,7 @@ def test_loops_that_no_step_leads_to_are_closed_from_beside(tmp_path: Path, targ
         "reference": {"joints": {"other": 0.0}, "guess": {"first": 0.4, "elbow": -0.8}},
     }
     robot = load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
-    places = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in ("first", "elbow")]
+    places = [zoo.index(robot, name) for name in ("first", "elbow")]
     first, elbow = closed_near(robot, np.zeros(robot.model.nq))[places]
     end = np.array([np.cos(first) + np.cos(first + elbow), np.sin(first) + np.sin(first + elbow)])
     np.testing.assert_allclose(end, target, atol=1e-10)

@@ -57,7 +57,7 @@ def test_lengths_do_not_wrap() -> None:
 def test_coordinates_read_the_angle_of_the_platform() -> None:
     robot = zoo.robot_of("3rrr")
     q = robot.q_reference[None].copy()
-    wrist = robot.model.joints[robot.model.getJointId("wrist_1")].idx_q
+    wrist = zoo.index(robot, "wrist_1")
     x = coordinates(robot, zoo.system_of(robot).evaluate(q))
     q[0, wrist] += 2.5
     turned = coordinates(robot, zoo.system_of(robot).evaluate(q))

@@ -54,7 +54,7 @@ def test_the_elbow_stays_on_its_side_next_to_full_stretch(five_bar_without_modes
     direction = np.array([np.cos(1.2), np.sin(1.2)])
     full = float(robot.parameters["proximal_length"] + robot.parameters["distal_length"])
     reach = full * (1.0 - below - 0.2 * np.abs(np.linspace(-1.0, 1.0, samples)))
-    elbow = robot.model.joints[robot.model.getJointId("elbow_1")].idx_q
+    elbow = zoo.index(robot, "elbow_1")
     expected = np.sign(rp.inverse_kinematics(robot, still(reach[:1, None] * direction)).q[0, elbow])
     try:
         tree = rp.inverse_kinematics(robot, still(reach[:, None] * direction))
@@ -70,7 +70,7 @@ def test_the_elbow_stays_on_its_side_next_to_full_stretch(five_bar_without_modes
 
 def test_a_crank_counts_its_turns():
     robot = rp.load_robot("four_bar")
-    crank = robot.model.joints[robot.model.getJointId("crank")].idx_q
+    crank = zoo.index(robot, "crank")
     for x in ([0.5, 5.5], [0.5, 10 * np.pi], [0.5, -7.0, 3.0]):
         tree = rp.inverse_kinematics(robot, still(np.array(x)[:, None]))
         np.testing.assert_allclose(tree.q[:, crank], x, atol=1e-9)

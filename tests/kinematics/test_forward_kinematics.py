@@ -189,7 +189,7 @@ def test_both_modes_of_a_four_bar_whose_crank_says_nothing_of_its_rocker() -> No
     robot = zoo.robot_of("four_bar")
     modes = rp.assembly_modes(robot, [1.0])
     assert len(modes) == 2
-    coupler = modes.q[:, robot.model.joints[robot.model.getJointId("coupler")].idx_q]
+    coupler = modes.q[:, zoo.index(robot, "coupler")]
     assert sorted(np.sign(np.sin(coupler))) == [-1.0, 1.0]
 
 
@@ -428,7 +428,7 @@ def test_modes_are_said_with_their_ranges_margins_and_hits(five_bar: rp.Robot) -
     """Two points of two circles; a range of an elbow that one of them is out of."""
     u = np.array([2.0, 1.0])
     modes = rp.assembly_modes(five_bar, u)
-    motors = [five_bar.model.joints[five_bar.model.getJointId(name)].idx_q for name in five_bar.actuated]
+    motors = [zoo.index(five_bar, name) for name in five_bar.actuated]
     np.testing.assert_allclose(modes.q[:, motors], np.tile(u, (2, 1)), atol=1e-9)
     tips = np.array([[0.5 * np.cos(2.0), 0.5 * np.sin(2.0)], [0.5 + 0.5 * np.cos(1.0), 0.5 * np.sin(1.0)]])
     for q, x in zip(modes.q, modes.x, strict=True):
@@ -442,7 +442,7 @@ def test_modes_are_said_with_their_ranges_margins_and_hits(five_bar: rp.Robot) -
     assert abs(modes.hits[0] - modes.hits[1]) < 3.0 * np.sqrt(modes.hits.sum())
     assert modes.hits.min() >= 6
     elbow = next(str(name) for name in five_bar.model.names if str(name).startswith("elbow"))
-    at = five_bar.model.joints[five_bar.model.getJointId(elbow)].idx_q
+    at = zoo.index(five_bar, elbow)
     low, high = sorted(modes.q[:, at])
     narrow = five_bar.with_limits({elbow: {"lower": 0.5 * (low + high), "upper": high + 0.1}})
     again = rp.assembly_modes(narrow, u)

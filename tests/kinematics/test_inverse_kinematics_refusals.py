@@ -135,7 +135,7 @@ def test_the_branch_is_kept_next_to_full_stretch(left: float, samples: int) -> N
     # the law of cosines at the elbow of two 0.5 m links: sin² of half the elbow angle is 1 − ρ²
     rho = np.hypot(0.25, tree.motion.x[:, 1])
     elbow = 2 * np.arcsin(np.sqrt(np.maximum(1 - rho**2, 0.0)))
-    index = robot.model.joints[robot.model.getJointId("elbow_1")].idx_q
+    index = zoo.index(robot, "elbow_1")
     np.testing.assert_allclose(tree.q[:, index], -elbow, atol=CLOSURE_TOLERANCE / np.sqrt(left))
 
 
@@ -168,7 +168,7 @@ def test_passing_close_by_a_base_hinge_turns_the_leg_around() -> None:
     off = np.array([1e-4, 0.0])
     motion = along(np.linspace([0.1, 0.2], [-0.1, -0.2], 21) + off)
     tree = inverse_kinematics(robot, motion)
-    slide, swivel = (robot.model.joints[robot.model.getJointId(f"{name}_1")].idx_q for name in ("slide", "swivel"))
+    slide, swivel = (zoo.index(robot, f"{name}_1") for name in ("slide", "swivel"))
     np.testing.assert_allclose(tree.q[:, slide], np.linalg.norm(motion.x, axis=1), atol=1e-10)
     turned = tree.q[-1, swivel] - tree.q[0, swivel]
     ends = np.arctan2(motion.x[[0, -1], 1], motion.x[[0, -1], 0])
@@ -198,7 +198,7 @@ def test_a_leg_through_its_base_hinge_is_marked_and_taken_up_in_the_mode(samples
     length = np.linalg.norm(motion.x, axis=1)
     away = length > 1e-9
     assert np.count_nonzero(tree.reachable != away) <= 1  # the change over itself may be marked too
-    slide = robot.model.joints[robot.model.getJointId("slide_1")].idx_q
+    slide = zoo.index(robot, "slide_1")
     np.testing.assert_allclose(tree.q[tree.reachable, slide], length[tree.reachable], atol=1e-10)
 
 

@@ -30,7 +30,7 @@ def test_the_reference_is_in_the_robots_own_mode(shipped: Robot) -> None:
 def test_revolute_indicator_is_the_signed_sine() -> None:
     robot = zoo.robot_of("3rrr")
     q = np.repeat(robot.q_reference[None], 3, axis=0)
-    elbow = robot.model.joints[robot.model.getJointId("elbow_2")].idx_q
+    elbow = zoo.index(robot, "elbow_2")
     q[:, elbow] = [0.3, -0.3 + 2 * np.pi, 0.0]
     np.testing.assert_allclose(mode_indicator(robot, q)[:, 1], [-np.sin(0.3), np.sin(0.3), 0.0], atol=1e-15)
     np.testing.assert_array_equal(working_modes(robot, q)[:, 1], [-1, 1, 0])
@@ -40,7 +40,7 @@ def test_revolute_indicator_is_the_signed_sine() -> None:
 def test_prismatic_indicator_is_the_position() -> None:
     robot = zoo.robot_of("2rpr")
     q = np.repeat(robot.q_reference[None], 2, axis=0)
-    slide = robot.model.joints[robot.model.getJointId("slide_2")].idx_q
+    slide = zoo.index(robot, "slide_2")
     q[:, slide] = [0.4, -0.2]
     np.testing.assert_allclose(mode_indicator(robot, q)[:, 1] * robot.characteristic_length, [0.4, -0.2])
 

@@ -40,7 +40,7 @@ def test_behind_an_obstacle_the_search_takes_over() -> None:
     behind = -0.5 * zoo.home_of(robot)
     q = point_on_branch(system, behind).q
     assert in_working_mode(robot, q[None])[0]
-    slides = [robot.model.joints[robot.model.getJointId(f"slide_{leg}")].idx_q for leg in (1, 2)]
+    slides = [zoo.index(robot, f"slide_{leg}") for leg in (1, 2)]
     np.testing.assert_allclose(q[slides], [np.hypot(*behind), np.hypot(*(behind - [0.5, 0.0]))], atol=1e-10)
 
 
@@ -124,9 +124,7 @@ def test_every_mode_of_six_legs_is_found_for_other_lengths(mode: tuple[int, ...]
     assembled = zoo.system_of(robot).evaluate(np.array(robot.q_reference)[None])
     assert np.abs(assembled.phi).max() < CLOSURE_TOLERANCE
     np.testing.assert_array_equal(working_modes(robot, np.array(robot.q_reference)[None])[0], mode)
-    lengths = [
-        robot.q_reference[robot.model.joints[robot.model.getJointId(f"slide_{leg}")].idx_q] for leg in range(1, 7)
-    ]
+    lengths = [robot.q_reference[zoo.index(robot, f"slide_{leg}")] for leg in range(1, 7)]
     np.testing.assert_array_equal(np.sign(lengths), mode)
 
 

@@ -22,7 +22,7 @@ def limited(lower: float, upper: float):
     robot = zoo.robot_of("five_bar")
     name = next(str(name) for name in list(robot.model.names)[1:] if str(name).startswith("elbow"))
     robot = robot.with_limits({name: {"lower": lower, "upper": upper}})
-    return robot, robot.model.joints[robot.model.getJointId(name)].idx_q
+    return robot, zoo.index(robot, name)
 
 
 @pytest.mark.parametrize(
