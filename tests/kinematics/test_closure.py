@@ -206,9 +206,7 @@ def point_constraint_jacobian(robot: Robot, closure: Closure, q: np.ndarray) -> 
     return np.array(pin.getConstraintJacobian(model, data, constraint, constraint_data))
 
 
-@pytest.mark.parametrize(
-    "name", [*(name for name in zoo.SHIPPED if zoo.robot_of(name).platform), "3rps", "pair", "hinge"]
-)
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "gough", "pair", "hinge"])
 def test_platform_rows_are_the_frames_world_aligned_jacobian(name: str) -> None:
     """Whatever closures are beside them: some rows of a hinge have the other sign."""
     if name in ("pair", "hinge"):

@@ -11,7 +11,7 @@ from written import J, urdf_of, write_robot
 
 from redundancy_pin import PlatformMotion, forward_kinematics, load_robot
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
 
