@@ -50,6 +50,8 @@ SAMPLES = {
     "dense": np.linspace(-2e-2, 2e-2, 401),
     "from the pose on": np.linspace(0.0, 1.0, 51),
     "at the pose alone": np.zeros(1),
+    "to the pose from afar": np.array([-2.0, 0.0]),
+    "to the pose from the other side": np.array([0.3 - np.pi, 0.0]),
 }
 RATE_OF_CRANK, SECOND_RATE = 2.0, 0.7
 
@@ -70,7 +72,11 @@ def turning(crank: np.ndarray) -> PlatformMotion:
 @pytest.mark.parametrize(
     ("linkage", "samples"),
     [  # every linkage, and every kind of samples, once in make test
-        pytest.param(linkage, samples, marks=() if linkage == "parallelogram" or i == k else pytest.mark.long)
+        pytest.param(
+            linkage,
+            samples,
+            marks=() if linkage == "parallelogram" or i == k or (i, k) in ((0, 8), (0, 9)) else pytest.mark.long,
+        )
         for i, linkage in enumerate(LINKAGES)
         for k, samples in enumerate(SAMPLES)
     ],
@@ -94,31 +100,8 @@ def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
     assert np.abs(tree.v[:, rocker] - rate).max() < RATE
     assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
     np.testing.assert_allclose(tree.v, np.einsum("nvi,ni->nv", tree.gamma, motion.xd), atol=RATE)
-
-
-@pytest.mark.parametrize("linkage", LINKAGES)
-@pytest.mark.parametrize("samples", ["one at the pose", "one a little further", "dense"])
-def test_positions_alone_are_on_the_branch_too(linkage: str, samples: str, tmp_path: Path) -> None:
-    lengths, guess = LINKAGES[linkage]
-    robot = folding_four_bar(tmp_path, lengths, guess)
-    motion = turning(np.pi + SAMPLES[samples])
-    tree = inverse_kinematics(robot, motion, positions_only=True)
-    angle, *_ = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
-    assert np.abs(np.sin((tree.q[:, joint(robot, "rocker")] - angle) / 2.0)).max() < POSITION
-
-
-@pytest.mark.parametrize("start", [np.pi - 2.0, np.pi - 1.0, 0.3])
-def test_the_pose_itself_is_reached_in_one_step_from_afar(start: float, tmp_path: Path) -> None:
-    lengths, guess = LINKAGES["folding"]
-    robot = folding_four_bar(tmp_path, lengths, guess)
-    tree = inverse_kinematics(robot, turning(np.array([start, np.pi])))
-    angle, rate, second = rocker_motion(
-        robot, lengths, tree.motion.x[:, 0], tree.motion.xd[:, 0], tree.motion.xdd[:, 0]
-    )
-    rocker = joint(robot, "rocker")
-    assert np.abs(np.sin((tree.q[:, rocker] - angle) / 2.0)).max() < POSITION
-    assert np.abs(tree.v[:, rocker] - rate).max() < RATE
-    assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
+    alone = inverse_kinematics(robot, motion, mark_unreachable=mark, positions_only=True)
+    assert np.abs(np.sin((alone.q[:, rocker] - angle) / 2.0)).max() < POSITION
 
 
 def test_a_thousand_turns_to_a_flat_pose_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,17 +195,12 @@ def test_reactions_are_not_made_up_where_the_closures_determine_none(tmp_path: P
     """Flat, the linkage can be prestressed: closure forces are undetermined, and least squares would hide it."""
     robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
     along = RneaDynamics(robot).along(turning(np.pi + np.linspace(-0.5, 0.5, 5)))
+    assert classify_motion(along.tree, tolerance=1e-7).type_i.tolist() == [False, False, True, False, False]
     reactions = joint_reactions(along, distribute(along.reduce()).tau)
     assert np.isnan(reactions.closure_force).any(axis=1).tolist() == [False, False, True, False, False]
     assert np.isnan(reactions.joint_wrench).any(axis=(1, 2)).tolist() == [False, False, True, False, False]
     # the tangent of the other branch is a virtual motion too there, and nothing balances the forces along it
     assert (reactions.residual < 1e-9).tolist() == [True, True, False, True, True]
-
-
-def test_the_flat_pose_is_classified_as_the_rank_loss_it_is(tmp_path: Path) -> None:
-    robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
-    tree = inverse_kinematics(robot, turning(np.pi + np.linspace(-0.5, 0.5, 5)))
-    assert classify_motion(tree, tolerance=1e-7).type_i.tolist() == [False, False, True, False, False]
 
 
 def test_a_motion_that_stays_on_the_pose_has_the_rates_of_its_branch(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_at_a_type_ii_pose_speed_is_endless_and_one_force_is_none() -> None:
     q = np.array(robot.q_reference)
     turn = 2 * np.pi / 3  # the distal links in line
     for joint, angle in {"base_1": turn, "elbow_1": -turn, "base_2": np.pi / 3, "elbow_2": turn}.items():
-        q[robot.model.joints[robot.model.getJointId(joint)].idx_q] = angle
+        q[zoo.index(robot, joint)] = angle
     performance = rp.performance(robot, q)
     assert np.isinf(performance.velocity.axes[0, 0])
     assert np.isfinite(performance.velocity.axes[0, 1])
@@ -96,7 +96,7 @@ def test_stiffness_is_the_second_derivative_of_the_springs_energy(springs: str) 
     q = np.array(robot.q_reference)
     names = robot.actuated if springs == "motors" else (*robot.actuated, "elbow_2", "wrist_1")
     k = dict(zip(names, [100.0, 150.0, 80.0, 40.0, 25.0], strict=False))
-    columns = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in k]
+    columns = [zoo.index(robot, name) for name in k]
     h = 1e-3
     signs, unit = ((1, 1), (1, -1), (-1, 1), (-1, -1)), np.eye(3)
     pairs = [h * (a * unit[i] + b * unit[j]) for i in range(3) for j in range(3) for a, b in signs]

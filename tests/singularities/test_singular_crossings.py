@@ -224,7 +224,7 @@ def test_a_leg_that_turns_round_within_one_step_is_followed(modes: bool) -> None
     (crossing,) = find_crossings(robot, trajectory)
     assert crossing.kind == SingularityKind.TYPE_II
     assert crossing.x == pytest.approx([0.1 * 0.2001 / 0.1999 - 0.1, 0.0], abs=1e-11)
-    swivels = [robot.model.joints[robot.model.getJointId(f"swivel_{leg}")].idx_q for leg in (1, 2)]
+    swivels = [zoo.index(robot, f"swivel_{leg}") for leg in (1, 2)]
     turned = np.abs(np.angle(np.exp(1j * (crossing.q[swivels] - [0.0, np.pi]))))
     assert turned.max() < 1e-9
 

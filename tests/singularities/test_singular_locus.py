@@ -166,7 +166,7 @@ def test_five_bar_is_type_ii_where_its_distal_links_are_in_line() -> None:
     locus = locus_of("five_bar")
     x, q = points_of(locus, SingularityKind.TYPE_II)
     robot = locus.robot
-    base = [q[:, robot.model.joints[robot.model.getJointId(f"base_{leg}")].idx_q] for leg in (1, 2)]
+    base = [q[:, zoo.index(robot, f"base_{leg}")] for leg in (1, 2)]
     elbows = [
         np.stack([0.5 * np.cos(a) + shift, 0.5 * np.sin(a)], axis=1) for a, shift in zip(base, (0.0, 0.5), strict=True)
     ]

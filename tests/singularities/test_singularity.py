@@ -31,8 +31,8 @@ def two_rpr_at(points: Array) -> Array:
     q = np.zeros((len(points), robot.model.nq))
     for leg, base in enumerate(BASE, start=1):
         span = points - base
-        q[:, index(robot, f"swivel_{leg}")] = np.arctan2(span[:, 1], span[:, 0])
-        q[:, index(robot, f"slide_{leg}")] = np.hypot(span[:, 0], span[:, 1])
+        q[:, zoo.index(robot, f"swivel_{leg}")] = np.arctan2(span[:, 1], span[:, 0])
+        q[:, zoo.index(robot, f"slide_{leg}")] = np.hypot(span[:, 0], span[:, 1])
     return q
 
 
@@ -41,14 +41,10 @@ def three_rrr_from(x: Array, theta: Array, beta: Array) -> Array:
     robot = zoo.robot_of("3rrr")
     q = np.zeros((len(x), robot.model.nq))
     for leg in range(3):
-        q[:, index(robot, f"base_{leg + 1}")] = theta[leg]
-        q[:, index(robot, f"elbow_{leg + 1}")] = beta[leg] - theta[leg]
-    q[:, index(robot, "wrist_1")] = x[:, 2] - beta[0]
+        q[:, zoo.index(robot, f"base_{leg + 1}")] = theta[leg]
+        q[:, zoo.index(robot, f"elbow_{leg + 1}")] = beta[leg] - theta[leg]
+    q[:, zoo.index(robot, "wrist_1")] = x[:, 2] - beta[0]
     return q
-
-
-def index(robot, joint: str) -> int:
-    return robot.model.joints[robot.model.getJointId(joint)].idx_q
 
 
 @given(st.floats(-1.0, 1.5), st.floats(0.01, 1.0), st.sampled_from([-1, 1]))
@@ -127,10 +123,10 @@ def test_four_bar_at_the_end_of_its_crank_is_combined() -> None:
     tip = 0.3 * np.array([np.cos(crank), np.sin(crank)])
     rocker = np.arctan2(tip[1], tip[0] - 0.4)
     q = np.zeros(3)
-    q[index(robot, "crank")], q[index(robot, "rocker")] = crank, rocker
+    q[zoo.index(robot, "crank")], q[zoo.index(robot, "rocker")] = crank, rocker
     coupler = [angle for angle in (0.0, np.pi) if closes(robot, q, angle)]
     assert len(coupler) == 1
-    q[index(robot, "coupler")] = coupler[0]
+    q[zoo.index(robot, "coupler")] = coupler[0]
     classes = classify(robot, q)
     assert classes.kind[0] == SingularityKind.COMBINED
     assert classes.passive_motion[0]
@@ -140,7 +136,7 @@ def test_four_bar_at_the_end_of_its_crank_is_combined() -> None:
 
 def closes(robot, q: Array, coupler: float) -> bool:
     trial = q.copy()
-    trial[index(robot, "coupler")] = coupler
+    trial[zoo.index(robot, "coupler")] = coupler
     return bool(np.abs(zoo.system_of(robot).evaluate(trial[None]).phi).max() < 1e-9)
 
 
@@ -215,7 +211,7 @@ def test_one_freedom_driven_where_its_motor_stands_still() -> None:
     psi = np.arctan2(0.45 * np.sin(theta), 0.45 * np.cos(theta) - 0.4)
     q = np.zeros((1, robot.model.nq))
     for name, angle in {"crank": theta, "rocker": psi, "coupler": theta + np.pi - psi}.items():
-        q[0, index(robot, name)] = angle
+        q[0, zoo.index(robot, name)] = angle
     classes = classify(robot, q)
     assert classes.kind[0] == SingularityKind.TYPE_II
     assert classes.parallel_margin[0] == pytest.approx(0.0, abs=ROUNDING)

@@ -44,6 +44,11 @@ def home_of(robot: Robot) -> Array:
     return coordinates(robot, system.evaluate(robot.q_reference[None]))[0]
 
 
+def index(robot: Robot, name: str) -> int:
+    """Return where the position of a joint begins in q."""
+    return int(robot.model.joints[robot.model.getJointId(name)].idx_q)
+
+
 def reach_of(robot: Robot) -> Array:
     """Return (n,) an excursion about home that stays inside the workspace of every shipped robot, m and rad."""
     return 0.15 * robot.characteristic_length / row_scale(robot)
