@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
+from constrained import constrained
 from flat_linkages import parallelogram, row_of_four_bars
 from generated_c import ACTUATED
 from machines import machine
@@ -31,7 +32,7 @@ from redundancy_pin.errors import (
 from redundancy_pin.kinematics.branch import BranchEnd, follower
 from redundancy_pin.machine_code import find_compiler
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.lookup import find_joint, find_link
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.status import SampleStatus
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
@@ -307,21 +308,6 @@ def test_wrenches_that_cancel_count_among_the_forces_that_rounding_is_compared_w
 
 
 # --- accelerations
-
-
-def constrained(robot: Robot, q: Array, v: Array, force: Array) -> Array:
-    """Return Pinocchio's constrained accelerations (nv,): point closures, a proximal iteration to 1e-14."""
-    model = robot.model
-    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-    for closure in robot.closures:
-        ends = (find_link(model, name) for name in (closure.frame_a, closure.frame_b))
-        places = (part for end in ends for part in (end.parentJoint, end.placement))
-        models.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *places, pin.ReferenceFrame.LOCAL))
-        datas.append(models[-1].createData())
-    data = model.createData()
-    pin.initConstraintDynamics(model, data, models, datas)
-    settings = pin.ProximalSettings(1e-14, 1e-8, 100)
-    return np.array(pin.constraintDynamics(model, data, q, v, force, models, datas, settings))
 
 
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "four_bar", "delta", *LARGE[:2], "pushed"])

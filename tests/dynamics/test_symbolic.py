@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
+from machines import machine
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import CompiledDynamics, RneaDynamics, inverse_kinematics, joint_reactions, symbolic
@@ -26,10 +27,6 @@ EQUAL = 1e-11
 """Relative to the largest value, or one; rounding is 1e-14."""
 
 
-def robot_of(name: str) -> Robot:
-    return spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name)
-
-
 def assert_equal(got: object, want: np.ndarray, what: str) -> None:
     scale = max(1.0, np.abs(want).max(initial=0.0))
     np.testing.assert_allclose(np.array(got).reshape(want.shape), want, rtol=0.0, atol=EQUAL * scale, err_msg=what)
@@ -38,7 +35,7 @@ def assert_equal(got: object, want: np.ndarray, what: str) -> None:
 @pytest.mark.long_for("gough")
 @pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
 def test_they_say_what_rnea_says(name: str) -> None:
-    robot = robot_of(name)
+    robot = machine(name)
     functions = symbolic(robot)
     t = np.linspace(0.0, 1.0, 3)
     motion, carriers = zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1)
@@ -79,7 +76,7 @@ def test_they_say_what_rnea_says(name: str) -> None:
 @pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
 def test_off_the_motion_they_are_pinocchios_and_the_kinematics(name: str) -> None:
     """The tree, whether its loops are closed or not; and what is missing to a pose that is turned away."""
-    robot, rng = robot_of(name), np.random.default_rng(8)
+    robot, rng = machine(name), np.random.default_rng(8)
     functions, model = symbolic(robot), robot.model.copy()
     data, home = model.createData(), np.array(robot.q_reference)
     for _ in range(2):
@@ -127,7 +124,7 @@ def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
 
 
 def test_both_kinds_of_graphs_hold_them() -> None:
-    robot = robot_of("3rrr")
+    robot = machine("3rrr")
     functions = symbolic(robot)
     assert {field.name for field in dataclasses.fields(SymbolicRobot)} > {"f", "W", "rnea", "balance"}
     nv = robot.model.nv
@@ -234,7 +231,7 @@ def test_fatrop_crosses_in_stages_like_ipopt() -> None:
 
 
 def test_a_pickle_is_as_good() -> None:
-    robot = robot_of("four_bar")
+    robot = machine("four_bar")
     functions = symbolic(robot)
     other = pickle.loads(pickle.dumps(functions))
     assert_equal(other.W(robot.q_reference), np.array(functions.W(np.array(robot.q_reference))), "W")
