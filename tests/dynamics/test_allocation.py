@@ -48,13 +48,6 @@ def test_the_force_is_brought_up_with_the_least_weighted_deviation(matrix, force
     assert np.abs(null @ gradient).max(initial=0.0) <= ROUNDING * (1.0 + np.abs(gradient).max())
 
 
-def test_main_efforts_do_the_work_where_they_can():
-    W = [[2.0, 0.5], [-0.3, 1.0]]
-    allocation = shared(W, np.eye(2), [1.0, 2.0], carrier_scale=np.full(2, 1e-6))
-    assert np.allclose(allocation.tau, np.linalg.solve(W, [1.0, 2.0]), atol=1e-9)
-    assert np.abs(allocation.deviation).max() < 1e-9
-
-
 @pytest.mark.parametrize("second", [0.0, 1e-12, 1e-6, 1e-3])
 def test_carriers_take_over_where_the_matrix_loses_rank(second):
     allocation = shared([[1.0, 0.0], [0.0, second]], [[0.0, 0.0], [0.5, 0.1]], [1.0, 2.0], carrier_scale=np.ones(2))
@@ -83,14 +76,6 @@ def test_a_direction_that_nobody_reaches_is_reported_with_what_is_missing():
 def test_a_direction_that_nobody_reaches_and_nobody_needs_is_no_trouble():
     allocation = shared([[1.0, 1.0], [0.0, 0.0]], [[0.3, 0.0], [0.0, 0.0]], [1.0, 0.0])
     assert allocation.status is SampleStatus.OK
-
-
-def test_what_a_limit_cuts_off_is_left_to_the_carriers():
-    allocation = shared(np.eye(2), -np.eye(2), [3.0, 0.5], effort_limit=np.array([1.0, 1.0]))
-    assert (allocation.status, allocation.saturated) == (SampleStatus.OK, True)
-    assert allocation.tau[0] == 1.0
-    assert allocation.tau[0] + allocation.deviation[0] == pytest.approx(3.0)
-    assert allocation.residual < 1e-12
 
 
 def test_beyond_all_limits_the_missing_force_is_the_residual():

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
-import pickle
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,13 +18,11 @@ from flat_linkages import parallelogram
 from hypothesis import given
 from hypothesis import strategies as st
 from machines import machine
-from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin import (
     trajectory,
 )
-from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, waypoints
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.machine_code import CACHE
@@ -91,19 +87,6 @@ def test_a_carrier_that_turns_moves_as_with_rnea() -> None:
     ).with_limits(lower=-3.0, upper=3.0)  # fmt: skip
     t = np.linspace(0.0, 1.0, 20)
     assert_same_dynamics(rp.CompiledDynamics(robot), zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1))
-
-
-def test_type_two_poses_are_as_finite_as_elsewhere() -> None:
-    robot = machine("2rpr")
-    motion = trajectory.reference.circle().sample(dt=0.002)  # crosses the line A1 A2 twice
-    compiled = rp.CompiledDynamics(robot)
-    assert_same_dynamics(compiled, motion, zoo.carriers_at(robot, motion.t))
-    determinant = np.linalg.det(compiled.reduce(motion).W)
-    assert (np.diff(np.sign(determinant)) != 0).sum() == 2
-    at = rp.PlatformMotion([0.0], [[0.2, 0.0]], [[0.3, -0.7]], [[1.0, 2.0]])  # on the line itself
-    rank_lost = rp.distribute(compiled.reduce(at))
-    assert rank_lost.rank[0] == 1
-    np.testing.assert_array_equal(rank_lost.status, rp.distribute(rp.RneaDynamics(robot).reduce(at)).status)
 
 
 class Bare(SimpleNamespace):
@@ -228,31 +211,3 @@ def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics(
     assert mine.reachable.all()
     for name in ("f", "W"):
         assert_equal(getattr(mine, name), getattr(theirs, name), name)
-
-
-def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
-    """By the least rotation, and along a straight line; coordinates go at once."""
-    first, last, angle = np.eye(4), np.eye(4), 3.5 * LARGEST_TURN
-    turn = angle * np.array([1.0, 2.0, -2.0]) / 3.0
-    first[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
-    last[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ first[:3, :3]
-    first[:3, 3], last[:3, 3] = [1.0, 2.0, 3.0], [0.0, 4.0, 3.5]
-    way = np.array(waypoints(first.ravel(), last.ravel(), True)).reshape(-1, 4, 4)
-    assert len(way) == 4
-    for share, pose in zip((0.25, 0.5, 0.75, 1.0), way, strict=True):
-        expected = (1.0 - share) * first + share * last
-        expected[:3, :3] = Rotation.from_rotvec(share * turn).as_matrix() @ first[:3, :3]
-        np.testing.assert_allclose(pose, expected, atol=1e-12)
-    assert waypoints(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
-
-
-def test_copies_and_pickles_compute_the_same() -> None:
-    four_bar = machine("four_bar")
-    compiled = rp.CompiledDynamics(four_bar)
-    motion = zoo.smooth_motion(four_bar, 0).at(np.linspace(0.0, 1.0, 5))
-    along = compiled.along(motion)
-    for other in (pickle.loads(pickle.dumps(compiled)), copy.deepcopy(compiled)):
-        np.testing.assert_array_equal(other.reduce(motion).f, compiled.reduce(motion).f)
-    again = pickle.loads(pickle.dumps(along)).reduce()
-    np.testing.assert_array_equal(again.f, along.reduce().f)
-    assert not again.f.flags.writeable

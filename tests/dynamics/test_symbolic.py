@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 
 import casadi as ca
 import numpy as np
@@ -228,11 +227,3 @@ def test_fatrop_crosses_in_stages_like_ipopt() -> None:
         determinants.append([float(np.linalg.det(sym.W(at).full())) for at in q])
     assert costs[1] == pytest.approx(costs[0], rel=1e-4)
     assert all(min(values) < 0.0 < max(values) for values in determinants)
-
-
-def test_a_pickle_is_as_good() -> None:
-    robot = machine("four_bar")
-    functions = symbolic(robot)
-    other = pickle.loads(pickle.dumps(functions))
-    assert_equal(other.W(robot.q_reference), np.array(functions.W(np.array(robot.q_reference))), "W")
-    assert "four_bar" in repr(functions)
