@@ -20,6 +20,7 @@ from point_mass_oracle import (
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import DynamicsAlongMotion
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrMechanism
 
 AGREEMENT = 1e-8
@@ -42,7 +43,7 @@ class Case:
     qdd: Array
 
     @property
-    def along(self) -> rp.MotionDynamics:
+    def along(self) -> DynamicsAlongMotion:
         """The dynamics along the platform's states."""
         parts = (part[:, : self.robot.n] for part in (self.q, self.qd, self.qdd))
         motion = rp.PlatformMotion(np.arange(float(len(self.q))), *parts, check_rates=False)

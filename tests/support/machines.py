@@ -6,7 +6,7 @@ import functools
 
 import spatial_chains
 import zoo
-from generated_c import ACTUATED, actuated_by
+from generated_c import ACTUATED, Code, actuated_by
 
 from redundancy_pin.robot import Robot
 
@@ -28,3 +28,9 @@ def machine(name: str) -> Robot:
     if name in spatial_chains.CHAINS:
         return spatial_chains.chain_of(name)
     return zoo.robot_of(name, **MASSIVE.get(name, {}))
+
+
+@functools.cache
+def code_of(name: str) -> Code:
+    """Return the generated C of a machine, compiled once a session."""
+    return Code(machine(name))
