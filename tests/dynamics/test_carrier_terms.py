@@ -1,8 +1,6 @@
-"""Terms of the carriers' motion, batch after batch: against efforts of the other backend, and what begins anew where.
+"""Terms of the carriers' motion, batch after batch: against efforts of ``RneaDynamics.reduce``, which knows no terms.
 
-The judge of numbers is ``RneaDynamics.reduce`` at random motions of the carriers, which knows no terms. That compiled
-code and ``along`` agree to rounding is compared at what neither can judge: next to a singularity, after jumps.
-"""
+That compiled code and ``along`` agree is compared at what neither can judge: next to a singularity, after jumps."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
 """Exact derivatives of compiled dynamics: against differences of the RNEA backend, and a four-bar in complex numbers.
 
-Differences are exact where a quantity is of the second degree: in ẋ, ẍ, ṡ, s̈ and in masses. Elsewhere they are of order
-six. The RNEA backend closes loops, projects and computes reactions by code that is not under test.
-"""
+Differences are exact where a quantity is of the second degree: in ẋ, ẍ, ṡ, s̈ and in masses. Others are of order six."""
 
 from __future__ import annotations
 
