@@ -14,9 +14,6 @@ from machines import machine
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import CompiledDynamics, RneaDynamics, inverse_kinematics, joint_reactions, symbolic
-from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.compiled import design_of
-from redundancy_pin.dynamics.compiled.parameters import places_of
 from redundancy_pin.dynamics.compiled.symbolic import SymbolicRobot
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
 from redundancy_pin.robot import Robot
@@ -137,35 +134,6 @@ def test_both_kinds_of_graphs_hold_them() -> None:
         # linear in a
         rest = np.array(functions.f(*numbers[:2], np.zeros(nv)))
         assert_equal(np.array(by_a) @ numbers[2][:, None] + rest, np.array(value), "f by a")
-
-
-@pytest.mark.parametrize("name", ["3rrr", "gough"])
-def test_columns_of_masses_are_what_pinocchios_inertias_change_by(name: str) -> None:
-    """Mass, first moment and inertia about the origin: linear in a mass and in its inertia, by differences a centre."""
-    robot = zoo.robot_of(name)
-    joint = next(str(robot.model.names[i]) for i in range(1, robot.model.njoints) if robot.model.inertias[i].mass > 0.0)
-    body = robot.model.inertias[robot.model.getJointId(joint)]
-    mass, centre, inertia, h = body.mass, np.array(body.lever), np.eye(3), 1e-6  # any inertia will do
-
-    def moments(m: float, c: Array, about: Array) -> Array:
-        """By the spatial inertia: its lower right block is about the origin."""
-        whole = pin.Inertia(m, c, about).matrix()
-        first = np.array([whole[5, 1], whole[3, 2], whole[4, 0]])
-        return np.concatenate([[m], first, whole[[3, 3, 4, 3, 4, 5], [3, 4, 4, 5, 5, 5]]])
-
-    changes = {f"{joint}.mass": lambda d: (mass + d, centre, inertia)}
-    for i, axis in enumerate("xyz"):
-        changes[f"{joint}.centre.{axis}"] = lambda d, i=i: (mass, centre + d * np.eye(3)[i], inertia)
-        for j in range(i, 3):
-            change = np.zeros((3, 3))
-            change[i, j] = change[j, i] = 1.0
-            changes[f"{joint}.inertia.{axis}{'xyz'[j]}"] = lambda d, c=change: (mass, centre, inertia + d * c)
-    for parameter, changed in changes.items():
-        column = design_of(robot, [parameter]).columns[:, 0]
-        expected = (moments(*changed(h)) - moments(*changed(-h))) / (2.0 * h)
-        at = places_of(robot)["joint", robot.model.getJointId(joint), "body"]
-        np.testing.assert_allclose(column[at], expected, atol=1e-8)
-        assert np.count_nonzero(column) == np.count_nonzero(column[at])
 
 
 def test_expressions_of_the_carriers_motion_have_the_values_of_rnea(shipped: Robot) -> None:
