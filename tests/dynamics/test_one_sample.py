@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import inspect
 import itertools
 import tracemalloc
 from collections.abc import Callable
@@ -471,8 +472,10 @@ def test_arguments_of_any_kind_are_taken_and_others_refused(backend: Backend) ->
         listed = [part.tolist() for part in given]
         for other in (call(*strided), call(*listed), call(*listed[:2], *given[2:])):
             assert_alike(other, want)
-        for i, part in enumerate(given):
-            wrong: list[Any] = [part[:-1], part[None], np.append(part, 0.0), "text"]
+        for i, (name, part) in enumerate(zip(inspect.signature(call).parameters, given, strict=False)):
+            with pytest.raises(InputError, match=rf"^{name} has shape"):
+                call(*given[:i], part[:-1], *given[i + 1 :])
+            wrong: list[Any] = [part[None], np.append(part, 0.0), "text"]
             for no_number in (1j, None, "1"):
                 wrong += [no_number, [no_number] * len(part)]
             for bad in wrong:
