@@ -253,13 +253,7 @@ def test_an_effort_that_was_clamped_comes_back_where_that_is_cheaper():
     W, coupling = [[0.0, -1.0, 3.0], [-2.0, 3.0, -3.0]], [[1.0, 0.0], [2.0, -1.0]]
     force, limit, scale = np.array([5.0, 2.0]), np.array([1.5, 0.5, 1.5]), np.array([1.0, 1.0, 1.0, 0.3, 0.3])
     allocation = shared(
-        W,
-        coupling,
-        force,
-        planned=np.zeros(3),
-        effort_scale=scale[:3],
-        carrier_scale=scale[3:],
-        effort_limit=limit,
+        W, coupling, force, planned=np.zeros(3), effort_scale=scale[:3], carrier_scale=scale[3:], effort_limit=limit
     )
     full = np.hstack([W, -np.array(coupling)])
     best = minimize(

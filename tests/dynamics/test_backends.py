@@ -13,35 +13,16 @@ from machines import machine
 from scipy.optimize import brentq
 
 import redundancy_pin as rp
-from redundancy_pin import (
-    PlatformMotion,
-)
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
-from redundancy_pin.errors import (
-    CarrierLimitError,
-    InputError,
-    SingularPoseError,
-    UnreachablePoseError,
-)
+from redundancy_pin.errors import CarrierLimitError, InputError, SingularPoseError, UnreachablePoseError
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory import reference
-
-EQUAL = 1e-11
-"""Relative to the largest value of the motion: what the issue of this backend asks for. Rounding is 1e-14."""
-
-ZERO = 1e-3
-"""N, m, J: what is below it next to zero is a difference of efforts of 1 to 100."""
 
 BACKENDS = [rp.RneaDynamics, rp.VirtualWork, rp.CompiledDynamics]
 EVERY = pytest.mark.parametrize("backend", BACKENDS)
 WITH_LOOPS = pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
 Backend = Callable[[rp.Robot], Dynamics]
-
-
-def assert_equal(got: np.ndarray, want: np.ndarray, what: str) -> None:
-    scale = np.abs(want).max(initial=0.0)
-    np.testing.assert_allclose(got, want, rtol=0.0, atol=EQUAL * max(scale, ZERO), err_msg=what)
 
 
 def motion_of(robot: rp.Robot, samples: int = 5, seed: int = 11) -> tuple[rp.PlatformMotion, rp.CarrierMotion]:
@@ -212,7 +193,7 @@ def test_a_carrier_off_its_track_is_named_unless_the_check_is_off(backend: Backe
 # --- out of reach, singular, another mode
 
 
-def line(first: list[float], last: list[float], samples: int = 30) -> PlatformMotion:
+def line(first: list[float], last: list[float], samples: int = 30) -> rp.PlatformMotion:
     t = np.linspace(0.0, 1.0, samples)
     a, b = np.array(first), np.array(last)
     x = a + t[:, None] * (b - a)
@@ -325,10 +306,7 @@ def test_closed_forms_name_the_leg_and_mark_samples_that_leave_the_others_alone(
 
 LINE = reference.line().sample(0.05)
 
-RANGE = {
-    "lower": 0.05,
-    "upper": 1.1,
-}  # rad; the first swivel of the 2-RPR goes from 1.2 to −1.2 on the line
+RANGE = {"lower": 0.05, "upper": 1.1}  # rad; the first swivel of the 2-RPR goes from 1.2 to −1.2 on the line
 
 
 def beyond(motion: rp.PlatformMotion) -> Array:

@@ -103,11 +103,7 @@ def test_any_motion_of_the_carriers_is_a_sum_of_terms(
     W, constant, terms = (np.concatenate(part) for part in zip(*parts, strict=True))
     by_term = np.stack([s, s * s, sd, s * sd, sdd], axis=-1)
     got = constant + np.einsum("nkj,nkji->ni", by_term, terms)
-    for ours, theirs in (
-        (W, want.W),
-        (got[:, : robot.n], want.f),
-        (got[:, robot.n :], want.carrier_force),
-    ):
+    for ours, theirs in ((W, want.W), (got[:, : robot.n], want.f), (got[:, robot.n :], want.carrier_force)):
         size = np.abs(theirs).max(initial=1e-3)
         np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=OTHER * size)
     assert counted.followed == 1

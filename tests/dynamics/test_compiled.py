@@ -20,9 +20,7 @@ from hypothesis import strategies as st
 from machines import machine
 
 import redundancy_pin as rp
-from redundancy_pin import (
-    trajectory,
-)
+from redundancy_pin import trajectory
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.machine_code import CACHE

@@ -8,15 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import zoo
-from point_mass_oracle import (
-    COMPLEX_STEP,
-    PointMasses,
-    angle_of,
-    arccos,
-    derivative,
-    three_rrr_masses,
-    two_rpr_masses,
-)
+from point_mass_oracle import COMPLEX_STEP, PointMasses, angle_of, arccos, derivative, three_rrr_masses, two_rpr_masses
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array

@@ -24,10 +24,7 @@ from machines import machine
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics, TorqueSample
-from redundancy_pin.errors import (
-    InputError,
-    UnsupportedRobotError,
-)
+from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.branch import BranchEnd, follower
 from redundancy_pin.machine_code import find_compiler
 from redundancy_pin.robot import Robot

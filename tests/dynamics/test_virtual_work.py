@@ -15,9 +15,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
-from redundancy_pin.errors import (
-    UnsupportedRobotError,
-)
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.robot.urdf import models_root
 
 ROUNDING = 1e-13
