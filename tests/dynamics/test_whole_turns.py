@@ -23,10 +23,7 @@ from redundancy_pin.status import SampleStatus
 TURN = 2.0 * np.pi
 TURNS = (0, 1, -1, 10, 790, -790, 1_000_000)
 HERE = 1.3
-BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {
-    "rnea": rp.RneaDynamics,
-    "compiled": CompiledDynamics,
-}
+BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {"rnea": rp.RneaDynamics, "compiled": CompiledDynamics}
 STIFFNESS = 0.02
 GRAVITY = 9.81
 

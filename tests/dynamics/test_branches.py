@@ -1,26 +1,23 @@
-"""One call, one sample: the branch that is followed from sample to sample, and inputs that are refused."""
+"""One call, one sample: the branch that is followed from sample to sample."""
 
 from __future__ import annotations
 
-import itertools
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zoo
-from flat_linkages import parallelogram, row_of_four_bars
+from flat_linkages import row_of_four_bars
 from folding import folding_four_bar, joint, rocker_angle
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.machine_code import find_compiler
-from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.scales import closure_tolerance
 from redundancy_pin.status import SampleStatus
 
@@ -34,23 +31,13 @@ STOPPED, STOPPED_GUESS = (0.4, 0.3, 0.2, 0.25), (1.0, 2.0, 1.5)
 
 ROUNDING = 1e-9
 
-OK = SampleStatus.OK
-
 BOTH = pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
-
-
-@cache
-def compiled(name: str) -> rp.CompiledDynamics:
-    return rp.CompiledDynamics(name)
 
 
 def in_small_steps(dynamics: Dynamics, path: Array, start: Array) -> Array:
     """Return the torques (N, m) along coordinates (N, 1) so dense that the next sample is plainly the nearest."""
     tau = [dynamics.torque(path[0], [1.0], [2.0], start=start).tau]
     return np.array([*tau, *(dynamics.torque(x, [1.0], [2.0]).tau for x in path[1:])])
-
-
-# --- the branch ------------------------------------------------------------------------------------------------------
 
 
 @BOTH
@@ -161,165 +148,92 @@ def test_noise_of_a_start_counts_by_the_distance_from_a_stretched_leg(
     assert backend(robot).torque(x, still, still, start=q).status is status
 
 
+def asked_one_by_one(dynamics: rp.RneaDynamics, motion: rp.PlatformMotion) -> list[Any]:
+    samples: list[Any] = []
+    for k in range(len(motion)):
+        start = samples[-1] if samples else None
+        samples.append(dynamics.sample(motion.x[k], motion.xd[k], motion.xdd[k], start=start))
+    return samples
+
+
+def crank_motion(crank: Array) -> rp.PlatformMotion:
+    rate = np.full((len(crank), 1), 2.0)
+    return rp.PlatformMotion(0.01 * np.arange(len(crank)), crank[:, None], rate, 0.0 * rate + 0.7, check_rates=False)
+
+
 @pytest.mark.parametrize("modes", [False, True])
-@pytest.mark.parametrize("offsets", [np.linspace(-0.5, 0.5, 21), np.linspace(-0.5, 0.5, 20)])
+@pytest.mark.parametrize("offsets", [np.linspace(-0.5, 0.5, 41), np.linspace(-0.5, 0.5, 20)])
 def test_calls_go_through_a_bifurcation_by_the_tangent(offsets: Array, modes: bool, tmp_path: Path) -> None:
-    """Crank, coupler and rocker in one line: there and nearby the closed form of the branch, and RNEA's torques."""
+    """Crank, coupler and rocker in one line: there and nearby the closed form of the branch, by every call."""
     robot = folding_four_bar(tmp_path, FOLDING, GUESS, modes=modes)
     dynamics, rocker = rp.CompiledDynamics(robot), joint(robot, "rocker")
-    crank = np.pi + offsets
-    t, rate = 0.01 * np.arange(len(crank)), np.full((len(crank), 1), 2.0)
-    motion = rp.PlatformMotion(t, crank[:, None], rate, 0.0 * rate + 0.7, check_rates=False)
-    want = rp.distribute(rp.RneaDynamics(robot).reduce(motion))
+    motion = crank_motion(np.pi + offsets)
+    home, crank = robot.q_reference, motion.x[:, 0]
+    branch = min(
+        (rocker_angle(FOLDING, sign) for sign in (1.0, -1.0)),
+        key=lambda angle: abs(np.sin((angle(home[:1])[0] - home[rocker]) / 2.0)),
+    )
+    whole = rp.RneaDynamics(robot).reduce(motion)
+    samples = asked_one_by_one(rp.RneaDynamics(robot), motion)
+    np.testing.assert_allclose([s.f for s in samples], whole.f, rtol=0.0, atol=1e-7 * np.abs(whole.f).max())
+    reached = np.array([sample.state.q[rocker] for sample in samples])
+    assert np.abs(np.sin((reached - branch(crank)) / 2.0)).max() < 1e-12
+    want = rp.distribute(whole)
     got = [dynamics.torque([x], [2.0], [0.7]) for x in crank]
     assert [one.status for one in got] == [SampleStatus(code) for code in want.status]
     np.testing.assert_allclose([one.tau for one in got], want.tau, rtol=0.0, atol=1e-7 * np.abs(want.tau).max())
-    branch = min((rocker_angle(FOLDING, sign) for sign in (1.0, -1.0)), key=lambda one: _off(one, robot, rocker))
     for x in crank[np.abs(offsets) > 1e-9]:
         state = dynamics.joint_state([x], [2.0])
         assert state.status is SampleStatus.OK
         assert abs(np.sin((state.q[rocker] - branch(np.array([x]))[0]) / 2.0)) < 1e-9
 
 
-def _off(branch: Any, robot: Robot, rocker: int) -> float:
-    home = robot.q_reference
-    return float(abs(np.sin((branch(home[:1])[0] - home[rocker]) / 2.0)))
+@pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_samples_do_not_jump_to_a_branch_that_all_but_touches(excess: float, tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, (*FOLDING[:3], FOLDING[3] + excess), GUESS)
+    coupler = joint(robot, "coupler")
+    samples = asked_one_by_one(rp.RneaDynamics(robot), crank_motion(np.linspace(np.pi - 0.5, np.pi + 0.5, 101)))
+    assert len({float(np.sign(np.sin(sample.state.q[coupler]))) for sample in samples}) == 1
 
 
-# --- inputs ----------------------------------------------------------------------------------------------------------
+def test_a_start_decides_the_branch(tmp_path: Path) -> None:
+    """Behind a rank loss the branch that was followed and that of the reference are two."""
+    robot = folding_four_bar(tmp_path, FOLDING, GUESS)
+    dynamics = rp.RneaDynamics(robot)
+    motion = crank_motion(np.linspace(np.pi - 0.5, np.pi + 0.5, 51))
+    through = asked_one_by_one(dynamics, motion)[-1]
+    again = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=through)
+    np.testing.assert_allclose(again.state.q, through.state.q, rtol=0.0, atol=1e-12)
+    other = folding_four_bar(tmp_path, FOLDING, (GUESS[0] + 4.0, GUESS[1] + 3.0, GUESS[2]))
+    elsewhere = rp.RneaDynamics(other).sample(motion.x[-1], motion.xd[-1], motion.xdd[-1])
+    assert np.abs(np.sin((elsewhere.state.q - through.state.q) / 2.0)).max() > 1e-3
+    kept = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=elsewhere)
+    np.testing.assert_allclose(kept.state.q, elsewhere.state.q, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_whatever_is_not_finite_is_a_status(backend: type[Dynamics], bad: float) -> None:
-    """In every argument, and in the time."""
-    robot = zoo.robot_of("3rrr").loaded(Wrench("platform", lambda t, x, xd: np.zeros((len(t), 6))))
-    dynamics = backend(zoo.robot_of("3rrr") if backend is rp.VirtualWork else robot)
-    given = [zoo.home_of(robot), np.ones(3), np.ones(3), np.zeros(3), np.zeros(3), np.zeros(3)]
-    assert dynamics.torque(*given).status is SampleStatus.OK
-    for i, part in enumerate(given):
-        for k in range(len(part)):
-            wrong = [one.copy() for one in given]
-            wrong[i][k] = bad
-            assert dynamics.torque(*wrong).status is SampleStatus.NOT_FINITE
-    assert dynamics.torque(*given, t=bad).status is SampleStatus.NOT_FINITE
-    assert dynamics.torque(*given).status is SampleStatus.OK
+def test_what_is_out_of_reach_singular_or_behind_the_border_is_refused_by_name() -> None:
+    robot = zoo.robot_of("five_bar")
+    dynamics, still = rp.RneaDynamics(robot), np.zeros(2)
+    home = zoo.home_of(robot)
+    start = dynamics.sample(home, still, still)
+    for given in (None, start):
+        with pytest.raises(UnreachablePoseError) as caught:
+            dynamics.sample(home + 50.0, still, still, start=given)
+        assert caught.value.details["sample"] == 0
+    legs = 2
+    assert len(robot.working_mode) == legs
+    flipped = zoo.robot_of("five_bar", working_mode=tuple(-sign for sign in robot.working_mode))
+    other = rp.RneaDynamics(flipped).sample(home, still, still)
+    same = dynamics.sample(home, still, still, start=other)  # a start has its own mode
+    np.testing.assert_allclose(same.state.q, other.state.q, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
-@pytest.mark.parametrize("wrong", [1j, None, "1"])
-def test_what_is_no_real_number_is_refused(backend: type[Dynamics], wrong: complex | str | None) -> None:
-    """In every argument of every call for one sample: numpy makes NaN of None, and a real part of a complex number."""
-    dynamics = backend("3rrr")
-    given = [zoo.home_of(dynamics.robot), *np.zeros((5, 3))]
-    calls: list[tuple[Any, list[Array]]] = [(dynamics.torque, given), (dynamics.sample, given)]
-    if isinstance(dynamics, rp.CompiledDynamics):
-        q, v = np.array(dynamics.robot.q_reference), np.zeros(dynamics.robot.model.nv)
-        calls += [
-            (dynamics.joint_state, [q[:3], *np.zeros((3, 3))]),
-            (dynamics.acceleration, [q, v, *np.zeros((2, 3))]),
-        ]
-    for call, arguments in calls:
-        for place in range(len(arguments)):
-            for bad in (wrong, [wrong] * len(arguments[place])):
-                with pytest.raises(InputError):
-                    call(*arguments[:place], bad, *arguments[place + 1 :])
-
-
-@BOTH
-def test_numbers_that_are_not_finite_are_found_where_no_result_depends_on_them(backend: type[Dynamics]) -> None:
-    """The position of a carrier on a rail of the base, across gravity."""
-    dynamics = backend(parallelogram("rail"))
-    for s, status in ((0.1, SampleStatus.OK), (np.nan, SampleStatus.NOT_FINITE), (-0.1, SampleStatus.OK)):
-        assert dynamics.torque([1.3], [1.0], [2.0], [s], [0.2], [0.3]).status is status
-
-
-@pytest.mark.parametrize("name", ["five_bar", "3rrr", "delta"])
-def test_motors_that_jump_lead_where_small_steps_do(name: str) -> None:
-    """Farther than Newton's method gets in two steps; in random directions, to where the steps are still regular."""
-    dynamics, random = compiled(name), np.random.default_rng(4)
-    robot = dynamics.robot
-    start, jumps = np.array(robot.q_reference), 0
-    motors = [robot.model.joints[robot.model.getJointId(motor)].idx_q for motor in robot.actuated]
-    for direction in random.normal(size=(40, robot.m)):
-        way = start[motors] + np.linspace(0.0, 1.2, 60)[1:, None] * direction / np.linalg.norm(direction)
-        dynamics.joint_state(start[motors], start=start)
-        stepped = list(itertools.takewhile(lambda state: state.status is OK, map(dynamics.joint_state, way)))
-        if len(stepped) > 30:
-            dynamics.joint_state(start[motors], start=start)
-            jumped = dynamics.joint_state(way[len(stepped) - 1])
-            assert jumped.status is OK
-            np.testing.assert_allclose(jumped.q, stepped[-1].q, rtol=0.0, atol=ROUNDING)
-            jumps += 1
-    assert jumps > 10
-
-
-def test_states_and_motors_that_are_not_finite_are_a_status() -> None:
-    robot, dynamics = zoo.robot_of("3rrr"), compiled("3rrr")
-    q = np.array(robot.q_reference)
-    calls: list[tuple[Any, list[Array]]] = [
-        (dynamics.joint_state, [q[:3], np.zeros(3), np.zeros(3), np.zeros(3)]),
-        (dynamics.acceleration, [q, np.zeros(robot.model.nv), np.zeros(3), np.zeros(3)]),
-    ]
-    for call, given in calls:
-        for i, part in enumerate(given):
-            wrong = [one.copy() for one in given]
-            wrong[i][len(part) - 1] = np.nan
-            assert call(*wrong).status is SampleStatus.NOT_FINITE
-    assert dynamics.acceleration(q, np.zeros(robot.model.nv), np.zeros(3), t=np.nan).status is SampleStatus.NOT_FINITE
-
-
-@BOTH
-def test_matrices_that_are_no_poses_are_refused(backend: type[Dynamics]) -> None:
-    dynamics, zero = backend(zoo.robot_of("gough")), np.zeros(6)
-    home = zoo.home_of(dynamics.robot)
-    flipped, sheared, scaled, moved = (home.copy() for _ in range(4))
-    flipped[:3, 2] *= -1.0
-    sheared[0, 1] += 1e-6
-    scaled[3, 3] = 2.0
-    moved[3, 0] = 1e-6
-    assert dynamics.torque(home, zero, zero).status is SampleStatus.OK
-    for wrong in (flipped, sheared, scaled, moved, 1.001 * home):
-        with pytest.raises(InputError, match="homogeneous pose"):
-            dynamics.torque(wrong, zero, zero, start=np.array(dynamics.robot.q_reference))
-        with pytest.raises(InputError, match="homogeneous pose"):
-            dynamics.sample(wrong, zero, zero)
-    for shape in ((16,), (2, 8)):
-        with pytest.raises(InputError, match="shape"):
-            dynamics.torque(home.reshape(shape), zero, zero)
-    rounded = home.copy()
-    rounded[0, 1] += 1e-11
-    assert dynamics.torque(rounded, zero, zero).status is SampleStatus.OK
-
-
-@BOTH
-def test_carriers_that_a_robot_does_not_have_are_refused(backend: type[Dynamics]) -> None:
-    dynamics, zero = backend(zoo.robot_of("delta")), np.zeros(3)
-    home = zoo.home_of(dynamics.robot)
-    for place in range(3):
-        tracks: list[Any] = [(), (), ()]
-        tracks[place] = [0.1]
-        with pytest.raises(InputError):
-            dynamics.torque(home, zero, zero, *tracks)
-    assert dynamics.torque(home, zero, zero, [], np.zeros(0), 0.0).status is SampleStatus.OK
-    if isinstance(dynamics, rp.CompiledDynamics):
-        q, v = np.array(dynamics.robot.q_reference), np.zeros(dynamics.robot.model.nv)
-        with pytest.raises(InputError, match="carrier_force"):
-            dynamics.acceleration(q, v, zero, [1.0])
-        with pytest.raises(InputError, match="s has shape"):
-            dynamics.joint_state(zero, zero, [0.1])
-
-
-@BOTH
-def test_wrenches_that_cancel_count_among_the_forces_that_rounding_is_compared_with(backend: type[Dynamics]) -> None:
-    """The legs in one line hold nothing across it: a rest of 1e-4 N of two wrenches of 1e6 N is their rounding."""
-    push, still = np.array([0.0, 1e6, 0.0, 0.0, 0.0, 0.0]), np.zeros(2)
-    rest = np.array([0.0, 1e-4, 0.0, 0.0, 0.0, 0.0])
-    robot = zoo.robot_of("2rpr")
-    frame = robot.platform.frame if robot.platform is not None else ""
-    statuses = []
-    for wrenches in ([push, rest - push], [rest]):
-        dynamics = backend(robot.loaded(*(Wrench(frame, one) for one in wrenches)))
-        dynamics.torque([0.2, 0.05], still, still)
-        statuses.append(dynamics.torque([0.2, 0.0], still, still).status)
-    assert statuses == [SampleStatus.SINGULAR_CONSISTENT, SampleStatus.SINGULAR_INCONSISTENT]
+def test_a_line_that_leaves_the_workspace_is_no_way(tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, STOPPED, STOPPED_GUESS)
+    limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
+    dynamics = rp.RneaDynamics(robot)
+    start = dynamics.sample([1.0], [0.0], [0.0])
+    with pytest.raises((SingularPoseError, UnreachablePoseError)):
+        dynamics.sample([limit], [0.0], [0.0], start=start)
+    with pytest.raises(WorkingModeError, match="cannot be reached continuously"):
+        dynamics.sample([2.0 * np.pi - 1.0], [0.0], [0.0], start=start)
