@@ -235,16 +235,8 @@ def test_a_branch_that_ends_between_far_samples_is_lost(five_bar: rp.Robot) -> N
         assert not whole or np.abs(solution.x[0] - way[-1]).max() < TOLERANCE
 
 
-def redundant(five_bar: rp.Robot) -> rp.Robot:
-    model, closures = five_bar.model, five_bar.closures
-    return rp.Robot.from_model(
-        model, closures=closures, actuated=[*five_bar.actuated, "elbow_1"], carriers=five_bar.carriers,
-        independent=five_bar.platform, reference=np.array(five_bar.q_reference),
-    )  # fmt: skip
-
-
 def test_redundant_motors_must_agree(five_bar: rp.Robot) -> None:
-    robot = redundant(five_bar)
+    robot = zoo.driven_by(five_bar, *five_bar.actuated, "elbow_1")
     positions = rp.forward_kinematics(five_bar, turning(np.linspace(0.0, 1.0, 5))[0])
     u = np.array(positions.q[:, robot.actuated_velocity])
     solution = rp.forward_kinematics(robot, u)
@@ -261,7 +253,7 @@ def test_redundant_motors_must_agree(five_bar: rp.Robot) -> None:
 @pytest.mark.parametrize("end", [(0.25, 0.1), (0.3, -0.4), (-0.1, -0.4)])
 def test_redundant_motors_lead_through_singularities_of_some_of_them(five_bar: rp.Robot, end: Pair) -> None:
     """Those on the base alone lose the platform on the way, or take it elsewhere; all three never do."""
-    robot = redundant(five_bar)
+    robot = zoo.driven_by(five_bar, *five_bar.actuated, "elbow_1")
     motion = rp.trajectory.from_points([(0.25, 0.75), end], speed=0.5).sample(0.02)
     tree = rp.inverse_kinematics(robot, motion)  # from the platform to the joints nothing is singular
     u, ud, udd = (np.array(part)[:, robot.actuated_velocity] for part in (tree.q, tree.v, tree.a))
@@ -313,9 +305,8 @@ def test_robots_and_searches_of_no_sense_are_refused(five_bar: rp.Robot) -> None
 
 def test_angles_of_the_platform_count_the_turns_between_far_samples_and_from_call_to_call() -> None:
     model = pin.Model()
-    for name, place in (("base", 0.0), ("wrist", 0.4)):
-        joint = model.addJoint(model.njoints - 1, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([place, 0, 0])), name)
-        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    for parent, (name, place) in enumerate((("base", 0.0), ("wrist", 0.4))):
+        zoo.add_body(model, parent, pin.JointModelRZ(), place, 0.0, name)
     model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
     robot = rp.Robot.from_model(
         model,
@@ -354,9 +345,8 @@ def test_thousands_of_turns_of_one_motor_take_no_longer_than_three() -> None:
 def geared(ratio: float) -> rp.Robot:
     """Return a motor that turns a joint on its shaft by a gear, and the platform with both."""
     model = pin.Model()
-    for name in ("motor", "geared"):
-        joint = model.addJoint(model.njoints - 1, pin.JointModelRZ(), pin.SE3.Identity(), name)
-        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    for parent, name in enumerate(("motor", "geared")):
+        zoo.add_body(model, parent, pin.JointModelRZ(), 0.0, 0.0, name)
     model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
     return rp.Robot.from_model(
         model,

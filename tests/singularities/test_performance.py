@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,10 +124,7 @@ def test_play_is_attained_at_a_corner_of_the_box_and_never_passed() -> None:
 
 def test_play_of_redundant_motors_is_what_all_of_them_allow() -> None:
     own = zoo.robot_of("2rpr")
-    robot = rp.Robot.from_model(
-        own.model, closures=own.closures, actuated=["slide_1", "slide_2", "swivel_1"], carriers=own.carriers,
-        independent=own.platform, reference=np.array(own.q_reference),
-    )  # fmt: skip
+    robot = zoo.driven_by(own, "slide_1", "slide_2", "swivel_1")
     q, off = zoo.random_closed(own, 1, 4), np.array([1e-3, 2e-3, 3e-3])
     play = rp.platform_play(robot, q, off)
     for W, largest in zip(rp.performance(robot, q).W, play, strict=True):
@@ -152,8 +150,6 @@ def test_refusals() -> None:
     ):
         with pytest.raises(InputError, match=message):
             wrong()
-    from dataclasses import replace
-
     weak = replace(robot, actuated=robot.actuated[:1], actuated_velocity=robot.actuated_velocity[:1])
     with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 DOF"):
         rp.performance(weak, q)

@@ -83,12 +83,6 @@ def test_the_default_grid_ends_beyond_the_workspace() -> None:
     assert x[0] < -0.5 < 1.0 < x[-1]
 
 
-def add_joint(model: pin.Model, parent: int, joint: object, x: float, y: float, name: str) -> int:
-    index = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([x, y, 0.0])), name)
-    model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    return int(index)
-
-
 def add_legs(model: pin.Model, bases: Array, lengths: Array, far: Array, modes: Sequence[int]) -> dict[str, float]:
     """Add legs of two links, named crank_i and elbow_i with a frame tip_i, and return their angles.
 
@@ -100,8 +94,8 @@ def add_legs(model: pin.Model, bases: Array, lengths: Array, far: Array, modes: 
         bend = mode * np.arccos((to @ to - upper**2 - lower**2) / (2.0 * upper * lower))
         turned = np.arctan2(to[1], to[0]) - np.arctan2(lower * np.sin(bend), upper + lower * np.cos(bend))
         guess |= {f"crank_{leg}": float(np.angle(np.exp(1j * turned))), f"elbow_{leg}": float(bend)}
-        crank = add_joint(model, 0, pin.JointModelRZ(), *base, f"crank_{leg}")
-        elbow = add_joint(model, crank, pin.JointModelRZ(), upper, 0.0, f"elbow_{leg}")
+        crank = zoo.add_body(model, 0, pin.JointModelRZ(), *base, f"crank_{leg}")
+        elbow = zoo.add_body(model, crank, pin.JointModelRZ(), upper, 0.0, f"elbow_{leg}")
         model.addBodyFrame(f"tip_{leg}", elbow, pin.SE3(np.eye(3), np.array([lower, 0.0, 0.0])), 0)
     return guess
 
@@ -116,7 +110,7 @@ def test_the_default_grid_goes_on_where_a_horn_is_narrow() -> None:
     guess |= add_legs(model, bases, lengths, home + offsets, modes)
     hand = 0
     for name, joint in {"x": pin.JointModelPX(), "y": pin.JointModelPY(), "turn": pin.JointModelRZ()}.items():
-        hand = add_joint(model, hand, joint, 0.0, 0.0, name)
+        hand = zoo.add_body(model, hand, joint, 0.0, 0.0, name)
     for name, place in (("hand", [0.0, 0.0]), *((f"corner_{leg}", corners[leg]) for leg in range(3))):
         model.addBodyFrame(name, hand, pin.SE3(np.eye(3), np.array([*place, 0.0])), 0)
     model.lowerPositionLimit, model.upperPositionLimit = -100.0 * np.ones(9), 100.0 * np.ones(9)
@@ -164,7 +158,7 @@ def test_an_island_is_not_left_out_for_a_node_at_its_end() -> None:
     spread = np.arccos((length**2 + coupler**2 - rocker**2) / (2.0 * coupler * length))
     model = pin.Model()
     for name, parent, x in (("crank", 0, 0.0), ("knee", 1, crank), ("rocker", 0, base)):
-        add_joint(model, parent, pin.JointModelRZ(), x, 0.0, name)
+        zoo.add_body(model, parent, pin.JointModelRZ(), x, 0.0, name)
     for name, joint, x in (("tip", 2, coupler), ("end", 3, rocker)):
         model.addBodyFrame(name, joint, pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])), 0)
     for turn in (1.0, -1.0):
