@@ -74,6 +74,19 @@ def reach_of(robot: Robot) -> Array:
     return 0.15 * robot.characteristic_length / row_scale(robot)
 
 
+def leg_lengths(robot: Robot, pose: Array) -> Array:
+    """Return (6,) distances between the joints on base and platform of a Gough at a pose (4, 4)."""
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
+    middle = data.oMf[model.getFrameId("platform")]
+    lengths = []
+    for i in range(1, 7):
+        base = data.oMi[model.getJointId(f"swing_{i}")].translation
+        tip = data.oMf[model.getFrameId(f"corner_{i}")] if i > 1 else data.oMi[model.getJointId("ball_1_x")]
+        lengths.append(np.linalg.norm(pose[:3, :3] @ middle.actInv(tip).translation + pose[:3, 3] - base))
+    return np.array(lengths)
+
+
 def random_tree(robot: Robot, seed: int, count: int) -> tuple[Array, Array]:
     """Return random open configurations (count, nq) and velocities (count, nv): chains not closed."""
     rng = np.random.default_rng(seed)
