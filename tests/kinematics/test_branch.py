@@ -56,12 +56,10 @@ def test_a_pose_nearby_is_the_one_that_assembly_closes(name: str) -> None:
 @pytest.mark.parametrize("independent", [{"joints": ["a", "b"]}, {"platform": "tip", "axes": ["x", "y"]}])
 def test_a_chain_without_closures_is_followed(independent: dict[str, Any]) -> None:
     """Two links in a plane, whose tip is where trigonometry puts it."""
-    model, joint, apart = pin.Model(), 0, pin.SE3.Identity()
-    for name in ("a", "b"):
-        joint = model.addJoint(joint, pin.JointModelRZ(), apart, name)
-        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
-        apart = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
-    model.addBodyFrame("tip", joint, pin.SE3(np.eye(3), np.array([0.8, 0.0, 0.0])), 0)
+    model = pin.Model()
+    for parent, name in enumerate("ab"):
+        zoo.add_body(model, parent, pin.JointModelRZ(), float(parent), 0.0, name)
+    model.addBodyFrame("tip", 2, pin.SE3(np.eye(3), np.array([0.8, 0.0, 0.0])), 0)
     reference = {"guess": {"a": 0.3, "b": 0.5}, **({} if "joints" in independent else {"platform": [1.5, 0.9]})}
     robot = Robot.from_model(model, actuated=["a", "b"], independent=independent, reference=reference)
     own = follower(robot)

@@ -229,6 +229,8 @@ def test_a_crank_that_cannot_go_round_stops_where_the_coupler_stretches() -> Non
     with pytest.raises((UnreachablePoseError, WorkingModeError)) as caught:
         inverse_kinematics(robot, along(np.linspace(1.0, np.pi, 40)[:, None]))
     limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
+    with pytest.raises((SingularPoseError, UnreachablePoseError)):  # there rates are infinite
+        inverse_kinematics(robot, along(np.linspace(1.0, limit, 51)[:, None]))
     assert caught.value.details["sample"] == int(np.argmax(np.linspace(1.0, np.pi, 40) > limit))
 
 
