@@ -66,7 +66,7 @@ def joints_of(robot: Robot) -> list[str]:
 def all_loads(robot: Robot, samples: int) -> tuple[Load, ...]:
     """Return loads of every kind on every link and joint, random ones."""
     rng, links, joints = np.random.default_rng(0), links_of(robot), joints_of(robot)
-    inertia = np.diag([0.01, 0.012, 0.015]) + 0.001 * (np.ones((3, 3)) - np.eye(3))
+    inertia = np.diag([0.01, 0.012, 0.015]) + 0.001 * np.array([[0.0, 1.0, 2.0], [1.0, 0.0, -3.0], [2.0, -3.0, 0.0]])
     loads: list[Load] = []
     for i, frame in enumerate(links):
         axes = "world" if i % 2 else "local"
