@@ -207,6 +207,8 @@ def test_a_start_decides_the_branch(tmp_path: Path) -> None:
     other = folding_four_bar(tmp_path, FOLDING, (GUESS[0] + 4.0, GUESS[1] + 3.0, GUESS[2]))
     elsewhere = rp.RneaDynamics(other).sample(motion.x[-1], motion.xd[-1], motion.xdd[-1])
     assert np.abs(np.sin((elsewhere.state.q - through.state.q) / 2.0)).max() > 1e-3
+    with pytest.raises(InputError, match="start is a int"):
+        dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=3)
     kept = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=elsewhere)
     np.testing.assert_allclose(kept.state.q, elsewhere.state.q, rtol=0.0, atol=1e-12)
 

@@ -66,7 +66,7 @@ def joints_of(robot: Robot) -> list[str]:
 def all_loads(robot: Robot, samples: int) -> tuple[Load, ...]:
     """Return loads of every kind on every link and joint, random ones."""
     rng, links, joints = np.random.default_rng(0), links_of(robot), joints_of(robot)
-    inertia = np.diag([0.01, 0.012, 0.015]) + 0.001 * (np.ones((3, 3)) - np.eye(3))
+    inertia = np.diag([0.01, 0.012, 0.015]) + 0.001 * np.array([[0.0, 1.0, 2.0], [1.0, 0.0, -3.0], [2.0, -3.0, 0.0]])
     loads: list[Load] = []
     for i, frame in enumerate(links):
         axes = "world" if i % 2 else "local"
@@ -76,7 +76,7 @@ def all_loads(robot: Robot, samples: int) -> tuple[Load, ...]:
         numbers = rng.uniform(0.1, 1.0, 5)
         loads += [JointForces(joint, *numbers[:2], 0.1, *numbers[2:4], 0.01 * numbers[4], -7.0)]
     loads += [JointForces(joint, rotor_inertia=0.002, gear=20.0) for joint in joints[:2]]  # a second rotor there
-    for a, b in itertools.pairwise([links[0], *links[3::3], links[-1]]):
+    for a, b in itertools.pairwise(links):
         loads += [Spring(a, b, 20.0, 3.0, 0.1, *(0.3 * rng.normal(size=(2, 3))))]
     return tuple(loads)
 
@@ -104,7 +104,7 @@ def assert_alike(one: Array, other: Array, tolerance: float = PARITY) -> None:
     np.testing.assert_allclose(one, other, rtol=0.0, atol=tolerance * max(1.0, np.abs(one).max(initial=0.0)))
 
 
-@pytest.mark.long_for("3rrr-mode0", "gough-None")
+@pytest.mark.long_for("five_bar-None", "gough-None")
 @pytest.mark.parametrize(
     ("name", "mode"), [("3rrr", (1, -1, 1)), ("2rpr", (-1, 1)), ("five_bar", None), ("four_bar", None), ("gough", None)]
 )
