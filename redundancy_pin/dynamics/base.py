@@ -388,8 +388,9 @@ class Dynamics(Protocol):
         The sample lies on the branch of ``start``, otherwise of the last sample that this thread solved, at first of
         the reference. The branch is followed along the straight line to x. Where that fails, the efforts are NaN with
         the status unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this
-        one: the reference is not returned to. Numbers that are not finite have the status not_finite. A carrier beyond
-        its track is out_of_range like any other joint.
+        one: the reference is not returned to. Numbers that are not finite have the status not_finite,
+        and so have those beyond 1e100, except in generated code, which takes any whose forces do not overflow.
+        A carrier beyond its track is out_of_range like any other joint.
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
