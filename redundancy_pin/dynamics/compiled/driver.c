@@ -76,13 +76,11 @@ static int newton(const double *numbers, const double *q, const double *x, const
   return 0;
 }
 
-/* Brings a pose to a goal, of which it misses `left` (null: nothing), by Newton's method, the determinant's sign kept; a pose that does
-   not come there is not moved. Returns CLOSED, or why not. */
-typedef int (*Closing)(const double *numbers, Pose *pose, const double *goal, const double *left);
-
-/* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract.
-   Returns CLOSED, or why the last step failed; the pose is then the last one on the way. */
-static int follow_way(const double *numbers, Pose *pose, Closing close, const double *goal, const double *way, int size) {
+/* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract. close
+   brings a pose to the goal, of which it misses `left` (null: nothing), the determinant's sign kept, or does not move it. Returns
+   CLOSED, or why the last step failed; the pose is then the last one on the way. */
+static int follow_way(const double *numbers, Pose *pose, int (*close)(const double *, Pose *, const double *, const double *),
+                      const double *goal, const double *way, int size) {
   double left[NV + 1], done = 0.0, share = 1.0;
   while (done < 1.0) {
     double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
