@@ -14,12 +14,13 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from redundancy_pin.arrays import LARGEST, Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, LARGEST, Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
 from redundancy_pin.kinematics.coordinates import difference, mode_indicators, moved
-from redundancy_pin.kinematics.passage import SAME_TANGENT, SPACINGS, find_passage
+from redundancy_pin.kinematics.passage import PASSED, SAME_TANGENT, SPACINGS, find_passage
 from redundancy_pin.motion import require_poses
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
@@ -125,12 +126,13 @@ class Follower(LoopSolver):
             x: (n,) coordinates, m and rad, or a pose (4, 4), base frame.
 
         Raises:
-            InputError: coordinates of another shape, or a matrix that is no pose.
+            InputError: coordinates of another shape, a matrix that is no pose, or a state of another robot.
         """
         given = np.asarray(x)
         if given.dtype.kind not in "fiu":
             checked(given, "x", here.x.shape)  # which raises
         x = read_only(np.array(given, dtype=np.float64))
+        self._require_own(here)
         self.require_shapes(here.q, x)
         if not (np.abs(x) <= LARGEST).all():
             return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
@@ -142,6 +144,7 @@ class Follower(LoopSolver):
         """Return what ``advance`` does, for read-only coordinates that were checked: those of a ``PlatformMotion``."""
         if not np.isfinite(here.gamma).all():
             return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
+        self._require_own(here)
         start, whole = here.x, difference(self.robot, x, here.x)
         length = float(np.linalg.norm(whole / self.unit))
         longest = size = 1.0 / min(max(math.ceil(length / LONGEST_STEP), 1), _MOST_STEPS)
@@ -191,7 +194,11 @@ class Follower(LoopSolver):
         Args:
             here: a state of the branch.
             x: (n,) coordinates, or a pose (4, 4).
+
+        Raises:
+            InputError: coordinates of another shape, or a state of another robot.
         """
+        self._require_own(here)
         new = self.extrapolate(here, x)
         if new is None:
             return None
@@ -206,6 +213,23 @@ class Follower(LoopSolver):
         if same_side and (here.interpolated or even):
             return new
         return new if same_side and not self._vanishes(here, new, increment) else None
+
+    def _require_own(self, here: ClosedState) -> None:
+        """Raise InputError for a state of another robot, unless it is one of this robot too: in another mode, or loaded.
+
+        It then closes the loops, and K Γ = (0, 1), where Γ is known.
+        """
+        if here.robot is self.robot:
+            return
+        fits = here.q.shape == (self.robot.model.nq,) and here.x.shape == self._shape
+        if fits and here.gamma.shape == (self.robot.model.nv, self.robot.n):
+            residual, slip = self.identity_error(here.q, here.x, here.gamma, None)
+            if residual <= CLOSURE_TOLERANCE and not slip > PASSED:
+                return
+        raise InputError(
+            f"The state is one of {here.robot.name}, and no closed state of {self.robot.name}.",
+            remedy="Make it with the follower of the same robot.",
+        )
 
     def _vanishes(self, before: ClosedState, after: ClosedState, increment: Array) -> bool:
         """Return whether a determinant comes to zero within a step without a change of sign, by its slopes.
@@ -292,6 +316,7 @@ class Follower(LoopSolver):
             None where the branch does not go on smoothly (a leg at full stretch: a fold).
         """
         self.require_shapes(here.q, x)
+        self._require_own(here)
         chord = difference(self.robot, x, here.x)
         directions = (chord, *np.eye(self.robot.n), self.unit) if along is None else (along,)
         for direction in directions:

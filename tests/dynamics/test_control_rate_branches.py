@@ -161,6 +161,23 @@ def test_noise_of_a_start_counts_by_the_distance_from_a_stretched_leg(
     assert backend(robot).torque(x, still, still, start=q).status is status
 
 
+@pytest.mark.parametrize("noise", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize("name", ["four_bar", "five_bar", "3rrr"])
+def test_backends_take_and_refuse_the_same_noisy_starts(name: str, noise: float) -> None:
+    """Noise of encoders and passive joints, rad, until few starts are near enough; none of those changes the branch."""
+    dynamics, reference = compiled(name), rp.RneaDynamics(compiled(name).robot)
+    robot, random = dynamics.robot, np.random.default_rng(3)
+    x, zero = zoo.home_of(robot), np.zeros(robot.n)
+    want = reference.torque(x, zero, zero + 1.0)
+    for start in robot.q_reference + noise * random.normal(size=(100, robot.model.nq)):
+        got = [one.torque(x, zero, zero + 1.0, start=start) for one in (dynamics, reference)]
+        assert got[0].status is got[1].status
+        assert got[0].status in (SampleStatus.OK, SampleStatus.BRANCH_LOST)
+        for one in got:
+            if one.status is SampleStatus.OK:
+                np.testing.assert_allclose(one.tau, want.tau, rtol=1e-6, atol=1e-8)
+
+
 @pytest.mark.parametrize("modes", [False, True])
 @pytest.mark.parametrize("offsets", [np.linspace(-0.5, 0.5, 21), np.linspace(-0.5, 0.5, 20)])
 def test_calls_go_through_a_bifurcation_by_the_tangent(offsets: Array, modes: bool, tmp_path: Path) -> None:
