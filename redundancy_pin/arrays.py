@@ -127,12 +127,13 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
         shape: expected length of each axis; a string stands for any length.
 
     Raises:
-        InputError: not numeric, wrong number of axes, wrong length, or a NaN or infinity.
+        InputError: not numeric, masked values, wrong number of axes, wrong length, or a NaN or infinity.
     """
     try:
         given = np.asarray(values)
-        if given.dtype.kind in "cSU":
-            raise TypeError(f"it holds {'complex numbers' if given.dtype.kind == 'c' else 'text'}")
+        if given.dtype.kind in "cSU" or np.ma.is_masked(values):
+            kinds = {"c": "complex numbers", "S": "text", "U": "text"}
+            raise TypeError(f"it holds {kinds.get(given.dtype.kind, 'masked values')}")
         array = frozen(given)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
@@ -250,7 +251,7 @@ def rows_of(values: ArrayLike, name: str, shape: tuple[int | str, int | str]) ->
         one = np.ndim(values) < 2
     except ValueError:  # rows of several lengths, which the check says
         one = False
-    return checked(np.atleast_2d(np.asarray(values)) if one else values, name, shape)
+    return checked(np.atleast_2d(np.asanyarray(values)) if one else values, name, shape)
 
 
 def positive(value: float, name: str, unit: str) -> float:

@@ -202,7 +202,7 @@ class RneaDynamics(Dynamics):
             x, xd, xdd, *carriers = (np.asarray(part) for part in given)
         except ValueError:
             return None
-        if any(part.dtype.kind not in "biuf" for part in (x, xd, xdd, *carriers)):
+        if any(part.dtype.kind not in "biuf" for part in (x, xd, xdd, *carriers)) or any(map(np.ma.is_masked, given)):
             return None
         s, sd, sdd = (np.zeros(robot.k) if part.shape == (0,) else part for part in carriers)
         home = own.home if start is None else start

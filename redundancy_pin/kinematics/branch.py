@@ -129,8 +129,8 @@ class Follower(LoopSolver):
             InputError: coordinates of another shape, a matrix that is no pose, or a state of another robot.
         """
         given = np.asarray(x)
-        if given.dtype.kind not in "fiu":
-            checked(given, "x", here.x.shape)  # which raises
+        if given.dtype.kind not in "fiu" or np.ma.is_masked(x):
+            checked(x, "x", here.x.shape)  # which raises
         x = read_only(np.array(given, dtype=np.float64))
         self._require_own(here)
         self.require_shapes(here.q, x)
