@@ -203,6 +203,26 @@ def _off(branch: Any, robot: Robot, rocker: int) -> float:
     return float(abs(np.sin((branch(home[:1])[0] - home[rocker]) / 2.0)))
 
 
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
+def test_near_full_stretch_a_sample_is_ok_and_its_serial_margin_small(backend: type[Dynamics]) -> None:
+    """W and f exist there, and grow: a leg of length 2 a part e from full stretch turns by sqrt(e), its lever too."""
+    dynamics, along = backend("3rrr"), np.array([np.cos(0.7), np.sin(0.7), 0.0])
+    corner = np.array([0.25 * np.cos(np.pi / 6.0), 0.125, 0.0])  # where leg 1 holds the platform, from its centre
+    missing, still = np.array([1e-3, 1e-6, 1e-9]), np.zeros(3)
+    near = [dynamics.torque(2.0 * (1.0 - part) * along + corner, still, [1.0, 0.5, 0.3]) for part in missing]
+    assert [one.status for one in near] == [OK] * 3
+    grown = np.array([one.tau[0] for one in near]) * np.sqrt(missing)
+    np.testing.assert_allclose(grown / grown[-1], 1.0, atol=0.1)
+    np.testing.assert_allclose(grown[1] / grown[-1], 1.0, atol=2e-3)
+    if backend is not rp.VirtualWork:
+        margin = np.array([one.serial_margin for one in near]) / np.sqrt(missing)
+        np.testing.assert_allclose(margin / margin[-1], 1.0, atol=0.02)
+    for beyond, status in ((0.0, SampleStatus.TYPE_I), (1e-9, SampleStatus.UNREACHABLE)):
+        end = dynamics.torque(2.0 * (1.0 + beyond) * along + corner, still, [1.0, 0.5, 0.3])
+        assert end.status is status
+        assert np.isnan(end.tau).all()
+
+
 # --- inputs ----------------------------------------------------------------------------------------------------------
 
 
