@@ -273,7 +273,12 @@ class Follower(LoopSolver):
             return False
         chord, still = difference(self.robot, after.x, before.x), np.zeros(self.robot.n)
         for loop in lost.tolist():
-            root = read_only(moved(self.robot, before.x, chord * (size0[loop] / (size0[loop] + size1[loop]))))
+            share = float(size0[loop] / (size0[loop] + size1[loop]))
+            between = self.integrate(before.q, share * self.tangent(before.q, after.q))
+            ends = [self._closure_margin(state.q, before.basis, loop) for state in (before, after)]
+            if not self._closure_margin(between, before.basis, loop) < 0.5 * max(ends):
+                return False  # the closures keep rank: a leg is stretched, folded or of no length
+            root = read_only(moved(self.robot, before.x, chord * share))
             beyond = self.pass_through(before, root, still, still, chord)
             if beyond is None:
                 return False
@@ -283,6 +288,12 @@ class Follower(LoopSolver):
             if not np.linalg.slogdet(K[rows[:, None], columns])[1] - most[loop] < math.log(CONTINUITY):
                 return False
         return True
+
+    def _closure_margin(self, q: Array, basis: Array | None, loop: int) -> float:
+        """Return the smallest singular value, without unit, of the closure rows of a loop; infinite without any."""
+        rows, columns = self.blocks[loop]
+        closures = self.matrix(q, basis)[0][rows[rows < self.rank][:, None], columns]
+        return float(np.linalg.svd(closures, compute_uv=False)[-1]) if len(closures) else math.inf
 
     def _at_rank_loss(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates where the closures lose rank, None where they do not or no branch goes on."""

@@ -203,6 +203,38 @@ def _off(branch: Any, robot: Robot, rocker: int) -> float:
     return float(abs(np.sin((branch(home[:1])[0] - home[rocker]) / 2.0)))
 
 
+@BOTH
+@pytest.mark.parametrize(("turn", "status"), [((2.5, 0.0), OK), ((0.0, 2.0), SampleStatus.BRANCH_LOST)])
+def test_a_tilt_by_more_than_a_right_angle_is_followed_by_coordinates(
+    backend: type[Dynamics], turn: tuple[float, float], status: SampleStatus
+) -> None:
+    """Of the 3-RPS, whose tilts are two coordinates: one leads past its legs, the other stays on the branch."""
+    dynamics, stepped, still = backend("3rps"), backend("3rps"), np.zeros(3)
+    home, tilt = follower(dynamics.robot).home.x, np.array([0.0, *turn])
+    for part in np.linspace(-0.5, 0.5, 101) if status is OK else ():
+        small = stepped.torque(home + part * tilt, still, still)
+    dynamics.torque(home - 0.5 * tilt, still, still)
+    jumped = dynamics.torque(home + 0.5 * tilt, still, still)
+    assert jumped.status is status
+    if status is OK:
+        np.testing.assert_allclose(jumped.tau, small.tau, rtol=1e-7)
+
+
+@BOTH
+def test_efforts_that_overflow_do_not_move_the_branch(backend: type[Dynamics]) -> None:
+    """From A round a hinge of the base by B to C: the straight way from A leads through it, and B was not solved."""
+    dynamics, still = backend("five_bar"), np.zeros(2)
+    A, B, C = (np.array(x) for x in ((-0.24, 0.24), (0.25, 0.3), (0.24, -0.24)))
+    huge = np.array([1e308, 1e308])
+    assert dynamics.torque(A, still, still).status is OK
+    straight = dynamics.torque(C, still, still).status
+    assert dynamics.torque(A, still, still).status is OK
+    assert dynamics.torque(B, still, huge).status is SampleStatus.NOT_FINITE
+    assert dynamics.torque(C, still, still).status is straight
+    assert not straight.solved
+    assert [dynamics.torque(x, still, still).status for x in (A, B, C)] == [OK, OK, OK]
+
+
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
 def test_near_full_stretch_a_sample_is_ok_and_its_serial_margin_small(backend: type[Dynamics]) -> None:
     """W and f exist there, and grow: a leg of length 2 a part e from full stretch turns by sqrt(e), its lever too."""
