@@ -24,7 +24,6 @@ def file_scope_names(text: str) -> set[str]:
     code = re.sub(r"^[ \t]*#.*", "", code, flags=re.M)
     for listed in re.findall(r"\benum\b[^{};]*\{([^{}]*)\}", code):
         names.update(re.findall(r"(\w+)[^,]*", listed))
-    code = re.sub(r"\(\*(\w+)\)", r"\1", code)  # (*name)(...), a pointer to a function
     code = _replace_nested(r"\([^()]*\)", _LIST, _replace_nested(r"\{[^{}]*\}", _BLOCK, code))
     names.update(re.findall(rf"(\w+)\s*{_LIST}", code))
     names.update(re.findall(r"(\w+)\s*(?:\[[^\]]*\]\s*)*(?:=[^;]*)?;", code))

@@ -400,7 +400,9 @@ class Dynamics(Protocol):
             sd: scalar or (k,) their rates, m/s; 0 when left out.
             sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
             t: time, s, for wrenches that depend on it.
-            start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode.
+            start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode. It may be open
+                by noise: closing it at its own coordinates must move joints by less than half the singularity margin
+                (rad, characteristic lengths), which keeps K regular. Otherwise the sample is branch_lost.
 
         Raises:
             InputError: wrong shapes, or a matrix that is not a pose.

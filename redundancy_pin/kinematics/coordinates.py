@@ -78,10 +78,9 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
         turn = pin.log3(target[:3, :3].dot(start[:3, :3].T))
         return np.concatenate([target[:3, 3] - start[:3, 3], turn])[pose_rows(robot)]
     if is_pose(robot):
-        from scipy.spatial.transform import Rotation
-
-        rotation = Rotation.from_matrix(target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
-        delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], rotation.as_rotvec()], axis=1)
+        turned = target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1)
+        turns = np.reshape([pin.log3(each) for each in turned], (len(turned), 3))
+        delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], turns], axis=1)
         return delta[:, pose_rows(robot)]
     delta = target - start
     columns = delta.T  # a view: (n, N), or (n,)

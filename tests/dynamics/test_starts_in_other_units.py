@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 from scipy.spatial.transform import Rotation
@@ -14,7 +15,10 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import velocity_unit
+from redundancy_pin.status import SampleStatus
 
 SIZES = (0.001, 0.01, 100.0)
 """Of machines whose platforms have radii of 0.3 mm to 30 m."""
@@ -68,3 +72,15 @@ def test_poses_out_of_reach_are_told_from_others(size: float, tmp_path: Path) ->
     assert 5 < expected.sum() < 35
     dynamics = CompiledDynamics(robot_called("3prs", tmp_path, size, link=SHORT))
     np.testing.assert_array_equal(found(dynamics, x * [size, 1.0, 1.0]), expected)
+
+
+@pytest.mark.parametrize("size", SIZES[1:])
+def test_noise_of_a_start_counts_in_lengths_of_the_machine(size: float) -> None:
+    """A hundredth of a margin of 0.1 is noise for every size, and a tenth of the machine is none."""
+    robot, random = gough(size), np.random.default_rng(5)
+    backends = CompiledDynamics(robot), rp.RneaDynamics(robot)
+    x, zero, unit = follower(robot).home.x, np.zeros(6), velocity_unit(robot)
+    for noise, status in ((1e-4, SampleStatus.OK), (0.3, SampleStatus.BRANCH_LOST)):
+        for _ in range(5):
+            start = pin.integrate(robot.model, robot.q_reference, noise * random.normal(size=len(unit)) * unit)
+            assert [one.torque(x, zero, zero, start=start).status for one in backends] == [status, status]

@@ -46,9 +46,9 @@ static double largest_position(const double *numbers, const double *q) {
   return result;
 }
 
-/* Newton's method from q, to coordinates that miss x by left (N); returns whether it contracted all the way. */
-static int newton(const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
-  double step[NP + 1], alignment[NALIGN], last = LONGEST / CONTRACTION;
+/* Newton's method from q, to coordinates that miss x by left (N); returns whether each step was at most a ratio of the one before. */
+static int newton_by(double ratio, const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
+  double step[NP + 1], alignment[NALIGN], last = LONGEST / ratio;
   copy(out->q, q, NQ);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
     turns_of(out->q, out->trig);
@@ -60,7 +60,7 @@ static int newton(const double *numbers, const double *q, const double *x, const
     if (out->sign == 0.0) return 0;
     solve(out->lu, out->pivot, step);
     double size = largest(step, NP);
-    int stalled = size > CONTRACTION * last && size <= FLOOR;
+    int stalled = size > ratio * last && size <= FLOOR;
     int settled = size <= SETTLED || (stalled && (out->gap < TOLERANCE || size <= ROUNDED * largest_position(numbers, out->q)));
     if (settled) {
       if (!left)
@@ -68,12 +68,17 @@ static int newton(const double *numbers, const double *q, const double *x, const
           if (!(alignment[i] > 0.0)) return 0;
       return 1;
     }
-    if (!(size <= CONTRACTION * last)) return 0;
+    if (!(size <= ratio * last)) return 0;
     for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(out->q, step);
     last = size;
   }
   return 0;
+}
+
+/* The same while it contracts. */
+static int newton(const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
+  return newton_by(CONTRACTION, numbers, q, x, left, out);
 }
 
 /* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract. close
