@@ -281,6 +281,16 @@ def test_whatever_is_not_finite_is_a_status(backend: type[Dynamics], bad: float)
 
 
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
+def test_forces_whose_squares_overflow_are_as_many_times_as_large(backend: type[Dynamics]) -> None:
+    """Velocity terms are of second order; gravity is lost beside them."""
+    dynamics, zero = backend("3rrr"), np.zeros(3)
+    x = zoo.home_of(dynamics.robot)
+    slow, fast = (dynamics.torque(x, [scale, 2.0 * scale, scale], zero) for scale in (1e20, 1e90))
+    assert fast.status is slow.status is SampleStatus.OK
+    np.testing.assert_allclose(fast.tau * 1e-140, slow.tau, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
 @pytest.mark.parametrize("wrong", [1j, None, "1"])
 def test_what_is_no_real_number_is_refused(backend: type[Dynamics], wrong: complex | str | None) -> None:
     """In every argument of every call for one sample: numpy makes NaN of None, and a real part of a complex number."""
