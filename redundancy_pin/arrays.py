@@ -127,14 +127,15 @@ def numbers(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
         shape: expected length of each axis; a string stands for any length.
 
     Raises:
-        InputError: not real numbers (complex ones, text, None), wrong number of axes, wrong length.
+        InputError: not real numbers (complex ones, text, None, masked ones), wrong number of axes, wrong length.
     """
     try:
         array = np.asarray(values)
         kind = array.dtype.kind
-        if kind in "cSU" or (kind == "O" and None in array.ravel().tolist()):
-            # numpy makes numbers of text, a real part of complex numbers, and NaN of None
-            raise TypeError(f"it holds {'complex numbers' if kind == 'c' else 'text or None'}")
+        if kind in "cSU" or np.ma.is_masked(values) or (kind == "O" and None in array.ravel().tolist()):
+            # numpy makes numbers of text, of what is masked, a real part of complex numbers, and NaN of None
+            kinds = {"c": "complex numbers", "S": "text", "U": "text", "O": "None"}
+            raise TypeError(f"it holds {kinds.get(kind, 'masked values')}")
         array = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
@@ -267,7 +268,7 @@ def rows_of(values: ArrayLike, name: str, shape: tuple[int | str, int | str]) ->
         one = np.ndim(values) < 2
     except ValueError:  # rows of several lengths, which the check says
         one = False
-    return checked(np.atleast_2d(np.asarray(values)) if one else values, name, shape)
+    return checked(np.atleast_2d(np.asanyarray(values)) if one else values, name, shape)
 
 
 def positive(value: float, name: str, unit: str) -> float:

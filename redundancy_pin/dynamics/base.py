@@ -388,8 +388,9 @@ class Dynamics(Protocol):
         The sample lies on the branch of ``start``, otherwise of the last sample that this thread solved, at first of
         the reference. The branch is followed along the straight line to x. Where that fails, the efforts are NaN with
         the status unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this
-        one: the reference is not returned to. Numbers that are not finite have the status not_finite. A carrier beyond
-        its track is out_of_range like any other joint.
+        one: the reference is not returned to. Numbers that are not finite have the status not_finite,
+        and so have those beyond 1e100, except in generated code, which takes any whose forces do not overflow.
+        A carrier beyond its track is out_of_range like any other joint.
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
@@ -399,7 +400,9 @@ class Dynamics(Protocol):
             sd: scalar or (k,) their rates, m/s; 0 when left out.
             sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
             t: time, s, for wrenches that depend on it.
-            start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode.
+            start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode. It may be open
+                by noise: closing it at its own coordinates must move joints by less than half the singularity margin
+                (rad, characteristic lengths), which keeps K regular. Otherwise the sample is branch_lost.
 
         Raises:
             InputError: wrong shapes, or a matrix that is not a pose.
@@ -436,6 +439,10 @@ class Dynamics(Protocol):
             InputError: wrong shapes.
             UnsupportedRobotError: the backend has no such call.
         """
+        return self._acceleration((q, v, tau, carrier_force), t)
+
+    def _acceleration(self, given: tuple[ArrayLike, ...], t: float) -> AccelerationSample:
+        """Return what ``acceleration`` returns, by a backend."""
         raise _has_no(self, "acceleration", "simulate")
 
     def joint_state(
@@ -462,6 +469,10 @@ class Dynamics(Protocol):
             InputError: wrong shapes.
             UnsupportedRobotError: fewer main actuators than degrees of freedom; the backend has no such call.
         """
+        return self._joint_state((position, velocity, s, sd), start)
+
+    def _joint_state(self, given: tuple[ArrayLike, ...], start: ArrayLike | None) -> JointStateSample:
+        """Return what ``joint_state`` returns, by a backend."""
         raise _has_no(self, "joint_state", "forward_kinematics")
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:

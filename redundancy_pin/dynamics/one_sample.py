@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
+from redundancy_pin.arrays import LARGEST, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.base import (
     Dynamics,
@@ -20,10 +20,17 @@ from redundancy_pin.dynamics.base import (
     SampleArrays,
     TorqueSample,
     one_sample,
+    require_on_track,
     sample_arrays,
 )
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
-from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import (
+    CarrierLimitError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+)
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import is_in_range
 from redundancy_pin.robot.loads import wrench_values
@@ -57,8 +64,8 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
 
 
 def is_finite(given: Sequence[Array], t: float) -> bool:
-    """Return whether all numbers of a sample are finite."""
-    return math.isfinite(t) and bool(np.isfinite(np.concatenate(given, axis=None)).all())
+    """Return whether all numbers of a sample are finite, and not beyond 1e100, as in a ``PlatformMotion``."""
+    return abs(t) <= LARGEST and bool((np.abs(np.concatenate(given, axis=None)) <= LARGEST).all())
 
 
 @lru_cache(maxsize=64)
@@ -151,8 +158,10 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
         return refused(robot, error)
     efforts = distribute(reduced)
     status = SampleStatus(int(efforts.status[0]))
-    tracks = zip(robot.carrier_limits, carriers.s[0], strict=True)
-    if status.solved and not all(limits.lower <= s <= limits.upper for limits, s in tracks):
-        status = SampleStatus.OUT_OF_RANGE
+    if status.solved:
+        try:
+            require_on_track(robot, carriers, motion.t)
+        except CarrierLimitError:
+            status = SampleStatus.OUT_OF_RANGE
     margin, residual = float(efforts.margin[0]), float(reduced.gap[0])
     return TorqueSample(efforts.tau[0], status, margin, reduced.carrier_force[0], residual)

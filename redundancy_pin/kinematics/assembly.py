@@ -102,6 +102,13 @@ class Assembly:
         return self.regular & self.in_mode
 
 
+_ROUNDED = 1e-3 * CLOSURE_TOLERANCE
+"""Residual that is rounding, characteristic lengths or rad: a step that does not shorten it is not halved."""
+
+_HALVED = 0.02
+"""Largest deviation from 1/2 of the ratio of two Newton steps that counts as convergence to a double root."""
+
+
 def assemble(
     system: ConstraintSystem,
     guess: Array,
@@ -138,9 +145,12 @@ def assemble(
     while True:
         if begins.any():
             step[begins] = _newton_step(system, matrix[begins], residual[begins], redundant)
+            before = longest[begins]
             longest[begins] = np.abs(step[begins] / velocity_unit(robot)).max(axis=1, initial=0.0)
+            # steps that halve lead to a double root, a leg at full stretch, which is twice as far (Rall 1966)
+            double = np.abs(longest[begins] - 0.5 * before) < _HALVED * before
             # beyond 1 rad or characteristic length the linear model of a turn is useless
-            scale[begins] = 1.0 / np.maximum(longest[begins], 1.0)
+            scale[begins] = np.where(double, 2.0, 1.0) / np.maximum(longest[begins], 1.0)
             size[begins] = np.linalg.norm(residual[begins], axis=1)
         active, taken, step, longest, scale, size = (
             part[~finished] for part in (active, taken, step, longest, scale, size)
@@ -150,9 +160,10 @@ def assemble(
         tried = integrate(robot.model, q[active], step * scale[:, None])
         residual, matrix, _ = _linearise(system, tried, None if target is None else target[active], redundant)
         decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
-        stalled = ~decrease & (scale < shortest_step)
+        stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
         accepted = decrease | stalled | (longest < SETTLED_STEP)  # a step at rounding level is taken whole
-        q[active[accepted]] = tried[accepted]
+        kept = accepted & ~stalled  # a step that no fraction of makes better is not taken
+        q[active[kept]] = tried[kept]
         taken += accepted
         finished = accepted & (stalled | (longest * scale < SETTLED_STEP) | (taken >= max_iterations))
         begins = accepted & ~finished

@@ -239,3 +239,72 @@ def test_a_line_that_leaves_the_workspace_is_no_way(tmp_path: Path) -> None:
         dynamics.sample([limit], [0.0], [0.0], start=start)
     with pytest.raises(WorkingModeError, match="cannot be reached continuously"):
         dynamics.sample([2.0 * np.pi - 1.0], [0.0], [0.0], start=start)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize("name", ["four_bar", "five_bar", "3rrr"])
+def test_backends_take_and_refuse_the_same_noisy_starts(name: str, noise: float) -> None:
+    """Noise of encoders and passive joints, rad, until few starts are near enough; none of those changes the branch."""
+    dynamics, reference = compiled(name), rp.RneaDynamics(compiled(name).robot)
+    robot, random = dynamics.robot, np.random.default_rng(3)
+    x, zero = zoo.home_of(robot), np.zeros(robot.n)
+    want = reference.torque(x, zero, zero + 1.0)
+    for start in robot.q_reference + noise * random.normal(size=(100, robot.model.nq)):
+        got = [one.torque(x, zero, zero + 1.0, start=start) for one in (dynamics, reference)]
+        assert got[0].status is got[1].status
+        assert got[0].status in (SampleStatus.OK, SampleStatus.BRANCH_LOST)
+        for one in got:
+            if one.status is SampleStatus.OK:
+                np.testing.assert_allclose(one.tau, want.tau, rtol=1e-6, atol=1e-8)
+
+
+@BOTH
+@pytest.mark.parametrize(("turn", "status"), [((2.5, 0.0), OK), ((0.0, 2.0), SampleStatus.BRANCH_LOST)])
+def test_a_tilt_by_more_than_a_right_angle_is_followed_by_coordinates(
+    backend: type[Dynamics], turn: tuple[float, float], status: SampleStatus
+) -> None:
+    """Of the 3-RPS, whose tilts are two coordinates: one leads past its legs, the other stays on the branch."""
+    dynamics, stepped, still = backend("3rps"), backend("3rps"), np.zeros(3)
+    home, tilt = follower(dynamics.robot).home.x, np.array([0.0, *turn])
+    for part in np.linspace(-0.5, 0.5, 101) if status is OK else ():
+        small = stepped.torque(home + part * tilt, still, still)
+    dynamics.torque(home - 0.5 * tilt, still, still)
+    jumped = dynamics.torque(home + 0.5 * tilt, still, still)
+    assert jumped.status is status
+    if status is OK:
+        np.testing.assert_allclose(jumped.tau, small.tau, rtol=1e-7)
+
+
+@BOTH
+def test_efforts_that_overflow_do_not_move_the_branch(backend: type[Dynamics]) -> None:
+    """From A round a hinge of the base by B to C: the straight way from A leads through it, and B was not solved."""
+    dynamics, still = backend("five_bar"), np.zeros(2)
+    A, B, C = (np.array(x) for x in ((-0.24, 0.24), (0.25, 0.3), (0.24, -0.24)))
+    huge = np.array([1e308, 1e308])
+    assert dynamics.torque(A, still, still).status is OK
+    straight = dynamics.torque(C, still, still).status
+    assert dynamics.torque(A, still, still).status is OK
+    assert dynamics.torque(B, still, huge).status is SampleStatus.NOT_FINITE
+    assert dynamics.torque(C, still, still).status is straight
+    assert not straight.solved
+    assert [dynamics.torque(x, still, still).status for x in (A, B, C)] == [OK, OK, OK]
+
+
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
+def test_near_full_stretch_a_sample_is_ok_and_its_serial_margin_small(backend: type[Dynamics]) -> None:
+    """W and f exist there, and grow: a leg of length 2 a part e from full stretch turns by sqrt(e), its lever too."""
+    dynamics, along = backend("3rrr"), np.array([np.cos(0.7), np.sin(0.7), 0.0])
+    corner = np.array([0.25 * np.cos(np.pi / 6.0), 0.125, 0.0])  # where leg 1 holds the platform, from its centre
+    missing, still = np.array([1e-3, 1e-6, 1e-9]), np.zeros(3)
+    near = [dynamics.torque(2.0 * (1.0 - part) * along + corner, still, [1.0, 0.5, 0.3]) for part in missing]
+    assert [one.status for one in near] == [OK] * 3
+    grown = np.array([one.tau[0] for one in near]) * np.sqrt(missing)
+    np.testing.assert_allclose(grown / grown[-1], 1.0, atol=0.1)
+    np.testing.assert_allclose(grown[1] / grown[-1], 1.0, atol=2e-3)
+    if backend is not rp.VirtualWork:
+        margin = np.array([one.serial_margin for one in near]) / np.sqrt(missing)
+        np.testing.assert_allclose(margin / margin[-1], 1.0, atol=0.02)
+    for beyond, status in ((0.0, SampleStatus.TYPE_I), (1e-9, SampleStatus.UNREACHABLE)):
+        end = dynamics.torque(2.0 * (1.0 + beyond) * along + corner, still, [1.0, 0.5, 0.3])
+        assert end.status is status
+        assert np.isnan(end.tau).all()

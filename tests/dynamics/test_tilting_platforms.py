@@ -21,10 +21,13 @@ from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation import FeedForward, motion_reference
+from redundancy_pin.status import SampleStatus
 
 ROUNDING = 1e-11
 """Chains are closed to 1e-11 m; conditions of W are below 100."""
@@ -220,14 +223,31 @@ LENGTHS = (
 )
 
 
+def gough(size: float) -> Robot:
+    """Return the platform with all lengths so many times as long."""
+    plain = zoo.robot_of("gough")
+    return rp.load_robot("gough", **{name: float(plain.parameters[name]) * size for name in LENGTHS})
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("size", [0.001, 0.01, 100.0])
 def test_a_gough_platform_finds_its_legs(size: float) -> None:
     """Each leg is the vector between its joints, anywhere within 1.5 m and turned by up to half a turn about each axis:
     there is always one, as slides have no ends here."""
-    plain, rng = zoo.robot_of("gough"), np.random.default_rng(3)
-    robot = rp.load_robot("gough", **{name: float(plain.parameters[name]) * size for name in LENGTHS})
+    robot, rng = gough(size), np.random.default_rng(3)
     x = np.repeat(np.eye(4)[None], 60, axis=0)
     x[:, :3, 3] = rng.uniform(-1.5, 1.5, (60, 3)) * size
     x[:, :3, :3] = Rotation.from_rotvec(rng.uniform(-2.6, 2.6, (60, 3))).as_matrix()
     assert found(CompiledDynamics(robot), x).all()
+
+
+@pytest.mark.parametrize("size", [0.01, 100.0])
+def test_noise_of_a_start_counts_in_lengths_of_the_machine(size: float) -> None:
+    """A hundredth of a margin of 0.1 is noise for every size, and a tenth of the machine is none."""
+    robot, random = gough(size), np.random.default_rng(5)
+    backends = CompiledDynamics(robot), rp.RneaDynamics(robot)
+    x, zero, unit = follower(robot).home.x, np.zeros(6), velocity_unit(robot)
+    for noise, status in ((1e-4, SampleStatus.OK), (0.3, SampleStatus.BRANCH_LOST)):
+        for _ in range(5):
+            start = pin.integrate(robot.model, robot.q_reference, noise * random.normal(size=len(unit)) * unit)
+            assert [one.torque(x, zero, zero, start=start).status for one in backends] == [status, status]

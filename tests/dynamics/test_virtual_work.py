@@ -172,3 +172,19 @@ def test_motors_modes_and_carriers_in_another_order_have_no_closed_form(model, o
     assert robot.closed_form is None
     with pytest.raises(UnsupportedRobotError, match="other motors, modes or carriers"):
         rp.VirtualWork(robot)
+
+
+def test_one_sample_has_no_spring_that_counts_turns_and_the_slack_of_tracks_of_all_backends():
+    plain, still = rp.load_robot("3rrr"), np.zeros(3)
+    x = START["3rrr"]
+    for joint, refused in (("base_1", True), (plain.carriers[0], False)):
+        sprung = rp.VirtualWork(plain.loaded(rp.JointForces(joint, stiffness=7.0)))
+        if refused:
+            with pytest.raises(UnsupportedRobotError, match="whole turns"):
+                sprung.torque(x, still, still)
+        else:
+            assert sprung.torque(x, still, still).status.solved
+    upper = plain.carrier_limits[0].upper
+    for s, status in ((upper * (1.0 + 1e-15), "ok"), (upper * (1.0 + 1e-6), "out_of_range")):
+        for backend in (rp.VirtualWork, rp.RneaDynamics):
+            assert backend(plain).torque(x, still, still, [s, 0.0, 0.0]).status.label == status

@@ -26,9 +26,10 @@ from redundancy_pin.kinematics.branch import (
     follows,
     known_state,
 )
-from redundancy_pin.kinematics.coordinates import moved
+from redundancy_pin.kinematics.coordinates import moved, with_independent_joints
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.margins import closed_around
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Payload, Robot
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.status import SampleStatus
 
@@ -130,6 +131,27 @@ def test_coordinates_and_rates_of_another_shape_are_refused() -> None:
         own.rates(home, np.array(1.0), along(0.0, 0.0))
     with pytest.raises(InputError, match="xdd has 1 value"):
         own.rates(home, along(0.0, 0.0), along(np.nan, 0.0))
+
+
+@pytest.mark.parametrize("names", [("five_bar", "delta"), ("five_bar", "four_bar"), ("3rrr", "delta")])
+def test_a_state_of_another_robot_is_refused_by_names(names: tuple[str, str]) -> None:
+    own, other = (follower(zoo.robot_of(name)) for name in names)
+    for go_on in (own.advance, own.follow, own.step):
+        with pytest.raises(InputError, match=f"{other.robot.name}.*{own.robot.name}"):
+            go_on(other.home, own.home.x)
+    motion = rp.PlatformMotion([0.0], own.home.x[None], *np.zeros((2, 1, own.robot.n)))
+    with pytest.raises(InputError, match=f"{other.robot.name}.*{own.robot.name}"):
+        inverse_kinematics(own.robot, motion, start=other.home, mark_unreachable=True)
+
+
+def test_a_state_of_the_same_robot_with_other_motors_is_refused() -> None:
+    """The same tree and loops, but other independent coordinates."""
+    robot = zoo.robot_of("five_bar")
+    driven = follower(with_independent_joints(robot, robot.actuated))
+    with pytest.raises(InputError, match="no closed state"):
+        driven.advance(follower(robot).home, driven.home.x)
+    loaded = follower(robot.loaded(Payload(robot.platform.frame if robot.platform else "", 1.0)))
+    assert isinstance(loaded.advance(follower(robot).home, loaded.home.x + 0.01), ClosedState)
 
 
 def test_a_state_keeps_no_array_that_others_change() -> None:

@@ -359,7 +359,9 @@ def test_turns_that_never_repeat_lose_the_branch() -> None:
     """With a ratio of √2 / 10; motions are marked there, or refused with the sample."""
     robot = geared(0.1 * np.sqrt(2.0))
     far = [[0.3], [1e5], [0.4]]
-    assert rp.forward_kinematics(robot, far).known.tolist() == [True, False, False]
+    there = rp.forward_kinematics(robot, far)
+    assert there.status_labels.tolist() == ["ok", "branch_lost", "branch_lost"]
+    assert np.isnan(there.gap).tolist() == [False, True, False]
     motion = rp.PlatformMotion([0.0, 1.0, 2.0], far, np.zeros((3, 1)), np.zeros((3, 1)), check_rates=False)
     driven = replace(robot, platform=None, independent_joints=("motor",))
     marked = rp.inverse_kinematics(driven, motion, mark_unreachable=True)

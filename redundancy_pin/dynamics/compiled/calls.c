@@ -58,10 +58,13 @@ static int may_go_on(const Pose *pose) {
 }
 
 /* Close the loops at a start, which may be open by the noise of measurements: so little that K stays regular on the way, as
-   RneaDynamics has it. Returns whether they close. */
+   RneaDynamics has it. The distance moved proves the branch, so that Newton's steps need only shrink. Returns whether they close. */
 static int close_start(const double *numbers, const double *start, Pose *pose, double *x) {
-  double all, platform, moved = 0.0;
-  if (pose_at(numbers, start, 0.0, pose, x)) return 0;
+  double all, platform, moved = 0.0, trig[2 * NT + 1];
+  if (!finite(start, NQ)) return 0;
+  turns_of(start, trig);
+  coordinates_of(numbers, start, trig, x);
+  if (!newton_by(1.0, numbers, start, x, 0, pose)) return 0;
   inverse_sizes(pose, &all, &platform);
   for (int i = 0; i < NQ; ++i) moved = fmax(moved, fabs(pose->q[i] - start[i]) / POSITION_UNIT[i]);
   return moved * moved * all < 0.25; /* half of the margin, 1 / sqrt(all) */

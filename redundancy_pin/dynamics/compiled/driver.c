@@ -46,9 +46,9 @@ static double largest_position(const double *numbers, const double *q) {
   return result;
 }
 
-/* Newton's method from q, to coordinates that miss x by left (N); returns whether it contracted all the way. */
-static int newton(const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
-  double step[NP + 1], alignment[NALIGN], last = LONGEST / CONTRACTION;
+/* Newton's method from q, to coordinates that miss x by left (N); returns whether each step was at most a ratio of the one before. */
+static int newton_by(double ratio, const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
+  double step[NP + 1], alignment[NALIGN], last = LONGEST / ratio;
   copy(out->q, q, NQ);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
     turns_of(out->q, out->trig);
@@ -60,7 +60,7 @@ static int newton(const double *numbers, const double *q, const double *x, const
     if (out->sign == 0.0) return 0;
     solve(out->lu, out->pivot, step);
     double size = largest(step, NP);
-    int stalled = size > CONTRACTION * last && size <= FLOOR;
+    int stalled = size > ratio * last && size <= FLOOR;
     int settled = size <= SETTLED || (stalled && (out->gap < TOLERANCE || size <= ROUNDED * largest_position(numbers, out->q)));
     if (settled) {
       if (!left)
@@ -68,7 +68,7 @@ static int newton(const double *numbers, const double *q, const double *x, const
           if (!(alignment[i] > 0.0)) return 0;
       return 1;
     }
-    if (!(size <= CONTRACTION * last)) return 0;
+    if (!(size <= ratio * last)) return 0;
     for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(out->q, step);
     last = size;
@@ -76,13 +76,16 @@ static int newton(const double *numbers, const double *q, const double *x, const
   return 0;
 }
 
-/* Brings a pose to a goal, of which it misses `left` (null: nothing), by Newton's method, the determinant's sign kept; a pose that does
-   not come there is not moved. Returns CLOSED, or why not. */
-typedef int (*Closing)(const double *numbers, Pose *pose, const double *goal, const double *left);
+/* The same while it contracts. */
+static int newton(const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
+  return newton_by(CONTRACTION, numbers, q, x, left, out);
+}
 
-/* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract.
-   Returns CLOSED, or why the last step failed; the pose is then the last one on the way. */
-static int follow_way(const double *numbers, Pose *pose, Closing close, const double *goal, const double *way, int size) {
+/* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract. close
+   brings a pose to the goal, of which it misses `left` (null: nothing), the determinant's sign kept, or does not move it. Returns
+   CLOSED, or why the last step failed; the pose is then the last one on the way. */
+static int follow_way(const double *numbers, Pose *pose, int (*close)(const double *, Pose *, const double *, const double *),
+                      const double *goal, const double *way, int size) {
   double left[NV + 1], done = 0.0, share = 1.0;
   while (done < 1.0) {
     double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
