@@ -124,6 +124,9 @@ def assemble(
     loops. Steps of a rank-deficient system are of least norm. Nothing is returned silently unclosed: see ``closed`` and
     ``gap``.
 
+    It is the one damped Newton, for starts from afar and for many poses at once. ``LoopSolver.close`` is the plain one
+    of followers, for one pose from a configuration nearby: in a loop it takes two to five times as long for each pose.
+
     Args:
         system: closures and platform rows of the robot.
         guess: (N, nq) starting configurations; carriers keep their positions.
@@ -138,7 +141,8 @@ def assemble(
     """
     q, robot = np.array(guess, dtype=float), system.robot
     active, taken = np.arange(len(q)), np.zeros(len(q), dtype=np.intp)
-    residual, matrix, _ = _linearise(system, q, target, redundant)
+    residual, matrix, state = _linearise(system, q, target, redundant)
+    end = residual.copy()
     finished = np.full(len(q), max_iterations == 0)
     step, longest, scale, size = np.zeros((len(q), robot.model.nv)), *np.ones((3, len(q)))
     begins = ~finished
@@ -158,7 +162,7 @@ def assemble(
         if not len(active):
             break
         tried = integrate(robot.model, q[active], step * scale[:, None])
-        residual, matrix, _ = _linearise(system, tried, None if target is None else target[active], redundant)
+        residual, matrix, new = _linearise(system, tried, None if target is None else target[active], redundant)
         decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
         stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
         accepted = decrease | stalled | (longest < SETTLED_STEP)  # a step at rounding level is taken whole
@@ -168,8 +172,10 @@ def assemble(
         finished = accepted & (stalled | (longest * scale < SETTLED_STEP) | (taken >= max_iterations))
         begins = accepted & ~finished
         scale = np.where(accepted, scale, 0.5 * scale)
-    residual, _, state = _linearise(system, q, target, redundant)
-    gap = np.abs(residual).max(axis=1, initial=0.0)
+        if finished.any():
+            state.overwrite(active[finished], new, finished)
+            end[active[finished]] = residual[finished]
+    gap = np.abs(end).max(axis=1, initial=0.0)
     misaligned = system.misalignment(state)
     gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, misaligned), gap)
     return Assembly(system, state, system.robot.characteristic_length * gap)

@@ -46,9 +46,9 @@ _SHORTEST_STEP = 2.0**-3
 """Fraction of a Newton step below which a node is left to a nearer neighbour: most nodes that need less are out of
 reach, and without this bound maps take two to five times as long."""
 
-_TRUSTED_STEP = 0.2
+_TRUSTED_STEP = 0.1
 """Longest step, characteristic lengths or rad, that tells the branch by continuity alone. Without this bound an
-eleventh of a delta's nodes are on another branch; with it, or one of 0.3, none."""
+eleventh of a delta's nodes are on another branch; with it, or one of 0.15, none."""
 
 _STARTS = 360
 """Random configurations from which islands are searched, with a fixed seed. They meet all islands of fifteen random

@@ -110,7 +110,7 @@ def test_searches_take_a_few_dozen_starts(counted: Callable[..., int]) -> None:
     robot = zoo.robot_of("3rrr", carriers=False)
     system = zoo.system_of(robot)
     far = zoo.home_of(robot) + np.array([0.1, 0.05, 0.2])
-    at_most(counted(lambda: multistart(system, -np.array(robot.q_reference), far)), 300)
+    at_most(counted(lambda: multistart(system, -np.array(robot.q_reference), far)), 202)
 
 
 CLOSING = {"universal": 111, "hinge": 97, "cylindrical": 85, "continuous": 56}
