@@ -51,7 +51,7 @@ C_EXCHANGES = [
 PATIENCE = 1200.0
 """Seconds after which a mutant counts as noticed: its tests do not end."""
 
-JUDGES = {"kinematics": ("tests/test_loading.py",), "dynamics": ("tests/simulation/test_forward.py",)}
+JUDGES = {"kinematics": ("tests/test_loading.py",), "dynamics": ("tests/codegen", "tests/simulation/test_forward.py")}
 """Tests beside ``tests/<room>`` and the mission test that judge a room first."""
 
 
