@@ -245,7 +245,7 @@ def test_a_line_that_leaves_the_workspace_is_no_way(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["four_bar", "five_bar", "3rrr"])
 def test_backends_take_and_refuse_the_same_noisy_starts(name: str, noise: float) -> None:
     """Noise of encoders and passive joints, rad, until few starts are near enough; none of those changes the branch."""
-    dynamics, reference = compiled(name), rp.RneaDynamics(compiled(name).robot)
+    dynamics, reference = rp.CompiledDynamics(name), rp.RneaDynamics(name)
     robot, random = dynamics.robot, np.random.default_rng(3)
     x, zero = zoo.home_of(robot), np.zeros(robot.n)
     want = reference.torque(x, zero, zero + 1.0)
@@ -259,19 +259,19 @@ def test_backends_take_and_refuse_the_same_noisy_starts(name: str, noise: float)
 
 
 @BOTH
-@pytest.mark.parametrize(("turn", "status"), [((2.5, 0.0), OK), ((0.0, 2.0), SampleStatus.BRANCH_LOST)])
+@pytest.mark.parametrize(("turn", "status"), [((2.5, 0.0), SampleStatus.OK), ((0.0, 2.0), SampleStatus.BRANCH_LOST)])
 def test_a_tilt_by_more_than_a_right_angle_is_followed_by_coordinates(
     backend: type[Dynamics], turn: tuple[float, float], status: SampleStatus
 ) -> None:
     """Of the 3-RPS, whose tilts are two coordinates: one leads past its legs, the other stays on the branch."""
     dynamics, stepped, still = backend("3rps"), backend("3rps"), np.zeros(3)
     home, tilt = follower(dynamics.robot).home.x, np.array([0.0, *turn])
-    for part in np.linspace(-0.5, 0.5, 101) if status is OK else ():
+    for part in np.linspace(-0.5, 0.5, 101) if status is SampleStatus.OK else ():
         small = stepped.torque(home + part * tilt, still, still)
     dynamics.torque(home - 0.5 * tilt, still, still)
     jumped = dynamics.torque(home + 0.5 * tilt, still, still)
     assert jumped.status is status
-    if status is OK:
+    if status is SampleStatus.OK:
         np.testing.assert_allclose(jumped.tau, small.tau, rtol=1e-7)
 
 
@@ -281,13 +281,17 @@ def test_efforts_that_overflow_do_not_move_the_branch(backend: type[Dynamics]) -
     dynamics, still = backend("five_bar"), np.zeros(2)
     A, B, C = (np.array(x) for x in ((-0.24, 0.24), (0.25, 0.3), (0.24, -0.24)))
     huge = np.array([1e308, 1e308])
-    assert dynamics.torque(A, still, still).status is OK
+    assert dynamics.torque(A, still, still).status is SampleStatus.OK
     straight = dynamics.torque(C, still, still).status
-    assert dynamics.torque(A, still, still).status is OK
+    assert dynamics.torque(A, still, still).status is SampleStatus.OK
     assert dynamics.torque(B, still, huge).status is SampleStatus.NOT_FINITE
     assert dynamics.torque(C, still, still).status is straight
     assert not straight.solved
-    assert [dynamics.torque(x, still, still).status for x in (A, B, C)] == [OK, OK, OK]
+    assert [dynamics.torque(x, still, still).status for x in (A, B, C)] == [
+        SampleStatus.OK,
+        SampleStatus.OK,
+        SampleStatus.OK,
+    ]
 
 
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
@@ -297,7 +301,7 @@ def test_near_full_stretch_a_sample_is_ok_and_its_serial_margin_small(backend: t
     corner = np.array([0.25 * np.cos(np.pi / 6.0), 0.125, 0.0])  # where leg 1 holds the platform, from its centre
     missing, still = np.array([1e-3, 1e-6, 1e-9]), np.zeros(3)
     near = [dynamics.torque(2.0 * (1.0 - part) * along + corner, still, [1.0, 0.5, 0.3]) for part in missing]
-    assert [one.status for one in near] == [OK] * 3
+    assert [one.status for one in near] == [SampleStatus.OK] * 3
     grown = np.array([one.tau[0] for one in near]) * np.sqrt(missing)
     np.testing.assert_allclose(grown / grown[-1], 1.0, atol=0.1)
     np.testing.assert_allclose(grown[1] / grown[-1], 1.0, atol=2e-3)
