@@ -313,7 +313,6 @@ def test_a_link_and_a_joint_of_the_same_name_are_not_confused() -> None:
     model.addJointFrame(joint, 0)
     model.addBodyFrame("arm", joint, place, 0)
     state = ConstraintSystem(dataclasses.replace(robot, platform=Platform("arm", AXES))).evaluate(np.zeros((1, 3)))
-    frame = model.getFrameId("arm", pin.FrameType.BODY)
     np.testing.assert_allclose(state.placement("arm")[1][:, 0], [0.0, 0.0, 2.0])
 
 
