@@ -106,7 +106,7 @@ _ROUNDED = 1e-3 * CLOSURE_TOLERANCE
 """Residual that is rounding, characteristic lengths or rad: a step that does not shorten it is not halved."""
 
 _HALVED = 0.02
-"""Largest deviation from 1/2 of the ratio of two steps of Newton's method that counts as convergence to a double root."""
+"""Largest deviation from 1/2 of the ratio of two of Newton's steps that counts as convergence to a double root."""
 
 
 def assemble(
@@ -160,8 +160,9 @@ def assemble(
         tried = integrate(robot.model, q[active], step * scale[:, None])
         residual, matrix, _ = _linearise(system, tried, None if target is None else target[active], redundant)
         decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
+        decrease |= longest < SETTLED_STEP  # a step at rounding level is taken whole
         stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
-        accepted = decrease | stalled | (longest < SETTLED_STEP)  # a step at rounding level is taken whole
+        accepted = decrease | stalled
         kept = accepted & ~stalled  # a step that no fraction of makes better is not taken
         q[active[kept]] = tried[kept]
         taken += accepted

@@ -215,7 +215,7 @@ class Follower(LoopSolver):
         return new if same_side and not self._vanishes(here, new, increment) else None
 
     def _require_own(self, here: ClosedState) -> None:
-        """Raise InputError for a state of another robot, unless it is one of this robot too: in another mode, or loaded.
+        """Raise InputError for a state of another robot, unless it is one of this robot too: in another mode, loaded.
 
         It then closes the loops, and K Γ = (0, 1), where Γ is known.
         """
