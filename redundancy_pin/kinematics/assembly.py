@@ -164,8 +164,9 @@ def assemble(
         tried = integrate(robot.model, q[active], step * scale[:, None])
         residual, matrix, new = _linearise(system, tried, None if target is None else target[active], redundant)
         decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
+        decrease |= longest < SETTLED_STEP  # a step at rounding level is taken whole
         stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
-        accepted = decrease | stalled | (longest < SETTLED_STEP)  # a step at rounding level is taken whole
+        accepted = decrease | stalled
         kept = accepted & ~stalled  # a step that no fraction of makes better is not taken
         q[active[kept]] = tried[kept]
         taken += accepted
