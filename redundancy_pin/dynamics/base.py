@@ -439,10 +439,6 @@ class Dynamics(Protocol):
             InputError: wrong shapes.
             UnsupportedRobotError: the backend has no such call.
         """
-        return self._acceleration((q, v, tau, carrier_force), t)
-
-    def _acceleration(self, given: tuple[ArrayLike, ...], t: float) -> AccelerationSample:
-        """Return what ``acceleration`` returns, by a backend."""
         raise _has_no(self, "acceleration", "simulate")
 
     def joint_state(
@@ -469,10 +465,6 @@ class Dynamics(Protocol):
             InputError: wrong shapes.
             UnsupportedRobotError: fewer main actuators than degrees of freedom; the backend has no such call.
         """
-        return self._joint_state((position, velocity, s, sd), start)
-
-    def _joint_state(self, given: tuple[ArrayLike, ...], start: ArrayLike | None) -> JointStateSample:
-        """Return what ``joint_state`` returns, by a backend."""
         raise _has_no(self, "joint_state", "forward_kinematics")
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:
