@@ -174,6 +174,8 @@ def assemble(
         begins = accepted & ~finished
         scale = np.where(accepted, scale, 0.5 * scale)
         if finished.any():
+            if (stalled & finished).any():  # the configuration before the step is where it ends
+                residual, _, new = _linearise(system, q[active], None if target is None else target[active], redundant)
             state.overwrite(active[finished], new, finished)
             end[active[finished]] = residual[finished]
     gap = np.abs(end).max(axis=1, initial=0.0)
