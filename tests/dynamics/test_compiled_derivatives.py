@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import shutil
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -25,6 +27,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled import CompiledDynamics, MotionDerivatives, Partials, design_of
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.robot import JointForces, Robot, Spring, Wrench
+from redundancy_pin.robot.urdf import models_root
 
 EQUAL = 1e-8
 """Relative to the largest derivative: loops close to 1e-13, and a sixth of a step of 4e-3 magnifies that."""
@@ -317,9 +320,12 @@ def test_by_numbers_of_the_tree(name: str) -> None:
     assert len(felt) == (7 if name == "five_bar" else 14), felt  # in a plane most numbers are nobody's
 
 
-def test_a_four_bar_in_complex_numbers() -> None:
-    robot = robot_of("four_bar")
-    names = list(robot.parameters)
+@pytest.mark.parametrize(("length", "mass"), [(1.0, 1.0), (1e-3, 1e-9)], ids=["of kg and m", "of µg and mm"])
+def test_a_four_bar_in_complex_numbers(length: float, mass: float) -> None:
+    names = list(machine("four_bar").parameters)
+    units = {name: length if name.endswith("length") else mass for name in names}
+    robot = load_robot("four_bar", **{name: machine("four_bar").parameters[name] * units[name] for name in names})
+    force, turning = mass, mass * length  # of crank's tip and crank, under the same gravity
     sizes = {name: complex(float(robot.parameters[name])) for name in names}
     t = np.linspace(0.0, 1.0, 4)
     motion = zoo.smooth_motion(robot, 8).at(t)
@@ -334,13 +340,46 @@ def test_a_four_bar_in_complex_numbers() -> None:
         for i, part in enumerate(("x", "xd", "xdd")):
             stepped = [value + 1j * IMAGINARY * (i == j) for j, value in enumerate(state)]
             torque, push = (value.imag / IMAGINARY for value in crank_torque(*stepped, sizes))
-            np.testing.assert_allclose(getattr(got.f, part)[k, 0, 0], torque, rtol=1e-11, atol=1e-11)
-            np.testing.assert_allclose(getattr(closure, part)[k, 0, 0], push, rtol=1e-11, atol=1e-11)
+            np.testing.assert_allclose(getattr(got.f, part)[k, 0, 0], torque, rtol=1e-11, atol=1e-11 * turning)
+            np.testing.assert_allclose(getattr(closure, part)[k, 0, 0], push, rtol=1e-11, atol=1e-11 * force)
         for i, name in enumerate(names):
-            stepped_sizes = {**sizes, name: sizes[name] + 1j * IMAGINARY}
-            torque, push = (value.imag / IMAGINARY for value in crank_torque(*state, stepped_sizes))
-            np.testing.assert_allclose(got.f.parameters[k, 0, i], torque, rtol=1e-10, atol=1e-10, err_msg=name)
-            np.testing.assert_allclose(closure.parameters[k, 0, i], push, rtol=1e-10, atol=1e-10, err_msg=name)
+            unit = units[name]
+            stepped_sizes = {**sizes, name: sizes[name] + 1j * IMAGINARY * unit}
+            torque, push = (value.imag / IMAGINARY / unit for value in crank_torque(*state, stepped_sizes))
+            for one, want, size in ((got.f, torque, turning), (closure, push, force)):
+                np.testing.assert_allclose(
+                    one.parameters[k, 0, i], want, rtol=1e-10, atol=1e-10 * size / unit, err_msg=name
+                )
+
+
+def test_a_length_of_zero_is_differentiated_within_the_size_of_the_machine(tmp_path: Path) -> None:
+    """A hinge that follows an arc of 0.3 mm: a step of 1 cm would go round it."""
+    folder = shutil.copytree(models_root() / "four_bar", tmp_path / "arc")
+    file = folder / "four_bar.urdf.xacro"
+    text = file.read_text(encoding="utf-8")
+    for old, new in (
+        ("<xacro:arg", '<xacro:arg name="arc_length" default="0.0"/><xacro:arg'),
+        ("<xacro:property", '<xacro:property name="arc_length" value="$(arg arc_length)"/><xacro:property'),
+        ('x="${ground_length}"', 'x="${ground_length + 3e-4 * sin(arc_length / 3e-4)}"'),
+    ):
+        assert old in text
+        text = text.replace(old, new, 1)
+    file.write_text(text, encoding="utf-8")
+    lengths = {name: 1e-3 * value for name, value in machine("four_bar").parameters.items() if "length" in name}
+    columns = design_of(load_robot(folder, **lengths), ["arc_length", "ground_length"]).columns
+    assert np.abs(columns).max() == pytest.approx(1.0, rel=1e-9)
+    np.testing.assert_allclose(columns[:, 0], columns[:, 1], rtol=1e-8)  # both move the rocker's hinge alone
+
+
+@pytest.mark.parametrize("changes", [{"masses": {"crank_link": 5.0}}, {"lengths": {"rocker": 0.41}}])
+def test_numbers_of_a_file_that_no_longer_says_them(changes: dict[str, dict[str, float]]) -> None:
+    changed = robot_of("four_bar").with_parameters(**changes)
+    with pytest.raises(UnsupportedRobotError, match="changed after it was loaded, and 'coupler_mass'"):
+        design_of(changed, ["coupler_mass"])
+    assert design_of(changed, ["coupler.mass"]).columns.any()  # of the tree itself
+    other = robot_of("four_bar").with_parameters(crank_mass=5.0)
+    want = design_of(robot_of("four_bar"), ["crank_mass"])
+    np.testing.assert_allclose(design_of(other, ["crank_mass"]).columns, want.columns, rtol=1e-12)  # linear
 
 
 def test_parameters_that_are_none() -> None:
