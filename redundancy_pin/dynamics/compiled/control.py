@@ -323,7 +323,7 @@ class JointStateCall:
         self._arguments = _Arguments({"position": (m,), "velocity": (m,), "s": (k,), "sd": (k,)})
         self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
-        self._results = np.zeros(self._ends[-1] + 1)
+        self._results = np.zeros(self._ends[-1] + 2)
         branch = self._branch = _Branch(robot, code)
         self._follow, self._ranges = follow, range_table(robot)
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
@@ -343,12 +343,13 @@ class JointStateCall:
         branch = self._branch
         saved = None if start is None else branch.save()
         finite = start is None or branch.begin(start)
+        self._results[-1] = np.nan
         code = self._call() if finite else int(SampleStatus.NOT_FINITE)
         if code in _WITHOUT_RESULT:
             if code == SampleStatus.BRANCH_LOST:
                 code = self._beyond_bifurcation(code)
             if code in _WITHOUT_RESULT:
-                self._results.fill(np.nan)
+                self._results[:-1] = np.nan
                 if saved is not None:
                     branch.restore(saved)
         results, (q, v, x, xd) = self._results.copy(), self._ends
@@ -359,6 +360,7 @@ class JointStateCall:
             results[x:xd],
             _STATUSES[code],
             results.item(xd),
+            results.item(xd + 1),
         )
 
     def _beyond_bifurcation(self, code: int) -> int:
