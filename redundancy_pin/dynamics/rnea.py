@@ -45,7 +45,7 @@ from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, invers
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale, velocity_unit
+from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_unit
 from redundancy_pin.robot.whole_turns import TURN, counted_turns
 from redundancy_pin.status import SampleStatus
 
@@ -331,12 +331,11 @@ class RneaAlongMotion(Frozen):
         chain, margin = ClosedChain(self.robot), np.full(len(self.motion), np.nan)
         if not chain.rows:
             return read_only(np.ones(len(margin)))
-        columns, scale = chain.pose_columns, velocity_scale(self.robot)
         for i in np.flatnonzero(self.tree.reachable):
             chain.update(self.tree.q[i], self.tree.v[i])
-            closures = chain.jacobian()[:, columns]
-            values = np.linalg.svd(closures * chain.system.closure_scale[:, None] / scale[columns], compute_uv=False)
-            K = np.concatenate([closures, chain.platform_jacobian()[:, columns]])
+            closures = chain.relative_jacobian()
+            values = np.linalg.svd(closures, compute_uv=False)
+            K = np.concatenate([closures, chain.platform_jacobian()[:, chain.pose_columns]])
             margin[i] = np.linalg.slogdet(K)[0] * values[-1] / values[0]
         return read_only(margin)
 

@@ -23,7 +23,6 @@ from redundancy_pin.kinematics.closure import made_up
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, all_ranges
-from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.rank_loss import LOST, NEAR, Sheet, rank_ratio
 
 KINDS = ("track", "joint_limit", "type_I", "type_II", "closure_rank")
@@ -112,7 +111,8 @@ class EventFunctions:
         self._terminal = np.array([kind in stop_at for kind in self.kinds])
         self._one_sided = np.array([kind in ONE_SIDED for kind in self.kinds])
         self._chain, self._columns = chain, chain.pose_columns
-        self._scale = 1.0 / velocity_scale(robot)[self._columns]
+        self._unit = chain.system.step_unit
+        self._platform_scale = self._unit / chain.system.equation_unit[chain.rows :, None]
         self._actuated = np.eye(robot.model.nv)[robot.actuated_velocity][:, self._columns]
         self._still = np.zeros(robot.model.nv)
 
@@ -125,19 +125,19 @@ class EventFunctions:
         by_actuators, by_platform, rows = np.empty((count, p, p)), np.empty((count, p, p)), np.empty((count, r, p))
         for i, one in enumerate(q):
             chain.update(one, self._still)
-            closures = chain.jacobian()[:, columns]
+            rows[i] = chain.relative_jacobian()
             if self._square:
-                by_actuators[i, :r], by_actuators[i, r:] = closures, self._actuated
+                by_actuators[i, :r], by_actuators[i, r:] = rows[i], self._actuated
             if not self._by_legs:
-                by_platform[i, :r], by_platform[i, r:] = closures, chain.platform_jacobian()[:, columns]
-            rows[i] = closures
+                platform = chain.platform_jacobian()[:, columns] * self._platform_scale
+                by_platform[i, :r], by_platform[i, r:] = rows[i], platform
         parts = [self._side * (self._bound - q.take(self._position, 1))]
-        type_i = mode_indicator(chain.robot, q) if self._by_legs else np.linalg.det(by_platform * self._scale)[:, None]
+        type_i = mode_indicator(chain.robot, q) if self._by_legs else np.linalg.det(by_platform)[:, None]
         parts.append(type_i)
         if self._square:
-            parts.append(np.linalg.det(by_actuators * self._scale)[:, None])
+            parts.append(np.linalg.det(by_actuators)[:, None])
         # a ratio of singular values has no sign: it touches zero where rank is lost, at roots of any multiplicity
-        parts.append(rank_ratio(rows * self._scale)[:, None])
+        parts.append(rank_ratio(rows)[:, None])
         return np.concatenate(parts, axis=1)
 
     def at_start(self, q: Array) -> Array:
@@ -191,8 +191,8 @@ class EventFunctions:
 
         ``states`` (L, nq + nv) are its states at equidistant looks.
         """
-        speeds = np.abs(states[:, self.nq + self._columns]) / self._scale
-        return length * float(speeds.max(axis=1).mean()) / self._chain.robot.characteristic_length
+        speeds = np.abs(states[:, self.nq + self._columns]) / self._unit
+        return length * float(speeds.max(axis=1).mean())
 
     def ratios(self, step: Step, count: int) -> Array:
         """Return (count + 1,) the ratio of singular values of the closures at equidistant looks at a step."""

@@ -33,7 +33,6 @@ from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.controllers.base import Command, Sampling
 from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
-from redundancy_pin.simulation.state import PROJECTION_TOLERANCE
 from redundancy_pin.simulation.system import Machine
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -316,7 +315,7 @@ class OrdinarySteps:
             check_travel=BETWEEN,
             near_rank=NEAR,
             shortest=SHORTEST,
-            tolerance=PROJECTION_TOLERANCE,
+            tolerance=machine.manifold.tolerance,
             largest_residual=LARGEST_RESIDUAL,
             velocity_change=_JUMP,
             velocity_floor=_STIR,

@@ -310,7 +310,7 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
         if here.robot.closures != robot.closures:  # of the same effect, in the rows of the robot
             own, other = (constraint_system(each).evaluate(state.q[None]).Jc[0] for each in (robot, here.robot))
             closure_force[i] = np.linalg.lstsq(own.T, other.T @ loads.closure_force, rcond=None)[0]
-    evaluated = constraint_system(robot).evaluate(q)
+    evaluated, every = constraint_system(robot).evaluate(q), constraint_system(with_all_rows(robot))
     columns = robot.carrier_velocity
     x, xd = coordinates(robot, evaluated), np.einsum("nij,nj->ni", evaluated.Jx, v)
     return Simulation(
@@ -327,7 +327,7 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
         carrier_force=read_only(carrier_force),
         actuated_rate=frozen(v[:, robot.actuated_velocity]),
         closure_force=read_only(closure_force),
-        gap=frozen(np.abs(constraint_system(with_all_rows(robot)).evaluate(q).phi).max(axis=1, initial=0.0)),
+        gap=frozen(every.gap(every.evaluate(q).phi)),
         energy=read_only(energy),
         events=tuple(record.events),
         status=status,

@@ -21,7 +21,7 @@ from redundancy_pin.robot.lookup import find_link
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
-from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, State
+from redundancy_pin.simulation.state import Manifold, State
 
 DAMPING = 1e-8
 """Proximal damping μ. The out-of-plane row of a planar closure is empty, and μ = 0 gives NaN there."""
@@ -174,7 +174,7 @@ class Machine:
         if motion is not None:
             return np.concatenate([motion.q, motion.v]), self._gap(state.q), self._gap(motion.q)
         if self.kernel is not None and motion is None:
-            projected = self.kernel.project(np.concatenate([state.q, state.v]), PROJECTION_TOLERANCE)
+            projected = self.kernel.project(np.concatenate([state.q, state.v]), self.manifold.tolerance)
             if projected is not None:
                 y, before, left = projected
                 return y, before, max(left, self._left_open(y[: self.robot.model.nq]))
@@ -220,7 +220,7 @@ class Machine:
 
     def _gap(self, q: Array) -> float:
         self.chain.update(q, np.zeros(self.robot.model.nv))
-        return float(np.abs(self.chain.residual()).max(initial=0.0))
+        return self.chain.largest_residual()
 
     def _force(self, state: State, command: Command) -> Array:
         robot = self.robot

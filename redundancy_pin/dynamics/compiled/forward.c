@@ -28,6 +28,18 @@ static void closures(const double *numbers, const double *q, double *residual, d
   rp_closures(arg, res);
 }
 
+/* Residuals of the closures (R) in m: angles count times the characteristic length. */
+static void scale_residual(const double *numbers, double *residual) {
+  for (int i = 0; i < R; ++i) residual[i] *= LENGTH / EQUATION_UNIT[i];
+}
+
+/* The first rows of K (NP x NP, column by column) without units, row by row, `width` numbers apart: each in m/s, of scaled
+   velocities. Ranks and determinants are judged by these: an angle beside a length says something about units only. */
+static void scale_rows(const double *numbers, const double *K, int rows, int width, double *scaled) {
+  for (int i = 0; i < rows; ++i)
+    for (int j = 0; j < NP; ++j) scaled[i * width + j] = K[i + j * NP] * (LENGTH / EQUATION_UNIT[i]) / VELOCITY_SCALE[COLUMNS[j]];
+}
+
 /* Gauss and Jordan's elimination of rows (R x width), pivots among the first NP columns; the columns of the pivots come in
    order[]. Returns the smallest pivot over the largest. */
 static double eliminate(double *A, int width, int *order) {
@@ -123,10 +135,11 @@ int rp_accelerations(const double *numbers, const double *q, const double *v, co
   double A[(R + 1) * (NP + 1 + R)], basis[NV][FREE + 1] = {{0.0}}, product[NV][FREE + 1], reduced[FREE * FREE + 1], z[FREE + 1];
   int order[R + 1], dependent[NP + 1] = {0}, width = NP + 1 + (closure_force ? R : 0), d = 0;
   equations(numbers, q, v, wrenches, K, bias, mass, effort);
+  scale_rows(numbers, K, R, width, A);
+  scale_residual(numbers, bias);
   for (int i = 0; i < R; ++i) {
-    for (int j = 0; j < NP; ++j) A[i * width + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
     A[i * width + NP] = bias[i];
-    for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1;
+    for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1 ? LENGTH / EQUATION_UNIT[i] : 0.0;
   }
   double ratio = eliminate(A, width, order);
   if (ratio != ratio) return STATUS_NOT_FINITE;
@@ -264,18 +277,18 @@ static void rate(const double *numbers, const Run *run, Progress *at, double t, 
   rp_rates(arg, res);
 }
 
-/* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; gaps: closure residual before and after. */
+/* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; gaps: closure residual before and after, m. */
 int rp_projected(const double *numbers, double *y, double wanted, double *gaps) {
   double residual[R + 1], K[NP * NP + 1], S[R * NP + 1], G[R * R + 1], step[NP + 1] = {0.0}, *v = y + NQ;
   for (int iteration = 0; iteration < 9; ++iteration) {
     if (!iteration && NQ != NV) move(y, step); /* which normalises */
     closures(numbers, y, residual, K);
+    scale_residual(numbers, residual);
     gaps[1] = largest(residual, R);
     if (!isfinite(gaps[1])) return 0;
     if (!iteration) gaps[0] = gaps[1];
     int last = gaps[1] <= wanted || iteration == 8;
-    for (int i = 0; i < R; ++i)
-      for (int j = 0; j < NP; ++j) S[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
+    scale_rows(numbers, K, R, NP, S);
     for (int i = 0; i < R; ++i)
       for (int k = 0; k <= i; ++k) {
         double sum = 0.0;
@@ -286,7 +299,7 @@ int rp_projected(const double *numbers, double *y, double wanted, double *gaps) 
     if (last)
       for (int i = 0; i < R; ++i) {
         residual[i] = 0.0;
-        for (int j = 0; j < NP; ++j) residual[i] += K[i + j * NP] * v[COLUMNS[j]];
+        for (int j = 0; j < NP; ++j) residual[i] += S[i * NP + j] * v[COLUMNS[j]] * VELOCITY_SCALE[COLUMNS[j]];
       }
     solve_factorised(G, R, residual);
     for (int j = 0; j < NP; ++j) {
@@ -323,8 +336,7 @@ static double determinant(double *A) {
 static void functions(const double *numbers, const Run *run, const double *q, double *values) {
   double residual[R + 1], K[NP * NP + 1], work[NP * NP + 1];
   closures(numbers, q, residual, work);
-  for (int i = 0; i < NP; ++i)
-    for (int j = 0; j < NP; ++j) K[i * NP + j] = work[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]]; /* row by row */
+  scale_rows(numbers, work, NP, NP, K);
   for (int i = 0; i < run->stops; ++i) {
     const double *stop = run->stop + 4 * i;
     *values++ = stop[2] * (stop[3] - q[(int)stop[0]]);
@@ -343,7 +355,7 @@ static void functions(const double *numbers, const Run *run, const double *q, do
   if (M == N) {
     copy(work, K, R * NP);
     for (int i = R; i < NP; ++i)
-      for (int j = 0; j < NP; ++j) work[i * NP + j] = i - R < M && COLUMNS[j] == ACTUATED[i - R] ? 1.0 / VELOCITY_SCALE[COLUMNS[j]] : 0.0;
+      for (int j = 0; j < NP; ++j) work[i * NP + j] = i - R < M && COLUMNS[j] == ACTUATED[i - R];
     *values++ = determinant(work);
   }
   *values = rank_ratio(K);

@@ -33,7 +33,7 @@ from redundancy_pin.simulation.controllers.base import (
     positive_each,
 )
 from redundancy_pin.simulation.derivatives import state_error
-from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, State
+from redundancy_pin.simulation.state import Manifold, State
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
@@ -274,7 +274,8 @@ class ComputedTorque(Tracking):
         model = self.robot.model
         q = pin.integrate(model, np.array(state.q), lead * state.v + 0.5 * lead * lead * a)
         v = state.v + lead * a
-        projected = None if self._kernel is None else self._kernel.project(np.concatenate([q, v]), PROJECTION_TOLERANCE)
+        tolerance = self._manifold.tolerance
+        projected = None if self._kernel is None else self._kernel.project(np.concatenate([q, v]), tolerance)
         q, v = self._manifold.project(q, v)[:2] if projected is None else np.split(projected[0], [len(q)])
         return State(self._model.chain, t + lead, q, v, self._kernel)
 
