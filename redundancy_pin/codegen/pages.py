@@ -31,21 +31,18 @@ _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project
 def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
     """Return the text of each file, by name."""
     facts = _facts(robot, prefix, recorded)
-    header = _rendered("controller.h.j2", facts)
     return {
-        f"{prefix}.c": add_prefix(source(robot, prefix), prefix, header),
-        f"{prefix}.h": header,
-        f"test_{prefix}.c": add_prefix(_rendered("test.c.j2", facts), prefix, header),
+        f"{prefix}.c": add_prefix(source(robot, prefix), prefix),
+        f"{prefix}.h": _rendered("controller.h.j2", facts),
+        f"test_{prefix}.c": add_prefix(_rendered("test.c.j2", facts), prefix),
         "CMakeLists.txt": _rendered("CMakeLists.txt.j2", facts),
         "README.md": _rendered("README.md.j2", facts),
     }
 
 
 def source(robot: Robot, prefix: str) -> str:
-    """Return the C source: expressions, driver and what a controller calls."""
+    """Return the C source without the prefix: expressions, driver and what a controller calls."""
     definition, functions = _written(robot)
-    text = importlib.resources.files(__package__).joinpath("controller.c").read_text(encoding="utf-8")
-    named = re.sub(r"\brobot_(?=[a-z])", f"{prefix}_", re.sub(r"\bROBOT_(?=[A-Z])", f"{prefix.upper()}_", text))
     return "\n".join(
         [
             f"/* {_as_comment(robot.name)}, written by redundancy_pin {redundancy_pin.__version__}; see {prefix}.h. */",
@@ -55,7 +52,7 @@ def source(robot: Robot, prefix: str) -> str:
             f"static const double REFERENCE[] = {_listed(robot.q_reference)};",
             text_of("sample.c"),
             f"static const double NUMBERS[] = {_listed(parameter_vector(robot))};",
-            named,
+            importlib.resources.files(__package__).joinpath("controller.c").read_text(encoding="utf-8"),
         ]
     )
 

@@ -442,6 +442,14 @@ def test_prefixes(name: str, prefix: str) -> None:
     assert codegen.prefix_of(name, None) == prefix
 
 
+@pytest.mark.parametrize("prefix", ["rp", "status", "check", "Unit", "robot"])
+def test_prefixes_that_name_something_in_the_code(prefix: str, tmp_path: Path) -> None:
+    """The generated functions rp_drives, an enumerator STATUS_OK and a test's check_jacobians are no names of the header."""
+    codegen.write_c(machine("four_bar"), tmp_path / "code", prefix=prefix)
+    for stem in ("", "test_"):
+        compiled([tmp_path / "code" / f"{stem}{prefix}.c"], tmp_path / "code.o", "-c", "-O0")
+
+
 @pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "x" * 41, "a\n", "a__b", "a_", "math", "TEST"])
 def test_prefixes_that_are_no_names(prefix: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="prefix"):
