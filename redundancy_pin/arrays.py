@@ -30,6 +30,10 @@ RANK_TOLERANCE = 1e-9
 """Scaled singular values below this fraction of the largest one count as zero. The square root of
 the rounding unit is 1.5e-8; poses found by root finding reach 1e-12."""
 
+AGREEMENT_TOLERANCE = 1e-8
+"""Largest contradiction between positions of redundant motors, characteristic lengths or rad: a thousand times the
+closure tolerance, for what margins of 1e-3 make of it. Of their velocities, as a fraction."""
+
 NEAR_SINGULAR_MARGIN = 0.05
 """Scaled margin below which a pose is reported as near-singular; on the 2-RPR it is reached at a
 condition number of 28, just above the largest threshold the thesis works with (20)."""

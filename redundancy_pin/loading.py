@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
+from scipy.optimize import least_squares
 
 from redundancy_pin.arrays import Array, IntArray, checked, frozen, read_only
 from redundancy_pin.errors import DeclarationError, InputError, millimetres
@@ -381,7 +382,13 @@ _OPEN = 0.1
 def _where_open(robot: Robot, q: Array) -> str:
     """Return which closures a configuration (nq,) leaves open, the worst first."""
     system = ConstraintSystem(robot)
-    phi = np.abs(system.evaluate(q[None]).phi[0] / system.closure_unit) * robot.characteristic_length
+
+    def residual(step: Array) -> Array:
+        phi: Array = system.evaluate(pin.integrate(robot.model, q, step)[None]).phi[0] / system.closure_unit
+        return phi
+
+    # Newton's method stops for all loops where one goes no further: least squares closes those that can be
+    phi = np.abs(least_squares(residual, np.zeros(robot.model.nv)).fun) * robot.characteristic_length
     rows = [len(closure.axes) for closure in robot.closures] + [1] * len(robot.couplings)
     gaps = [float(part.max(initial=0.0)) for part in np.split(phi, np.cumsum(rows)[:-1])]
     worst = max(gaps, default=0.0)

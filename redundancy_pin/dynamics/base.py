@@ -153,8 +153,13 @@ class JointStateSample(NamedTuple):
         v: (nv,) its velocity, m/s and rad/s.
         x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
         xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
-        status: ok, near_singular (type II), out_of_range; otherwise all numbers are NaN.
+        status: ok, near_singular (type II), out_of_range; otherwise all numbers but the residual are NaN. Redundant
+            motors whose positions or velocities contradict each other are unreachable, as in ``forward_kinematics``:
+            by more than 1e-8 characteristic lengths or rad, or than that fraction of the velocities.
         margin: singularity margin, the smallest singular value of the scaled W, no unit.
+        residual: what is left between positions and configuration, m (angles times the characteristic length): the
+            closure residual, or what redundant motors contradict each other by, whichever is larger; NaN if it is not
+            known. To use one of several noisy encoders, declare fewer joints as actuated.
     """
 
     q: Array
@@ -163,6 +168,7 @@ class JointStateSample(NamedTuple):
     xd: Array
     status: SampleStatus
     margin: float
+    residual: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -439,10 +445,6 @@ class Dynamics(Protocol):
             InputError: wrong shapes.
             UnsupportedRobotError: the backend has no such call.
         """
-        return self._acceleration((q, v, tau, carrier_force), t)
-
-    def _acceleration(self, given: tuple[ArrayLike, ...], t: float) -> AccelerationSample:
-        """Return what ``acceleration`` returns, by a backend."""
         raise _has_no(self, "acceleration", "simulate")
 
     def joint_state(
@@ -469,10 +471,6 @@ class Dynamics(Protocol):
             InputError: wrong shapes.
             UnsupportedRobotError: fewer main actuators than degrees of freedom; the backend has no such call.
         """
-        return self._joint_state((position, velocity, s, sd), start)
-
-    def _joint_state(self, given: tuple[ArrayLike, ...], start: ArrayLike | None) -> JointStateSample:
-        """Return what ``joint_state`` returns, by a backend."""
         raise _has_no(self, "joint_state", "forward_kinematics")
 
     def carrier_terms(self, t: Array, x: Array, xd: Array, xdd: Array) -> CarrierTerms:

@@ -167,11 +167,9 @@ class RneaDynamics(Dynamics):
                 sample = self._any_sample(given, here, t)
             except REFUSALS as error:
                 return refused(robot, error)
+        self._thread.last = sample.state
         kinematics = sample.gap, sample.serial_margin_bound
-        solved = solve_sample(robot, sample, sample.state.q, kinematics, given, t)
-        if solved.status is not SampleStatus.NOT_FINITE:  # efforts overflow: a sample without results moves no state
-            self._thread.last = sample.state
-        return solved
+        return solve_sample(robot, sample, sample.state.q, kinematics, given, t)
 
     def _state_at(self, start: Array) -> ClosedState | None:
         """Return the closed state at or next to a configuration (nq,), open by measurement noise at most.

@@ -164,8 +164,9 @@ def assemble(
         tried = integrate(robot.model, q[active], step * scale[:, None])
         residual, matrix, new = _linearise(system, tried, None if target is None else target[active], redundant)
         decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
+        decrease |= longest < SETTLED_STEP  # a step at rounding level is taken whole
         stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
-        accepted = decrease | stalled | (longest < SETTLED_STEP)  # a step at rounding level is taken whole
+        accepted = decrease | stalled
         kept = accepted & ~stalled  # a step that no fraction of makes better is not taken
         q[active[kept]] = tried[kept]
         taken += accepted
@@ -173,6 +174,8 @@ def assemble(
         begins = accepted & ~finished
         scale = np.where(accepted, scale, 0.5 * scale)
         if finished.any():
+            if (stalled & finished).any():  # the configuration before the step is where it ends
+                residual, _, new = _linearise(system, q[active], None if target is None else target[active], redundant)
             state.overwrite(active[finished], new, finished)
             end[active[finished]] = residual[finished]
     gap = np.abs(end).max(axis=1, initial=0.0)

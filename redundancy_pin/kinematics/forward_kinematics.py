@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import (
+    AGREEMENT_TOLERANCE,
     Array,
     BoolArray,
     Frozen,
@@ -44,10 +45,6 @@ from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
 from redundancy_pin.robot.whole_turns import FARTHEST, TURN, are_too_many_turns_away, counted_turns
 from redundancy_pin.status import SampleStatus, solved_status
-
-_AGREE = 1e-8
-"""Largest contradiction between positions of redundant motors, characteristic lengths or rad: a thousand times the
-closure tolerance, for what margins of 1e-3 make of it."""
 
 _WEAKER = 0.5
 """Part of the margin at which redundant motors began to be followed, below which others are looked for."""
@@ -208,7 +205,7 @@ def _follow(
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
     gap = np.where(np.isnan(gap), np.nan, np.fmax(gap, _contradiction(system, followed, u, q)))
-    contradicted = (status == SampleStatus.OK) & (gap > _AGREE * robot.characteristic_length)
+    contradicted = (status == SampleStatus.OK) & (gap > AGREEMENT_TOLERANCE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
     for part in (x, xd, xdd, q, J):
         part[contradicted] = np.nan
@@ -427,7 +424,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
         solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=SHORTEST_STEP)
         off = np.fmax(solved.gap, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
         starts, gap = starts + _STARTS, min(gap, float(np.nanmin(off)))
-        for one in solved.q[solved.closed & (off < _AGREE * length)]:
+        for one in solved.q[solved.closed & (off < AGREEMENT_TOLERANCE * length)]:
             key = _frames(robot, one)
             same = np.flatnonzero(np.abs(keys - key).max(axis=1, initial=0.0) < SAME_CONFIGURATION * length)
             if len(same):

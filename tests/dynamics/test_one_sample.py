@@ -377,6 +377,29 @@ def test_all_joints_follow_from_the_motors(name: str) -> None:
         np.testing.assert_allclose(got.xd, motion.xd[k], rtol=0.0, atol=1e-11 * scale * np.abs(motion.xd).max())
 
 
+@pytest.mark.parametrize("name", ["more actuators", pytest.param("two_arms", marks=pytest.mark.long)])
+def test_redundant_motors_that_contradict_each_other_have_no_pose(name: str) -> None:
+    """As in ``forward_kinematics``: by more than rounding, in positions or in velocities; nothing is moved."""
+    robot, dynamics, random = machine(name), dynamics_of(name), np.random.default_rng(5)
+    at, q0, length = actuated_positions(robot), np.array(robot.q_reference), robot.characteristic_length
+    gamma = follower(robot).home.gamma[robot.actuated_velocity]
+    rate = gamma @ random.normal(size=robot.n)
+    away = np.linalg.svd(gamma)[0][:, robot.n]  # a direction that no motion of the platform has
+    assert dynamics.joint_state(q0[at], rate, start=q0).status is SampleStatus.OK
+    for off in (0.0, 1e-9, 1e-6, 1e-3, 0.1):
+        position = q0[at] + off * away
+        got, theirs = dynamics.joint_state(position, rate), rp.forward_kinematics(robot, position)
+        assert got.status is SampleStatus(int(theirs.status[0]))
+        assert got.status is (SampleStatus.OK if off < 1e-8 else SampleStatus.UNREACHABLE)
+        # of least squares at most what a motor is off that the others leave, and no less than its share
+        assert 0.1 * off * length <= got.residual + 1e-13 <= 1.01 * off * length * np.sqrt(robot.m) + 1e-12
+        assert np.isnan(got.q).all() == np.isnan(got.xd).all() == (not got.status.solved)
+        got = dynamics.joint_state(q0[at], rate + off * away * np.abs(rate).max())
+        assert got.status is (SampleStatus.OK if off < 1e-8 else SampleStatus.UNREACHABLE)
+    assert dynamics.joint_state(q0[at], away).status is SampleStatus.UNREACHABLE
+    assert dynamics.joint_state(q0[at], rate).status is SampleStatus.OK
+
+
 def test_the_branch_is_that_of_the_start() -> None:
     """The end-effector of a 2-RPR lies above or below its base for the same legs."""
     robot, dynamics, still = machine("2rpr"), dynamics_of("2rpr"), np.zeros((1, 2))

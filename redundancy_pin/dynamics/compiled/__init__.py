@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -69,6 +69,7 @@ class CompiledDynamics(Dynamics):
     def __init__(self, robot: RobotLike, *, threads: int | None = None) -> None:
         self._robot = as_robot(robot)
         self.threads = threads or os.cpu_count() or 1
+        self._local = threading.local()
         self.kernel = Library(self._robot)
 
     def __reduce__(self) -> tuple[partial[CompiledDynamics], tuple[Robot]]:
@@ -124,36 +125,46 @@ class CompiledDynamics(Dynamics):
         As ``Dynamics.sample``. Newton's method starts from the sample that this thread asked for before, and from the
         reference where no straight line leads on from there.
         """
-        call: SampleCall = self._calls.sample
-        return call((x, xd, xdd, s, sd, sdd), t)
+        try:
+            call: SampleCall = self._local.sample
+        except AttributeError:
+            call = self._local.sample = SampleCall(self._robot, self.kernel, self._follow)
+        return call(x, xd, xdd, s, sd, sdd, t)
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
-        call: TorqueCall = self._calls.torque
-        return call(given, t, start)
+        try:
+            call: TorqueCall = self._local.torque
+        except AttributeError:
+            call = self._local.torque = TorqueCall(self._robot, self.kernel, self._follow)
+        return call(*given, t, start)
 
-    def _acceleration(self, given: tuple[ArrayLike, ...], t: float) -> AccelerationSample:
-        call: AccelerationCall = self._calls.acceleration
-        return call(given, t)
+    def acceleration(
+        self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, carrier_force: ArrayLike = (), *, t: float = 0.0
+    ) -> AccelerationSample:
+        """Return the accelerations of the tree at a closed state with a status; see ``Dynamics.acceleration``."""
+        try:
+            call: AccelerationCall = self._local.acceleration
+        except AttributeError:
+            call = self._local.acceleration = AccelerationCall(self._forward)
+        return call(q, v, tau, carrier_force, t)
 
-    def _joint_state(self, given: tuple[ArrayLike, ...], start: ArrayLike | None) -> JointStateSample:
-        call: JointStateCall = self._calls.joint_state
-        return call(given, start)
-
-    @cached_property
-    def _calls(self) -> _Calls:
-        return _Calls(self)
-
-    def make_call(self, name: str) -> Any:
-        """Return what a thread calls for a method that takes a few samples, with memory of its own."""
-        robot = self._robot
-        makers: dict[str, Callable[[], Any]] = {
-            "sample": lambda: SampleCall(robot, self.kernel, self._follow),
-            "torque": lambda: TorqueCall(robot, self.kernel, self._follow),
-            "joint_state": lambda: JointStateCall(robot, self.kernel, partial(follow_motors, robot)),
-            "acceleration": lambda: AccelerationCall(self._forward),
-            "carrier_terms": lambda: Continued(self),
-        }
-        return makers[name]()
+    def joint_state(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike = (),
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        *,
+        start: ArrayLike | None = None,
+    ) -> JointStateSample:
+        """Return all joints and the platform from the main actuators with a status; see ``Dynamics.joint_state``."""
+        try:
+            call: JointStateCall = self._local.joint_state
+        except AttributeError:
+            call = self._local.joint_state = JointStateCall(
+                self._robot, self.kernel, partial(follow_motors, self._robot)
+            )
+        return call(position, velocity, s, sd, start)
 
     def _follow(
         self, motion: PlatformMotion, carriers: CarrierMotion, start: Start | None
@@ -167,8 +178,10 @@ class CompiledDynamics(Dynamics):
 
         Newton's method starts from the instants that this thread asked for before, where they are near.
         """
-        call: Continued = self._calls.carrier_terms
-        return call(t, x, xd, xdd)
+        continued = getattr(self._local, "continued", None)
+        if continued is None:
+            continued = self._local.continued = Continued(self)
+        return continued(t, x, xd, xdd)
 
     def forward(self) -> CompiledForward | None:
         """Return forward dynamics, compiled when they are first asked for; None where that fails, with a warning."""
@@ -186,17 +199,6 @@ class CompiledDynamics(Dynamics):
     def projection(self) -> Any:
         """One sample as a function of casadi: from q, trig, v, a, Γ and the carriers' motion to f and their forces."""
         return bind(define(self._robot).functions["rp_project"], self._robot)
-
-
-class _Calls(threading.local):
-    """By name the calls of one thread, each made when it is first asked for."""
-
-    def __init__(self, dynamics: CompiledDynamics) -> None:
-        self._make = dynamics.make_call
-
-    def __getattr__(self, name: str) -> Any:
-        call = self.__dict__[name] = self._make(name)
-        return call
 
 
 class CompiledAlongMotion(Frozen):

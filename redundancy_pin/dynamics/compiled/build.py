@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
+from redundancy_pin.arrays import AGREEMENT_TOLERANCE, CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.base import TERMS
 from redundancy_pin.dynamics.compiled.emit import c_functions
@@ -50,6 +50,7 @@ _CONSTANTS = {
     "NEIGHBOURS": NEIGHBOURS,
     "TERMS": TERMS,
     "TOLERANCE": CLOSURE_TOLERANCE,
+    "AGREEMENT": AGREEMENT_TOLERANCE,
     "LEAST_MARGIN": LEAST_MARGIN,
     "RANK_TOLERANCE": RANK_TOLERANCE,
     "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,

@@ -188,8 +188,20 @@ static int follow_drives(const double *numbers, Pose *pose, const double *positi
   return status == STATUS_OK || status == STATUS_TYPE_II ? status : STATUS_BRANCH_LOST;
 }
 
+/* Whether velocities (M) of the actuators, more than DOF, are those of one motion of the platform, relative to the terms that cancel. */
+static int velocities_agree(const double *numbers, const Platform *platform, const double *velocity) {
+  double missing = 0.0, size = 0.0;
+  for (int j = 0; j < M; ++j) {
+    const double *row = platform->gamma + ACTUATED[j] * N;
+    missing = fmax(missing, fabs(dot(row, platform->xd, N) - velocity[j]) * COLUMN_SCALE[j]);
+    for (int i = 0; i < N; ++i) size = fmax(size, fabs(row[i] * platform->xd[i]) * COLUMN_SCALE[j]);
+  }
+  return missing <= AGREEMENT * size;
+}
+
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
-   q (NQ), v (NV), x (NX), xd (N), type II margin. State and reached are as of rp_reach. */
+   q (NQ), v (NV), x (NX), xd (N), type II margin, residual. More actuators than DOF may contradict each other: the residual of positions,
+   m, is then written, and the status is unreachable. State and reached are as of rp_reach. */
 int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
   double x[NX], *q = out, *v = q + NQ;
@@ -219,9 +231,11 @@ int rp_joint_state(const double *numbers, double *state, double *reached, const 
     for (int j = 0; j < N; ++j) v[i] += platform.gamma[i * N + j] * platform.xd[j];
   for (int i = 0; i < NK; ++i) q[CARRIED[i]] = s[i], v[CARRIERS[i]] = sd[i];
   if (!finite(v, NV)) return STATUS_NOT_FINITE;
+  v[NV + NX + N] = platform.margin;
+  v[NV + NX + N + 1] = fmax(platform.gap, platform.mismatch);
+  if (M > N && (platform.mismatch > AGREEMENT * LENGTH || !velocities_agree(numbers, &platform, velocity))) return STATUS_UNREACHABLE;
   copy(v + NV, platform.x, NX);
   copy(v + NV + NX, platform.xd, N);
-  v[NV + NX + N] = platform.margin;
   keep(&pose, state);
   return in_ranges(q, ranges, count) ? status : STATUS_OUT_OF_RANGE;
 }

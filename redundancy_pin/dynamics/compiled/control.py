@@ -9,31 +9,25 @@ thread has its own buffers, and its own configuration from which Newton's method
 from __future__ import annotations
 
 import ctypes
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import pairwise
+from math import isfinite
 from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, numbers
-from redundancy_pin.dynamics.base import (
-    AccelerationSample,
-    JointStateSample,
-    ReducedDynamics,
-    Sample,
-    SampleArguments,
-    TorqueSample,
-)
-from redundancy_pin.dynamics.compiled.build import Code, address
+from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
+from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.compiled.closing import Lifted, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
 from redundancy_pin.dynamics.one_sample import REFUSALS, refused, solve_sample, without_answer
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Load, Robot, Wrench
+from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.joint_ranges import range_table
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import is_pose, too_few_motors
@@ -41,9 +35,6 @@ from redundancy_pin.status import SampleStatus
 
 Follow: TypeAlias = Callable[[PlatformMotion, CarrierMotion, Start | None], tuple[Lifted, ReducedDynamics]]
 """Solves a motion of one sample by kinematics, on the branch of a start, or of the reference where that is None."""
-
-Place: TypeAlias = Callable[[], tuple[Array, Array]]
-"""Returns the platform's coordinates and rates as the arguments of a call have them."""
 
 _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
@@ -64,61 +55,34 @@ _OPTIONAL = frozenset({"s", "sd", "sdd", "carrier_force", "velocity"})
 """Arguments that are zero where they are left out, and that one number may stand for."""
 
 _LEFT_OUT: tuple[()] = ()
-"""Default of these arguments; there is one empty tuple."""
+"""Default of arguments of carriers; there is one empty tuple."""
 
 _NEEDS_CONVERTING = (TypeError, ValueError, AttributeError)
-"""What views of memory raise for all but arrays of doubles of their own length, and lists that should be matrices."""
+"""What ``_Arguments.views`` raise for lists, other numbers than doubles, and arguments that are left out."""
 
 
 class _Arguments:
-    """Arguments of a call, one behind the other in memory that stays where it is; wrenches on the robot are the last.
+    """Arguments of a call, one behind the other in memory that stays where it is.
 
     Args:
         shapes: the shape of each argument by name.
-        loads: of the robot, if its wrenches are an argument.
-        place: for wrenches.
     """
 
-    def __init__(
-        self, shapes: Mapping[str, tuple[int, ...]], loads: Sequence[Load] = (), place: Place | None = None
-    ) -> None:
-        self._wrenches, self._shapes, self._place = of_kind(loads, Wrench), shapes, place
-        sizes = [*map(math.prod, shapes.values()), 6 * len(self._wrenches)]
-        self.memory = np.zeros(sum(sizes))
-        *self.parts, self._wrench = np.split(self.memory, np.cumsum(sizes[:-1]))
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        self._shapes = shapes
+        ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())]).tolist()
+        self.memory = np.zeros(ends[-1])
+        self.parts = [self.memory[a:b] for a, b in pairwise(ends)]
         # a view takes arrays of doubles of its own length and refuses all else, in half the time of numpy's assignment
-        self._views: list[Any] = [memoryview(cast(Any, part)) for part in self.parts]
-        self._zeros = [
-            np.zeros(len(part)) if name in _OPTIONAL else None for name, part in zip(shapes, self.parts, strict=True)
-        ]
-        self._pose = next(iter(shapes.values())) == (4, 4)
+        self.views: list[Any] = [memoryview(cast(Any, part)) for part in self.parts]
 
-    def take(self, values: tuple[Any, ...], t: float = 0.0) -> None:
-        """Copy arguments, and evaluate wrenches at a time, s. Numbers that are not finite are left to the call.
+    def convert(self, *values: ArrayLike) -> None:
+        """Copy arguments of any kind.
 
         Raises:
-            InputError: one of them does not have its shape, or is no real number.
+            InputError: one of them does not have its shape. Numbers that are not finite are left to the call.
         """
-        try:
-            given = values
-            if self._pose:
-                x, *rest = values
-                if x.shape != (4, 4):
-                    raise ValueError
-                given = (x.ravel(), *rest)
-            for view, zero, value in zip(self._views, self._zeros, given):  # noqa: B905 - takes a tenth of the call
-                view[:] = zero if value is _LEFT_OUT else value
-        except _NEEDS_CONVERTING:
-            self._convert(values)
-        if t != 0.0 and not math.isfinite(t):
-            self.memory[0] = np.nan
-        if self._place and self._wrenches and np.isfinite(np.concatenate(self.parts)).all():
-            x, xd = self._place()  # a wrench may be a function of time and motion
-            wrenches = wrench_values(self._wrenches, np.array([t]), x[None], xd[None])
-            self._wrench[:] = np.concatenate(wrenches, axis=1)[0]
-
-    def _convert(self, values: tuple[ArrayLike, ...]) -> None:
-        for part, value, (name, shape) in zip(self.parts, values, self._shapes.items(), strict=True):
+        for part, value, (name, shape) in zip(self.parts, values, self._shapes.items(), strict=False):
             if name in _OPTIONAL and (np.ndim(value) == 0 or not np.size(value)) and value is not None:
                 value = np.full(shape, value if np.ndim(value) == 0 else 0.0)
             part[:] = numbers(value, name, shape).ravel()
@@ -127,7 +91,7 @@ class _Arguments:
 def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
     """Return a function of a library with its arguments, that holds the interpreter's lock; arrays give addresses."""
     function = ctypes.PyDLL(code.library._name, handle=code.library._handle)[name]
-    given = [address(value) if isinstance(value, np.ndarray) else value for value in arguments]
+    given = [ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value for value in arguments]
     return partial(function, *given)
 
 
@@ -191,11 +155,13 @@ class SampleCall:
     """
 
     def __init__(self, robot: Robot, code: Code, follow: Follow) -> None:
-        n, m, k = robot.n, robot.m, robot.k
-        self._robot, self._follow = robot, follow
-        self._shape = (4, 4) if is_pose(robot) else (n,)
-        shapes = {"x": self._shape, "xd": (n,), "xdd": (n,), "s": (k,), "sd": (k,), "sdd": (k,)}
-        self._arguments = _Arguments(shapes, robot.loads, self._place)
+        n, m, k, wrenches = robot.n, robot.m, robot.k, 6 * len(of_kind(robot.loads, Wrench))
+        self._robot, self._follow, self._loaded = robot, follow, bool(wrenches)
+        self._carriers, self._none = bool(k), np.zeros(k)
+        self._pose, self._shape = is_pose(robot), (4, 4) if is_pose(robot) else (n,)
+        sizes = (self._shape, (n,), (n,), (k,), (k,), (k,), (wrenches,))
+        self._arguments = _Arguments(dict(zip(("x", "xd", "xdd", "s", "sd", "sdd", "wrench"), sizes, strict=True)))
+        self._x, self._xd, self._xdd, self._s, self._sd, self._sdd, _ = self._arguments.views
         self._branch = _Branch(robot, code)
         ends = np.cumsum([n * m, n, k, 2, m, 1]).tolist()
         self._results = np.zeros(ends[-1])
@@ -210,9 +176,9 @@ class SampleCall:
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
         return _caller(code, name, *given, *more)
 
-    def __call__(self, given: SampleArguments, t: float) -> Sample:
+    def __call__(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> Sample:
         """Return W (n, m), f (n,) and carrier forces (k,)."""
-        self._arguments.take(given, t)
+        self._take(x, xd, xdd, s, sd, sdd, t)
         if not self._call():
             return Sample(self._W.reshape(len(self._f), -1).copy(), self._f.copy(), self._force.copy())
         tree, reduced = self._followed(self._motion(t), None)
@@ -222,14 +188,45 @@ class SampleCall:
             raise InputError("The efforts of the sample are not finite.", remedy="Its rates are too large.")
         return sample
 
-    def _place(self) -> tuple[Array, Array]:
-        x, xd, *_ = self._arguments.parts
-        return x.reshape(self._shape), xd
+    def _take(self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float) -> None:
+        """Copy the arguments to where the C reads them, and evaluate wrenches; what is not finite the C finds.
+
+        Raises:
+            InputError: wrong shapes.
+        """
+        try:
+            if not self._pose:
+                self._x[:] = x
+            elif x.shape == (4, 4):
+                self._x[:] = x.ravel()
+            else:
+                raise ValueError
+            self._xd[:], self._xdd[:] = xd, xdd
+            if self._carriers:
+                none = self._none
+                self._s[:] = none if s is _LEFT_OUT else s
+                self._sd[:] = none if sd is _LEFT_OUT else sd
+                self._sdd[:] = none if sdd is _LEFT_OUT else sdd
+            elif not s is sd is sdd is _LEFT_OUT:
+                raise ValueError
+        except _NEEDS_CONVERTING:
+            self._arguments.convert(x, xd, xdd, s, sd, sdd)
+        if t != 0.0 and not isfinite(t):
+            self._arguments.memory[0] = np.nan
+        if self._loaded:
+            self._evaluate_wrenches(t)
+
+    def _evaluate_wrenches(self, t: float) -> None:
+        *parts, wrench = self._arguments.parts
+        if np.isfinite(np.concatenate(parts)).all():  # a wrench may be a function of time and motion
+            motion = self._motion(t)
+            values = wrench_values(self._robot.loads, motion.t, motion.x, motion.xd)
+            wrench[:] = np.concatenate(values, axis=1)[0]
 
     def _motion(self, t: float) -> PlatformMotion:
         """Return the sample as a motion; raises InputError where it is none."""
-        (x, xd), xdd = self._place(), self._arguments.parts[2]
-        return PlatformMotion(np.array([t]), x[None], xd[None], xdd[None], check_rates=False)
+        x, xd, xdd, *_ = self._arguments.parts
+        return PlatformMotion(np.array([t]), x.reshape(1, *self._shape), xd[None], xdd[None], check_rates=False)
 
     def _followed(self, motion: PlatformMotion, start: Start | None) -> tuple[Lifted, ReducedDynamics]:
         carriers = CarrierMotion(*(part[None] for part in self._arguments.parts[3:6]), check_rates=False)
@@ -252,10 +249,10 @@ class TorqueCall(SampleCall):
         return super()._function(code, name, self._ranges, len(self._ranges), *more)
 
     def __call__(  # type: ignore[override]
-        self, given: SampleArguments, t: float, start: ArrayLike | None
+        self, x: Any, xd: Any, xdd: Any, s: Any, sd: Any, sdd: Any, t: float, start: ArrayLike | None
     ) -> TorqueSample:
         """Return the torques; see ``Dynamics.torque``."""
-        self._arguments.take(given, t)
+        self._take(x, xd, xdd, s, sd, sdd, t)
         saved = None if start is None else self._branch.save()
         if start is not None and not self._branch.begin(start):
             return without_answer(self._robot, SampleStatus.NOT_FINITE)
@@ -279,8 +276,13 @@ class TorqueCall(SampleCall):
             return without_answer(self._robot, SampleStatus.NOT_FINITE)
         if code == SampleStatus.UNREACHABLE and self._branch.known:
             return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
-        motion, robot, branch, passed = self._motion(t), self._robot, self._branch, self._passed
-        start = None  # the last configuration on the way that the C has closed
+        motion = self._motion(t)
+        return self._by_kinematics(motion, t)
+
+    def _by_kinematics(self, motion: PlatformMotion, t: float) -> TorqueSample:
+        """Return the sample by kinematics, from the last configuration on the way that the C has closed."""
+        robot, branch, passed = self._robot, self._branch, self._passed
+        start = None
         if branch.known:
             at_passed = passed is not None and np.array_equal(passed.q, branch.reached[:-1])
             if not at_passed and not branch.reached[-1]:  # a start that the C has not closed
@@ -290,12 +292,12 @@ class TorqueCall(SampleCall):
             tree, reduced = self._followed(motion, start)
         except REFUSALS as error:
             return refused(robot, error)
-        (x, xd), (_, _, xdd, s, sd, sdd) = self._place(), self._arguments.parts
+        x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
         sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
         branch.begin(tree.q[0])
         self._passed = Start(tree.q[0], tree.gamma[0])
-        kinematics = float(tree.gap[0]), float(tree.margin[0])
-        return solve_sample(robot, sample, tree.q[0], kinematics, (x, xd, xdd, s, sd, sdd), t)
+        given = x.reshape(self._shape), xd, xdd, s, sd, sdd
+        return solve_sample(robot, sample, tree.q[0], (float(tree.gap[0]), float(tree.margin[0])), given, t)
 
 
 class JointStateCall:
@@ -317,26 +319,37 @@ class JointStateCall:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
         m, k, model = robot.m, robot.k, robot.model
         self._shape: tuple[int, ...] = (4, 4) if is_pose(robot) else (robot.n,)
+        self._carriers, self._none = bool(k), np.zeros(k)
         self._arguments = _Arguments({"position": (m,), "velocity": (m,), "s": (k,), "sd": (k,)})
+        self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
-        self._results = np.zeros(self._ends[-1] + 1)
+        self._results = np.zeros(self._ends[-1] + 2)
         branch = self._branch = _Branch(robot, code)
         self._follow, self._ranges = follow, range_table(robot)
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
         self._call = _caller(code, "rp_joint_state", *given, self._ranges, len(self._ranges))
 
-    def __call__(self, given: tuple[ArrayLike, ...], start: ArrayLike | None) -> JointStateSample:
+    def __call__(self, position: Any, velocity: Any, s: Any, sd: Any, start: ArrayLike | None) -> JointStateSample:
         """Return joints and platform; see ``Dynamics.joint_state``."""
-        self._arguments.take(given)
+        try:
+            self._position[:], self._velocity[:] = position, velocity
+            if self._carriers:
+                self._s[:] = self._none if s is _LEFT_OUT else s
+                self._sd[:] = self._none if sd is _LEFT_OUT else sd
+            elif not s is sd is _LEFT_OUT:
+                raise ValueError
+        except _NEEDS_CONVERTING:
+            self._arguments.convert(position, velocity, s, sd)
         branch = self._branch
         saved = None if start is None else branch.save()
         finite = start is None or branch.begin(start)
+        self._results[-1] = np.nan
         code = self._call() if finite else int(SampleStatus.NOT_FINITE)
         if code in _WITHOUT_RESULT:
             if code == SampleStatus.BRANCH_LOST:
                 code = self._beyond_bifurcation(code)
             if code in _WITHOUT_RESULT:
-                self._results.fill(np.nan)
+                self._results[:-1] = np.nan
                 if saved is not None:
                     branch.restore(saved)
         results, (q, v, x, xd) = self._results.copy(), self._ends
@@ -347,6 +360,7 @@ class JointStateCall:
             results[x:xd],
             _STATUSES[code],
             results.item(xd),
+            results.item(xd + 1),
         )
 
     def _beyond_bifurcation(self, code: int) -> int:
@@ -373,18 +387,31 @@ class AccelerationCall:
 
     def __init__(self, forward: CompiledForward) -> None:
         robot, model = forward.robot, forward.robot.model
-        sizes = {"q": model.nq, "v": model.nv, "tau": robot.m, "carrier_force": robot.k}
-        self._arguments = _Arguments({name: (size,) for name, size in sizes.items()}, robot.loads, self._place)
-        self._forward, self._a = forward, np.zeros(model.nv)
+        wrenches = 6 * len(of_kind(robot.loads, Wrench))
+        sizes = {"q": model.nq, "v": model.nv, "tau": robot.m, "carrier_force": robot.k, "wrench": wrenches}
+        self._arguments = _Arguments({name: (size,) for name, size in sizes.items()})
+        self._q, self._v, self._tau, self._force, _ = self._arguments.views
+        self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
+        self._forward, self._loaded = forward, bool(wrenches)  # it keeps its numbers
+        self._a = np.zeros(model.nv)
         given = forward.numbers, self._arguments.memory, self._a
         self._call = _caller(forward, "rp_acceleration", *given)
 
-    def __call__(self, given: tuple[ArrayLike, ...], t: float) -> AccelerationSample:
+    def __call__(self, q: Any, v: Any, tau: Any, carrier_force: Any, t: float) -> AccelerationSample:
         """Return the accelerations; see ``Dynamics.acceleration``."""
-        self._arguments.take(given, t)
+        try:
+            self._q[:], self._v[:], self._tau[:] = q, v, tau
+            if self._carriers:
+                self._force[:] = self._none if carrier_force is _LEFT_OUT else carrier_force
+            elif carrier_force is not _LEFT_OUT:
+                raise ValueError
+        except _NEEDS_CONVERTING:
+            self._arguments.convert(q, v, tau, carrier_force)
+        if t != 0.0 and not isfinite(t):
+            self._arguments.memory[0] = np.nan
+        if self._loaded and np.isfinite(self._arguments.memory[: -len(self._arguments.parts[-1])]).all():
+            x, xd = self._forward.platform(*self._arguments.parts[:2])
+            wrenches = wrench_values(self._loads, np.array([t]), x[None], xd[None])
+            self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]
         status = _STATUSES[self._call()]
         return AccelerationSample(self._a.copy(), status)
-
-    def _place(self) -> tuple[Array, Array]:
-        q, v, *_ = self._arguments.parts
-        return self._forward.platform(q, v)

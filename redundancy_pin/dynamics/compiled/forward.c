@@ -264,16 +264,16 @@ static void rate(const double *numbers, const Run *run, Progress *at, double t, 
   rp_rates(arg, res);
 }
 
-/* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; the gap before and after. */
-static int project(const double *numbers, double *y, double wanted, double *before, double *left) {
+/* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; gaps: closure residual before and after. */
+int rp_projected(const double *numbers, double *y, double wanted, double *gaps) {
   double residual[R + 1], K[NP * NP + 1], S[R * NP + 1], G[R * R + 1], step[NP + 1] = {0.0}, *v = y + NQ;
   for (int iteration = 0; iteration < 9; ++iteration) {
     if (!iteration && NQ != NV) move(y, step); /* which normalises */
     closures(numbers, y, residual, K);
-    *left = largest(residual, R);
-    if (!isfinite(*left)) return 0;
-    if (!iteration) *before = *left;
-    int last = *left <= wanted || iteration == 8;
+    gaps[1] = largest(residual, R);
+    if (!isfinite(gaps[1])) return 0;
+    if (!iteration) gaps[0] = gaps[1];
+    int last = gaps[1] <= wanted || iteration == 8;
     for (int i = 0; i < R; ++i)
       for (int j = 0; j < NP; ++j) S[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
     for (int i = 0; i < R; ++i)
@@ -302,8 +302,6 @@ static int project(const double *numbers, double *y, double wanted, double *befo
   }
   return 0;
 }
-
-int rp_projected(const double *numbers, double *y, double wanted, double *gaps) { return project(numbers, y, wanted, gaps, gaps + 1); }
 
 /* Smallest over largest singular value of rows S (R x NP), which are overwritten. */
 static double rank_ratio(double *S) {
@@ -474,19 +472,19 @@ static int ordinary(const double *numbers, const Run *run, Progress *at, double 
 }
 
 /* Onto the closures, carriers where their motion is given. */
-static int placed(const double *numbers, const Run *run, Progress *at, double t, double end, double *y, double *before, double *left) {
+static int placed(const double *numbers, const Run *run, Progress *at, double t, double end, double *y, double *gaps) {
   double out[NV + 3 * NK + 1];
   if (run->prescribed) {
     if (!loads_at(run, at, t, end, y, y + NQ, out)) return 0;
     for (int i = 0; i < NK; ++i) y[CARRIED[i]] = out[NV + i], y[NQ + CARRIERS[i]] = out[NV + NK + i];
   }
-  return project(numbers, y, run->tolerance, before, left);
+  return rp_projected(numbers, y, run->tolerance, gaps);
 }
 
 /* From a closed state y over at most `most` ordinary steps. Returns 1 before a step that its caller must take, 0 at the end or
    after that many steps. y, the functions `values` and the progress are those of the last state. */
 int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, double *values, long most) {
-  double *const K = run->rates, y1[NY], next[NY], sample[NY], gap, left;
+  double *const K = run->rates, y1[NY], next[NY], sample[NY], gaps[2], other[2];
   long limit = at->steps + most;
   int known = 0;
   while (at->next_break < run->breaks) {
@@ -513,20 +511,20 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     if (!ordinary(numbers, run, at, length, end, y, y1, K, shown, &dense)) return 1;
     copy(next, y1, NY);
     double moved = 0.0, fastest = fmax(largest(y + NQ, NV), largest(y1 + NQ, NV));
-    int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->largest_residual;
+    int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, gaps) && gaps[1] <= run->largest_residual;
     for (int i = NQ; good && i < NY; ++i) moved = fmax(moved, fabs(next[i] - y1[i]));
     if (!good || !(moved <= run->velocity_change * fastest + run->velocity_floor)) {
       at->near = was_near;
       return 1;
     }
     while (at->sample < run->samples && run->sample_at[at->sample] < t1 - run->time_tolerance) {
-      double t = run->sample_at[at->sample], before, after;
+      double t = run->sample_at[at->sample];
       copy(sample, y, NY);
       if (t > at->t) {
         dense = dense || stages(numbers, run, at, length, end, y, 0, K, run->stages + 1, run->rows - 1);
         between(run, length, y, K, (t - at->t) / length, sample);
       }
-      if (!placed(numbers, run, at, t, INFINITY, sample, &before, &after)) return 1;
+      if (!placed(numbers, run, at, t, INFINITY, sample, other)) return 1;
       copy(run->recorded + (long)at->sample++ * NY, sample, NY);
     }
     copy(y, next, NY);
@@ -534,7 +532,7 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     at->t = t1;
     at->next_step = h;
     ++at->steps;
-    at->largest_correction = fmax(at->largest_correction, gap);
+    at->largest_correction = fmax(at->largest_correction, gaps[0]);
     if (t1 < end) {
       rate(numbers, run, at, t1, end, y, K);
       if (K[NQ] != K[NQ]) return 1;
