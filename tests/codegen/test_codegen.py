@@ -18,6 +18,7 @@ import zoo
 from generated_c import COMPILERS, NOTHING_WRITTEN, Code, compiled, filled_with, folder_of, run
 from machines import code_of, machine
 from prescribed import factors, times
+from scaled import Units, scaled_robot
 
 import redundancy_pin as rp
 from redundancy_pin import codegen
@@ -76,6 +77,17 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.parametrize("units", [Units(1e-6, 1e-12), Units(1e6, 1e6)], ids=["small", "large"])
+def test_its_own_test_knows_the_size_of_the_machine(units: Units, tmp_path: Path) -> None:
+    folder = codegen.write_c(scaled_robot(machine("four_bar"), units), tmp_path / "code", prefix="unit").folder
+    tests, text = compiled([folder / "test_unit.c"], tmp_path / "test.o", "-c"), (folder / "unit.c").read_text()
+    for what in ("f", "tau", ""):
+        wrong = f"  for (int i = 0; i < 1; ++i) efforts->{what}[i] *= 1.0 + 1e-6;\n" if what else ""
+        (tmp_path / "unit.c").write_text(text.replace("  efforts->gap = ", f"{wrong}  efforts->gap = "))
+        done = run(compiled([tmp_path / "unit.c", tests], tmp_path / "program", f"-I{folder}"))
+        assert f"{what} is" in done.stdout if what else done.returncode == 0, done.stdout
+
+
 @pytest.mark.long
 def test_its_own_test_can_fail(tmp_path: Path) -> None:
     folder = folder_of(machine("2rpr"))
@@ -86,7 +98,7 @@ def test_its_own_test_can_fail(tmp_path: Path) -> None:
         "carrier force": text.replace("copy(efforts->carrier_force, rest,", "copy(efforts->carrier_force, f,"),
         "xd": text.replace("xd[i] = result[i] / UNIT_OWN_ROW_SCALE[i]", "xd[i] = result[i] * 1.000001"),
         "closure Jacobian": text.replace("= K[i + j * UNIT_OWN_NP] *", "= -K[i + j * UNIT_OWN_NP] *"),
-        "status of a bad input": re.sub(r"if \(!unit_own_finite\(in, .*?\) \|\|", "if (", text),
+        "status of a bad input": re.sub(r"if \(!unit_own_finite\(in, .*?\)\) return UNIT_OWN_NOT_FINITE;", "", text),
         "a state that was written to": text.replace(
             "int closed = unit_own_rp_sample(UNIT_OWN_NUMBERS, from, in, out);",
             "int closed = unit_own_rp_sample(UNIT_OWN_NUMBERS, from, in, out); state->sign = 2.0;",
@@ -440,6 +452,14 @@ PREFIXES = {"rp": "rp", "2rpr": "robot_2rpr", "…": "robot", "3-RRR (new)": "ro
 @pytest.mark.parametrize(("name", "prefix"), [*PREFIXES.items(), ("m", "robot_m")])
 def test_prefixes(name: str, prefix: str) -> None:
     assert codegen.prefix_of(name, None) == prefix
+
+
+@pytest.mark.parametrize("prefix", ["rp", "status", "check", "Unit", "robot"])
+def test_prefixes_that_name_something_in_the_code(prefix: str, tmp_path: Path) -> None:
+    """The generated functions rp_drives, an enumerator STATUS_OK, and check_jacobians of the test program."""
+    codegen.write_c(machine("four_bar"), tmp_path / "code", prefix=prefix)
+    for stem in ("", "test_"):
+        compiled([tmp_path / "code" / f"{stem}{prefix}.c"], tmp_path / "code.o", "-c", "-O0")
 
 
 @pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "x" * 41, "a\n", "a__b", "a_", "math", "TEST"])
