@@ -211,7 +211,7 @@ def test_at_and_next_to_a_flat_pose_the_answer_is_that_of_the_branch(
             np.testing.assert_allclose([state.x[0], state.xd[0], state.margin], [x, 1.0, 1.0], rtol=1e-12)
             got, want = dynamics.torque([x], [1.0], [0.0]), reference.torque([x], [1.0], [0.0])
             assert got.status is want.status is SampleStatus.OK
-            np.testing.assert_allclose(got.tau, want.tau, rtol=2e-2)
+            np.testing.assert_allclose(got.tau, want.tau, rtol=1e-6)
         assert dynamics.joint_state([flat - 0.1], start=home).status is SampleStatus.OK
         passed = dynamics.joint_state([flat])
         again = dynamics.joint_state([flat + 0.1], start=passed.q)  # what it returned says the branch

@@ -9,7 +9,6 @@ typedef struct {
   double at, turns, lower, upper, slack;
 } Range;
 
-#define PART 0.1         /* least share of the platform in the norm of K's inverse at the end of a branch, no unit: 1e-4 at a rank loss */
 #define MOST_SEARCHES 100 /* steps of Newton's method: half a turn of every joint takes some 50 */
 #define ENDLESS 10 /* steps of it that have not taken a tenth of the residual together: the rest is what stays open */
 #define NEXT_TO_SINGULAR 1e-2 /* margin of K, no unit, at the end of a way: it may be zero within the shortest step, 3e-3 of 30 rad */
@@ -39,25 +38,6 @@ int rp_begin(const double *numbers, const double *declared, const double *start,
   copy(state, start, NQ);
   state[NQ] = 0.0;
   return 1;
-}
-
-/* Squares of the Frobenius norms of the inverse of a pose's K, and of its columns that belong to the platform. */
-static void inverse_sizes(const Pose *pose, double *all, double *platform) {
-  double X[NP + 1][NP + 1];
-  invert(pose->lu, pose->pivot, X);
-  *all = *platform = 0.0;
-  for (int i = 0; i < NP; ++i) {
-    *all += dot(X[i], X[i], NP);
-    *platform += dot(X[i] + R, X[i] + R, N);
-  }
-}
-
-/* Whether a pose is next to a rank loss of the closures: the platform then hardly has a part in what K cannot do, and a branch may go
-   on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
-static int may_go_on(const Pose *pose) {
-  double all, platform;
-  inverse_sizes(pose, &all, &platform);
-  return !(platform > PART * PART * all);
 }
 
 /* Close the loops at a start, which may be open by the noise of measurements: so little that K stays regular on the way, as

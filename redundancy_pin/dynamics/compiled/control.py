@@ -145,8 +145,8 @@ class _Branch:
         numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
             the C keeps every leg on its side.
         state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known.
-        reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to; next to a rank loss
-            of the closures the first, where Γ is known better.
+        reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to; next to a rank
+            loss of the closures the first, where Γ is known better.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
     """
 
