@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import zoo
 from flat_linkages import row_of_four_bars
-from folding import folding_four_bar, joint, rocker_angle
+from folding import folding_four_bar, joint, rocker_angle, rocker_motion
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
@@ -182,10 +182,63 @@ def test_calls_go_through_a_bifurcation_by_the_tangent(offsets: Array, modes: bo
     got = [dynamics.torque([x], [2.0], [0.7]) for x in crank]
     assert [one.status for one in got] == [SampleStatus(code) for code in want.status]
     np.testing.assert_allclose([one.tau for one in got], want.tau, rtol=0.0, atol=1e-7 * np.abs(want.tau).max())
-    for x in crank[np.abs(offsets) > 1e-9]:
+    for x in crank:
         state = dynamics.joint_state([x], [2.0])
         assert state.status is SampleStatus.OK
         assert abs(np.sin((state.q[rocker] - branch(np.array([x]))[0]) / 2.0)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("lengths", "guess"), [(FOLDING, GUESS), ((0.5, 0.2, 0.5, 0.2), (1.0, 1.0, -1.0))], ids=["folding", "parallelogram"]
+)
+def test_at_and_next_to_a_flat_pose_the_answer_is_that_of_the_branch(
+    lengths: tuple[float, float, float, float], guess: tuple[float, float, float], tmp_path: Path
+) -> None:
+    """Whatever was asked for before: up to the flat pose, into it, past it and back, by 1e-9 to 0.1 rad."""
+    robot, random = folding_four_bar(tmp_path, lengths, guess), np.random.default_rng(0)
+    dynamics, reference = rp.CompiledDynamics(robot), rp.RneaDynamics(robot)
+    home, rocker = robot.q_reference, joint(robot, "rocker")
+    away = np.append(10.0 ** random.uniform(-9.0, -1.0, 40), [0.0, 1e-9, 2e-5, 1e-5, 0.0])
+    away *= random.choice([-1.0, 1.0], len(away))
+    for flat in (np.pi, 2.0 * np.pi):
+        crank = flat + away
+        angle, rate, _ = rocker_motion(robot, lengths, crank, np.ones(len(crank)), np.zeros(len(crank)))
+        for x, position, speed in zip(crank, angle, rate, strict=True):
+            state = dynamics.joint_state([x], [1.0])
+            assert state.status is SampleStatus.OK
+            assert abs(np.sin((state.q[rocker] - position) / 2.0)) < 1e-9
+            np.testing.assert_allclose(state.v[rocker], speed, rtol=0.0, atol=1e-6)
+            np.testing.assert_allclose([state.x[0], state.xd[0], state.margin], [x, 1.0, 1.0], rtol=1e-12)
+            got, want = dynamics.torque([x], [1.0], [0.0]), reference.torque([x], [1.0], [0.0])
+            assert got.status is want.status is SampleStatus.OK
+            np.testing.assert_allclose(got.tau, want.tau, rtol=1e-6)
+        assert dynamics.joint_state([flat - 0.1], start=home).status is SampleStatus.OK
+        passed = dynamics.joint_state([flat])
+        again = dynamics.joint_state([flat + 0.1], start=passed.q)  # what it returned says the branch
+        assert abs(np.sin((again.q - dynamics.joint_state([flat + 0.1], start=home).q) / 2.0)).max() < 1e-9
+
+
+def test_what_has_no_answer_does_not_keep_a_control_loop_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kinematics take many periods of 1 kHz: they are not asked out of reach, and once for a set-point that is held."""
+    asked: list[Any] = []
+
+    def counted(*given: Any, **keywords: Any) -> rp.JointTrajectory:
+        asked.append(given)
+        return rp.inverse_kinematics(*given, **keywords)
+
+    monkeypatch.setattr("redundancy_pin.dynamics.compiled.closing.inverse_kinematics", counted)
+    dynamics, still = rp.CompiledDynamics("3rrr"), np.zeros(3)
+    home, motors = zoo.home_of(dynamics.robot), dynamics.robot.q_reference[[0, 3, 6]]
+    statuses = [dynamics.torque(home + 0.02 * i, still, still).status for i in range(60)]
+    assert (statuses[0], statuses.count(SampleStatus.UNREACHABLE)) == (SampleStatus.OK, 17)
+    for turn in 0.05 * np.arange(60):
+        state = dynamics.joint_state(motors + turn * np.array([-1.0, 1.0, -1.0]))
+    assert (state.status, asked) == (SampleStatus.BRANCH_LOST, [])
+    afresh = rp.CompiledDynamics("3rrr")
+    assert {afresh.torque(home + 50.0, still, still).status for _ in range(3)} == {SampleStatus.UNREACHABLE}
+    assert afresh.torque(home + 51.0, still, still).status is SampleStatus.UNREACHABLE
+    expected = 2
+    assert len(asked) == expected
 
 
 @pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8])

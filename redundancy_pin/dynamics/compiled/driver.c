@@ -14,6 +14,8 @@
 #define SETTLED (0.01 * TOLERANCE) /* so are all steps this small: a hundredth of the tolerance of closures */
 #define ROUNDED (2.0 * EPSILON) /* and steps that are this share of the largest coordinate and no longer shrink */
 #define SHORTEST 1e-4   /* share of the way to a sample, no unit; the way is lost where shorter steps fail */
+#define PART 0.1        /* least share of the platform in the norm of K's inverse at the end of a branch, no unit: 1e-4 at a rank loss */
+#define ROUNDED_MARGIN 2e-4 /* margin of K, no unit, next to a rank loss of the closures: below, rounding takes 1e-5 and more of accelerations */
 #define ITERATIONS 15   /* three times as many as quadratic convergence takes from LONGEST to SETTLED */
 
 enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3, NOT_FINITE = 4, NO_POSE = 5 };
@@ -232,6 +234,25 @@ static int in_mode(const double *numbers, const Pose *pose) {
 /* Place a pose at a configuration that is closed at x: what follow() starts from. */
 static int start_at(const double *numbers, Pose *pose, const double *q, const double *x) { return newton(numbers, q, x, 0, pose); }
 
+/* Squares of the Frobenius norms of the inverse of a pose's K, and of its columns that belong to the platform. */
+static void inverse_sizes(const Pose *pose, double *all, double *platform) {
+  double X[NP + 1][NP + 1];
+  invert(pose->lu, pose->pivot, X);
+  *all = *platform = 0.0;
+  for (int i = 0; i < NP; ++i) {
+    *all += dot(X[i], X[i], NP);
+    *platform += dot(X[i] + R, X[i] + R, N);
+  }
+}
+
+/* Whether a pose is next to a rank loss of the closures: the platform then hardly has a part in what K cannot do, and a branch may go
+   on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
+static int may_go_on(const Pose *pose) {
+  double all, platform;
+  inverse_sizes(pose, &all, &platform);
+  return !(platform > PART * PART * all);
+}
+
 /* Whether coordinates are a homogeneous pose, as motion.PlatformMotion asks; all are where a robot has no poses. */
 static int is_pose(const double *x) {
 #if NX != N
@@ -267,7 +288,7 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   if (refused) return refused;
   if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
-  if (margin < LEAST_MARGIN) return SINGULAR;
+  if (margin < LEAST_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return SINGULAR;
   if (!in_mode(numbers, &pose)) return OTHER_MODE;
   const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK, numbers};
   double *const res[] = {f, force};
