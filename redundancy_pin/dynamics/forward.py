@@ -78,7 +78,8 @@ class Rules:
 
     Attributes:
         method: "DOP853" or "RK45", explicit Runge-Kutta methods of scipy.
-        rtol, atol, max_step: of the steps.
+        rtol, max_step: of the steps.
+        atol: (nq + nv,) absolute tolerance of a step, in the units of q and v.
         grid: (G,) times to record, s; those closer than ``time_tolerance`` are one.
         breaks: (B,) times, s, at which the integration is restarted; the last one is the end.
         efforts: polynomials of main efforts and carrier forces; or None.
@@ -86,18 +87,19 @@ class Rules:
         prescribed: whether the carriers' motion is given (by ``loads``).
         limits: (m + k,) where main efforts and carrier forces saturate.
         stops: (4, l) index in q, index in v, side and bound of each stop.
-        short_step: s; shorter steps are checked at their end only.
+        time: s; time scale of the motion.
+        brief: rad; steps with less travel, at the speeds of their ends, are checked at their end only.
         check_travel: rad; largest travel of joints between two checks of the closures' rank.
         near_rank: ratio of singular values below which a rank loss may be near.
         shortest: s; the shortest ordinary step.
         tolerance, largest_residual: m; closure residual that a projection must reach, and must not leave.
         velocity_change, velocity_floor: a projection may change a velocity by this share of the largest one, plus this
-            amount, m/s or rad/s.
+            amount, characteristic lengths or rad, per time scale.
     """
 
     method: str
     rtol: float
-    atol: float
+    atol: Array
     max_step: float
     grid: Array
     time_tolerance: float
@@ -107,7 +109,8 @@ class Rules:
     prescribed: bool
     limits: Array
     stops: Array
-    short_step: float
+    time: float
+    brief: float
     check_travel: float
     near_rank: float
     shortest: float

@@ -45,14 +45,15 @@ _UNLIMITED = 1e6
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
 """Where in a step the functions are looked at."""
 
-BRIEF = 2e-3
-"""s; in a step shorter than this only the end is looked at, and where joints turn back."""
+BRIEF = 0.02
+"""rad; where joints move less than this in a step, at the speeds of its ends, only its end is looked at, and where they
+turn back. A tenth of ``BETWEEN``."""
 
 BETWEEN = 0.2
 """rad; no joint of the pose moves farther than this from look to look at the rank of the closures."""
 
-_SAME = 1e-4
-"""s; a determinant with a zero of third order gives its time no better than this."""
+_SAME = 2e-3
+"""Share of a step, a hundred cube roots of rounding, to which the time of a zero of third order is known."""
 
 _TURN = 1e-6
 """Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it. Rank
@@ -194,6 +195,12 @@ class EventFunctions:
         speeds = np.abs(states[:, self.nq + self._columns]) / self._unit
         return length * float(speeds.max(axis=1).mean())
 
+    def is_brief(self, step: Step, time: float) -> bool:
+        """Return whether joints hardly move in a step, by the speeds at its ends, or by the time scale, s."""
+        ends = np.array([step(step.start), step(step.end)])
+        speed = float((np.abs(ends[:, self.nq + self._columns]) / self._unit).max(initial=1.0 / time))
+        return (step.end - step.start) * speed < BRIEF
+
     def ratios(self, step: Step, count: int) -> Array:
         """Return (count + 1,) the ratio of singular values of the closures at equidistant looks at a step."""
         states = np.array([step.at(fraction) for fraction in np.linspace(0.0, 1.0, count + 1).tolist()])
@@ -295,14 +302,15 @@ class Step:
 
 
 def find_events(
-    functions: EventFunctions, before: Array, step: Step, sheet: Sheet | None = None
+    functions: EventFunctions, before: Array, step: Step, time: float, sheet: Sheet | None = None
 ) -> tuple[list[Event], Array, Array]:
     """Return the events in a step in order of time, up to the first terminal one, and the functions (w,) at its end.
 
     Also the ratios (L,) of singular values of the closures at its start, at equidistant looks and at its end.
-    ``before`` (w,) are the functions at the start, ``sheet`` what the motion is on where the closures lose rank.
+    ``before`` (w,) are the functions at the start, ``time`` is the time scale of the motion, s, ``sheet`` what the
+    motion is on where the closures lose rank.
     """
-    fine = step.end - step.start > BRIEF or before[-1] < NEAR
+    fine = not functions.is_brief(step, time) or before[-1] < NEAR
     looks, weights = (_LOOKS, _WEIGHTS) if fine else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
     states = step.estimates(weights)
     values = np.concatenate([before[None], functions(states[1:, : functions.nq])])
@@ -348,7 +356,8 @@ def _with_rank_loss(
     others = [
         event
         for event in events
-        if event.kind not in functions.determinants or all(abs(event.t - t) > _SAME for t in times)
+        if event.kind not in functions.determinants
+        or all(abs(event.t - t) > _SAME * (step.end - step.start) for t in times)
     ]
     return _until_terminal([*others, *(event for t in times for event in functions.rank_loss(t, step(t)))])
 

@@ -401,7 +401,7 @@ static double take(const double *numbers, const Run *run, Progress *at, double e
     length = t1 - at->t;
     if (stages(numbers, run, at, length, end, y, y1, K, 1, run->stages)) {
       for (int i = 0; i < NY; ++i) {
-        double scale = run->atol + fmax(fabs(y[i]), fabs(y1[i])) * run->rtol, five = 0.0, three = 0.0;
+        double scale = run->atol[i] + fmax(fabs(y[i]), fabs(y1[i])) * run->rtol, five = 0.0, three = 0.0;
         for (int s = 0; s <= run->stages; ++s) {
           five += K[s * NY + i] * run->E[s];
           three += K[s * NY + i] * run->E3[s];
@@ -435,11 +435,19 @@ static int may_touch_zero(const double *ratios, int count, double near) {
   return !(least > 1.5 * change);
 }
 
+/* The largest of velocities (NV) without units, 1/s. */
+static double largest_rate(const double *numbers, const double *v) {
+  double most = 0.0;
+  for (int i = 0; i < NV; ++i) most = fmax(most, fabs(v[i]) * VELOCITY_SCALE[i] / LENGTH);
+  return most;
+}
+
 /* Whether nothing happens in a step: no sign of a function changes, no joint turns back near its stop, the closures keep
    away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end. */
 static int ordinary(const double *numbers, const Run *run, Progress *at, double h, double end, const double *y, const double *y1, double *K,
                     double *values, int *dense) {
-  int fine = h > run->short_step || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
+  double speed = fmax(1.0 / run->time, fmax(largest_rate(numbers, y + NQ), largest_rate(numbers, y1 + NQ)));
+  int fine = !(h * speed < run->brief) || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
   double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0, near = at->near;
   const double *f0 = K, *f1 = K + run->stages * NY;
   int watched = WATCHED(run);
@@ -522,10 +530,10 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     copy(shown, values, WATCHED(run));
     if (!ordinary(numbers, run, at, length, end, y, y1, K, shown, &dense)) return 1;
     copy(next, y1, NY);
-    double moved = 0.0, fastest = fmax(largest(y + NQ, NV), largest(y1 + NQ, NV));
+    double change[NV], fastest = fmax(largest_rate(numbers, y + NQ), largest_rate(numbers, y1 + NQ));
     int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, gaps) && gaps[1] <= run->largest_residual;
-    for (int i = NQ; good && i < NY; ++i) moved = fmax(moved, fabs(next[i] - y1[i]));
-    if (!good || !(moved <= run->velocity_change * fastest + run->velocity_floor)) {
+    for (int i = 0; i < NV; ++i) change[i] = next[NQ + i] - y1[NQ + i];
+    if (!good || !(largest_rate(numbers, change) <= run->velocity_change * fastest + run->velocity_floor / run->time)) {
       at->near = was_near;
       return 1;
     }

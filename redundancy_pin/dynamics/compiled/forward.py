@@ -60,7 +60,7 @@ _RUN = Struct(
         Member("rates", "double *", "(rows, NQ + NV), memory for the rates of the stages"),
         Member("order", "double", "of its error estimate"),
         Member("rtol", "double", "relative tolerance of a step"),
-        Member("atol", "double", "absolute tolerance of a step"),
+        Member("atol", "const double *", "(NQ + NV) absolute tolerance of a step"),
         Member("max_step", "double", "s"),
         Member("prescribed", "int", "whether the carriers' motion is given, by loads"),
         Member("pieces", "int", "of the polynomials of efforts"),
@@ -78,14 +78,17 @@ _RUN = Struct(
         Member("stops", "int", "of joints at their limits"),
         Member("stop", "const double *", "(stops, 4) index in q and in v, side, bound"),
         Member("mode", "const double *", "(LEGS) signs of the working mode"),
-        Member("short_step", "double", "s; shorter steps are checked at their end only"),
+        Member("time", "double", "s; time scale of the motion"),
+        Member(
+            "brief", "double", "rad; steps with less travel, at the speeds of their ends, are checked at their end only"
+        ),
         Member("check_travel", "double", "rad; largest travel of joints between two checks of the closures' rank"),
         Member("near_rank", "double", "ratio of singular values of the closures below which a rank loss may be near"),
         Member("shortest", "double", "s; the shortest ordinary step"),
         Member("tolerance", "double", "m; closure residual that a projection must reach"),
         Member("largest_residual", "double", "m; closure residual that it must not leave"),
         Member("velocity_change", "double", "by a projection, at most this share of the largest velocity"),
-        Member("velocity_floor", "double", "and this amount, m/s or rad/s"),
+        Member("velocity_floor", "double", "and this amount, characteristic lengths or rad, per time scale"),
     ),
     {"Loads": _LOADS},
 )
@@ -253,6 +256,7 @@ class CompiledIntegration:
         for field in fields(rules):
             if field.type == "float":
                 setattr(self._run, field.name, getattr(rules, field.name))
+        self._point("atol", rules.atol)
         self._point("sample_at", rules.grid)
         self._point("break_at", rules.breaks)
         self._point("stop", rules.stops.T)
