@@ -79,7 +79,7 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("units", [Units(1e-6, 1e-12), Units(1e6, 1e6)], ids=["small", "large"])
 def test_its_own_test_knows_the_size_of_the_machine(units: Units, tmp_path: Path) -> None:
-    folder = codegen.write_c(scaled_robot(machine("four_bar"), units), tmp_path / "code", prefix="unit").folder
+    folder = codegen.write_c(scaled_robot(machine("2rpr"), units), tmp_path / "code", prefix="unit").folder
     tests, text = compiled([folder / "test_unit.c"], tmp_path / "test.o", "-c"), (folder / "unit.c").read_text()
     for what in ("f", "tau", ""):
         wrong = f"  for (int i = 0; i < 1; ++i) efforts->{what}[i] *= 1.0 + 1e-6;\n" if what else ""
