@@ -12,7 +12,6 @@ from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import least_squares
 
 from redundancy_pin.arrays import Array, IntArray, checked, frozen, read_only
 from redundancy_pin.errors import DeclarationError, InputError, millimetres
@@ -381,6 +380,8 @@ _OPEN = 0.1
 
 def _where_open(robot: Robot, q: Array) -> str:
     """Return which closures a configuration (nq,) leaves open, the worst first."""
+    from scipy.optimize import least_squares  # which takes a while to import, and is needed where loading fails
+
     system = ConstraintSystem(robot)
 
     def residual(step: Array) -> Array:
