@@ -89,7 +89,7 @@ def one_by_one(loop, dynamics, motion, carriers):
         "ratio": statistics.median(ratios),
         "ratio_min": min(ratios),
         "ratio_max": max(ratios),
-        "target": 2.0,
+        "target": 1.0,
         "plain_us_per_sample": plain,
         "own_us_per_sample": own,
         "relative_difference": np.abs(W @ tau[-1] - f[-1]).max() / np.abs(f[-1]).max(),

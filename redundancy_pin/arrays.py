@@ -30,6 +30,10 @@ RANK_TOLERANCE = 1e-9
 """Scaled singular values below this fraction of the largest one count as zero. The square root of
 the rounding unit is 1.5e-8; poses found by root finding reach 1e-12."""
 
+AGREEMENT_TOLERANCE = 1e-8
+"""Largest contradiction between positions of redundant motors, characteristic lengths or rad: a thousand times the
+closure tolerance, for what margins of 1e-3 make of it. Of their velocities, as a fraction."""
+
 NEAR_SINGULAR_MARGIN = 0.05
 """Scaled margin below which a pose is reported as near-singular; on the 2-RPR it is reached at a
 condition number of 28, just above the largest threshold the thesis works with (20)."""
@@ -118,6 +122,46 @@ def assign(target: object, **values: object) -> None:
         object.__setattr__(target, name, value)
 
 
+def numbers(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
+    """Return ``values`` as an array of doubles after checking its shape; they need not be finite.
+
+    Args:
+        values: anything numpy can turn into an array of floats; an array of doubles is returned as it is.
+        name: what to call it in an error.
+        shape: expected length of each axis; a string stands for any length.
+
+    Raises:
+        InputError: not real numbers (complex ones, text, None, masked ones), wrong number of axes, wrong length.
+    """
+    try:
+        array = np.asarray(values)
+        kind = array.dtype.kind
+        if kind in "cSU" or np.ma.is_masked(values) or (kind == "O" and None in array.ravel().tolist()):
+            # numpy makes numbers of text, of what is masked, a real part of complex numbers, and NaN of None
+            kinds = {"c": "complex numbers", "S": "text", "U": "text", "O": "None"}
+            raise TypeError(f"it holds {kinds.get(kind, 'masked values')}")
+        array = np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{name} is not an array of numbers: {error}.",
+            remedy="Pass a rectangular array of finite floats.",
+            name=name,
+        ) from error
+    if array.shape != shape and not (
+        array.ndim == len(shape)
+        and all(isinstance(want, str) or got == want for got, want in zip(array.shape, shape, strict=True))
+    ):
+        expected = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise InputError(
+            f"{name} has shape {array.shape}, expected {expected}.",
+            remedy="Rows are samples, columns are coordinates.",
+            name=name,
+            shape=array.shape,
+            expected=tuple(shape),
+        )
+    return array
+
+
 def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     """Return a read-only float64 copy of ``values`` after checking shape and finiteness.
 
@@ -127,31 +171,9 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
         shape: expected length of each axis; a string stands for any length.
 
     Raises:
-        InputError: not numeric, wrong number of axes, wrong length, or a NaN or infinity.
+        InputError: as ``numbers``; a NaN or infinity, or a number beyond 1e100.
     """
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind in "cSU":
-            raise TypeError(f"it holds {'complex numbers' if given.dtype.kind == 'c' else 'text'}")
-        array = frozen(given)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{name} is not an array of numbers: {error}.",
-            remedy="Pass a rectangular array of finite floats.",
-            name=name,
-        ) from error
-    matches = array.ndim == len(shape) and all(
-        isinstance(want, str) or got == want for got, want in zip(array.shape, shape, strict=True)
-    )
-    if not matches:
-        expected = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"
-        raise InputError(
-            f"{name} has shape {array.shape}, expected {expected}.",
-            remedy="Rows are samples, columns are coordinates.",
-            name=name,
-            shape=array.shape,
-            expected=tuple(shape),
-        )
+    array = frozen(numbers(values, name, shape))
     bad = ~(np.abs(array) <= LARGEST)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
@@ -250,7 +272,7 @@ def rows_of(values: ArrayLike, name: str, shape: tuple[int | str, int | str]) ->
         one = np.ndim(values) < 2
     except ValueError:  # rows of several lengths, which the check says
         one = False
-    return checked(np.atleast_2d(np.asarray(values)) if one else values, name, shape)
+    return checked(np.atleast_2d(np.asanyarray(values)) if one else values, name, shape)
 
 
 def positive(value: float, name: str, unit: str) -> float:

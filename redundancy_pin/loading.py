@@ -399,8 +399,16 @@ _OPEN = 0.1
 
 def _where_open(robot: Robot, q: Array) -> str:
     """Return which closures a configuration (nq,) leaves open, the worst first."""
+    from scipy.optimize import least_squares  # which takes a while to import, and is needed where loading fails
+
     system = ConstraintSystem(robot)
-    phi = np.abs(system.evaluate(q[None]).phi[0] / system.closure_unit) * robot.characteristic_length
+
+    def residual(step: Array) -> Array:
+        phi: Array = system.evaluate(pin.integrate(robot.model, q, step)[None]).phi[0] / system.closure_unit
+        return phi
+
+    # Newton's method stops for all loops where one goes no further: least squares closes those that can be
+    phi = np.abs(least_squares(residual, np.zeros(robot.model.nv)).fun) * robot.characteristic_length
     rows = [len(closure.axes) for closure in robot.closures] + [1] * len(robot.couplings)
     gaps = [float(part.max(initial=0.0)) for part in np.split(phi, np.cumsum(rows)[:-1])]
     worst = max(gaps, default=0.0)

@@ -422,16 +422,6 @@ def _pose_errors(x: Array) -> Array:
     return np.asarray(np.maximum(error, np.abs(x[:, 3] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=1)))
 
 
-def is_homogeneous_pose(x: Array) -> bool:
-    """Return whether a matrix (4, 4) is a pose that ``PlatformMotion`` takes.
-
-    Example:
-        >>> is_homogeneous_pose(np.eye(4)), is_homogeneous_pose(2.0 * np.eye(4))
-        (True, False)
-    """
-    return bool(_pose_errors(x[None])[0] <= POSE_TOLERANCE)
-
-
 def require_poses(x: Array) -> None:
     """Raise InputError where a matrix among (N, 4, 4) is no homogeneous pose, to ``POSE_TOLERANCE``."""
     error = _pose_errors(x)

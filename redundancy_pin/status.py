@@ -42,7 +42,7 @@ class SampleStatus(Labelled):
     BOUND_INFEASIBLE = 5
     """Efforts exist, but none within the bounds. An allocation returns those within the bounds of least residual."""
     UNREACHABLE = 6
-    """No configuration closes the loops, or positions of redundant motors contradict each other: no W and no f."""
+    """No configuration closes the loops, or redundant motors contradict each other: no W and no f."""
     BRANCH_LOST = 7
     """The loops can be closed, but not on the branch of the start: in another working mode, or beyond samples that are
     singular or unreachable, where kinematics cannot say on which side of the singularity the machine returns."""

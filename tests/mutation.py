@@ -51,7 +51,7 @@ C_EXCHANGES = [
 PATIENCE = 1200.0
 """Seconds after which a mutant counts as noticed: its tests do not end."""
 
-JUDGES = {"kinematics": ("tests/test_loading.py",), "dynamics": ("tests/simulation/test_forward.py",)}
+JUDGES = {"kinematics": ("tests/test_loading.py",), "dynamics": ("tests/codegen", "tests/simulation/test_forward.py")}
 """Tests beside ``tests/<room>`` and the mission test that judge a room first."""
 
 
@@ -139,6 +139,7 @@ def main() -> None:
     survivors = 0
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
         copy, cache = Path(folder, "copy"), Path(folder, "cache")
+        os.chmod(folder, 0o755)  # tests of what another user may do read the copy
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(copy)], check=True)
         cache.mkdir(mode=0o700)
         for number, mutant in enumerate(mutants, 1):

@@ -42,11 +42,12 @@ def test_finite_arrays_of_the_right_shape_pass_unchanged(values: np.ndarray) -> 
     [
         ("down", ("N",), "x is not an array of numbers"),
         ([[1.0], [1.0, 2.0]], ("N", "n"), "x is not an array of numbers"),
-        ([1.0, None], ("N",), "not finite, the first at index"),
+        ([1.0, None], ("N",), "x is not an array of numbers: it holds None"),
         ([1.0, -1.1e100], ("N",), r"beyond 1e\+100, the first at index \(1,\): -1.1e\+100"),
         ([1j, 2.0], ("N",), "x is not an array of numbers"),
         (np.array([1j, 2.0]), ("N",), "x is not an array of numbers"),
         (["1", "2"], ("N",), "x is not an array of numbers"),
+        (np.ma.masked_array([1.0, 2.0], mask=[False, True]), ("N",), "masked values"),
         (3.0, ("N",), r"shape \(\), expected \(N,\)"),
         ([1.0, 2.0], (3,), r"shape \(2,\), expected \(3,\)"),
         ([[1.0, 2.0]], ("N",), r"shape \(1, 2\), expected \(N,\)"),

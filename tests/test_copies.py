@@ -185,6 +185,14 @@ def test_every_type_with_read_only_arrays_is_among_them(objects: dict[str, Any])
     assert every - types - ELSEWHERE - {"Frozen"} == set()
 
 
+def test_results_are_compared_by_what_they_are_and_not_by_their_arrays(objects: dict[str, Any]) -> None:
+    """Equality of arrays has no truth value; what is compared by identity can be a key."""
+    for name, one in objects.items():
+        if isinstance(one, Frozen):
+            assert {one: name}[one] == name
+            assert one != copy.deepcopy(one), name
+
+
 def test_copies_compute_what_the_originals_do(objects: dict[str, Any]) -> None:
     motion, carriers = objects["motion"], objects["carriers"]
     for name in ("dynamics", "virtual work"):

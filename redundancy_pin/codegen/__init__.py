@@ -61,7 +61,8 @@ def write_c(
 
     The code allocates nothing, has no state but what its caller holds, and calls math.h alone. Its functions give W,
     f, τ with the statuses of ``distribute``, and carrier forces; platform coordinates from actuated positions (with at
-    least as many actuators as freedoms); constraint Jacobians; margins to singularities.
+    least as many actuators as freedoms); constraint Jacobians; margins to singularities. Ranges of joints and tracks
+    are not checked.
 
     Args:
         robot: the robot, or its name or path; its dimensions, masses, gravity and working mode become constants.

@@ -49,7 +49,7 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
 #endif
   copy(from, state->q, NQ);
   from[NQ] = state->sign;
-  if (!finite(in, NX + 2 * N + 3 * NK) || !finite(from, NQ + 1)) return ROBOT_NOT_FINITE;
+  if (!finite(from, NQ + 1)) return ROBOT_NOT_FINITE;
   int closed = rp_sample(NUMBERS, from, in, out);
   if (closed != CLOSED) return status_of(closed);
   if (!finite(out, N * M + N + NK + 2)) return ROBOT_NOT_FINITE; /* rates so large that forces overflow */

@@ -38,16 +38,25 @@ def _replace_nested(pattern: str, mark: str, code: str) -> str:
     return code
 
 
-def add_prefix(text: str, prefix: str, header: str) -> str:
-    """Return a C file whose own names begin with ``prefix_own_`` or ``PREFIX_OWN_``.
+def add_prefix(text: str, prefix: str) -> str:
+    """Return a C file whose names of file scope begin with the prefix.
 
-    Those that the header declares stay as they are, and those that belong to the compiler: with an underscore in front,
-    and main.
+    Names of the header are written ``robot_name`` and ``ROBOT_NAME`` in the text, and become ``prefix_name`` and
+    ``PREFIX_NAME``; the file's own become ``prefix_own_name`` and ``PREFIX_OWN_NAME``. So no prefix makes one of the
+    other. Names that belong to the compiler stay: those with an underscore in front, and main.
     """
-    own = {name for name in file_scope_names(text) - file_scope_names(header) - {"main"} if not name.startswith("_")}
-    renamed = {name: f"{prefix.upper()}_OWN_{name}" if name.isupper() else f"{prefix}_own_{name}" for name in own}
+    own = {name for name in file_scope_names(text) - {"main"} if not name.startswith("_")}
+
+    def renamed(found: re.Match[str]) -> str:
+        name = found[0]
+        if name.startswith(("robot_", "ROBOT_")):
+            return (prefix if name[0] == "r" else prefix.upper()) + name.removeprefix(name[:5])
+        if name not in own:
+            return name
+        return f"{prefix.upper()}_OWN_{name}" if name.isupper() else f"{prefix}_own_{name}"
+
     # members of structures are names of their own
-    name = re.compile(r"(?<!->)(?<!\.)\b[A-Za-z]\w*")
+    pattern = re.compile(r"(?<!->)(?<!\.)\b[A-Za-z]\w*")
     parts = _TEXTS.split(text)
-    parts[::2] = [name.sub(lambda found: renamed.get(found[0], found[0]), code) for code in parts[::2]]
+    parts[::2] = [pattern.sub(renamed, code) for code in parts[::2]]
     return "".join(parts)

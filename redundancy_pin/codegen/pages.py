@@ -11,17 +11,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import redundancy_pin
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.codegen.names import add_prefix
 from redundancy_pin.codegen.recorded import Recorded
 from redundancy_pin.dynamics.compiled.build import Definition, define, driver_source, text_of
-from redundancy_pin.dynamics.compiled.parameters import parameter_vector
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector, turning_rows
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, mode_name
 from redundancy_pin.machine_code import NEEDS_INFINITY
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
-from redundancy_pin.robot.scales import closure_tolerance, is_revolute, row_scale
+from redundancy_pin.robot.scales import (
+    closure_tolerance,
+    column_scale,
+    coordinate_unit,
+    is_revolute,
+    row_scale,
+    velocity_scale,
+    velocity_unit,
+)
 from redundancy_pin.status import SampleStatus
 
 _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
@@ -31,21 +39,18 @@ _FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project
 def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
     """Return the text of each file, by name."""
     facts = _facts(robot, prefix, recorded)
-    header = _rendered("controller.h.j2", facts)
     return {
-        f"{prefix}.c": add_prefix(source(robot, prefix), prefix, header),
-        f"{prefix}.h": header,
-        f"test_{prefix}.c": add_prefix(_rendered("test.c.j2", facts), prefix, header),
+        f"{prefix}.c": add_prefix(source(robot, prefix), prefix),
+        f"{prefix}.h": _rendered("controller.h.j2", facts),
+        f"test_{prefix}.c": add_prefix(_rendered("test.c.j2", facts), prefix),
         "CMakeLists.txt": _rendered("CMakeLists.txt.j2", facts),
         "README.md": _rendered("README.md.j2", facts),
     }
 
 
 def source(robot: Robot, prefix: str) -> str:
-    """Return the C source: expressions, driver and what a controller calls."""
+    """Return the C source without the prefix: expressions, driver and what a controller calls."""
     definition, functions = _written(robot)
-    text = importlib.resources.files(__package__).joinpath("controller.c").read_text(encoding="utf-8")
-    named = re.sub(r"\brobot_(?=[a-z])", f"{prefix}_", re.sub(r"\bROBOT_(?=[A-Z])", f"{prefix.upper()}_", text))
     return "\n".join(
         [
             f"/* {_as_comment(robot.name)}, written by redundancy_pin {redundancy_pin.__version__}; see {prefix}.h. */",
@@ -55,7 +60,7 @@ def source(robot: Robot, prefix: str) -> str:
             f"static const double REFERENCE[] = {_listed(robot.q_reference)};",
             text_of("sample.c"),
             f"static const double NUMBERS[] = {_listed(parameter_vector(robot))};",
-            named,
+            importlib.resources.files(__package__).joinpath("controller.c").read_text(encoding="utf-8"),
         ]
     )
 
@@ -114,7 +119,9 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
     frame = f"of frame {_as_comment(platform.frame)} in the base frame" if platform else "of the independent joints"
     rates = _units(names, turning, "m/s", "rad/s")
     closures = [_as_comment(name) for name in robot.constraint_names]
-    jacobian = recorded.closure
+    far = 3 if pose else next((i for i, name in enumerate(names) if name in lengths and _is_scalar(robot, name)), None)
+    far_drive = next((i for i, name in enumerate(robot.actuated) if _is_scalar(robot, name)), None)
+    length = float(robot.characteristic_length)
     return {
         "version": redundancy_pin.__version__,
         "title": _as_comment(robot.name),
@@ -151,15 +158,45 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
         "parameters": [(_as_comment(name), _as_comment(str(value))) for name, value in robot.parameters.items()],
         "samples": len(recorded),
         "recorded": ",\n".join(_record(robot, recorded, i) for i in range(len(recorded))),
-        "closure": _listed([*jacobian.tolist(), [0.0] * model.nv]),
-        "jacobian_size": repr(float(np.abs(jacobian).max(initial=0.0)) or 1.0),
+        "closure": _listed(recorded.closure),
         "gamma": _listed(recorded.gamma),
-        "gamma_scale": repr(float(np.abs(recorded.gamma).max())),
         "row_scale": _listed(row_scale(robot)),
-        "residual_scale": repr(float(1.0 / row_scale(robot).min())),
-        "far": next((i for i, name in enumerate(names) if name in lengths and _is_scalar(robot, name)), None),
-        "far_drive": next((i for i, name in enumerate(robot.actuated) if _is_scalar(robot, name)), None),
-    } | ({"far": 3} if pose else {})
+        "size": {name: _listed(size) for name, size in _sizes(robot, recorded).items()},
+        "far": far,
+        "far_by": None if far is None else repr(1e3 * (length if pose else float(coordinate_unit(robot)[far]))),
+        "far_drive": far_drive,
+        "far_drive_by": None if far_drive is None else repr(1e3 * length / float(column_scale(robot)[far_drive])),
+    }
+
+
+def _sizes(robot: Robot, recorded: Recorded) -> dict[str, Array]:
+    """Return by quantity what its tolerance is a share of, in the shape of one sample.
+
+    It is the largest value of all samples, lengths and angles made comparable; for forces at least the size of the
+    terms that cancel, for coordinates at least the characteristic length or 1 rad.
+    """
+    rows, columns, reduced = row_scale(robot), column_scale(robot), recorded.reduced
+    coordinate, velocity = coordinate_unit(robot), velocity_unit(robot)
+    equation = np.where(turning_rows(robot), 1.0, robot.characteristic_length)
+    x, xd, _ = recorded.motion
+    place = np.ones((4, 4))
+    place[:3, 3] = robot.characteristic_length
+    force = float(np.asarray(reduced.force_size).max())
+
+    def size(values: Array, unit: Array, least: float = 0.0) -> Array:
+        return np.asarray(np.nanmax(np.abs(values) / unit, initial=least) * unit)
+
+    return {
+        "tau": size(recorded.efforts.tau, columns, force),
+        "W": size(reduced.W, rows[:, None] / columns),
+        "f": size(reduced.f, rows, force),
+        "carrier_force": size(reduced.carrier_force, velocity_scale(robot)[robot.carrier_velocity], force),
+        "residual": size(reduced.f / rows, np.ones(robot.n), force)[0],
+        "x": size(x, place if x.ndim == 3 else coordinate, 1.0).ravel(),
+        "xd": size(xd, coordinate),
+        "closure": size(recorded.closure, equation[:, None] / velocity),
+        "gamma": size(recorded.gamma, velocity[:, None] / coordinate),
+    }
 
 
 def _is_scalar(robot: Robot, name: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Recorded:
         motion: x (N, n) or (N, 4, 4), xd and xdd (N, n).
         carriers: s, sd and sdd (N, k).
         reduced: W, f, carrier forces.
-        efforts: τ and statuses.
+        efforts: τ and statuses, whether joints are in their ranges or not.
         type_I_margin: (N,) lower bound of the scaled distance to a type I singularity.
         closure: (r, nv) closure Jacobian at the first sample.
         gamma: (nv, n) Γ there.
@@ -81,7 +81,7 @@ def record(robot: Robot, motion: PlatformMotion | None, carriers: CarrierMotion 
         motion=(motion.x[kept], motion.xd[kept], motion.xdd[kept]),
         carriers=(carriers.s[kept], carriers.sd[kept], carriers.sdd[kept]),
         reduced=reduced,
-        efforts=distribute(reduced),
+        efforts=distribute(replace(reduced, out_of_range=None)),  # the C knows no ranges of joints and tracks
         type_I_margin=tree.serial_margin_bound[kept],
         closure=ConstraintSystem(robot).evaluate(tree.q[kept[:1]]).Jc[0],
         gamma=tree.gamma[kept[0]],

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeGuard, Typ
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, checked, peak, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, numbers, peak, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError, millimetres
 from redundancy_pin.motion import (
@@ -30,6 +30,9 @@ OnUnreachable = Literal["raise", "mark"]
 
 SampleArguments: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
 """x, xd, xdd, s, sd, sdd of ``Dynamics.torque``."""
+
+SampleArrays: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
+"""The same as arrays: x (n,) or (4, 4), xd and xdd (n,), s, sd and sdd (k,)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,8 +153,13 @@ class JointStateSample(NamedTuple):
         v: (nv,) its velocity, m/s and rad/s.
         x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
         xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
-        status: ok, near_singular (type II), out_of_range; otherwise all numbers are NaN.
+        status: ok, near_singular (type II), out_of_range; otherwise all numbers but the residual are NaN. Redundant
+            motors whose positions or velocities contradict each other are unreachable, as in ``forward_kinematics``:
+            by more than 1e-8 characteristic lengths or rad, or than that fraction of the velocities.
         margin: singularity margin, the smallest singular value of the scaled W, no unit.
+        residual: what is left between positions and configuration, m (angles times the characteristic length): the
+            closure residual, or what redundant motors contradict each other by, whichever is larger; NaN if it is not
+            known. To use one of several noisy encoders, declare fewer joints as actuated.
     """
 
     q: Array
@@ -160,6 +168,7 @@ class JointStateSample(NamedTuple):
     xd: Array
     status: SampleStatus
     margin: float
+    residual: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +186,10 @@ class CarrierDerivatives(Frozen):
     force_s: Array
     force_sd: Array
     force_sdd: Array
+
+
+TERMS = 5
+"""Terms by which a carrier on a straight track enters W τ = f: s, s², ṡ, s ṡ and s̈."""
 
 
 class CarrierTerms(NamedTuple):
@@ -360,7 +373,7 @@ class Dynamics(Protocol):
         Raises:
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
         """
-        motion, carriers = one_sample(self.robot, x, xd, xdd, s, sd, sdd, t=t)
+        motion, carriers = one_sample(self.robot, (x, xd, xdd, s, sd, sdd), t)
         one = self.along(motion).reduce(carriers)
         return Sample(one.W[0], one.f[0], one.carrier_force[0])
 
@@ -381,8 +394,9 @@ class Dynamics(Protocol):
         The sample lies on the branch of ``start``, otherwise of the last sample that this thread solved, at first of
         the reference. The branch is followed along the straight line to x. Where that fails, the efforts are NaN with
         the status unreachable, type_i or branch_lost, and the next sample starts from the same configuration as this
-        one: the reference is not returned to. Numbers that are not finite have the status not_finite. A carrier beyond
-        its track is out_of_range like any other joint.
+        one: the reference is not returned to. Numbers that are not finite have the status not_finite,
+        and so have those beyond 1e100, except in generated code, which takes any whose forces do not overflow.
+        A carrier beyond its track is out_of_range like any other joint.
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
@@ -392,7 +406,9 @@ class Dynamics(Protocol):
             sd: scalar or (k,) their rates, m/s; 0 when left out.
             sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
             t: time, s, for wrenches that depend on it.
-            start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode.
+            start: (nq,) a closed configuration nearby, whose branch is followed, in any working mode. It may be open
+                by noise: closing it at its own coordinates must move joints by less than half the singularity margin
+                (rad, characteristic lengths), which keeps K regular. Otherwise the sample is branch_lost.
 
         Raises:
             InputError: wrong shapes, or a matrix that is not a pose.
@@ -506,43 +522,43 @@ def terms_along(along: DynamicsAlongMotion) -> CarrierTerms:
         square = 0.5 * (np.asarray(getattr(second, f"{name}_s")) - by_s) / length
         return np.stack([by_s, square, by_sd, both, by_sdd], axis=-1)  # (N, n or k, k, 5)
 
-    own, terms = np.arange(k), np.zeros((samples, k, 5, n + k))
+    own, terms = np.arange(k), np.zeros((samples, k, TERMS, n + k))
     terms[..., :n] = by_term("f").transpose(0, 2, 3, 1)
     terms[:, own, :, n + own] = by_term("force")[:, own, own].transpose(1, 0, 2)
     constant = np.concatenate([reduced.f, reduced.carrier_force], axis=1)
     return CarrierTerms(reduced.W, read_only(constant), read_only(terms))
 
 
-def one_sample(
-    robot: Robot,
-    x: ArrayLike,
-    xd: ArrayLike,
-    xdd: ArrayLike,
-    s: ArrayLike,
-    sd: ArrayLike,
-    sdd: ArrayLike,
-    *,
-    t: float = 0.0,
-) -> tuple[PlatformMotion, CarrierMotion]:
+def sample_arrays(robot: Robot, given: SampleArguments) -> SampleArrays:
+    """Return the arguments of one sample as arrays of doubles; they need not be finite, nor x a pose.
+
+    Arguments of the carriers that are empty are zero; one number is that of all carriers.
+
+    Raises:
+        InputError: wrong shapes, or what is no real number.
+    """
+    x, xd, xdd, *tracks = given
+    n, k = robot.n, robot.k
+    pose = (4, 4) if is_pose(robot) else (n,)
+    platform = numbers(x, "x", pose), numbers(xd, "xd", (n,)), numbers(xdd, "xdd", (n,))
+    carriers = []
+    for part, name in zip(tracks, ("s", "sd", "sdd"), strict=True):
+        shape = np.shape(part)
+        if shape == (0,):
+            carriers.append(np.zeros(k))
+        else:
+            carriers.append(numbers(part, name, (k,)) if shape else np.full(k, numbers(part, name, ())))
+    return (*platform, carriers[0], carriers[1], carriers[2])
+
+
+def one_sample(robot: Robot, given: SampleArguments, t: float) -> tuple[PlatformMotion, CarrierMotion]:
     """Return motions of one sample; arguments as of ``Dynamics.sample``.
 
     Raises:
-        InputError: wrong shapes, or values that are not finite.
+        InputError: wrong shapes, values that are not finite, or a matrix that is no pose.
     """
-    pose = (4, 4) if is_pose(robot) else (robot.n,)
-    platform = zip((x, xd, xdd), ("x", "xd", "xdd"), (pose, (robot.n,), (robot.n,)), strict=True)
-    motion = PlatformMotion([t], *(checked(part, name, shape)[None] for part, name, shape in platform))
-    tracks = zip((s, sd, sdd), ("s", "sd", "sdd"), strict=True)
-    carriers = CarrierMotion(*(_each(robot.k, part, name)[None] for part, name in tracks))
-    return motion, carriers
-
-
-def _each(k: int, part: ArrayLike, name: str) -> Array:
-    """Return (k,) an argument of the carriers: empty for zero, one number for all of them."""
-    shape = np.shape(part)
-    if shape == ():
-        part = np.full(k, checked(part, name, ()))
-    return checked(np.zeros(k) if shape == (0,) else part, name, (k,))
+    x, xd, xdd, s, sd, sdd = (part[None] for part in sample_arrays(robot, given))
+    return PlatformMotion([t], x, xd, xdd), CarrierMotion(s, sd, sdd)
 
 
 def require_choice(unreachable: str) -> None:

@@ -1,4 +1,7 @@
-"""From W τ = f to the efforts of the main actuators: the only place where τ is formed from f."""
+"""From W τ = f to the efforts of the main actuators, with a status for each sample.
+
+``one_sample.py`` and the C of ``compiled/sample.c`` take the same decisions for one sample of a control loop.
+"""
 
 from __future__ import annotations
 

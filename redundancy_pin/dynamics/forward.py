@@ -51,30 +51,6 @@ class Equations(NamedTuple):
     effort: Array
 
 
-class Reading(NamedTuple):
-    """What controllers read off one state: the platform, and M (ẍ, s̈) + h = (W τ, F); d = n + k.
-
-    Attributes:
-        x: (n,) platform coordinates, base frame, m and rad, or a pose (4, 4).
-        xd: (n,) their rate, m/s and rad/s.
-        mass: (d, d) M, kg, kg·m, kg·m².
-        bias: (d,) h: velocity terms and gravity, N or N·m.
-        W: (n, m) generalised force on the platform per unit of main effort.
-        regular: false at a type I pose, where mass, bias and W mean nothing.
-    """
-
-    x: Array
-    xd: Array
-    mass: Array
-    bias: Array
-    W: Array
-    regular: bool
-
-
-Reader = Callable[[Array, Array], Reading]
-"""From q (nq,), v (nv,) to a ``Reading``; for one thread."""
-
-
 class LinearParts(NamedTuple):
     """Derivatives of the equations of motion at N states in motion; see ``simulation.derivatives.DynamicsDerivatives``.
 
@@ -102,7 +78,8 @@ class Rules:
 
     Attributes:
         method: "DOP853" or "RK45", explicit Runge-Kutta methods of scipy.
-        rtol, atol, max_step: of the steps.
+        rtol, max_step: of the steps.
+        atol: (nq + nv,) absolute tolerance of a step, in the units of q and v.
         grid: (G,) times to record, s; those closer than ``time_tolerance`` are one.
         breaks: (B,) times, s, at which the integration is restarted; the last one is the end.
         efforts: polynomials of main efforts and carrier forces; or None.
@@ -110,18 +87,19 @@ class Rules:
         prescribed: whether the carriers' motion is given (by ``loads``).
         limits: (m + k,) where main efforts and carrier forces saturate.
         stops: (4, l) index in q, index in v, side and bound of each stop.
-        short_step: s; shorter steps are checked at their end only.
+        time: s; time scale of the motion.
+        brief: rad; steps with less travel, at the speeds of their ends, are checked at their end only.
         check_travel: rad; largest travel of joints between two checks of the closures' rank.
         near_rank: ratio of singular values below which a rank loss may be near.
         shortest: s; the shortest ordinary step.
         tolerance, largest_residual: m; closure residual that a projection must reach, and must not leave.
         velocity_change, velocity_floor: a projection may change a velocity by this share of the largest one, plus this
-            amount, m/s or rad/s.
+            amount, characteristic lengths or rad, per time scale.
     """
 
     method: str
     rtol: float
-    atol: float
+    atol: Array
     max_step: float
     grid: Array
     time_tolerance: float
@@ -131,7 +109,8 @@ class Rules:
     prescribed: bool
     limits: Array
     stops: Array
-    short_step: float
+    time: float
+    brief: float
     check_travel: float
     near_rank: float
     shortest: float
@@ -150,7 +129,7 @@ class Advance:
         y: (nq + nv,) the closed state there.
         values: (w,) functions of the events there.
         near: ratio of singular values of the closures below which a rank loss is looked for.
-        next_step: s; negative if unknown.
+        next_step: at most this long, s.
         sample: the next one to record; ``recorded`` (G, nq + nv) holds those before it.
         steps, evaluations, restarts, largest_correction: see ``Statistics``.
     """
@@ -202,8 +181,8 @@ class ForwardKernel(Protocol):
     def equations(self, q: Array, v: Array) -> Equations:
         """Return the equations of the tree and its closures at a state."""
 
-    def reader(self) -> Reader:
-        """Return what reads one state at a time."""
+    def platform(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return the platform's coordinates (n,), m and rad, or pose (4, 4), base frame, and their rates (n,)."""
 
     def linear(self, q: Array, v: Array, a: Array, tau: Array) -> LinearParts:
         """Return exact derivatives at N states in motion under main efforts (N, m)."""

@@ -10,13 +10,27 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
+from redundancy_pin.arrays import LARGEST, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, lapack, read_only
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
-from redundancy_pin.dynamics.base import Dynamics, ReducedSample, SampleArguments, TorqueSample, one_sample
+from redundancy_pin.dynamics.base import (
+    Dynamics,
+    ReducedSample,
+    SampleArguments,
+    SampleArrays,
+    TorqueSample,
+    one_sample,
+    require_on_track,
+    sample_arrays,
+)
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
-from redundancy_pin.errors import RedundancyPinError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import (
+    CarrierLimitError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+)
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import is_in_range
 from redundancy_pin.robot.loads import wrench_values
@@ -49,14 +63,9 @@ def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
     return without_answer(robot, SampleStatus.TYPE_I if singular else SampleStatus.BRANCH_LOST)
 
 
-def is_finite(given: Sequence[ArrayLike], t: float) -> bool:
-    """Return whether all numbers of a sample are finite; later checks refuse what is no real number."""
-    try:
-        parts = [np.asarray(part) for part in (*given, t)]
-        real = [part for part in parts if part.dtype.kind != "c" and None not in part.ravel().tolist()]
-        return all(np.isfinite(part.astype(np.float64)).all() for part in real)
-    except (TypeError, ValueError):
-        return True
+def is_finite(given: Sequence[Array], t: float) -> bool:
+    """Return whether all numbers of a sample are finite, and not beyond 1e100, as in a ``PlatformMotion``."""
+    return abs(t) <= LARGEST and bool((np.abs(np.concatenate(given, axis=None)) <= LARGEST).all())
 
 
 @lru_cache(maxsize=64)
@@ -66,7 +75,7 @@ def _unit_of_W(robot: Robot) -> Array:
 
 
 def solve_sample(
-    robot: Robot, sample: ReducedSample, q: Array, kinematics: tuple[float, float], given: SampleArguments, t: float
+    robot: Robot, sample: ReducedSample, q: Array, kinematics: tuple[float, float], given: SampleArrays, t: float
 ) -> TorqueSample:
     """Return the efforts of least norm with W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ), or a status.
 
@@ -81,26 +90,24 @@ def solve_sample(
     Example:
         >>> import redundancy_pin as rp
         >>> robot = rp.load_robot("five_bar")
-        >>> given = [0.1, 0.4], [0.5, 0.0], [0.0, 1.0], (), (), ()
+        >>> given = sample_arrays(robot, ([0.1, 0.4], [0.5, 0.0], [0.0, 1.0], (), (), ()))
         >>> sample = rp.RneaDynamics(robot).sample(*given)
         >>> solve_sample(robot, sample, robot.q_reference, (0.0, 1.0), given, 0.0).status.label
         'ok'
     """
     A, g = sample.W * _unit_of_W(robot), sample.f / row_scale(robot)
-    size = math.sqrt(float(g @ g))
-    if not (math.isfinite(size) and math.isfinite(float(A.sum()))):
-        return without_answer(robot, SampleStatus.NOT_FINITE)
+    size = math.hypot(*g.tolist())  # whose squares do not overflow
     u, values, vt, failed = lapack().dgesdd(A)
-    if failed:
+    if failed or not math.isfinite(size):
         return without_answer(robot, SampleStatus.NOT_FINITE)
     sizes = values.tolist()
-    smallest, margin, s = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1], given[3]
+    smallest, margin = RANK_TOLERANCE * max(sizes[0], UNIT), sizes[-1]
     rank = sum(value > smallest for value in sizes)
     components = g @ u
     outside, full = components[rank:], rank == len(sizes)
     if len(outside):
         allowed = CONSISTENCY_TOLERANCE * size + FORCE_TOLERANCE * _force_size(robot, given, t)
-        if math.sqrt(float(outside @ outside)) > allowed:
+        if math.hypot(*outside.tolist()) > allowed:
             status = SampleStatus.UNDERACTUATED if full else SampleStatus.SINGULAR_INCONSISTENT
             return TorqueSample(np.full(robot.m, np.nan), status, margin, sample.carrier_force, *kinematics)
     tau = column_scale(robot) * ((components[:rank] / values[:rank]) @ vt[:rank])
@@ -108,16 +115,17 @@ def solve_sample(
         status = SampleStatus.SINGULAR_CONSISTENT
     else:
         status = SampleStatus.NEAR_SINGULAR if margin < NEAR_SINGULAR_MARGIN else SampleStatus.OK
-    whole = q.copy()
-    whole[robot.carrier_position] = s if np.size(s) else 0.0
-    if not is_in_range(robot, whole):
+    if robot.k:
+        q = q.copy()
+        q[robot.carrier_position] = given[3]
+    if not is_in_range(robot, q):
         status = SampleStatus.OUT_OF_RANGE
     return TorqueSample(tau, status, margin, sample.carrier_force, *kinematics)
 
 
-def _force_size(robot: Robot, given: SampleArguments, t: float) -> float:
+def _force_size(robot: Robot, given: SampleArrays, t: float) -> float:
     """Return the size of the forces of one sample before they cancel, N: ``Scales.force``."""
-    x, xd, xdd, _, sd, sdd = (np.asarray(part, dtype=np.float64) for part in given)
+    x, xd, xdd, _, sd, sdd = given
     unit, terms = coordinate_unit(robot), force_terms(robot)
     rate, acceleration = float(np.abs(xd / unit).max()), float(np.abs(xdd / unit).max())
     if robot.k and sd.size:
@@ -141,17 +149,19 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
         InputError: wrong shapes, or a matrix that is not a pose.
     """
     robot = dynamics.robot
-    if not is_finite(given, t):
+    if not is_finite(sample_arrays(robot, given), t):
         return without_answer(robot, SampleStatus.NOT_FINITE)
-    motion, carriers = one_sample(robot, *given, t=t)
+    motion, carriers = one_sample(robot, given, t)
     try:
         reduced = dynamics.along(motion).reduce(carriers)
     except REFUSALS as error:
         return refused(robot, error)
     efforts = distribute(reduced)
     status = SampleStatus(int(efforts.status[0]))
-    tracks = zip(robot.carrier_limits, carriers.s[0], strict=True)
-    if status.solved and not all(limits.lower <= s <= limits.upper for limits, s in tracks):
-        status = SampleStatus.OUT_OF_RANGE
+    if status.solved:
+        try:
+            require_on_track(robot, carriers, motion.t)
+        except CarrierLimitError:
+            status = SampleStatus.OUT_OF_RANGE
     margin, residual = float(efforts.margin[0]), float(reduced.gap[0])
     return TorqueSample(efforts.tau[0], status, margin, reduced.carrier_force[0], residual)

@@ -12,7 +12,6 @@ has it; loads of the robot enter as its external forces and as terms of the join
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -22,17 +21,19 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, checked, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, frozen, numbers, read_only
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
     SampleArguments,
+    SampleArrays,
     TorqueSample,
     one_sample,
     require_choice,
     require_matching_carriers,
+    sample_arrays,
 )
 from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refused, solve_sample, without_answer
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort, tree_energy, tree_loads
@@ -41,10 +42,10 @@ from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, is_homogeneous_pose
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_scale, velocity_unit
+from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_unit
 from redundancy_pin.robot.whole_turns import TURN, counted_turns
 from redundancy_pin.status import SampleStatus
 
@@ -141,25 +142,27 @@ class RneaDynamics(Dynamics):
                 f"start is a {type(start).__name__}, expected what an earlier sample of RneaDynamics returned.",
                 remedy="Pass that, or leave it out.",
             )
-        given, here = (x, xd, xdd, s, sd, sdd), None if start is None else start.state
+        here, arguments = None if start is None else start.state, (x, xd, xdd, s, sd, sdd)
+        given = sample_arrays(self._robot, arguments)
+        if not is_finite(given, t):
+            one_sample(self._robot, given, t)  # which raises
         sample = self._regular_sample(given, here, t)
         return sample if isinstance(sample, RneaSample) else self._any_sample(given, here, t)
 
-    def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
-        robot = self._robot
+    def _torque(self, arguments: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
+        robot, given = self._robot, sample_arrays(self._robot, arguments)
         here: ClosedState | None = getattr(self._thread, "last", None)
-        if start is not None:
-            if not is_finite((start,), t):
-                return without_answer(robot, SampleStatus.NOT_FINITE)
-            here = self._state_at(checked(start, "start", robot.q_reference.shape))
+        q = None if start is None else numbers(start, "start", robot.q_reference.shape)
+        if not is_finite(given if q is None else (*given, q), t):
+            return without_answer(robot, SampleStatus.NOT_FINITE)
+        if q is not None:
+            here = self._state_at(q)
             if here is None:
                 return without_answer(robot, SampleStatus.BRANCH_LOST)
         sample = self._regular_sample(given, here, t)
         if isinstance(sample, BranchEnd):
             return without_answer(robot, sample.status, sample.residual)
         if sample is None:
-            if not is_finite(given, t):
-                return without_answer(robot, SampleStatus.NOT_FINITE)
             try:
                 sample = self._any_sample(given, here, t)
             except REFUSALS as error:
@@ -181,38 +184,27 @@ class RneaDynamics(Dynamics):
         moved = np.abs(pin.difference(robot.model, q, state.q) / velocity_unit(robot)).max(initial=0.0)
         return state if moved < 0.5 * state.margin else None
 
-    def _any_sample(self, given: SampleArguments, here: ClosedState | None, t: float) -> RneaSample:
+    def _any_sample(self, given: SampleArrays, here: ClosedState | None, t: float) -> RneaSample:
         """Return one sample by the kinematics of whole motions, which pass rank losses and name errors."""
-        motion, carriers = one_sample(self._robot, *given, t=t)
+        motion, carriers = one_sample(self._robot, given, t)
         tree = inverse_kinematics(self._robot, motion, start=here)
         f, force = RneaAlongMotion(tree).forces(carriers)
         residual, margin = float(tree.gap[0]), float(tree.serial_margin_bound[0])
         return RneaSample(tree.W[0], f[0], force[0], tree.state(0), residual, margin)
 
     def _regular_sample(
-        self, given: SampleArguments, start: ClosedState | None, t: float
+        self, given: SampleArrays, start: ClosedState | None, t: float
     ) -> RneaSample | BranchEnd | None:
         """Return one sample from a state nearby, without a state from the reference, or why its branch ends.
 
-        None where the input is not valid or is given in another way than as arrays of all entries, the pose lies near a
-        rank loss or turns away, or not on the branch of the reference: see ``_any_sample``.
+        None where the pose lies near a rank loss or turns away, or not on the branch of the reference: see
+        ``_any_sample``.
         """
         robot, own = self._robot, follower(self._robot)
-        try:
-            x, xd, xdd, *carriers = (np.asarray(part) for part in given)
-        except ValueError:
-            return None
-        if any(part.dtype.kind not in "biuf" for part in (x, xd, xdd, *carriers)):
-            return None
-        s, sd, sdd = (np.zeros(robot.k) if part.shape == (0,) else part for part in carriers)
+        x, xd, xdd, s, sd, sdd = given
         home = own.home if start is None else start
-        shapes = x.shape, xd.shape, xdd.shape, s.shape, sd.shape, sdd.shape
-        if shapes != (home.x.shape, (robot.n,), (robot.n,), (robot.k,), (robot.k,), (robot.k,)):
-            return None
-        if not math.isfinite(t + float(np.concatenate((x.ravel(), xd, xdd, s, sd, sdd)).sum())):
-            return None
-        if x.ndim == 2 and not is_homogeneous_pose(x):
-            return None
+        if x.ndim == 2:
+            require_poses(x[None])
         turned = counted_turns(robot).coordinates
         if len(turned) and (np.abs(x[turned] - home.x[turned]) > TURN).any():
             return None
@@ -226,10 +218,8 @@ class RneaDynamics(Dynamics):
         if robot.k:
             q = q.copy()
             q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
-        wrenches: list[Array] = []
-        if robot.loads:
-            wrenches += [value[0] for value in wrench_values(robot.loads, np.array([t]), x[None], xd[None])]
-        effort = tree_effort(robot, own.chain.data, TreeState(q, v, a, wrenches))
+        wrenches = wrench_values(robot.loads, np.array([t]), x[None], xd[None]) if robot.loads else ()
+        effort = tree_effort(robot, own.chain.data, TreeState(q, v, a, [value[0] for value in wrenches]))
         f, force = read_only(reached.gamma.T @ effort), read_only(effort[robot.carrier_velocity])
         return RneaSample(read_only(reached.W), f, force, reached, reached.residual, reached.margin)
 
@@ -341,12 +331,11 @@ class RneaAlongMotion(Frozen):
         chain, margin = ClosedChain(self.robot), np.full(len(self.motion), np.nan)
         if not chain.rows:
             return read_only(np.ones(len(margin)))
-        columns, scale = chain.pose_columns, velocity_scale(self.robot)
         for i in np.flatnonzero(self.tree.reachable):
             chain.update(self.tree.q[i], self.tree.v[i])
-            closures = chain.jacobian()[:, columns]
-            values = np.linalg.svd(closures * chain.system.closure_scale[:, None] / scale[columns], compute_uv=False)
-            K = np.concatenate([closures, chain.platform_jacobian()[:, columns]])
+            closures = chain.relative_jacobian()
+            values = np.linalg.svd(closures, compute_uv=False)
+            K = np.concatenate([closures, chain.platform_jacobian()[:, chain.pose_columns]])
             margin[i] = np.linalg.slogdet(K)[0] * values[-1] / values[0]
         return read_only(margin)
 

@@ -7,9 +7,9 @@ singular exactly where the platform velocity does not determine the joint veloci
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -102,6 +102,13 @@ class Assembly:
         return self.regular & self.in_mode
 
 
+_ROUNDED = 1e-3 * CLOSURE_TOLERANCE
+"""Residual that is rounding, characteristic lengths or rad: a step that does not shorten it is not halved."""
+
+_HALVED = 0.02
+"""Largest deviation from 1/2 of the ratio of two Newton steps that counts as convergence to a double root."""
+
+
 def assemble(
     system: ConstraintSystem,
     guess: Array,
@@ -117,6 +124,9 @@ def assemble(
     loops. Steps of a rank-deficient system are of least norm. Nothing is returned silently unclosed: see ``closed`` and
     ``gap``.
 
+    It is the one damped Newton, for starts from afar and for many poses at once. ``LoopSolver.close`` is the plain one
+    of followers, for one pose from a configuration nearby: in a loop it takes two to five times as long for each pose.
+
     Args:
         system: closures and platform rows of the robot.
         guess: (N, nq) starting configurations; carriers keep their positions.
@@ -129,28 +139,49 @@ def assemble(
         >>> assemble(system, np.array(robot.q_reference)[None], x[None]).closed
         array([ True])
     """
-    q = np.array(guess, dtype=float)
-    active, done = np.arange(len(q)), np.zeros(len(q), dtype=bool)
-    equations = everything = _Equations(system, target, redundant)
-    here = equations.at(q)
-    for _ in range(max_iterations):
-        step = here.newton_step(redundant)
-        step[done] = 0.0  # a sample ends where it would end alone, whatever the others need
-        here, longest, stalled = _line_search(equations, here, step, shortest_step)
-        q[active] = here.state.q
-        done |= stalled | (longest < SETTLED_STEP)
-        if done.all():
+    q, robot = np.array(guess, dtype=float), system.robot
+    active, taken = np.arange(len(q)), np.zeros(len(q), dtype=np.intp)
+    residual, matrix, state = _linearise(system, q, target, redundant)
+    end = residual.copy()
+    finished = np.full(len(q), max_iterations == 0)
+    step, longest, scale, size = np.zeros((len(q), robot.model.nv)), *np.ones((3, len(q)))
+    begins = ~finished
+    while True:
+        if begins.any():
+            step[begins] = _newton_step(system, matrix[begins], residual[begins], redundant)
+            before = longest[begins]
+            longest[begins] = np.abs(step[begins] / velocity_unit(robot)).max(axis=1, initial=0.0)
+            # steps that halve lead to a double root, a leg at full stretch, which is twice as far (Rall 1966)
+            double = np.abs(longest[begins] - 0.5 * before) < _HALVED * before
+            # beyond 1 rad or characteristic length the linear model of a turn is useless
+            scale[begins] = np.where(double, 2.0, 1.0) / np.maximum(longest[begins], 1.0)
+            size[begins] = np.linalg.norm(residual[begins], axis=1)
+        active, taken, step, longest, scale, size = (
+            part[~finished] for part in (active, taken, step, longest, scale, size)
+        )
+        if not len(active):
             break
-        if 2 * done.sum() > len(done):  # go on with the rest alone; to leave out fewer costs more than it saves
-            active, done = active[~done], done[~done]
-            equations = _Equations(system, None if target is None else target[active], redundant)
-            here = equations.at(q[active])
-    if len(active) < len(q):
-        here = everything.at(q)
-    gap = np.abs(here.residual).max(axis=1, initial=0.0)
-    misaligned = system.misalignment(here.state)
+        tried = integrate(robot.model, q[active], step * scale[:, None])
+        residual, matrix, new = _linearise(system, tried, None if target is None else target[active], redundant)
+        decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
+        decrease |= longest < SETTLED_STEP  # a step at rounding level is taken whole
+        stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
+        accepted = decrease | stalled
+        kept = accepted & ~stalled  # a step that no fraction of makes better is not taken
+        q[active[kept]] = tried[kept]
+        taken += accepted
+        finished = accepted & (stalled | (longest * scale < SETTLED_STEP) | (taken >= max_iterations))
+        begins = accepted & ~finished
+        scale = np.where(accepted, scale, 0.5 * scale)
+        if finished.any():
+            if (stalled & finished).any():  # the configuration before the step is where it ends
+                residual, _, new = _linearise(system, q[active], None if target is None else target[active], redundant)
+            state.overwrite(active[finished], new, finished)
+            end[active[finished]] = residual[finished]
+    gap = np.abs(end).max(axis=1, initial=0.0)
+    misaligned = system.misalignment(state)
     gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, misaligned), gap)
-    return Assembly(system, here.state, system.robot.characteristic_length * gap)
+    return Assembly(system, state, system.robot.characteristic_length * gap)
 
 
 def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
@@ -183,78 +214,36 @@ def configuration_difference(model: pin.Model, q0: Array, q1: Array) -> Array:
     return np.array([pin.difference(model, a, b) for a, b in zip(q0, q1, strict=True)]).reshape(len(q0), model.nv)
 
 
-class _Linear(NamedTuple):
-    """Equations linearised at N configurations.
+def _linearise(
+    system: ConstraintSystem, q: Array, target: Array | None, redundant: bool
+) -> tuple[Array, Array, ConstraintState]:
+    """Return what Newton's method solves at configurations (N, nq), and the configurations evaluated.
 
-    Attributes:
-        system: closures and platform rows.
-        state: the configurations.
-        residual: (N, e) what is missing to the goal, in characteristic lengths and rad.
-        matrix: (N, e, p) its negative derivative by the pose columns, without units.
+    The residuals (N, e) are what is missing to the goal, the matrix (N, e, p) their negative derivatives by the pose
+    columns, both without units.
     """
-
-    system: ConstraintSystem
-    state: ConstraintState
-    residual: Array
-    matrix: Array
-
-    def newton_step(self, redundant: bool) -> Array:
-        """Return (N, nv) steps, rad and m; carriers stay."""
-        step = np.zeros((len(self.residual), self.system.robot.model.nv))
-        solution = _solve(self.matrix, self.residual, regular=not redundant)
-        step[:, self.system.pose_columns] = solution * self.system.step_unit
-        return step
+    state, unit = system.evaluate(q), system.equation_unit
+    if target is not None:
+        off = difference(system.robot, target, coordinates(system.robot, state))
+        residual, rows = np.concatenate([-state.phi, off], axis=1), state.K
+    else:
+        phi, jacobian = system.rotation_rows(state) if redundant else (state.phi, state.Jc)
+        residual, rows, unit = -phi, jacobian[:, :, system.pose_columns], system.closure_unit
+    return residual / unit, rows * (system.step_unit / unit[:, None]), state
 
 
-class _Equations(NamedTuple):
-    """What Newton solves: the closures and, where prescribed, the coordinates (N, n) or poses (N, 4, 4)."""
-
-    system: ConstraintSystem
-    target: Array | None
-    redundant: bool
-
-    def at(self, q: Array) -> _Linear:
-        """Linearise the equations at configurations (N, nq)."""
-        system = self.system
-        state, unit = system.evaluate(q), system.equation_unit
-        if self.target is not None:
-            off = difference(system.robot, self.target, coordinates(system.robot, state))
-            residual, rows = np.concatenate([-state.phi, off], axis=1), state.K
-        else:
-            phi, jacobian = system.rotation_rows(state) if self.redundant else (state.phi, state.Jc)
-            residual, rows, unit = -phi, jacobian[:, :, system.pose_columns], system.closure_unit
-        return _Linear(system, state, residual / unit, rows * (system.step_unit / unit[:, None]))
-
-
-def _line_search(
-    equations: _Equations, here: _Linear, step: Array, shortest_step: float
-) -> tuple[_Linear, Array, BoolArray]:
-    """Halve the step where it does not shorten the residual; a step at rounding level is taken whole.
-
-    No joint moves by more than 1 rad or characteristic length: beyond that the linear model of a turn is useless.
-
-    Returns:
-        The equations where it ends, the longest movement of a joint (N,), rad or characteristic lengths, and which
-        samples stalled.
-    """
-    robot, size = equations.system.robot, np.linalg.norm(here.residual, axis=1)
-    longest = np.abs(step / velocity_unit(robot)).max(axis=1, initial=0.0)
-    scale = 1.0 / np.maximum(longest, 1.0)
-    fine = longest < SETTLED_STEP
-    while True:
-        new = equations.at(integrate(robot.model, here.state.q, step * scale[:, None]))
-        ok = fine | (np.linalg.norm(new.residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size)
-        stalled = ~ok & (scale < shortest_step)
-        if (ok | stalled).all():
-            return new, longest * scale, stalled
-        scale = np.where(ok | stalled, scale, scale / 2.0)
+def _newton_step(system: ConstraintSystem, matrix: Array, residual: Array, redundant: bool) -> Array:
+    """Return (N, nv) steps, rad and m; carriers stay."""
+    step = np.zeros((len(residual), system.robot.model.nv))
+    step[:, system.pose_columns] = _solve(matrix, residual, regular=not redundant) * system.step_unit
+    return step
 
 
 def _solve(matrix: Array, rhs: Array, *, regular: bool) -> Array:
     """Return (N, p) the solutions of square regular systems, and those of least norm of all others."""
     solution = np.full((len(rhs), matrix.shape[2]), np.nan)
     if regular and matrix.shape[1] == matrix.shape[2]:
-        solution = np.einsum("nvr,nr->nv", inverses(matrix), rhs)
+        solution = _unless_singular(np.linalg.solve, matrix, rhs[:, :, None])[:, :, 0]
     rest = ~np.isfinite(solution).all(axis=1)
     if rest.any():
         solution[rest] = np.einsum("nvr,nr->nv", np.linalg.pinv(matrix[rest], rcond=RANK_TOLERANCE), rhs[rest])
@@ -263,10 +252,15 @@ def _solve(matrix: Array, rhs: Array, *, regular: bool) -> Array:
 
 def inverses(matrices: Array) -> Array:
     """Return stacked inverses, NaN where a matrix is exactly singular."""
+    return _unless_singular(np.linalg.inv, matrices)
+
+
+def _unless_singular(operation: Callable[..., Array], *stacks: Array) -> Array:
+    """Return what an operation of LAPACK makes of stacks, the first of matrices; NaN where one is exactly singular."""
     try:
-        return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+        return np.asarray(operation(*stacks), dtype=np.float64)
     except np.linalg.LinAlgError:  # LAPACK gives up on the whole stack for one
-        singular = np.linalg.slogdet(matrices)[0] == 0.0
-        result = np.full(matrices.shape, np.nan)
-        result[~singular] = np.linalg.inv(matrices[~singular])
+        regular = np.linalg.slogdet(stacks[0])[0] != 0.0
+        result = np.full(stacks[-1].shape, np.nan)
+        result[regular] = operation(*(stack[regular] for stack in stacks))
         return result

@@ -14,12 +14,13 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from redundancy_pin.arrays import LARGEST, Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, LARGEST, Array, BoolArray, Frozen, checked, read_only
+from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
 from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
 from redundancy_pin.kinematics.coordinates import difference, mode_indicators, moved
-from redundancy_pin.kinematics.passage import SAME_TANGENT, SPACINGS, find_passage
+from redundancy_pin.kinematics.passage import PASSED, SAME_TANGENT, SPACINGS, find_passage
 from redundancy_pin.motion import require_poses
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
@@ -125,12 +126,13 @@ class Follower(LoopSolver):
             x: (n,) coordinates, m and rad, or a pose (4, 4), base frame.
 
         Raises:
-            InputError: coordinates of another shape, or a matrix that is no pose.
+            InputError: coordinates of another shape, a matrix that is no pose, or a state of another robot.
         """
         given = np.asarray(x)
-        if given.dtype.kind not in "fiu":
-            checked(given, "x", here.x.shape)  # which raises
+        if given.dtype.kind not in "fiu" or np.ma.is_masked(x):
+            checked(x, "x", here.x.shape)  # which raises
         x = read_only(np.array(given, dtype=np.float64))
+        self._require_own(here)
         self.require_shapes(here.q, x)
         if not (np.abs(x) <= LARGEST).all():
             return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
@@ -140,10 +142,12 @@ class Follower(LoopSolver):
 
     def follow(self, here: ClosedState, x: Array) -> ClosedState | BranchEnd:
         """Return what ``advance`` does, for read-only coordinates that were checked: those of a ``PlatformMotion``."""
-        if not np.isfinite(here.gamma).all():
+        if here.interpolated and not np.isfinite(here.gamma).all():
             return BranchEnd(SampleStatus.NOT_FINITE, x, here, here.q, math.nan)
+        self._require_own(here)
         start, whole = here.x, difference(self.robot, x, here.x)
-        length = float(np.linalg.norm(whole / self.unit))
+        scaled = whole / self.unit
+        length = math.sqrt(scaled.dot(scaled))
         longest = size = 1.0 / min(max(math.ceil(length / LONGEST_STEP), 1), _MOST_STEPS)
         done = within_reach = 0.0
         while done < 1.0:
@@ -191,7 +195,11 @@ class Follower(LoopSolver):
         Args:
             here: a state of the branch.
             x: (n,) coordinates, or a pose (4, 4).
+
+        Raises:
+            InputError: coordinates of another shape, or a state of another robot.
         """
+        self._require_own(here)
         new = self.extrapolate(here, x)
         if new is None:
             return None
@@ -206,6 +214,23 @@ class Follower(LoopSolver):
         if same_side and (here.interpolated or even):
             return new
         return new if same_side and not self._vanishes(here, new, increment) else None
+
+    def _require_own(self, here: ClosedState) -> None:
+        """Raise InputError for a state of another robot, unless it is one of this robot too (another mode, or loads).
+
+        It then closes the loops, and K Γ = (0, 1), where Γ is known.
+        """
+        if here.robot is self.robot:
+            return
+        fits = here.q.shape == (self.robot.model.nq,) and here.x.shape == self._shape
+        if fits and here.gamma.shape == (self.robot.model.nv, self.robot.n):
+            residual, slip = self.identity_error(here.q, here.x, here.gamma, None)
+            if residual <= CLOSURE_TOLERANCE and not slip > PASSED:
+                return
+        raise InputError(
+            f"The state is one of {here.robot.name}, and no closed state of {self.robot.name}.",
+            remedy="Make it with the follower of the same robot.",
+        )
 
     def _vanishes(self, before: ClosedState, after: ClosedState, increment: Array) -> bool:
         """Return whether a determinant comes to zero within a step without a change of sign, by its slopes.
@@ -249,7 +274,12 @@ class Follower(LoopSolver):
             return False
         chord, still = difference(self.robot, after.x, before.x), np.zeros(self.robot.n)
         for loop in lost.tolist():
-            root = read_only(moved(self.robot, before.x, chord * (size0[loop] / (size0[loop] + size1[loop]))))
+            share = float(size0[loop] / (size0[loop] + size1[loop]))
+            between = self.integrate(before.q, share * self.tangent(before.q, after.q))
+            ends = [self._closure_margin(state.q, before.basis, loop) for state in (before, after)]
+            if not self._closure_margin(between, before.basis, loop) < 0.5 * max(ends):
+                return False  # the closures keep rank: a leg is stretched, folded or of no length
+            root = read_only(moved(self.robot, before.x, chord * share))
             beyond = self.pass_through(before, root, still, still, chord)
             if beyond is None:
                 return False
@@ -259,6 +289,12 @@ class Follower(LoopSolver):
             if not np.linalg.slogdet(K[rows[:, None], columns])[1] - most[loop] < math.log(CONTINUITY):
                 return False
         return True
+
+    def _closure_margin(self, q: Array, basis: Array | None, loop: int) -> float:
+        """Return the smallest singular value, without unit, of the closure rows of a loop; infinite without any."""
+        rows, columns = self.blocks[loop]
+        closures = self.matrix(q, basis)[0][rows[rows < self.rank][:, None], columns]
+        return float(np.linalg.svd(closures, compute_uv=False)[-1]) if len(closures) else math.inf
 
     def _at_rank_loss(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates where the closures lose rank, None where they do not or no branch goes on."""
@@ -292,6 +328,7 @@ class Follower(LoopSolver):
             None where the branch does not go on smoothly (a leg at full stretch: a fold).
         """
         self.require_shapes(here.q, x)
+        self._require_own(here)
         chord = difference(self.robot, x, here.x)
         directions = (chord, *np.eye(self.robot.n), self.unit) if along is None else (along,)
         for direction in directions:

@@ -38,6 +38,7 @@ class ClosedChain(TreePlacement):
         self.robot = robot
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
+        self._scale = system.step_unit / system.closure_unit[:, None]
         self._platform_pose: tuple[Array, Array] | None = None  # views
         if robot.platform is not None:
             self._platform_pose = frame_placement(self.vectors, find_link_index(self.model, robot.platform.frame))
@@ -64,6 +65,20 @@ class ClosedChain(TreePlacement):
     def jacobian(self) -> Array:
         """Return J_c (r, nv)."""
         return self.closures.jacobian(self.J)
+
+    def relative_jacobian(self) -> Array:
+        """Return (r, p) J_c without units, of the pose columns: what ranks are judged by."""
+        relative: Array = self.jacobian().take(self.pose_columns, 1) * self._scale
+        return relative
+
+    def relative_residual(self) -> Array:
+        """Return (r,) the closure residuals without units: angles, and lengths over the characteristic length."""
+        relative: Array = self.residual() / self.system.closure_unit
+        return relative
+
+    def largest_residual(self) -> float:
+        """Return the largest closure residual, m; angles count times the characteristic length."""
+        return self.robot.characteristic_length * float(np.abs(self.relative_residual()).max(initial=0.0))
 
     def bias(self) -> Array:
         """Return J̇_c v (r,)."""

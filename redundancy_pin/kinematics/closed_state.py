@@ -131,6 +131,7 @@ class LoopSolver:
         self._row_unit, self._step_unit = self.system.equation_unit, self.system.step_unit
         self._scale = self._step_unit / self._row_unit[:, None]
         self.unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
+        self._gamma_unit = self._step_unit[:, None] / self.unit
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
         self._aligned = self.system.aligned
 
@@ -252,13 +253,15 @@ class LoopSolver:
             return None
         size = math.sqrt(inverse.ravel().dot(inverse.ravel()))
         gamma = np.zeros((self._nv, self.robot.n))
-        gamma[self._columns] = inverse[:, self.rank :] * (self._step_unit[:, None] / self.unit)
+        gamma[self._columns] = inverse[:, self.rank :] * self._gamma_unit
         for array in (q, gamma, inverse):
             array.setflags(write=False)
         margin = 1.0 / size if 0.0 < size < 1.0 / SINGULAR_MARGIN else 0.0
         residual *= self.robot.characteristic_length
-        everything = np.arange(len(self._columns))  # combined rows belong to all loops
-        blocks = self.blocks if basis is None else ((everything, everything),)
+        blocks = self.blocks
+        if basis is not None:  # combined rows belong to all loops
+            everything = np.arange(len(self._columns))
+            blocks = ((everything, everything),)
         return ClosedState(
             self.robot, _kept(x), q, gamma, inverse, residual, margin if size else math.inf, blocks, basis
         )

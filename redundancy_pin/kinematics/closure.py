@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -41,7 +41,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, IntArray, blocks
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, blocks
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
@@ -281,7 +281,8 @@ class ConstraintState:
 
     Attributes:
         q: (N, nq) configurations.
-        vectors: (12 F, N) axes and origin of each of Pinocchio's frames, see ``frame_placement``.
+        frames: numbers of the frames of closures and platform, by name.
+        vectors: (12 F, N) axes and origin of each of these frames, see ``placement``.
         columns: (N, 6, nv) joint Jacobian about the world origin.
         phi: (N, r) closure residuals Φ, m (rotation rows: sine of the angle that is off).
         Jc: (N, r, nv) constraint Jacobian dΦ/dv.
@@ -290,12 +291,24 @@ class ConstraintState:
     """
 
     q: Array
+    frames: Mapping[str, int]
     vectors: Array
     columns: Array
     phi: Array
     Jc: Array
     Jx: Array
     K: Array
+
+    def placement(self, frame: str) -> tuple[Array, Array]:
+        """Return rotation (3, 3, N) and origin (3, N), m, of a frame of a closure or the platform, by its name."""
+        return frame_placement(self.vectors, self.frames[frame])
+
+    def overwrite(self, at: IntArray, other: ConstraintState, chosen: BoolArray) -> None:
+        """Replace the configurations ``at`` by chosen ones of another evaluation of the same system."""
+        self.vectors[:, at] = other.vectors[:, chosen]
+        for own, new in ((self.q, other.q), (self.columns, other.columns), (self.phi, other.phi), (self.K, other.K)):
+            own[at] = new[chosen]
+        self.Jc[at], self.Jx[at] = other.Jc[chosen], other.Jx[chosen]
 
 
 class ConstraintSystem:
@@ -334,7 +347,7 @@ class ConstraintSystem:
         for name, i in at.items():
             ids[i] = frame = find_link_index(robot.model, name)
             support[i] = _moves(robot.model, int(robot.model.frames[frame].parentJoint))
-        self.support = {name: support[i] for name, i in at.items()}
+        self.support, self._frames = {name: support[i] for name, i in at.items()}, at
         closures = [_row(closure, axis, at) for closure in robot.closures for axis in closure.axes]
         world = len(at)
         empty = Row((world, 0), (world, 1), world, world, 1.0)
@@ -344,6 +357,9 @@ class ConstraintSystem:
         self.closures = RowSet(self.rows, support, ids, self.couplings)
         self.platform = RowSet(platform, support, ids)
         self.all_rows = RowSet((*self.rows, *platform), support, ids, self.couplings)
+        # of many configurations only these frames are kept, one behind the other
+        self._kept = (12 * ids[:, None] + np.arange(12)).ravel()
+        self._kept_rows = RowSet((*self.rows, *platform), support, np.arange(len(ids)), self.couplings)
         self.aligned = [
             (int(12 * ids[at[c.frame_a]] + 3 * k), int(12 * ids[at[c.frame_b]] + 3 * k))
             for c in robot.closures
@@ -389,16 +405,17 @@ class ConstraintSystem:
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
         tree, r, n = _placement(self.robot, threading.get_ident()), len(self.rows), len(self.independent)
-        vectors, columns = np.empty((len(q), len(tree.vectors))), np.empty((len(q), *tree.J.shape))
+        vectors, columns = np.empty((len(q), len(self._kept))), np.empty((len(q), *tree.J.shape))
         phi, J = np.empty((len(q), r)), np.empty((len(q), r + n, self.robot.model.nv))
         J[:, r:] = self.independent
         for part in blocks(len(q), _BLOCK):
             for k in range(part.start, part.stop):
                 tree.place(q[k])
-                vectors[k], columns[k] = tree.vectors, tree.J
-            placed = self.all_rows.place(vectors[part].T, q[part])
-            J[part, : self.all_rows.size], phi[part] = placed.jacobian(columns[part]), placed.residual()[:r].T
-        return ConstraintState(q, vectors.T, columns, phi, J[:, :r], J[:, r:], J[:, :, self.pose_columns])
+                vectors[k], columns[k] = tree.vectors[self._kept], tree.J
+            placed = self._kept_rows.place(vectors[part].T, q[part])
+            J[part, : self._kept_rows.size], phi[part] = placed.jacobian(columns[part]), placed.residual()[:r].T
+        K = J[:, :, self.pose_columns]
+        return ConstraintState(q, self._frames, vectors.T, columns, phi, J[:, :r], J[:, r:], K)
 
     def rotation_rows(self, state: ConstraintState) -> tuple[Array, Array]:
         """Return residuals (N, r) and rows (N, r, nv) with angles in place of the sines of hinges and welds.
@@ -406,12 +423,12 @@ class ConstraintSystem:
         They are components of the rotation vector from frame A to frame B, of a hinge that between its axes: unlike
         sines they lead to the right side from everywhere. Rows are the rates to first order in these angles.
         """
-        phi, rows, first, model = state.phi.copy(), state.Jc.copy(), 0, self.robot.model
+        phi, rows, first = state.phi.copy(), state.Jc.copy(), 0
         for closure in self.robot.closures:
             turning = [k for k in range(3) if AXES[3 + k] in closure.axes]
             if len(turning) > 1:
                 a, b = closure.frame_a, closure.frame_b
-                A, B = (frame_placement(state.vectors, find_link_index(model, name))[0] for name in (a, b))
+                A, B = (state.placement(name)[0] for name in (a, b))
                 relative = np.einsum("ijn,ikn->njk", A, B)
                 rates = np.einsum("ijn,niv->njv", A, state.columns[:, 3:] * (self.support[b] - self.support[a]))
                 at = [first + closure.axes.index(AXES[3 + k]) for k in turning]
@@ -427,8 +444,14 @@ class ConstraintSystem:
         where all rows vanish this is 0 for a true closure and at least π/2 for a false one. Closures with less than
         two rotation rows have no such axes.
         """
-        cosines = [(state.vectors[a : a + 3] * state.vectors[b : b + 3]).sum(axis=0) for a, b in self.aligned]
-        turned: Array = np.arccos(np.reshape(cosines, (len(cosines), len(state.q))).clip(-1.0, 1.0))
+        pairs = [
+            (state.placement(closure.frame_a)[0][:, k], state.placement(closure.frame_b)[0][:, k])
+            for closure in self.robot.closures
+            for k in _aligned(closure)
+        ]
+        chords = np.reshape([np.linalg.norm(b - a, axis=0) for a, b in pairs], (len(pairs), len(state.q)))
+        # an arc cosine would be off by 1e-8 rad where axes coincide
+        turned: Array = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
         worst: Array = turned.max(axis=0, initial=0.0)
         return worst
 

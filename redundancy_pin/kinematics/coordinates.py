@@ -15,9 +15,9 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, checked
 from redundancy_pin.kinematics.closure import ConstraintState
-from redundancy_pin.kinematics.tree import frame_placement, motion_subspace
+from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Robot
-from redundancy_pin.robot.lookup import find_joint, find_link_index
+from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import is_revolute, row_scale
 
@@ -26,7 +26,7 @@ def coordinates(robot: Robot, state: ConstraintState) -> Array:
     """Return the independent coordinates of configurations: (N, n), or poses (N, 4, 4); see ``Platform``."""
     if robot.platform is None:
         return np.stack([joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
-    rotation, origin = frame_placement(state.vectors, find_link_index(robot.model, robot.platform.frame))
+    rotation, origin = state.placement(robot.platform.frame)
     if robot.platform.is_pose:
         poses = np.zeros((origin.shape[1], 4, 4))
         poses[:, :3, :3] = rotation.transpose(2, 0, 1)
@@ -78,10 +78,9 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
         turn = pin.log3(target[:3, :3].dot(start[:3, :3].T))
         return np.concatenate([target[:3, 3] - start[:3, 3], turn])[pose_rows(robot)]
     if is_pose(robot):
-        from scipy.spatial.transform import Rotation
-
-        rotation = Rotation.from_matrix(target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
-        delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], rotation.as_rotvec()], axis=1)
+        turned = target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1)
+        turns = np.reshape([pin.log3(each) for each in turned], (len(turned), 3))
+        delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], turns], axis=1)
         return delta[:, pose_rows(robot)]
     delta = target - start
     columns = delta.T  # a view: (n, N), or (n,)

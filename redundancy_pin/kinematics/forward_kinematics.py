@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import (
+    AGREEMENT_TOLERANCE,
     Array,
     BoolArray,
     Frozen,
@@ -42,12 +43,8 @@ from redundancy_pin.robot.joint_ranges import out_of_range, range_excess, range_
 from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
-from redundancy_pin.robot.whole_turns import FARTHEST, TURN, counted_turns
+from redundancy_pin.robot.whole_turns import FARTHEST, TURN, are_too_many_turns_away, counted_turns
 from redundancy_pin.status import SampleStatus, solved_status
-
-_AGREE = 1e-8
-"""Largest contradiction between positions of redundant motors, characteristic lengths or rad: a thousand times the
-closure tolerance, for what margins of 1e-3 make of it."""
 
 _WEAKER = 0.5
 """Part of the margin at which redundant motors began to be followed, below which others are looked for."""
@@ -201,14 +198,14 @@ def _follow(
         part[end:] = np.nan
     if end < len(u):
         rest = q[end:], status[end:], gap[end:], margin[end:]
-        _judge_rest(constraint_system(driven), path[0][end + 1 :], tree.q[end], rest)
+        _judge_rest(constraint_system(driven), path[0][end:], tree.q[end], rest)
     x = _platform_at(system, q)
     xd, xdd = platform_rates(robot, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
-    gap = np.fmax(gap, _contradiction(system, followed, u, q))
-    contradicted = (status == SampleStatus.OK) & (gap > _AGREE * robot.characteristic_length)
+    gap = np.where(np.isnan(gap), np.nan, np.fmax(gap, _contradiction(system, followed, u, q)))
+    contradicted = (status == SampleStatus.OK) & (gap > AGREEMENT_TOLERANCE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
     for part in (x, xd, xdd, q, J):
         part[contradicted] = np.nan
@@ -265,14 +262,16 @@ def _contradiction(system: ConstraintSystem, followed: IntArray, u: Array, q: Ar
 
 
 def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Array, IntArray, Array, Array]) -> None:
-    """Write q, status, gap and margin of the samples behind the end of the branch, which ``last`` (nq,) is."""
-    solved = assemble(motors, np.repeat(last[None], len(u), axis=0), u)
+    """Write q, status, gap and margin of the samples behind the end of the branch, which ``last`` (nq,) is at u[0]."""
+    far = are_too_many_turns_away(motors.robot, u[0], u[1:])
+    solved = assemble(motors, np.repeat(last[None], len(far), axis=0), u[1:])
     singular = solved.closed & (solved.projection.margin == 0.0)
     passed = int(np.argmin(np.append(singular, False)))  # only until another sample is met the branch is known
     q, status, gap, margin = rest
-    status[:] = np.where(solved.closed, SampleStatus.BRANCH_LOST, SampleStatus.UNREACHABLE)
+    status[:] = np.where(solved.closed | far, SampleStatus.BRANCH_LOST, SampleStatus.UNREACHABLE)
     status[:passed] = SampleStatus.TYPE_II
-    q[:passed], gap[:], margin[:] = solved.q[:passed], solved.gap, np.where(singular, 0.0, np.nan)
+    gap[:], margin[:] = np.where(far, np.nan, solved.gap), np.where(singular, 0.0, np.nan)
+    q[:passed] = solved.q[:passed]
 
 
 def _require_few_turns(driven: Robot, u: Array) -> None:
@@ -425,7 +424,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
         solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=SHORTEST_STEP)
         off = np.fmax(solved.gap, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
         starts, gap = starts + _STARTS, min(gap, float(np.nanmin(off)))
-        for one in solved.q[solved.closed & (off < _AGREE * length)]:
+        for one in solved.q[solved.closed & (off < AGREEMENT_TOLERANCE * length)]:
             key = _frames(robot, one)
             same = np.flatnonzero(np.abs(keys - key).max(axis=1, initial=0.0) < SAME_CONFIGURATION * length)
             if len(same):

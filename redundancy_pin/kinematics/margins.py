@@ -7,15 +7,17 @@ from functools import lru_cache
 import numpy as np
 
 from redundancy_pin.arrays import IntArray, read_only
-from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate, inverses
+from redundancy_pin.kinematics.assembly import Assembly, assemble, inverses
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
+from redundancy_pin.kinematics.mobility import free_motions
+from redundancy_pin.kinematics.multistart import SEED, draw_starts
 
 NEAR_RANK_LOSS = 3e-3
 """Singularity margin below which rounding shows: velocities lose 1e-16 / margin², accelerations 1e-16 / margin³."""
 
-_SAMPLES, _SPREAD = 8, 0.2
-"""Random configurations around the reference that determine the typical margin, and their spread (rad, lengths)."""
+_SAMPLES, _SPREAD = 8, 0.35
+"""Random configurations around the reference that determine the typical margin, of each kind, and how far the joints
+are from it at most, rad or characteristic lengths."""
 
 
 @lru_cache(maxsize=64)
@@ -25,16 +27,12 @@ def closed_around(system: ConstraintSystem) -> Assembly:
     Half of them are displaced in any direction, half along the branch: near a pose where several loops are flat,
     Newton's method closes the former to flat poses again.
     """
-    model, q, rng = system.robot.model, np.array(system.robot.q_reference), np.random.default_rng(0)
-    unit = velocity_unit(system.robot)
-    steps = rng.normal(0.0, _SPREAD, (1 + _SAMPLES, model.nv)) * unit
-    steps[0] = 0.0
-    home = assemble(system, q[None], max_iterations=0)
-    if home.closed[0] and home.projection.margin[0] > 0.0:
-        along = (rng.normal(size=(_SAMPLES, system.robot.n)) * coordinate_unit(system.robot)) @ home.gamma[0].T
-        farthest = np.abs(along / unit).max(axis=1, keepdims=True)
-        steps = np.concatenate([steps, 2.0 * _SPREAD * along / np.where(farthest > 0.0, farthest, 1.0)])
-    return assemble(system, integrate(model, np.repeat(q[None], len(steps), axis=0), steps))
+    q, rng = np.array(system.robot.q_reference), np.random.default_rng(SEED)
+    around = [
+        draw_starts(system, q, _SAMPLES, rng, turn=_SPREAD, slide=_SPREAD, along=along)
+        for along in (None, free_motions(system, q))
+    ]
+    return assemble(system, np.concatenate([q[None], *around]))
 
 
 @lru_cache(maxsize=64)
@@ -60,10 +58,8 @@ def loop_blocks(system: ConstraintSystem) -> tuple[tuple[IntArray, IntArray], ..
     leave that of det K. Columns j and k are of one block where K⁻¹ K, the identity, comes about by entries that lead
     from j to k and back. Entries below 1e-9 of the largest, with open chains, are zero by the structure of the robot.
     """
-    model, rng = system.robot.model, np.random.default_rng(0)
-    steps = rng.normal(0.0, _SPREAD, (2, model.nv)) * velocity_unit(system.robot)
-    start = np.repeat(np.array(system.robot.q_reference)[None], 2, axis=0)
-    rows = system.relative(system.evaluate(integrate(model, start, steps)).K)
+    q, rng = np.array(system.robot.q_reference), np.random.default_rng(SEED)
+    rows = system.relative(system.evaluate(draw_starts(system, q, 2, rng, turn=_SPREAD, slide=_SPREAD)).K)
     solves, has = (
         (np.abs(part) > 1e-9 * np.abs(part).max(axis=(1, 2), keepdims=True)).any(axis=0)
         for part in (inverses(rows), rows)

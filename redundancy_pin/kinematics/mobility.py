@@ -188,6 +188,20 @@ def independent_columns(
     return chosen
 
 
+def free_motions(system: ConstraintSystem, q: Array, apart: float = RANK_TOLERANCE) -> Array:
+    """Return (f, p) orthonormal displacements, without units, that the closure rows leave free at q (nq,).
+
+    ``apart``: as of ``independent_columns``.
+
+    Example:
+        >>> free_motions(system, np.array(robot.q_reference)).shape[0]  # degrees of freedom
+    """
+    rows = system.closure_rows(q)
+    rank = len(independent_columns(rows.T, apart))
+    free: Array = np.linalg.svd(rows)[2][rank:] if rows.size else np.eye(rows.shape[1])
+    return free
+
+
 def _rank(system: ConstraintSystem, q: Array) -> tuple[int, list[str]]:
     """Return the rank of the closure rows at q (nq,) and the names of those that depend on the others."""
     kept = independent_columns(system.closure_rows(q).T)

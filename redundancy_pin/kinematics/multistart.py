@@ -57,6 +57,7 @@ def draw_starts(
     *,
     turn: float = np.pi,
     slide: float = 1.0,
+    along: Array | None = None,
 ) -> Array:
     """Return configurations (count, nq), evenly distributed about q (nq,); carriers stay.
 
@@ -67,11 +68,13 @@ def draw_starts(
         rng: the source of random numbers.
         turn: half-width for turning velocities, rad.
         slide: half-width for sliding velocities, characteristic lengths.
+        along: (f, p) orthonormal displacements without units; only the part along them is kept.
     """
     model, columns = system.robot.model, system.pose_columns
-    width = np.where(turning_velocities(system.robot)[columns], turn, slide) * system.step_unit
+    width = np.where(turning_velocities(system.robot)[columns], turn, slide)
+    around = rng.uniform(-1.0, 1.0, (count, len(columns))) * width
     steps = np.zeros((count, model.nv))
-    steps[:, columns] = rng.uniform(-1.0, 1.0, (count, len(columns))) * width
+    steps[:, columns] = (around if along is None else around @ along.T @ along) * system.step_unit
     return integrate(model, np.repeat(q[None], count, axis=0), steps)
 
 

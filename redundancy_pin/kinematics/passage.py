@@ -31,7 +31,7 @@ kinematics, which are exact to rounding with them. Narrow ones serve branches th
 _SHIFTS = np.linspace(-1.2, 1.2, 25)
 """Shifts of the nodes, in spacings, that are tried where a node comes near a rank loss."""
 
-_PASSED = 1e-8
+PASSED = 1e-8
 """Largest relative error of K Γ = (0, 1) at an interpolated state. At a fold, where Γ is infinite, the error is 1."""
 
 
@@ -88,7 +88,7 @@ class Passage:
         q = solver.integrate(points.base.q, weights.dot(points.tangent))
         gamma = np.tensordot(weights, points.gamma, 1)
         residual, slip = solver.identity_error(q, x, gamma, points.base.basis)
-        if not (residual <= CLOSURE_TOLERANCE and slip <= _PASSED):
+        if not (residual <= CLOSURE_TOLERANCE and slip <= PASSED):
             return None
         residual *= robot.characteristic_length
         state = solver.singular_state(x, read_only(q), read_only(gamma), residual, points.base.basis)

@@ -17,11 +17,10 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import integrate
 from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
-from redundancy_pin.kinematics.mobility import independent_columns, row_names
-from redundancy_pin.kinematics.multistart import SEED
+from redundancy_pin.kinematics.mobility import free_motions, independent_columns, row_names
+from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_index
 
@@ -230,13 +229,8 @@ def _neighbours(system: ConstraintSystem, q: Array, tolerance: float = CLOSURE_T
     They are displaced along the motions that the rows leave free: from anywhere else Newton's method may turn a short
     lever over.
     """
-    rows, rng = system.closure_rows(q), np.random.default_rng(SEED)
-    rank = len(independent_columns(rows.T, _REDUNDANT))
-    free = np.linalg.svd(rows)[2][rank:] if rows.size else np.eye(rows.shape[1])
-    steps = np.zeros((_NEIGHBOURS, system.robot.model.nv))
-    around = rng.uniform(-_SPREAD, _SPREAD, (_NEIGHBOURS, len(system.pose_columns)))
-    steps[:, system.pose_columns] = around @ free.T @ free * system.step_unit
-    starts = integrate(system.robot.model, np.repeat(q[None], _NEIGHBOURS, axis=0), steps)
+    rng, free = np.random.default_rng(SEED), free_motions(system, q, _REDUNDANT)
+    starts = draw_starts(system, q, _NEIGHBOURS, rng, turn=_SPREAD, slide=_SPREAD, along=free)
     reached = [close(system, each) for each in (q, *starts)]
     closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
     return np.array(closed) if closed else q[None]

@@ -23,7 +23,6 @@ from redundancy_pin.kinematics.closure import made_up
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, all_ranges
-from redundancy_pin.robot.scales import velocity_scale
 from redundancy_pin.simulation.rank_loss import LOST, NEAR, Sheet, rank_ratio
 
 KINDS = ("track", "joint_limit", "type_I", "type_II", "closure_rank")
@@ -46,14 +45,15 @@ _UNLIMITED = 1e6
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
 """Where in a step the functions are looked at."""
 
-BRIEF = 2e-3
-"""s; in a step shorter than this only the end is looked at, and where joints turn back."""
+BRIEF = 0.02
+"""rad; where joints move less than this in a step, at the speeds of its ends, only its end is looked at, and where they
+turn back. A tenth of ``BETWEEN``."""
 
 BETWEEN = 0.2
 """rad; no joint of the pose moves farther than this from look to look at the rank of the closures."""
 
-_SAME = 1e-4
-"""s; a determinant with a zero of third order gives its time no better than this."""
+_SAME = 2e-3
+"""Share of a step, a hundred cube roots of rounding, to which the time of a zero of third order is known."""
 
 _TURN = 1e-6
 """Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it. Rank
@@ -112,7 +112,8 @@ class EventFunctions:
         self._terminal = np.array([kind in stop_at for kind in self.kinds])
         self._one_sided = np.array([kind in ONE_SIDED for kind in self.kinds])
         self._chain, self._columns = chain, chain.pose_columns
-        self._scale = 1.0 / velocity_scale(robot)[self._columns]
+        self._unit = chain.system.step_unit
+        self._platform_scale = self._unit / chain.system.equation_unit[chain.rows :, None]
         self._actuated = np.eye(robot.model.nv)[robot.actuated_velocity][:, self._columns]
         self._still = np.zeros(robot.model.nv)
 
@@ -125,19 +126,19 @@ class EventFunctions:
         by_actuators, by_platform, rows = np.empty((count, p, p)), np.empty((count, p, p)), np.empty((count, r, p))
         for i, one in enumerate(q):
             chain.update(one, self._still)
-            closures = chain.jacobian()[:, columns]
+            rows[i] = chain.relative_jacobian()
             if self._square:
-                by_actuators[i, :r], by_actuators[i, r:] = closures, self._actuated
+                by_actuators[i, :r], by_actuators[i, r:] = rows[i], self._actuated
             if not self._by_legs:
-                by_platform[i, :r], by_platform[i, r:] = closures, chain.platform_jacobian()[:, columns]
-            rows[i] = closures
+                platform = chain.platform_jacobian()[:, columns] * self._platform_scale
+                by_platform[i, :r], by_platform[i, r:] = rows[i], platform
         parts = [self._side * (self._bound - q.take(self._position, 1))]
-        type_i = mode_indicator(chain.robot, q) if self._by_legs else np.linalg.det(by_platform * self._scale)[:, None]
+        type_i = mode_indicator(chain.robot, q) if self._by_legs else np.linalg.det(by_platform)[:, None]
         parts.append(type_i)
         if self._square:
-            parts.append(np.linalg.det(by_actuators * self._scale)[:, None])
+            parts.append(np.linalg.det(by_actuators)[:, None])
         # a ratio of singular values has no sign: it touches zero where rank is lost, at roots of any multiplicity
-        parts.append(rank_ratio(rows * self._scale)[:, None])
+        parts.append(rank_ratio(rows)[:, None])
         return np.concatenate(parts, axis=1)
 
     def at_start(self, q: Array) -> Array:
@@ -191,8 +192,14 @@ class EventFunctions:
 
         ``states`` (L, nq + nv) are its states at equidistant looks.
         """
-        speeds = np.abs(states[:, self.nq + self._columns]) / self._scale
-        return length * float(speeds.max(axis=1).mean()) / self._chain.robot.characteristic_length
+        speeds = np.abs(states[:, self.nq + self._columns]) / self._unit
+        return length * float(speeds.max(axis=1).mean())
+
+    def is_brief(self, step: Step, time: float) -> bool:
+        """Return whether joints hardly move in a step, by the speeds at its ends, or by the time scale, s."""
+        ends = np.array([step(step.start), step(step.end)])
+        speed = float((np.abs(ends[:, self.nq + self._columns]) / self._unit).max(initial=1.0 / time))
+        return (step.end - step.start) * speed < BRIEF
 
     def ratios(self, step: Step, count: int) -> Array:
         """Return (count + 1,) the ratio of singular values of the closures at equidistant looks at a step."""
@@ -295,14 +302,15 @@ class Step:
 
 
 def find_events(
-    functions: EventFunctions, before: Array, step: Step, sheet: Sheet | None = None
+    functions: EventFunctions, before: Array, step: Step, time: float, sheet: Sheet | None = None
 ) -> tuple[list[Event], Array, Array]:
     """Return the events in a step in order of time, up to the first terminal one, and the functions (w,) at its end.
 
     Also the ratios (L,) of singular values of the closures at its start, at equidistant looks and at its end.
-    ``before`` (w,) are the functions at the start, ``sheet`` what the motion is on where the closures lose rank.
+    ``before`` (w,) are the functions at the start, ``time`` is the time scale of the motion, s, ``sheet`` what the
+    motion is on where the closures lose rank.
     """
-    fine = step.end - step.start > BRIEF or before[-1] < NEAR
+    fine = not functions.is_brief(step, time) or before[-1] < NEAR
     looks, weights = (_LOOKS, _WEIGHTS) if fine else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
     states = step.estimates(weights)
     values = np.concatenate([before[None], functions(states[1:, : functions.nq])])
@@ -348,7 +356,8 @@ def _with_rank_loss(
     others = [
         event
         for event in events
-        if event.kind not in functions.determinants or all(abs(event.t - t) > _SAME for t in times)
+        if event.kind not in functions.determinants
+        or all(abs(event.t - t) > _SAME * (step.end - step.start) for t in times)
     ]
     return _until_terminal([*others, *(event for t in times for event in functions.rank_loss(t, step(t)))])
 

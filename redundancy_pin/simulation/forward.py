@@ -30,7 +30,7 @@ from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import velocity_scale
+from redundancy_pin.robot.scales import velocity_scale, velocity_unit
 from redundancy_pin.simulation.rank_loss import LOST, Sheet, rank_ratio
 
 
@@ -50,9 +50,9 @@ class Partition:
 
 
 def choose(
-    jacobian: Array, scale: Array, pose_columns: IntArray, free: IntArray, prescribed: IntArray, q: Array | None = None
+    relative: Array, pose_columns: IntArray, free: IntArray, prescribed: IntArray, q: Array | None = None
 ) -> Partition:
-    """Choose the dependent ones of the velocities that move the pose, by J_c (r, nv) in m/s (``scale``, (nv,)).
+    """Choose the dependent ones of the velocities that move the pose, by J_c (r, p) without units.
 
     Carriers driven by force (``free``) are always independent, those driven by motion ``prescribed``; ``q`` is for the
     error.
@@ -60,11 +60,10 @@ def choose(
     Raises:
         SingularPoseError: J_c has lost row rank: the closures do not determine how the machine moves on.
     """
-    rows = len(jacobian)
+    rows = len(relative)
     if rows == 0:
         return Partition(np.empty(0, dtype=np.intp), np.concatenate([pose_columns, free]), prescribed)
-    scaled = np.asfortranarray(jacobian[:, pose_columns] / scale[pose_columns])
-    triangle, order, *_ = lapack.dgeqp3(scaled, overwrite_a=1)
+    triangle, order, *_ = lapack.dgeqp3(np.asfortranarray(relative))
     diagonal = np.abs(triangle.diagonal())
     if diagonal[-1] <= RANK_TOLERANCE * diagonal[0]:
         place = "" if q is None else f"; q = {(np.round(q, 6) + 0.0).tolist()}"
@@ -115,7 +114,7 @@ class ForwardDynamics:
         self._carriers = np.array(robot.carrier_velocity)
         self._free: IntArray = nothing if prescribed else self._carriers
         self._given: IntArray = self._carriers if prescribed else nothing
-        self._scale = velocity_scale(robot)
+        self._scale, self._unit = velocity_scale(robot), velocity_unit(robot)
         self.least_inertia = 1.0
         """Smallest pivot of the mass matrix over the largest, in kg, at the last state."""
         self._fresh = False
@@ -129,7 +128,7 @@ class ForwardDynamics:
             SingularPoseError: the closures have lost rank there.
         """
         self.chain.update(q, np.zeros(self.robot.model.nv))
-        return choose(self.chain.jacobian(), self._scale, self.chain.pose_columns, self._free, self._given, q)
+        return choose(self.chain.relative_jacobian(), self.chain.pose_columns, self._free, self._given, q)
 
     def adapt(self, q: Array) -> None:
         """Choose the independent velocities anew for a configuration (nq,).
@@ -149,6 +148,11 @@ class ForwardDynamics:
         self._inverse_scale = 1.0 / self._scale[partition.independent]
         self._system = np.empty((self.chain.rows, len(partition.independent) + 1), order="F")
         self._columns = np.concatenate([partition.dependent, partition.independent])
+        # dependent velocities are solved for without units: the pivots say how good the choice is
+        dependent = self._unit[partition.dependent]
+        self._row_scale = 1.0 / self.chain.system.closure_unit
+        self._column_scale = self._row_scale[:, None] * self._unit[self._columns]
+        self._solved_unit = -dependent[:, None] / np.append(self._unit[partition.independent], 1.0)
 
     def acceleration(
         self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None, *, sheet: Sheet | None = None
@@ -175,11 +179,11 @@ class ForwardDynamics:
             particular[self._given] = carrier_acceleration
         if chain.rows:
             dependent = self.partition.dependent
-            jacobian = chain.jacobian().take(self._columns, 1)
+            jacobian = chain.jacobian().take(self._columns, 1) * self._column_scale
             rows = chain.rows
             system = self._system
             system[:, :-1] = jacobian[:, rows:]
-            system[:, -1] = chain.bias()
+            system[:, -1] = chain.bias() * self._row_scale
             factor, _, solved, _ = lapack.dgesv(jacobian[:, :rows], system, overwrite_b=1)
             pivots = [abs(pivot) for pivot in factor.diagonal().tolist()]
             # a choice just made for this pose is the best there is: without the flag a poor pose would recurse for ever
@@ -187,7 +191,7 @@ class ForwardDynamics:
                 self.adapt(q)  # raises where the closures themselves have lost rank
                 return self.acceleration(q, v, force, carrier_acceleration)
             self._fresh = False
-            solved *= -1.0
+            solved *= self._solved_unit
             basis[dependent] = solved[:, :-1]
             particular[dependent] = solved[:, -1]
         return self._solve(q, v, force, basis, particular, self._inverse_scale)
@@ -235,14 +239,15 @@ class ForwardDynamics:
         chain.update(q, v)
         missing = tree_equations(self.robot, chain.data, q, v, a)[0] - force
         # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
-        jacobian, closure = chain.jacobian(), np.full(chain.rows, np.nan)
+        relative, closure = chain.relative_jacobian(), np.full(chain.rows, np.nan)
         if sheet is None:
-            dependent = choose(jacobian, self._scale, chain.pose_columns, self._free, self._given, q).dependent
+            dependent = choose(relative, chain.pose_columns, self._free, self._given, q).dependent
         else:
             dependent = sheet.dependent
-        block = jacobian[:, dependent]
-        if sheet is None or rank_ratio((block / self._scale[dependent])[None])[0] > LOST:
-            closure = np.linalg.solve(block.T, missing[dependent])
+        block = relative[:, np.searchsorted(chain.pose_columns, dependent)]
+        if sheet is None or rank_ratio(block[None])[0] > LOST:
+            unit = chain.system.closure_unit
+            closure = np.linalg.solve(block.T, missing[dependent] * self._unit[dependent]) / unit
         return Acceleration(a, closure, missing[self._carriers] if self.prescribed else force[self._carriers])
 
     def velocity_basis(self, q: Array) -> Array:

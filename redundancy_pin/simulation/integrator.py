@@ -18,6 +18,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -29,11 +30,10 @@ from redundancy_pin.dynamics.forward import Advance, ForwardKernel, Integration,
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.kinematics.closure import made_up
 from redundancy_pin.kinematics.selection import rows_at
-from redundancy_pin.robot.scales import velocity_scale
+from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.simulation.controllers.base import Command, Sampling
 from redundancy_pin.simulation.events import BETWEEN, BRIEF, Event, EventFunctions, Step, find_events, may_touch_zero
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
-from redundancy_pin.simulation.state import PROJECTION_TOLERANCE
 from redundancy_pin.simulation.system import Machine
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -49,22 +49,22 @@ SAME = 1e-9
 """Instants closer than this fraction of a sampling period, or of the interval of the result's samples, are one."""
 
 SHORTEST = 1e-8
-"""s; a machine whose motion takes steps shorter than this, many in a row, is not one."""
+"""Share of the time scale; a machine whose motion takes steps shorter than this, many in a row, is not one."""
 
 _MOST_SHORT = 20
 
 _DIFFERENCE = 1e-7
-"""Step of the differences for the Jacobian of an implicit integrator, m, rad, m/s, rad/s, or as a share."""
+"""Step of the differences for the Jacobian of an implicit integrator, share of a number or of its unit."""
 
 _LITTLE_INERTIA = 1e-3
 """Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
 
 LARGEST_RESIDUAL = 1e-9
-"""Closure residual, m, that the projection must not leave."""
+"""Closure residual, rad or characteristic lengths, that the projection must not leave."""
 
 _JUMP, _STIR = 0.05, 1e-3
-"""The projection may change a velocity by this share of the largest, and this much, m/s or rad/s. It takes away what a
-step has gained in error; a change beyond that leads to another branch of the motion."""
+"""The projection may change a velocity by this share of the largest, and this much, characteristic lengths or rad in a
+time scale. It takes away what a step has gained in error; a change beyond that leads to another branch."""
 
 _TOUCHED = 1e-4, 0.05
 """Ratio of singular values of J_c below which a step has come through a rank loss, as far as it is resolved: at least,
@@ -77,7 +77,7 @@ _LEAST_TRAVEL = 0.01
 """rad; a rank loss that is nearer, and cannot be carried across, is given up."""
 
 _AT_REST, _AT = 1e-10, 1e-8
-"""Speed, 1/s, and ratio of singular values at which a motion may go on on either sheet."""
+"""Speed, per time scale, and ratio of singular values at which a motion may go on on either sheet."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,9 @@ class InitialValueProblem:
         machine: the differential equation.
         functions: whose zeros are events.
         method: its name in ``INTEGRATORS``.
-        settings: rtol, atol and max_step.
+        settings: rtol, atol (nq + nv,) and max_step.
+        time: s; the time scale of the motion: the shorter one of its duration and the time of ``robot.scales``.
+        unit: (nq + nv,) the characteristic length or 1 rad for q, and over the time scale for v.
         max_steps: number of steps after which it is given up.
         grid: (G,) times at which to record, s, first and last included.
         breaks: inner times at which efforts jump, s.
@@ -135,11 +137,23 @@ class InitialValueProblem:
     machine: Machine
     functions: EventFunctions
     method: str
-    settings: Mapping[str, float]
+    settings: Mapping[str, Any]
+    time: float
+    unit: Array
     max_steps: int
     grid: Array
     breaks: Array
     sampling: Sampling | None
+
+    @property
+    def shortest(self) -> float:
+        """The shortest ordinary step, s."""
+        return SHORTEST * self.time
+
+    @property
+    def largest_residual(self) -> float:
+        """The closure residual, m, that the projection must not leave."""
+        return LARGEST_RESIDUAL * self.machine.robot.characteristic_length
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +167,7 @@ class Progress:
         sheet: what it is on where the closures lose rank, see ``rank_loss``.
         near: ratio of singular values of the closures below which a rank loss is looked for.
         next_step: length the integrator suggests for its next step, s; None before the first.
-        short: how many steps in a row were shorter than ``SHORTEST``.
+        short: how many steps in a row were shorter than the shortest ordinary one.
         steps, evaluations, restarts, largest_correction, seconds: see ``Statistics``.
         status: None while it goes on.
         reason: why it failed.
@@ -257,8 +271,9 @@ def _with_other_rows(
 class _Rate:
     """ẏ over one stretch, as scipy's solvers call it; ``failure`` says why a call of this step had no answer."""
 
-    def __init__(self, machine: Machine, hold: Command | None, end: float, sheet: Sheet | None) -> None:
-        self._machine, self._hold, self._end, self.sheet = machine, hold, end, sheet
+    def __init__(self, problem: InitialValueProblem, hold: Command | None, end: float, sheet: Sheet | None) -> None:
+        self._machine, self._unit = problem.machine, problem.unit
+        self._hold, self._end, self.sheet = hold, end, sheet
         self.evaluations = 0
         self.failure: RedundancyPinError | None = None
 
@@ -279,7 +294,7 @@ class _Rate:
 
     def jacobian(self, t: float, y: Array) -> Array:
         """Return ∂ẏ/∂y by differences; scipy's own step grows without bound where nothing depends on a coordinate."""
-        here, steps = self(t, y), _DIFFERENCE * np.maximum(1.0, np.abs(y))
+        here, steps = self(t, y), _DIFFERENCE * np.maximum(self._unit, np.abs(y))
         columns = [(self(t, y + step * e) - here) / step for step, e in zip(steps, np.eye(len(y)), strict=True)]
         J: Array = np.nan_to_num(np.stack(columns, axis=1))  # no answer: Newton fails, and the step is shortened
         return J
@@ -312,12 +327,13 @@ class OrdinarySteps:
             prescribed=machine.prescribed,
             limits=amplifiers.limits,
             stops=problem.functions.stops,
-            short_step=BRIEF,
+            time=problem.time,
+            brief=BRIEF,
             check_travel=BETWEEN,
             near_rank=NEAR,
-            shortest=SHORTEST,
-            tolerance=PROJECTION_TOLERANCE,
-            largest_residual=LARGEST_RESIDUAL,
+            shortest=problem.shortest,
+            tolerance=machine.manifold.tolerance,
+            largest_residual=problem.largest_residual,
             velocity_change=_JUMP,
             velocity_floor=_STIR,
         )
@@ -335,12 +351,17 @@ class OrdinarySteps:
         if hold is not None and self._by_time:
             self._code.hold(np.concatenate(hold))
         end = stretch.end if self._sampled else float(grid[-1])
+        next_step = progress.next_step
+        if next_step is None:  # scipy's first one
+            rate = _Rate(problem, hold, stretch.end, None)
+            next_step = float(_solver(problem, progress, stretch, rate).h_abs)
+            progress = replace(progress, evaluations=progress.evaluations + rate.evaluations)
         at = Advance(
             progress.t,
             progress.y,
             progress.values,
             progress.near,
-            -1.0 if progress.next_step is None else progress.next_step,
+            next_step,
             len(record.samples),
             *(getattr(progress, name) for name in _COUNTED),
         )
@@ -351,10 +372,9 @@ class OrdinarySteps:
         states = zip(grid[taken].tolist(), self._code.recorded[taken].copy(), strict=True)
         record.samples.extend([SimulatedSample(t, y, hold, None) for t, y in states])
         counted = {name: getattr(at, name) for name in _COUNTED}
-        next_step = at.next_step if at.next_step > 0.0 else None
         if at.steps > progress.steps:
             progress = replace(progress, t=at.t, y=at.y, values=at.values, near=at.near, short=0)
-        return replace(progress, next_step=next_step, **counted)
+        return replace(progress, next_step=at.next_step, **counted)
 
 
 _COUNTED = ("steps", "evaluations", "restarts", "largest_correction")
@@ -377,12 +397,8 @@ def _integrate_stretch(
             progress = ordinary.take(progress, stretch, hold, record)
             if progress.t >= stretch.end:
                 break
-        rate = _Rate(problem.machine, hold, stretch.end, progress.sheet)
-        step = None if progress.next_step is None else min(progress.next_step, stretch.end - progress.t)
-        implicit = {} if problem.method in EXPLICIT else {"jac": rate.jacobian}
-        solver = INTEGRATORS[problem.method](
-            rate, progress.t, progress.y, stretch.end, first_step=step, **implicit, **problem.settings
-        )
+        rate = _Rate(problem, hold, stretch.end, progress.sheet)
+        solver = _solver(problem, progress, stretch, rate)
         progress = replace(progress, restarts=progress.restarts + 1)
         again = None
         while solver.status == "running" and progress.status is None and again is None:
@@ -395,9 +411,18 @@ def _integrate_stretch(
         progress = replace(progress, next_step=solver.h_abs, evaluations=progress.evaluations + rate.evaluations)
         if again is not None:
             progress = replace(progress, sheet=again.sheet, next_step=again.length)
-            if again.reason and again.length < SHORTEST:
+            if again.reason and again.length < problem.shortest:
                 progress = progress.failed(again.reason)
     return progress
+
+
+def _solver(problem: InitialValueProblem, progress: Progress, stretch: SmoothInterval, rate: _Rate) -> OdeSolver:
+    """Return scipy's solver over the rest of a stretch; it selects the first step where none is suggested."""
+    step = None if progress.next_step is None else min(progress.next_step, stretch.end - progress.t)
+    implicit = {} if problem.method in EXPLICIT else {"jac": rate.jacobian}
+    return INTEGRATORS[problem.method](
+        rate, progress.t, progress.y, stretch.end, first_step=step, **implicit, **problem.settings
+    )
 
 
 def _step(
@@ -418,7 +443,7 @@ def _step(
         why = f"no step is short enough: {rate.failure or message}"
         q = progress.y[: problem.functions.nq]
         return progress.failed(why if rate.sheet is None else _at_pose(problem.functions, q, why))
-    is_short = solver.step_size < SHORTEST and solver.status == "running"  # the last one may have to be
+    is_short = solver.step_size < problem.shortest and solver.status == "running"  # the last one may have to be
     short = progress.short + 1 if is_short else 0
     progress = replace(progress, t=solver.t, y=solver.y, steps=progress.steps + 1, short=short)
     if short >= _MOST_SHORT:
@@ -427,17 +452,17 @@ def _step(
     rate.failure = None
     # events and samples come from the interpolant, which is that of the step before its end is projected
     step = Step(solver, before)
-    events, values, ratios = find_events(problem.functions, progress.values, step, rate.sheet)
+    events, values, ratios = find_events(problem.functions, progress.values, step, problem.time, rate.sheet)
     near = progress.near
     if rate.sheet is None and may_touch_zero(ratios, near):
         require_no_rank_loss(problem, earlier, step)
         near = 0.5 * float(ratios.min())  # a look ahead takes as long as some steps: the next one from nearer by
     stop = events[-1].t if events and events[-1].terminal else None
-    rest = None if rate.sheet is None else _rest(problem.functions, step, rate.sheet)
+    rest = None if rate.sheet is None else _rest(problem, step, rate.sheet)
     if rest is not None and (stop is None or rest < stop):
         events, stop = [event for event in events if event.t < rest], rest
     y, gap, left = machine.project(solver.t, solver.y, rate.sheet)
-    _require_continuous(machine, solver, before, y, rate.sheet)
+    _require_continuous(problem, solver, before, y, rate.sheet)
     record.events.extend(events)
     _record(problem, step, solver.t if stop is None else stop, hold, record, rate.sheet)
     if stop is not None:
@@ -450,7 +475,7 @@ def _step(
     largest = max(progress.largest_correction, gap)
     progress = replace(progress, y=y, values=values, largest_correction=largest)
     progress = replace(progress, near=near if ratios[-1] < NEAR else NEAR)
-    if left > LARGEST_RESIDUAL:
+    if left > problem.largest_residual:
         return progress.failed(f"the closures leave a gap of {left:.3g} m")
     if rate.sheet is not None:
         q, v = np.split(y, [machine.robot.model.nq])
@@ -464,8 +489,9 @@ def _step(
     return progress
 
 
-def _rest(functions: EventFunctions, step: Step, sheet: Sheet) -> float | None:
+def _rest(problem: InitialValueProblem, step: Step, sheet: Sheet) -> float | None:
     """Return the time in a step at which a motion comes to rest at a rank loss, if it does."""
+    functions = problem.functions
 
     def speed(fraction: float) -> float:
         return sheet.speed(step.at(fraction)[functions.nq :])
@@ -473,7 +499,7 @@ def _rest(functions: EventFunctions, step: Step, sheet: Sheet) -> float | None:
     turns = speed(0.0) * speed(1.0) < 0.0
     fraction = float(brentq(speed, 0.0, 1.0, xtol=1e-6)) if turns else 1.0
     lost = functions(step.at(fraction)[None, : functions.nq])[0, -1] < _AT
-    return step.time(fraction) if lost and (turns or abs(speed(1.0)) < _AT_REST) else None
+    return step.time(fraction) if lost and (turns or abs(speed(1.0)) * problem.time < _AT_REST) else None
 
 
 class RetryStep(Exception):  # noqa: N818 - it tells the integration to go back, and is no failure
@@ -491,8 +517,7 @@ def require_no_rank_loss(problem: InitialValueProblem, earlier: Progress, step: 
     """Raise RetryStep where the closures lose rank in a step, with the sheet that leads across if it is near enough."""
     machine, functions, length = problem.machine, problem.functions, step.end - step.start
     q, v = np.split(earlier.y, [machine.robot.model.nq])
-    scale = velocity_scale(machine.robot) / machine.robot.characteristic_length
-    moved = pin.difference(machine.robot.model, q, step.at(1.0)[: len(q)]) * scale
+    moved = pin.difference(machine.robot.model, q, step.at(1.0)[: len(q)]) / velocity_unit(machine.robot)
     moved[machine.robot.carrier_velocity] = 0.0
     travel = float(np.linalg.norm(moved))
     if travel > _FARTHEST:  # the way ahead is followed point by point
@@ -508,15 +533,16 @@ def require_no_rank_loss(problem: InitialValueProblem, earlier: Progress, step: 
 
 
 def _require_continuous(
-    machine: Machine, solver: OdeSolver, before: tuple[Array, Array], y: Array, sheet: Sheet | None
+    problem: InitialValueProblem, solver: OdeSolver, before: tuple[Array, Array], y: Array, sheet: Sheet | None
 ) -> None:
     """Raise RetryStep where the projection changes a velocity by more than the error of a step."""
-    nq = machine.robot.model.nq
+    machine = problem.machine
+    nq, unit = machine.robot.model.nq, velocity_unit(machine.robot)
     v, projected = solver.y[nq:], y[nq:]
-    jump = float(np.abs(projected - v).max(initial=0.0))
-    largest = max(float(np.abs(part).max(initial=0.0)) for part in (before[0][nq:], v))
-    if not jump <= _JUMP * largest + _STIR:
-        i = int(np.abs(projected - v).argmax())
+    jumps = np.abs(projected - v) / unit
+    largest = max(float((np.abs(part) / unit).max(initial=0.0)) for part in (before[0][nq:], v))
+    if not float(jumps.max(initial=0.0)) <= _JUMP * largest + _STIR / problem.time:
+        i = int(jumps.argmax())
         raise RetryStep(
             0.25 * solver.step_size,
             sheet,

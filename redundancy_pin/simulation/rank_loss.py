@@ -44,7 +44,7 @@ NEAR = 0.05
 
 
 def rank_ratio(scaled: Array) -> Array:
-    """Return (N,) smallest over largest singular value of scaled closure rows (N, r, p); 1 where there are none."""
+    """Return (N,) smallest over largest singular value of closure rows (N, r, p) without units; 1 without any rows."""
     if 0 in scaled.shape[1:]:
         return np.ones(len(scaled))
     if not np.isfinite(scaled).all():
@@ -154,7 +154,7 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     if not size > 0.0 or not count:
         return None
     chain.update(q, np.zeros(model.nv))
-    _, values, vectors = np.linalg.svd(chain.jacobian()[:, columns] / scale[columns])
+    _, values, vectors = np.linalg.svd(chain.relative_jacobian())
     allowed, lost = vectors[chain.rows :].T, bool(values[-1] < 1e-3 * values[0])
     if lost:  # the velocity is what tells the branches apart
         if count > 1:

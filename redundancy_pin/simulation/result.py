@@ -71,7 +71,7 @@ class Simulation(Frozen):
             motion took.
         actuated_rate: (N, m) rates of the main actuators, m/s or rad/s.
         closure_force: (N, r) forces of the closure rows on their second frame, along the axes of the first, N or N·m.
-        gap: (N,) closure residual, m (rotation rows: sine of the angle).
+        gap: (N,) largest closure residual, m; angles count times the characteristic length.
         energy: (N,) kinetic plus potential energy, J (zero height at the world origin).
         events: what happened, in order of time.
         status: how it ended.

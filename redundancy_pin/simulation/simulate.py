@@ -20,6 +20,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.scales import force_terms, position_unit, velocity_unit
 from redundancy_pin.simulation.controllers.base import (
     Amplifiers,
     CarrierDrive,
@@ -45,13 +46,14 @@ RTOL = 1e-11
 """Default relative tolerance of a step. Energy then drifts by some 1e-10 of itself in ten seconds."""
 
 ATOL = 1e-12
-"""Default absolute tolerance of a step, m, rad, m/s and rad/s."""
+"""Default absolute tolerance of a step, characteristic lengths or rad, for velocities per time scale."""
 
 LEAST_RTOL = 2.5e-14
 """Below this scipy's step control sees rounding only."""
 
 START_RESIDUAL = 1e-6
-"""Closure residual, m, and speed at which closures part, m/s, that a start state may have; it is projected."""
+"""Closure residual, rad or characteristic lengths, of a start state, and in a time scale at the speed at which its
+closures part. The start is projected."""
 
 
 def simulate(
@@ -87,8 +89,8 @@ def simulate(
         robot: the robot, or its name or path; it may differ from the one of a plan or controller.
         drive: a plan, whose efforts are fed forward (``FeedForward``); a ``Controller``, or any object with its
             ``effort``; or nothing: no efforts.
-        start: state to start from, closed to within 1e-6 m; that of the plan or controller, else the reference
-            configuration at rest, when left out.
+        start: state to start from, closed to within 1e-6 characteristic lengths; that of the plan or controller, else
+            the reference configuration at rest, when left out.
         duration: s; to the end of the plan or controller when left out.
         dt: interval between the samples of the result, s; the integrator chooses its own steps.
         carriers: whether forces drive the carriers, or they follow the motion of the plan or controller exactly and the
@@ -99,7 +101,8 @@ def simulate(
         external: further generalised forces (nv,) as a function of the state: friction, disturbances.
         stop_at: kinds of events (``events.KINDS``) that end the simulation; all kinds are reported.
         rtol: relative tolerance of each step of the integrator.
-        atol: its absolute tolerance, m, rad, m/s and rad/s.
+        atol: its absolute tolerance, characteristic lengths or rad; for velocities over the shorter one of the duration
+            and the time in which gravity or the start velocity moves the robot by its own length.
         max_step: longest step, s.
         max_steps: number of steps after which it is given up.
         integrator: explicit Runge-Kutta method of scipy: of order 8, or of order 5; or the implicit "Radau" of order 5,
@@ -134,10 +137,10 @@ def simulate(
     for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
         if not fits:
             raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
-    tolerances = {"rtol": positive(rtol, "rtol", ""), "atol": positive(atol, "atol", "")}
     if rtol < LEAST_RTOL:
         raise InputError(f"rtol is {rtol}.", remedy=f"Pass at least {LEAST_RTOL}: below it is rounding.", name="rtol")
-    settings = {"max_step": float(max_step), **tolerances}
+    positive(rtol, "rtol", "")
+    positive(atol, "atol", "")
     state = _start(robot, controller, start)
     grid, breaks = _times(controller, state.t, duration, dt, restart_at)
     law = _carrier_law(robot, controller, carriers)
@@ -151,9 +154,10 @@ def simulate(
     machine = Machine(robot, Amplifiers(controller, *limits), law, external, method, kernel)
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     functions = EventFunctions(machine.chain, tuple(stop_at), first.q)
-    _require_closed(machine, first)  # before it is projected, which would close any start
+    time = _time_scale(robot, first.v, float(grid[-1] - grid[0]))
+    _require_closed(machine, first, time)  # before it is projected, which would close any start
     ratio = functions(first.q[None])[0, functions.kinds.index("closure_rank")]
-    sheet = _sheet_at_start(machine, first, float(ratio))
+    sheet = _sheet_at_start(machine, first, float(ratio), time)
     y, _, _ = machine.project(first.t, np.concatenate([first.q, first.v]), sheet)
     values = functions.at_start(y[: robot.model.nq])
     command = machine.amplifiers.command(first)
@@ -161,7 +165,11 @@ def simulate(
     if sheet is None:
         machine.dynamics.adapt(first.q)
     machine.solve(first, command, sheet)
-    problem = InitialValueProblem(machine, functions, integrator, settings, int(max_steps), grid, breaks, sampling)
+    unit = np.concatenate([position_unit(robot), velocity_unit(robot) / time])
+    settings = {"max_step": float(max_step), "rtol": float(rtol), "atol": atol * unit}
+    problem = InitialValueProblem(
+        machine, functions, integrator, settings, time, unit, int(max_steps), grid, breaks, sampling
+    )
     record, progress = integrate(problem, y, values, command, sheet)
     parameters = {
         "drive": drive.planner if isinstance(drive, Plan) else controller.class_name(),
@@ -252,12 +260,19 @@ def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> Carrier
     return None if carriers == "force" else controller.carrier_motion
 
 
-def _require_closed(machine: Machine, state: State) -> None:
+def _time_scale(robot: Robot, v: Array, duration: float) -> float:
+    """Return the time scale, s, of a simulation that starts with a velocity (nv,)."""
+    rate = np.abs(v / velocity_unit(robot)).max(keepdims=True)
+    return min(duration, float(force_terms(robot).scales(rate, np.zeros(1)).time[0]))
+
+
+def _require_closed(machine: Machine, state: State, time: float) -> None:
     chain = machine.chain
     chain.update(state.q, state.v)
-    gap = float(np.abs(chain.residual()).max(initial=0.0))
-    rate = float(np.abs(chain.jacobian() @ state.v).max(initial=0.0))
-    if gap > START_RESIDUAL or rate > START_RESIDUAL:
+    length, columns = machine.robot.characteristic_length, chain.pose_columns
+    parting = chain.relative_jacobian() @ (state.v[columns] / chain.system.step_unit)
+    gap, rate = chain.largest_residual(), length * float(np.abs(parting).max(initial=0.0))
+    if gap > START_RESIDUAL * length or rate > START_RESIDUAL * length / time:
         raise InputError(
             f"The start is not closed: a gap of {gap:.3g} m, opening at {rate:.3g} m/s.",
             remedy="Make it with closed_state(robot, x, xd, s, sd).",
@@ -266,17 +281,18 @@ def _require_closed(machine: Machine, state: State) -> None:
         )
 
 
-def _sheet_at_start(machine: Machine, start: State, ratio: float) -> Sheet | None:
+def _sheet_at_start(machine: Machine, start: State, ratio: float, time: float) -> Sheet | None:
     """Return what a motion is on that starts near a rank loss of its closures, by their ratio of singular values."""
     if not ratio < NEAR:
         return None
     sheet = sheet_ahead(machine.chain, start.q, start.v, WIDEST)
     motion = sheet.at(start.q, start.v) if isinstance(sheet, Sheet) else None
-    away = 0.0 if motion is None else float(np.abs(motion.v - start.v).max())
-    if away > START_RESIDUAL * max(1.0, float(np.abs(start.v).max())):
+    unit = velocity_unit(machine.robot)
+    away = 0.0 if motion is None else float(np.abs((motion.v - start.v) / unit).max())
+    if away > START_RESIDUAL * max(1.0 / time, float(np.abs(start.v / unit).max())):
         raise SingularPoseError(
             f"The start is where the closures of {machine.robot.name} lose rank, and its velocity, though allowed, "
-            f"is {away:.3g} from that of the nearest smooth motion through there.",
+            f"is {away:.3g} 1/s from that of the nearest smooth motion through there.",
             remedy="Start with a velocity along one of the motions that meet there, or beside that pose.",
             amount=away,
         )
@@ -310,7 +326,7 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
         if here.robot.closures != robot.closures:  # of the same effect, in the rows of the robot
             own, other = (constraint_system(each).evaluate(state.q[None]).Jc[0] for each in (robot, here.robot))
             closure_force[i] = np.linalg.lstsq(own.T, other.T @ loads.closure_force, rcond=None)[0]
-    evaluated = constraint_system(robot).evaluate(q)
+    evaluated, every = constraint_system(robot).evaluate(q), constraint_system(with_all_rows(robot))
     columns = robot.carrier_velocity
     x, xd = coordinates(robot, evaluated), np.einsum("nij,nj->ni", evaluated.Jx, v)
     return Simulation(
@@ -327,7 +343,7 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
         carrier_force=read_only(carrier_force),
         actuated_rate=frozen(v[:, robot.actuated_velocity]),
         closure_force=read_only(closure_force),
-        gap=frozen(np.abs(constraint_system(with_all_rows(robot)).evaluate(q).phi).max(axis=1, initial=0.0)),
+        gap=frozen(every.gap(every.evaluate(q).phi)),
         energy=read_only(energy),
         events=tuple(record.events),
         status=status,

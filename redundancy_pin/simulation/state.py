@@ -11,15 +11,14 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from redundancy_pin.arrays import Array, Frozen, checked, each, read_only
-from redundancy_pin.dynamics.forward import Reader
+from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import velocity_scale
 
 PROJECTION_TOLERANCE = 1e-13
-"""Closure residual, m, at which the projection is done: rounding of a machine of a metre is 1e-16 a row."""
+"""Closure residual, rad or characteristic lengths, at which the projection is done: rounding is 1e-16 a row."""
 
 _MOST_STEPS = 8
 """From the end of an integration step, 1e-9 off, two Newton steps reach rounding."""
@@ -30,12 +29,16 @@ class Manifold:
 
     The steps are the shortest ones in scaled coordinates (rotations times the characteristic length), and leave the
     carriers alone.
+
+    Attributes:
+        tolerance: closure residual, m, at which the projection is done.
     """
 
     def __init__(self, chain: ClosedChain) -> None:
         self.chain = chain
         self._columns = chain.pose_columns
-        self._inverse_scale = 1.0 / velocity_scale(chain.robot)[self._columns]
+        self._unit = chain.system.step_unit
+        self.tolerance = PROJECTION_TOLERANCE * chain.robot.characteristic_length
         self._turning_numbers = chain.model.nq != chain.model.nv
 
     def project(self, q: Array, v: Array) -> tuple[Array, Array, float, float]:
@@ -46,28 +49,26 @@ class Manifold:
         largest, before = 0.0, -1.0
         for _ in range(_MOST_STEPS):
             chain.update(q, v)
-            residual = chain.residual()
-            largest = float(np.abs(residual).max(initial=0.0))
+            largest = chain.largest_residual()
             before = largest if before < 0.0 else before
-            if largest <= PROJECTION_TOLERANCE:
+            if largest <= self.tolerance:
                 break
             step = np.zeros(len(v))
-            step[self._columns] = -self._shortest(chain.jacobian(), residual)
+            step[self._columns] = -self._shortest(chain.relative_jacobian(), chain.relative_residual())
             q = pin.integrate(chain.model, q, step)
         # velocities last: those that the closures allow are those of the projected configuration
-        jacobian = chain.jacobian()
-        v[self._columns] -= self._shortest(jacobian, jacobian.dot(v))
+        jacobian = chain.relative_jacobian()
+        v[self._columns] -= self._shortest(jacobian, jacobian.dot(v[self._columns] / self._unit))
         return q, v, before, largest
 
     def _shortest(self, jacobian: Array, rate: Array) -> Array:
-        """Return the shortest scaled velocity of the pose with J_c v = rate."""
+        """Return (p,) the shortest velocity of the pose with J_c v = rate, by J_c (r, p) and rate without units."""
         if not len(rate):
             return np.zeros(len(self._columns))
-        scaled = jacobian.take(self._columns, 1) * self._inverse_scale
-        _, multiplier, failed = lapack.dposv(scaled.dot(scaled.T), rate)
+        _, multiplier, failed = lapack.dposv(jacobian.dot(jacobian.T), rate)
         if failed:  # the closures have lost rank: the partition says so
             return np.zeros(len(self._columns))
-        step: Array = self._inverse_scale * scaled.T.dot(multiplier)
+        step: Array = self._unit * jacobian.T.dot(multiplier)
         return step
 
 
@@ -80,14 +81,14 @@ class State(Frozen):
         t: time, s.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        read: machine code that reads the platform off q and v; None where ``chain`` does.
+        kernel: machine code for the platform's coordinates and rates; None where ``chain`` computes them.
     """
 
     chain: ClosedChain
     t: float
     q: Array
     v: Array
-    read: Reader | None = None
+    kernel: ForwardKernel | None = None
 
     @property
     def robot(self) -> Robot:
@@ -121,8 +122,8 @@ class State(Frozen):
 
     @cached_property
     def _platform(self) -> tuple[Array, Array]:
-        if self.read is not None:
-            return self.read(self.q, self.v)[:2]
+        if self.kernel is not None:
+            return self.kernel.platform(self.q, self.v)
         self.chain.update(self.q, self.v)
         return self.chain.platform_position(), self.chain.platform_jacobian().dot(self.v)
 

@@ -21,7 +21,7 @@ from redundancy_pin.robot.lookup import find_link
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
-from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, State
+from redundancy_pin.simulation.state import Manifold, State
 
 DAMPING = 1e-8
 """Proximal damping μ. The out-of-plane row of a planar closure is empty, and μ = 0 gives NaN there."""
@@ -119,7 +119,6 @@ class Machine:
     ) -> None:
         self.robot = robot
         self.kernel = kernel
-        self._read = None if kernel is None else kernel.reader()
         self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None)
         self.chain = self.dynamics.chain
         self.manifold = Manifold(self.chain)
@@ -136,10 +135,10 @@ class Machine:
     def state(self, t: float, y: Array) -> State:
         """Return the state of y = (q, v) at time t, carriers where the law wants them."""
         if self._law is None:
-            return State(self.chain, t, y[: self._split], y[self._split :], self._read)
+            return State(self.chain, t, y[: self._split], y[self._split :], self.kernel)
         q, v = y[: self._split].copy(), y[self._split :].copy()
         q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = self._law(t)
-        return State(self.chain, t, q, v, self._read)
+        return State(self.chain, t, q, v, self.kernel)
 
     def rate(self, state: State, command: Command, sheet: Sheet | None = None) -> Array:
         """Return ẏ (nq + nv,) at a state under a command; ``sheet``: see ``ForwardDynamics.acceleration``.
@@ -175,7 +174,7 @@ class Machine:
         if motion is not None:
             return np.concatenate([motion.q, motion.v]), self._gap(state.q), self._gap(motion.q)
         if self.kernel is not None and motion is None:
-            projected = self.kernel.project(np.concatenate([state.q, state.v]), PROJECTION_TOLERANCE)
+            projected = self.kernel.project(np.concatenate([state.q, state.v]), self.manifold.tolerance)
             if projected is not None:
                 y, before, left = projected
                 return y, before, max(left, self._left_open(y[: self.robot.model.nq]))
@@ -213,7 +212,7 @@ class Machine:
         law = None if self._law is None else self._law(t)
         if law is not None:
             q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = law
-        state = State(self.chain, t, q, v, self._read)
+        state = State(self.chain, t, q, v, self.kernel)
         try:
             return self._force(state, self.amplifiers.command(state) if hold is None else hold), law
         except InputError:  # a trial step that is too long may leave a controller without an answer
@@ -221,7 +220,7 @@ class Machine:
 
     def _gap(self, q: Array) -> float:
         self.chain.update(q, np.zeros(self.robot.model.nv))
-        return float(np.abs(self.chain.residual()).max(initial=0.0))
+        return self.chain.largest_residual()
 
     def _force(self, state: State, command: Command) -> Array:
         robot = self.robot

@@ -7,6 +7,7 @@ follower (``branch.follows``).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -18,7 +19,7 @@ from scipy.ndimage import label
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, blocks, checked, frozen, read_only, whole
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, project
-from redundancy_pin.kinematics.branch import SAME_CONFIGURATION, follows
+from redundancy_pin.kinematics.branch import follows
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, moved
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
@@ -45,9 +46,9 @@ _SHORTEST_STEP = 2.0**-3
 """Fraction of a Newton step below which a node is left to a nearer neighbour: most nodes that need less are out of
 reach, and without this bound maps take two to five times as long."""
 
-_TRUSTED_STEP = 0.2
+_TRUSTED_STEP = 0.1
 """Longest step, characteristic lengths or rad, that tells the branch by continuity alone. Without this bound an
-eleventh of a delta's nodes are on another branch; with it, or one of 0.3, none."""
+eleventh of a delta's nodes are on another branch; with it, or one of 0.15, none."""
 
 _STARTS = 360
 """Random configurations from which islands are searched, with a fixed seed. They meet all islands of fifteen random
@@ -269,35 +270,24 @@ class _Flood:
         """Solve nodes from states nearby, and return those that are on the branch of their state.
 
         The first step of Newton's method is the prediction by Γ. A working mode tells the branch; without modes only
-        continuity does, in steps short enough.
+        continuity does, in steps short enough along the straight line to the node.
         """
-        solution = assemble(self.system, q, self.nodes[targets], shortest_step=_SHORTEST_STEP)
-        if self.robot.working_modes is None:
-            good = solution.regular.copy()
-            good[good] = self._is_followed(targets[good], x[good], q[good], gamma[good], solution.q[good])
-        else:
-            good = solution.regular & solution.in_mode
-        chosen = targets[good]
-        self.q[chosen], self.gamma[chosen], self.solved[chosen] = solution.q[good], solution.gamma[good], True
-        return chosen
-
-    def _is_followed(self, targets: IntArray, x: Array, q: Array, gamma: Array, found: Array) -> BoolArray:
-        """Return which configurations at nodes the straight lines from states nearby lead to, all lines at once."""
-        whole, model = difference(self.robot, self.nodes[targets], x), self.robot.model
-        lengths = np.linalg.norm(whole / coordinate_unit(self.robot), axis=1)
-        count = max(int(np.ceil(lengths.max(initial=0.0) / _TRUSTED_STEP)), 1)
-        result, going = np.zeros(len(targets), dtype=bool), np.arange(len(targets))
+        has_modes, goals = self.robot.working_modes is not None, self.nodes[targets]
+        whole = difference(self.robot, goals, x)
+        longest = float(np.linalg.norm(whole / coordinate_unit(self.robot), axis=1).max(initial=0.0))
+        count = 1 if has_modes else max(math.ceil(longest / _TRUSTED_STEP), 1)
         for k in range(1, count + 1):
-            if not len(going):
-                return result
-            goal = self.nodes[targets[going]] if k == count else moved(self.robot, x[going], whole[going] * (k / count))
-            solution = assemble(self.system, q, goal, shortest_step=_SHORTEST_STEP)
-            change = configuration_difference(model, q, solution.q)
-            same = solution.regular & follows(self.system, change, gamma, solution.gamma, whole[going] / count)
-            going, q, gamma = going[same], solution.q[same], solution.gamma[same]
-        away = np.abs(configuration_difference(model, found[going], q)).max(axis=1, initial=0.0)
-        result[going] = away < SAME_CONFIGURATION
-        return result
+            part = goals if k == count else moved(self.robot, x, whole * (k / count))
+            solution = assemble(self.system, q, part, shortest_step=_SHORTEST_STEP)
+            if has_modes:
+                good = solution.usable
+            else:
+                change = configuration_difference(self.robot.model, q, solution.q)
+                good = solution.regular & follows(self.system, change, gamma, solution.gamma, whole / count)
+            q, gamma = solution.q[good], solution.gamma[good]
+            targets, goals, x, whole = targets[good], goals[good], x[good], whole[good]
+        self.q[targets], self.gamma[targets], self.solved[targets] = q, gamma, True
+        return targets
 
     def find_islands(self, axes: tuple[Array, ...]) -> None:
         """Search parts that are not connected to the start: from random configurations, closed at a node nearby.

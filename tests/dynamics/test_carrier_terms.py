@@ -1,11 +1,10 @@
-"""Terms of the carriers' motion, batch after batch: against efforts of the other backend, and what begins anew where.
+"""Terms of the carriers' motion, batch after batch: against efforts of ``RneaDynamics.reduce``, which knows no terms.
 
-The judge of numbers is ``RneaDynamics.reduce`` at random motions of the carriers, which knows no terms. That compiled
-code and ``along`` agree to rounding is compared at what neither can judge: next to a singularity, after jumps.
-"""
+That compiled code and ``along`` agree is compared at what neither can judge: next to a singularity, after jumps."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -104,56 +103,42 @@ def test_any_motion_of_the_carriers_is_a_sum_of_terms(
     W, constant, terms = (np.concatenate(part) for part in zip(*parts, strict=True))
     by_term = np.stack([s, s * s, sd, s * sd, sdd], axis=-1)
     got = constant + np.einsum("nkj,nkji->ni", by_term, terms)
-    for ours, theirs in (
-        (W, want.W),
-        (got[:, : robot.n], want.f),
-        (got[:, robot.n :], want.carrier_force),
-    ):
+    for ours, theirs in ((W, want.W), (got[:, : robot.n], want.f), (got[:, robot.n :], want.carrier_force)):
         size = np.abs(theirs).max(initial=1e-3)
         np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=OTHER * size)
     assert counted.followed == 1
 
 
-@pytest.mark.parametrize("name", ["3rrr", "five_bar", "loads"])
-def test_batches_of_any_size_are_those_of_one_motion(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robot = ROBOTS[name](tmp_path)
-    counted, rng, motion = Counted(robot, monkeypatch), np.random.default_rng(2), motion_of(robot, 2, 120)
-    whole = terms_along(rp.CompiledDynamics(robot).along(motion))
-    at = 0
-    while at < len(motion):
-        size = int(rng.integers(1, 30))
-        part = slice(at, at + size)
-        assert_near(counted.terms(motion[part]), CarrierTerms(*(values[part] for values in whole)), SAME)
-        at += size
-    assert counted.followed == 1
-
-
-def sweep(start: float = 0.0, samples: int = 240) -> PlatformMotion:
+def sweep(samples: int) -> PlatformMotion:
     """Of the five-bar up its axis, from 0.35 to 0.93 m: Newton's method does not get from one end to the other."""
-    t = start + APART * np.arange(samples)
+    t = APART * np.arange(samples)
     rate = np.pi / 0.62
     y, yd, ydd = 0.64 - 0.29 * np.cos(rate * t), 0.29 * rate * np.sin(rate * t), 0.29 * rate**2 * np.cos(rate * t)
     x, xd, xdd = (np.stack([0.0 * t + part[0], part[1]], axis=1) for part in ((0.25, y), (0.0, yd), (0.0, ydd)))
     return PlatformMotion(t, x, xd, xdd)
 
 
-def test_the_start_of_the_batch_before_is_near_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A preview that may change its mind is read anew at every tick: a horizon long, from about where it was."""
-    robot = zoo.robot_of("five_bar")
-    counted = Counted(robot, monkeypatch)
-    for start in (0.0, 0.005, 0.01):
-        motion = sweep(start)
-        assert_near(counted.terms(motion), terms_along(rp.CompiledDynamics(robot).along(motion)), SAME)
-    assert counted.followed == 1
+def at_random(samples: int) -> list[slice]:
+    ends = np.append(0, np.cumsum(np.random.default_rng(2).integers(1, 30, samples)))
+    return [slice(*pair) for pair in itertools.pairwise(ends[ends <= samples].tolist())]
 
 
-def test_it_goes_on_from_the_end_of_a_long_batch(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = zoo.robot_of("five_bar")
-    counted, motion = Counted(robot, monkeypatch), sweep()
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        *((name, at_random(120)) for name in ("3rrr", "five_bar", "loads")),
+        # a horizon long, from about where it was: a preview that may change its mind is read anew at every update
+        ("far", [slice(0, 240), slice(2, 242), slice(4, 244)]),
+        ("far", [slice(0, 4), slice(4, 220), slice(220, 224), slice(224, 240)]),
+    ],
+)
+def test_batches_of_any_size_are_those_of_one_motion(
+    name: str, parts: list[slice], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = ROBOTS["five_bar" if name == "far" else name](tmp_path)
+    counted, motion = Counted(robot, monkeypatch), sweep(244) if name == "far" else motion_of(robot, 2, 120)
     whole = terms_along(rp.CompiledDynamics(robot).along(motion))
-    for part in (slice(0, 4), slice(4, 220), slice(220, 224), slice(224, 240)):
+    for part in parts:
         assert_near(counted.terms(motion[part]), CarrierTerms(*(values[part] for values in whole)), SAME)
     assert counted.followed == 1
 

@@ -1,14 +1,8 @@
-"""Compiled dynamics against the RNEA backend, Lagrange's equations for point masses, and what can go wrong.
-
-Neither judge shares code with it: not its kinematics, not its Newton-Euler recursion.
-"""
+"""Compiled dynamics against the RNEA backend, which shares no code with it, and what can go wrong."""
 
 from __future__ import annotations
 
-import copy
 import itertools
-import pickle
-import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,26 +17,14 @@ from examples import examples
 from flat_linkages import parallelogram
 from hypothesis import given
 from hypothesis import strategies as st
-from point_mass_oracle import three_rrr_masses, two_rpr_masses
+from machines import machine
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin import (
-    CarrierMotion,
-    PlatformMotion,
-    RneaDynamics,
-    distribute,
-    load_robot,
-    trajectory,
-)
-from redundancy_pin.dynamics.compiled import CompiledDynamics
+import redundancy_pin as rp
+from redundancy_pin import trajectory
 from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, waypoints
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
-from redundancy_pin.errors import (
-    InputError,
-    SingularPoseError,
-    UnreachablePoseError,
-)
 from redundancy_pin.machine_code import CACHE
 from redundancy_pin.robot import Robot
 
@@ -52,33 +34,14 @@ EQUAL = 1e-11
 ZERO = 1e-3
 """N, m, J: what is below it next to zero is a difference of efforts of 1 to 100."""
 
-LAGRANGE = 1e-8
-"""The oracle differentiates by differences of order eight over 2e-3."""
-
-MASSIVE = {
-    "2rpr": {"end_effector_mass": 0.4, "cylinder_mass": 0.5, "piston_mass": 0.3, "gravity": (0.0, -9.81, 0.0)},
-    "3rrr": {"gravity": (0.0, -9.81, 0.0)},
-    "five_bar": {"gravity": (1.0, -9.81, 0.0)},
-    "four_bar": {},
-    "gough": {"payload_mass": 2.0},
-}
-
-
-def robot_of(name: str, **changed: object) -> Robot:
-    return (
-        spatial_chains.chain_of(name)
-        if name in spatial_chains.CHAINS
-        else zoo.robot_of(name, **MASSIVE[name], **changed)
-    )
-
 
 def assert_equal(got: np.ndarray, want: np.ndarray, what: str) -> None:
     scale = np.abs(want).max(initial=0.0)
     np.testing.assert_allclose(got, want, rtol=0.0, atol=EQUAL * max(scale, ZERO), err_msg=what)
 
 
-def assert_same_dynamics(compiled: CompiledDynamics, motion: PlatformMotion, carriers: CarrierMotion) -> None:
-    mine, theirs = compiled.along(motion), RneaDynamics(compiled.robot).along(motion)
+def assert_same_dynamics(compiled: rp.CompiledDynamics, motion: rp.PlatformMotion, carriers: rp.CarrierMotion) -> None:
+    mine, theirs = compiled.along(motion), rp.RneaDynamics(compiled.robot).along(motion)
     got, want = mine.reduce(carriers), theirs.reduce(carriers)
     for name in ("f", "W", "carrier_force", "row_scale", "column_scale", "reachable"):
         assert_equal(getattr(got, name), getattr(want, name), name)
@@ -89,14 +52,11 @@ def assert_same_dynamics(compiled: CompiledDynamics, motion: PlatformMotion, car
         assert_equal(getattr(first, name), getattr(second, name), name)
 
 
-# --- the same as RNEA on the tree, written by others ----------------------------------------------------------------
-
-
 @pytest.mark.long_for("gough", "hinge", "five_bar", "cylindrical")
-@pytest.mark.parametrize("name", [*MASSIVE, *spatial_chains.CHAINS])
+@pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
 def test_every_robot_moves_as_with_rnea(name: str) -> None:
-    robot = robot_of(name)
-    compiled = CompiledDynamics(robot, threads=1)
+    robot = machine(name)
+    compiled = rp.CompiledDynamics(robot, threads=1)
     t = np.linspace(0.0, 2.0, 300)
     for seed in range(3):
         assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
@@ -108,15 +68,15 @@ def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> Non
     rng = np.random.default_rng(seed)
     sizes = {"proximal_length": rng.uniform(0.9, 1.3), "distal_length": rng.uniform(0.9, 1.3)}
     masses = {name: float(rng.uniform(0.0, 3.0)) for name in ("proximal_mass", "distal_mass", "carrier_mass")}
-    robot = load_robot("3rrr", working_mode=mode, gravity=(0.3, -9.0, 1.0), **sizes, **masses)
+    robot = rp.load_robot("3rrr", working_mode=mode, gravity=(0.3, -9.0, 1.0), **sizes, **masses)
     t = np.linspace(0.0, 1.0, 60)
-    compiled = CompiledDynamics(robot, threads=1)
+    compiled = rp.CompiledDynamics(robot, threads=1)
     assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
 
 
 def test_a_carrier_that_turns_moves_as_with_rnea() -> None:
     """Its cosine and sine are of its own position, not of the configuration that was closed with it at zero."""
-    base = robot_of("four_bar")
+    base = machine("four_bar")
     model = base.model.copy()
     place = pin.SE3(np.eye(3), np.array([0.1, 0.05, 0.0]))
     rotor = model.addJoint(2, pin.JointModelRZ(), place, "rotor")
@@ -126,23 +86,7 @@ def test_a_carrier_that_turns_moves_as_with_rnea() -> None:
         reference=np.append(base.q_reference, 0.0),
     ).with_limits(lower=-3.0, upper=3.0)  # fmt: skip
     t = np.linspace(0.0, 1.0, 20)
-    assert_same_dynamics(CompiledDynamics(robot), zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1))
-
-
-def test_type_two_poses_are_as_finite_as_elsewhere() -> None:
-    robot = robot_of("2rpr")
-    motion = trajectory.reference.circle().sample(dt=0.002)  # crosses the line A1 A2 twice
-    compiled = CompiledDynamics(robot)
-    assert_same_dynamics(compiled, motion, zoo.carriers_at(robot, motion.t))
-    determinant = np.linalg.det(compiled.reduce(motion).W)
-    assert (np.diff(np.sign(determinant)) != 0).sum() == 2
-    at = PlatformMotion([0.0], [[0.2, 0.0]], [[0.3, -0.7]], [[1.0, 2.0]])  # on the line itself
-    rank_lost = distribute(compiled.reduce(at))
-    assert rank_lost.rank[0] == 1
-    np.testing.assert_array_equal(rank_lost.status, distribute(RneaDynamics(robot).reduce(at)).status)
-
-
-# --- joints of several freedoms, which no shipped model has -----------------------------------------------------------
+    assert_same_dynamics(rp.CompiledDynamics(robot), zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1))
 
 
 class Bare(SimpleNamespace):
@@ -205,181 +149,30 @@ def test_every_type_of_joint_is_pinocchios() -> None:
         np.testing.assert_allclose(base, data.oMi[1].act(data.f[1]).vector, rtol=1e-10)
 
 
-# --- Lagrange's equations, for point masses -------------------------------------------------------------------------
-
-
-@pytest.mark.long_for("0-3rrr", "0-2rpr", "2-2rpr", "2-3rrr")
-@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-@pytest.mark.parametrize("seed", range(3))
-def test_efforts_obey_lagrange(name: str, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    if name == "2rpr":
-        names = ("end_effector_mass", "cylinder_mass", "piston_mass", "carrier_mass", "track_offset")
-        mode = (1, -1) if seed == 1 else (1, 1)
-    else:
-        names = ("proximal_mass", "distal_mass", "platform_mass", "carrier_mass")
-        mode = (1, -1, 1) if seed == 1 else (1, 1, 1)
-    gravity = rng.uniform(-10.0, 10.0, 3)
-    chosen = {key: float(rng.uniform(0.1, 1.0)) for key in names}
-    robot = load_robot(name, working_mode=mode, gravity=tuple(gravity), **chosen)
-    oracle = (two_rpr_masses if name == "2rpr" else three_rrr_masses)(dict(robot.parameters), mode)
-    t = np.linspace(0.0, 1.0, 10)
-    motion, carriers = zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed)
-    compiled = CompiledDynamics(robot)
-    reduced, wrench = compiled.reduce(motion, carriers), compiled.along(motion).base_wrench(carriers)
-    for k in range(len(t)):
-        state = [np.concatenate(pair) for pair in ((motion.x[k], carriers.s[k]), (motion.xd[k], carriers.sd[k]),
-                                                   (motion.xdd[k], carriers.sdd[k]))]  # fmt: skip
-        want = oracle.generalised_force(*state, gravity)
-        got = np.concatenate([reduced.f[k], reduced.carrier_force[k]])
-        np.testing.assert_allclose(got, want, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(want).max()))
-        at_rest = oracle.base_wrench(*state, gravity)
-        np.testing.assert_allclose(wrench[k], at_rest, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(at_rest).max()))
-
-
 def test_the_layout_of_a_motion_in_memory_does_not_matter() -> None:
-    robot = robot_of("3rrr")
+    robot = machine("3rrr")
     motion = zoo.smooth_motion(robot, 4).at(np.linspace(0.0, 1.0, 10))
-    turned = PlatformMotion(motion.t, *(np.asfortranarray(part) for part in (motion.x, motion.xd, motion.xdd)))
-    compiled = CompiledDynamics(robot)
+    turned = rp.PlatformMotion(motion.t, *(np.asfortranarray(part) for part in (motion.x, motion.xd, motion.xdd)))
+    compiled = rp.CompiledDynamics(robot)
     np.testing.assert_array_equal(compiled.reduce(turned).f, compiled.reduce(motion).f)
 
 
-# --- one sample -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.long_for("gough")
-@pytest.mark.parametrize("name", ["3rrr", "gough", "four_bar"])
-def test_one_sample_is_a_row_of_many(name: str) -> None:
-    robot = robot_of(name)
-    t = np.linspace(0.0, 1.0, 30)
-    motion, carriers = zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1)
-    compiled = CompiledDynamics(robot)
-    want = compiled.reduce(motion, carriers)
-    for k in np.random.default_rng(0).permutation(len(t)):  # near ones and far ones
-        row = (motion.x[k], motion.xd[k], motion.xdd[k], carriers.s[k], carriers.sd[k], carriers.sdd[k])
-        sample = compiled.sample(*row)
-        assert_equal(sample.W, want.W[k], "W")
-        assert_equal(sample.f, want.f[k], "f")
-        assert_equal(sample.carrier_force, want.carrier_force[k], "carrier force")
-    parked = compiled.sample(*row[:3])  # whatever the carriers did before
-    assert_equal(parked.f, compiled.reduce(motion).f[k], "f")
-
-
-def test_each_thread_has_its_own_warm_start() -> None:
-    robot = robot_of("3rrr")
-    t = np.linspace(0.0, 1.0, 200)
-    compiled = CompiledDynamics(robot)
-    motions = [zoo.smooth_motion(robot, seed).at(t) for seed in range(4)]
-    wanted = [compiled.reduce(motion).f for motion in motions]
-    got: list[list[np.ndarray]] = [[] for _ in motions]
-
-    def work(i: int) -> None:
-        for k in range(len(t)):
-            got[i].append(compiled.sample(motions[i].x[k], motions[i].xd[k], motions[i].xdd[k]).f)
-
-    threads = [threading.Thread(target=work, args=(i,)) for i in range(len(motions))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for mine, want in zip(got, wanted, strict=True):
-        assert_equal(np.array(mine), want, "f")
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"x": [0.1]}, {"xd": [1.0, 2.0]}, {"x": [np.nan] * 3}, {"sd": [np.nan] * 3}, {"s": [0.1]}, {"x": "here"}]
-)
-def test_a_sample_of_the_wrong_form_is_refused(wrong: dict[str, object]) -> None:
-    robot = robot_of("3rrr")
-    given = {"x": zoo.home_of(robot), "xd": np.zeros(3), "xdd": np.zeros(3), "s": np.zeros(3)} | wrong
-    compiled = CompiledDynamics(robot)
-    with pytest.raises(InputError):
-        compiled.sample(**given)  # type: ignore[arg-type]
-    assert np.isfinite(compiled.sample(zoo.home_of(robot), np.zeros(3), np.zeros(3)).f).all()
-
-
-# --- out of reach, singular, another mode ---------------------------------------------------------------------------
-
-
-def line(first: list[float], last: list[float], samples: int = 30) -> PlatformMotion:
-    t = np.linspace(0.0, 1.0, samples)
-    a, b = np.array(first), np.array(last)
-    x = a + t[:, None] * (b - a)
-    return PlatformMotion(t, x, np.repeat((b - a)[None], samples, axis=0), np.zeros_like(x))
-
-
-LEAVING = {
-    "out of the workspace": ("3rrr", line([0.9, 0.5, 0.0], [2.9, 0.5, 0.0]), UnreachablePoseError),
-    "begins out of it": ("3rrr", line([9.0, 0.5, 0.0], [9.1, 0.5, 0.0]), UnreachablePoseError),
-    "through a stretched leg of no length": ("2rpr", line([0.25, 0.3], [0.0, 0.0], 11), SingularPoseError),
-    "five-bar stretched": ("five_bar", line([0.0, 0.5], [0.0, 5.0]), UnreachablePoseError),
-}
-
-
-@pytest.mark.parametrize("what", LEAVING)
-def test_a_motion_that_cannot_be_is_refused_as_by_rnea(what: str) -> None:
-    name, motion, expected = LEAVING[what]
-    robot = robot_of(name)
-    with pytest.raises(expected) as theirs:
-        RneaDynamics(robot).along(motion)
-    with pytest.raises(expected) as mine:
-        CompiledDynamics(robot).along(motion)
-    assert mine.value.details["sample"] == theirs.value.details["sample"]
-    if expected is UnreachablePoseError:
-        # the smallest gap from another start may be another local one, of the same size
-        assert 0.3 < mine.value.details["gap"] / theirs.value.details["gap"] < 3.0  # type: ignore[operator]
-
-
-def test_marked_samples_are_those_of_rnea() -> None:
-    robot = robot_of("3rrr")
-    there, back = line([0.9, 0.5, 0.0], [2.2, 0.9, 0.3]), line([2.2, 0.9, 0.3], [0.9, 0.5, 0.0])
-    for motion in (there, back):
-        theirs = RneaDynamics(robot).reduce(motion, unreachable="mark")
-        mine = CompiledDynamics(robot).reduce(motion, unreachable="mark")
-        np.testing.assert_array_equal(mine.reachable, theirs.reachable)
-        assert 3 < mine.reachable.sum() < 27
-        assert np.isnan(mine.f[~mine.reachable]).all()
-        assert (mine.gap[~mine.reachable] > 1e-3).all()
-        assert_equal(mine.f[mine.reachable], theirs.f[mine.reachable], "f")
-
-
-def test_a_sample_far_from_the_one_before_is_reached_from_the_reference() -> None:
-    robot = zoo.robot_of("2rpr")
-    compiled, xd, xdd = CompiledDynamics(robot), [0.3, -0.2], [1.0, 2.0]
-    # through zero length: the way from each to the next is barred
-    for x in ([0.2, 0.1], [-0.2, -0.1], [0.2, 0.1]):
-        theirs = RneaDynamics(robot).reduce(PlatformMotion([0.0], [x], [xd], [xdd]))
-        sample = compiled.sample(x, xd, xdd)
-        assert_equal(sample.W, theirs.W[0], "W")
-        assert_equal(sample.f, theirs.f[0], "f")
-
-
-def test_rates_that_overflow_are_no_singularity() -> None:
-    robot = zoo.robot_of("3rrr")
-    with pytest.raises(InputError, match="beyond 1e"):
-        CompiledDynamics(robot).sample(zoo.home_of(robot), [1e200] * 3, [0.0] * 3)
-
-
 def test_samples_in_several_threads_are_those_of_one() -> None:
-    robot = robot_of("3rrr")
+    robot = machine("3rrr")
     t = np.linspace(0.0, 3.0, 5000)
     motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t)
-    one, many = (CompiledDynamics(robot, threads=threads).reduce(motion, carriers) for threads in (1, 4))
+    one, many = (rp.CompiledDynamics(robot, threads=threads).reduce(motion, carriers) for threads in (1, 4))
     np.testing.assert_array_equal(many.f, one.f)
     np.testing.assert_array_equal(many.carrier_force, one.carrier_force)
 
 
 def test_two_sided_samples_and_sparse_ones() -> None:
-    robot = robot_of("3rrr")
+    robot = machine("3rrr")
     corner = trajectory.reference.corner().sample(dt=0.01)
     assert corner.jumps.any()
-    assert_same_dynamics(CompiledDynamics(robot), corner, CarrierMotion.parked(len(corner), 3))
+    assert_same_dynamics(rp.CompiledDynamics(robot), corner, rp.CarrierMotion.parked(len(corner), 3))
     sparse = zoo.smooth_motion(robot, 2).at(np.linspace(0.0, 2.0, 7))
-    assert_same_dynamics(CompiledDynamics(robot), sparse, CarrierMotion.parked(7, 3))
-
-
-# --- compilers, caches, processes -----------------------------------------------------------------------------------
+    assert_same_dynamics(rp.CompiledDynamics(robot), sparse, rp.CarrierMotion.parked(7, 3))
 
 
 def test_a_library_is_kept_and_a_broken_one_or_that_of_another_robot_is_built_again(
@@ -390,9 +183,9 @@ def test_a_library_is_kept_and_a_broken_one_or_that_of_another_robot_is_built_ag
 
     def compile_and_compare(name: str) -> None:
         monkeypatch.setenv(CACHE, next(spelled))  # what a process has loaded it takes from the folder it knows
-        robot = robot_of(name)
+        robot = machine(name)
         motion = zoo.smooth_motion(robot, 0).at(np.linspace(0.0, 1.0, 5))
-        assert_equal(CompiledDynamics(robot).reduce(motion).f, RneaDynamics(robot).reduce(motion).f, "f")
+        assert_equal(rp.CompiledDynamics(robot).reduce(motion).f, rp.RneaDynamics(robot).reduce(motion).f, "f")
 
     compile_and_compare("four_bar")
     (library,) = folder.iterdir()
@@ -413,8 +206,8 @@ def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics(
     """Newton's method of the driver ends there; the branch goes on, and forces with it."""
     robot = parallelogram()
     t = np.linspace(0.0, 1.0, 101)
-    through = PlatformMotion(t, 1.2 - 2.4 * t[:, None], np.full((101, 1), -2.4), np.zeros((101, 1)))
-    mine, theirs = (backend(robot).reduce(through) for backend in (CompiledDynamics, RneaDynamics))
+    through = rp.PlatformMotion(t, 1.2 - 2.4 * t[:, None], np.full((101, 1), -2.4), np.zeros((101, 1)))
+    mine, theirs = (backend(robot).reduce(through) for backend in (rp.CompiledDynamics, rp.RneaDynamics))
     assert mine.reachable.all()
     for name in ("f", "W"):
         assert_equal(getattr(mine, name), getattr(theirs, name), name)
@@ -434,15 +227,3 @@ def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
         expected[:3, :3] = Rotation.from_rotvec(share * turn).as_matrix() @ first[:3, :3]
         np.testing.assert_allclose(pose, expected, atol=1e-12)
     assert waypoints(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
-
-
-def test_copies_and_pickles_compute_the_same() -> None:
-    four_bar = robot_of("four_bar")
-    compiled = CompiledDynamics(four_bar)
-    motion = zoo.smooth_motion(four_bar, 0).at(np.linspace(0.0, 1.0, 5))
-    along = compiled.along(motion)
-    for other in (pickle.loads(pickle.dumps(compiled)), copy.deepcopy(compiled)):
-        np.testing.assert_array_equal(other.reduce(motion).f, compiled.reduce(motion).f)
-    again = pickle.loads(pickle.dumps(along)).reduce()
-    np.testing.assert_array_equal(again.f, along.reduce().f)
-    assert not again.f.flags.writeable

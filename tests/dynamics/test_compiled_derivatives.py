@@ -1,16 +1,17 @@
 """Exact derivatives of compiled dynamics: against differences of the RNEA backend, and a four-bar in complex numbers.
 
-Differences are exact where a quantity is of the second degree: in ẋ, ẍ, ṡ, s̈ and in masses. Elsewhere they are of order
-six. The RNEA backend closes loops, projects and computes reactions by code that is not under test.
-"""
+Differences are exact where a quantity is of the second degree: in ẋ, ẍ, ṡ, s̈ and in masses. Others are of order six."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import shutil
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
@@ -18,13 +19,15 @@ from examples import examples
 from four_bar_oracle import IMAGINARY, crank_torque
 from hypothesis import given
 from hypothesis import strategies as st
+from machines import machine
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import CarrierMotion, PlatformMotion, RneaDynamics, distribute, joint_reactions, load_robot
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled import CompiledDynamics, MotionDerivatives, Partials, design_of
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import JointForces, Robot, Spring, Wrench
+from redundancy_pin.robot.urdf import models_root
 
 EQUAL = 1e-8
 """Relative to the largest derivative: loops close to 1e-13, and a sixth of a step of 4e-3 magnifies that."""
@@ -33,23 +36,23 @@ EXACT = 1e-10
 """Relative, where differences are exact: rounding of efforts, magnified by nothing."""
 
 STEP = 4e-3
+
 WEIGHTS = {-3: -1 / 60, -2: 3 / 20, -1: -3 / 4, 1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
 """Central differences of order six."""
 
-MASSIVE: dict[str, dict[str, object]] = {
-    "2rpr": {"end_effector_mass": 0.4, "cylinder_mass": 0.5, "piston_mass": 0.3, "gravity": (1.0, -9.81, 0.0)},
-    "3rrr": {"gravity": (1.0, -9.81, 0.0)},
-    "five_bar": {"gravity": (1.0, -9.81, 0.0)},
-    "gough": {"payload_mass": 2.0},
-}
+ZERO = np.zeros(3)
 
 QUANTITIES = ("f", "W", "tau", "carrier_force", "base_wrench")
 
 
 def robot_of(name: str) -> Robot:
-    if name in spatial_chains.CHAINS:
-        return spatial_chains.chain_of(name)
-    return zoo.robot_of(name, **MASSIVE.get(name, {}))
+    if name != "loaded":
+        return machine(name)
+    return machine("3rrr").loaded(
+        Wrench("distal_2", (3.0, -2.0, 0.0, 0.0, 0.0, 1.0), "local", (0.3, 0.1, 0.0)),
+        JointForces("elbow_1", 0.4, 0.3, 0.5, 2.0, 0.1, 0.02, -6.0),
+        Spring("base", "platform", 40.0, 3.0, 0.2, (0.1, 0.0, 0.0)),
+    )
 
 
 def motions_of(robot: Robot, seed: int, samples: int = 3) -> tuple[PlatformMotion, CarrierMotion]:
@@ -103,9 +106,10 @@ def assert_motion_derivatives(robot: Robot, seed: int, columns: int | None = Non
     got = CompiledDynamics(robot).along(motion).derivatives(carriers)
     chosen = np.random.default_rng(seed).permutation(robot.n)[:columns]
     exact = {-1: -0.5, 1: 0.5}
+    rates = (STEP, WEIGHTS, EQUAL) if robot.loads else (1.0, exact, EXACT)  # friction is no polynomial
     for i in chosen:
         for part, step, weights, tolerance in (
-            ("x", STEP, WEIGHTS, EQUAL), ("xd", 1.0, exact, EXACT), ("xdd", 1.0, exact, EXACT)
+            ("x", STEP, WEIGHTS, EQUAL), ("xd", *rates), ("xdd", 1.0, exact, EXACT)
         ):  # fmt: skip
             want = difference(lambda by, p=part, i=i: judged(robot, shifted(motion, p, i, by), carriers), step, weights)
             for name in QUANTITIES:
@@ -118,11 +122,8 @@ def assert_motion_derivatives(robot: Robot, seed: int, columns: int | None = Non
     assert not got.f.x.flags.writeable
 
 
-# --- by the motion ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.long_for("hinge", "five_bar", "universal", "gough")
-@pytest.mark.parametrize("name", ["2rpr", "five_bar", "four_bar", *spatial_chains.CHAINS, "gough"])
+@pytest.mark.parametrize("name", ["2rpr", "loaded", "five_bar", "four_bar", *spatial_chains.CHAINS, "gough"])
 def test_by_the_motion(name: str) -> None:
     assert_motion_derivatives(robot_of(name), 1, columns=3)
 
@@ -192,9 +193,6 @@ def only(partials: Partials, part: str) -> Partials:
     return dataclasses.replace(partials, **{part: getattr(partials, part)[..., :1]})
 
 
-# --- what closures transmit -------------------------------------------------------------------------------------------
-
-
 @pytest.mark.long_for("gough", "hinge", "cylindrical")
 @pytest.mark.parametrize("name", ["five_bar", "3rrr", "hinge", "cylindrical", "gough"])
 def test_closure_forces(name: str) -> None:
@@ -217,9 +215,6 @@ def test_closure_forces(name: str) -> None:
     np.testing.assert_allclose(closure_force.xdd - result.xdd, got.share @ got.tau.xdd, atol=1e-9)
     with pytest.raises(InputError, match="tau"):
         got.closure_force(tau[:, :-1] if robot.m > 1 else np.zeros((2, 2)))
-
-
-# --- by what the machine is made of -----------------------------------------------------------------------------------
 
 
 @pytest.mark.long_for("gough-parameters4", "3rrr-parameters3", "five_bar-parameters2", "2rpr-parameters0")
@@ -268,71 +263,69 @@ def remade(robot: Robot, change: Callable[[object], None]) -> Robot:
     return dataclasses.replace(robot, model=model)
 
 
-@pytest.mark.parametrize(
-    ("name", "alone"),
-    [
-        pytest.param("five_bar", "", marks=pytest.mark.long),
-        pytest.param("universal", "", marks=pytest.mark.long),
-        ("universal", ".origin.rz"),
-    ],
-)
-def test_by_numbers_of_the_tree(name: str, alone: str) -> None:
-    import pinocchio as pin
+Change = Callable[[pin.Model, float], None]
 
-    robot = robot_of(name)
-    joint, other = robot.model.names[2], robot.model.names[3]
-    link = robot.closures[0].frame_b
+
+def moves_body(index: int, mass: float = 0.0, lever: Array = ZERO, tensor: Array | float = 0.0) -> Change:
+    def change(model: pin.Model, by: float) -> None:
+        old = model.inertias[index]
+        model.inertias[index] = pin.Inertia(old.mass + by * mass, old.lever + by * lever, old.inertia + by * tensor)
+
+    return change
+
+
+def moves_place(of: str, index: int, along: Array = ZERO, about: Array = ZERO) -> Change:
+    def change(model: pin.Model, by: float) -> None:
+        old = model.jointPlacements[index] if of == "joint" else model.frames[index].placement
+        new = pin.SE3(old.rotation @ pin.exp3(by * about), old.translation + by * along)
+        if of == "joint":
+            model.jointPlacements[index] = new
+        else:
+            model.frames[index].placement = new
+
+    return change
+
+
+@pytest.mark.parametrize("name", [pytest.param("five_bar", marks=pytest.mark.long), "universal"])
+def test_by_numbers_of_the_tree(name: str) -> None:
+    """Mass, centre and inertia of a link; places of a joint and of a closure."""
+    robot, unit = machine(name), np.eye(3)
+    joint, other, link = robot.model.names[2], robot.model.names[3], robot.closures[0].frame_b
     j, o = robot.model.getJointId(joint), robot.model.getJointId(other)
     frame = robot.model.getFrameId(link, pin.FrameType.BODY)
-
-    def body(index: int, mass: float = 0.0, lever: tuple[float, ...] = (0, 0, 0), about: tuple[float, ...] = (0,) * 6):
-        def change(model: pin.Model, by: float) -> None:
-            old = model.inertias[index]
-            xx, xy, yy, xz, yz, zz = by * np.array(about)
-            tensor = old.inertia + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            model.inertias[index] = pin.Inertia(old.mass + by * mass, old.lever + by * np.array(lever), tensor)
-
-        return change
-
-    def placed(of: str, index: int, twist: tuple[float, ...]):
-        def change(model: pin.Model, by: float) -> None:
-            old = model.jointPlacements[index] if of == "joint" else model.frames[index].placement
-            new = pin.SE3(old.rotation @ pin.exp3(by * np.array(twist[3:])), old.translation + by * np.array(twist[:3]))
-            if of == "joint":
-                model.jointPlacements[index] = new
-            else:
-                model.frames[index].placement = new
-
-        return change
-
     changes = {
-        f"{joint}.mass": body(j, mass=1.0),
-        f"{joint}.centre.x": body(j, lever=(1, 0, 0)),
-        f"{joint}.centre.y": body(j, lever=(0, 1, 0)),
-        f"{other}.centre.x": body(o, lever=(1, 0, 0)),
-        f"{joint}.inertia.zz": body(j, about=(0, 0, 0, 0, 0, 1)),
-        f"{joint}.inertia.xy": body(j, about=(0, 1, 0, 0, 0, 0)),
-        f"{joint}.origin.y": placed("joint", j, (0, 1, 0, 0, 0, 0)),
-        f"{joint}.origin.rz": placed("joint", j, (0, 0, 0, 0, 0, 1)),
-        f"{link}.origin.x": placed("frame", frame, (1, 0, 0, 0, 0, 0)),
+        f"{joint}.mass": moves_body(j, mass=1.0),
+        f"{other}.centre.x": moves_body(o, lever=unit[0]),
+        f"{joint}.origin.y": moves_place("joint", j, along=unit[1]),
+        f"{joint}.origin.rz": moves_place("joint", j, about=unit[2]),
+        f"{link}.origin.x": moves_place("frame", frame, along=unit[0]),
     }
-    changes = {parameter: change for parameter, change in changes.items() if parameter.endswith(alone)}
-    motion, carriers = motions_of(robot, 7, samples=1 if alone else 2)
-    got = CompiledDynamics(robot).along(motion).derivatives(carriers, list(changes))
+    for i, axis in enumerate("xyz"):
+        changes[f"{joint}.centre.{axis}"] = moves_body(j, lever=unit[i])
+        for k in range(i, 3):
+            tensor = np.maximum(np.outer(unit[i], unit[k]), np.outer(unit[k], unit[i]))
+            changes[f"{joint}.inertia.{axis}{'xyz'[k]}"] = moves_body(j, tensor=tensor)
+    motion, carriers = motions_of(robot, 7, samples=1)
+    got, felt = CompiledDynamics(robot).along(motion).derivatives(carriers, list(changes)), []
     for i, (parameter, change) in enumerate(changes.items()):
+        linear = ".inertia." in parameter or parameter.endswith("mass")
+        step, weights = (0.1, {0: -1.0, 1: 1.0}) if linear else (STEP, WEIGHTS)
         want = difference(
-            lambda by, c=change: judged(remade(robot, lambda model: c(model, by)), motion, carriers), STEP, WEIGHTS
+            lambda by, c=change: judged(remade(robot, lambda model: c(model, by)), motion, carriers), step, weights
         )
-        # in a plane a hinge may be turned about itself, and products of inertia are nobody's
-        assert np.abs(want["f"]).max() > 1e-6 or (name == "five_bar" and parameter[-2:] in ("rz", "xy")), parameter
+        felt += [parameter] if np.abs(want["f"]).max() > 1e-6 else []
         # not the base's wrench: RNEA takes that of the URDF's numbers
         for quantity in ("f", "W", "carrier_force"):
             assert_derivative(getattr(got, quantity), "parameters", i, want[quantity], EQUAL, parameter)
+    assert len(felt) == (7 if name == "five_bar" else 14), felt  # in a plane most numbers are nobody's
 
 
-def test_a_four_bar_in_complex_numbers() -> None:
-    robot = robot_of("four_bar")
-    names = list(robot.parameters)
+@pytest.mark.parametrize(("length", "mass"), [(1.0, 1.0), (1e-3, 1e-9)], ids=["of kg and m", "of µg and mm"])
+def test_a_four_bar_in_complex_numbers(length: float, mass: float) -> None:
+    names = list(machine("four_bar").parameters)
+    units = {name: length if name.endswith("length") else mass for name in names}
+    robot = load_robot("four_bar", **{name: machine("four_bar").parameters[name] * units[name] for name in names})
+    force, turning = mass, mass * length  # of crank's tip and crank, under the same gravity
     sizes = {name: complex(float(robot.parameters[name])) for name in names}
     t = np.linspace(0.0, 1.0, 4)
     motion = zoo.smooth_motion(robot, 8).at(t)
@@ -347,16 +340,46 @@ def test_a_four_bar_in_complex_numbers() -> None:
         for i, part in enumerate(("x", "xd", "xdd")):
             stepped = [value + 1j * IMAGINARY * (i == j) for j, value in enumerate(state)]
             torque, push = (value.imag / IMAGINARY for value in crank_torque(*stepped, sizes))
-            np.testing.assert_allclose(getattr(got.f, part)[k, 0, 0], torque, rtol=1e-11, atol=1e-11)
-            np.testing.assert_allclose(getattr(closure, part)[k, 0, 0], push, rtol=1e-11, atol=1e-11)
+            np.testing.assert_allclose(getattr(got.f, part)[k, 0, 0], torque, rtol=1e-11, atol=1e-11 * turning)
+            np.testing.assert_allclose(getattr(closure, part)[k, 0, 0], push, rtol=1e-11, atol=1e-11 * force)
         for i, name in enumerate(names):
-            stepped_sizes = {**sizes, name: sizes[name] + 1j * IMAGINARY}
-            torque, push = (value.imag / IMAGINARY for value in crank_torque(*state, stepped_sizes))
-            np.testing.assert_allclose(got.f.parameters[k, 0, i], torque, rtol=1e-10, atol=1e-10, err_msg=name)
-            np.testing.assert_allclose(closure.parameters[k, 0, i], push, rtol=1e-10, atol=1e-10, err_msg=name)
+            unit = units[name]
+            stepped_sizes = {**sizes, name: sizes[name] + 1j * IMAGINARY * unit}
+            torque, push = (value.imag / IMAGINARY / unit for value in crank_torque(*state, stepped_sizes))
+            for one, want, size in ((got.f, torque, turning), (closure, push, force)):
+                np.testing.assert_allclose(
+                    one.parameters[k, 0, i], want, rtol=1e-10, atol=1e-10 * size / unit, err_msg=name
+                )
 
 
-# --- what cannot be ---------------------------------------------------------------------------------------------------
+def test_a_length_of_zero_is_differentiated_within_the_size_of_the_machine(tmp_path: Path) -> None:
+    """A hinge that follows an arc of 0.3 mm: a step of 1 cm would go round it."""
+    folder = shutil.copytree(models_root() / "four_bar", tmp_path / "arc")
+    file = folder / "four_bar.urdf.xacro"
+    text = file.read_text(encoding="utf-8")
+    for old, new in (
+        ("<xacro:arg", '<xacro:arg name="arc_length" default="0.0"/><xacro:arg'),
+        ("<xacro:property", '<xacro:property name="arc_length" value="$(arg arc_length)"/><xacro:property'),
+        ('x="${ground_length}"', 'x="${ground_length + 3e-4 * sin(arc_length / 3e-4)}"'),
+    ):
+        assert old in text
+        text = text.replace(old, new, 1)
+    file.write_text(text, encoding="utf-8")
+    lengths = {name: 1e-3 * value for name, value in machine("four_bar").parameters.items() if "length" in name}
+    columns = design_of(load_robot(folder, **lengths), ["arc_length", "ground_length"]).columns
+    assert np.abs(columns).max() == pytest.approx(1.0, rel=1e-9)
+    np.testing.assert_allclose(columns[:, 0], columns[:, 1], rtol=1e-8)  # both move the rocker's hinge alone
+
+
+@pytest.mark.parametrize("changes", [{"masses": {"crank_link": 5.0}}, {"lengths": {"rocker": 0.41}}])
+def test_numbers_of_a_file_that_no_longer_says_them(changes: dict[str, dict[str, float]]) -> None:
+    changed = robot_of("four_bar").with_parameters(**changes)
+    with pytest.raises(UnsupportedRobotError, match="changed after it was loaded, and 'coupler_mass'"):
+        design_of(changed, ["coupler_mass"])
+    assert design_of(changed, ["coupler.mass"]).columns.any()  # of the tree itself
+    other = robot_of("four_bar").with_parameters(crank_mass=5.0)
+    want = design_of(robot_of("four_bar"), ["crank_mass"])
+    np.testing.assert_allclose(design_of(other, ["crank_mass"]).columns, want.columns, rtol=1e-12)  # linear
 
 
 def test_parameters_that_are_none() -> None:

@@ -9,8 +9,10 @@ from scipy.optimize import nnls
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.contacts import ClosureForces, closure_forces
 from redundancy_pin.dynamics.distribution import EffortRows
+from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.errors import InputError
 from redundancy_pin.status import SampleStatus
 
@@ -18,8 +20,11 @@ EXACT = 1e-12
 OPTIMUM = 1e-5  # relative; DAQP keeps conditions to 1e-6
 
 
+Gripping = tuple[RneaAlongMotion, ReducedDynamics, ClosureForces, EffortRows]
+
+
 @pytest.fixture(scope="module")
-def gripping() -> tuple[rp.Robot, rp.PlatformMotion]:
+def gripping() -> Gripping:
     """A five-bar with all four hinges driven: two arms that hold a point between them, and squeeze it."""
     five_bar = zoo.robot_of("five_bar")
     robot = rp.Robot.from_model(
@@ -30,7 +35,9 @@ def gripping() -> tuple[rp.Robot, rp.PlatformMotion]:
         independent=five_bar.platform,
         reference=np.array(five_bar.q_reference),
     )
-    return robot, zoo.smooth_motion(five_bar, 1).at(np.linspace(0.0, 1.0, 6))
+    along = rp.RneaDynamics(robot).along(zoo.smooth_motion(five_bar, 1).at(np.linspace(0.0, 1.0, 6)))
+    force = closure_forces(along)
+    return along, along.reduce(), force, force.rows(force.component("grip", "x"), 20.0, 20.0)
 
 
 def least(W: Array, f: Array, rows: EffortRows, k: int) -> Array:
@@ -48,28 +55,23 @@ def least(W: Array, f: Array, rows: EffortRows, k: int) -> Array:
     return np.asarray(np.linalg.lstsq(G[pressed], h[pressed], rcond=None)[0])
 
 
-def test_a_squeeze_holds_exactly_and_costs_least(gripping) -> None:
-    robot, motion = gripping
-    along = rp.RneaDynamics(robot).along(motion)
-    reduced, force = along.reduce(), closure_forces(along)
-    squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
+def test_a_squeeze_holds_exactly_and_costs_least(gripping: Gripping) -> None:
+    along, reduced, force, squeeze = gripping
     distribution = rp.distribute(reduced, rows=[squeeze])
     assert distribution.solved.all()
     reactions = rp.joint_reactions(along, distribution.tau)
     assert np.abs(reactions.closure_force[:, 0] - 20.0).max() < 1e-6
     assert np.abs(reactions.closure_force - force.at(distribution.tau)).max() < 1e-8
     assert np.abs(np.einsum("nij,nj->ni", reduced.W, distribution.tau) - reduced.f).max() < 1e-8
-    for k in range(len(motion)):
+    for k in range(len(reduced.f)):
         oracle = least(reduced.W[k], reduced.f[k], squeeze, k)
         assert np.abs(distribution.tau[k] - oracle).max() < OPTIMUM * np.abs(oracle).max()
     free = rp.distribute(reduced)
     assert np.linalg.norm(free.tau) < np.linalg.norm(distribution.tau)
 
 
-def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping) -> None:
-    robot, motion = gripping
-    along = rp.RneaDynamics(robot).along(motion)
-    reduced, force = along.reduce(), closure_forces(along)
+def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping: Gripping) -> None:
+    along, reduced, force, _ = gripping
     cone = force.friction_cone("grip", 0.5, normal="x", least=5.0)
     upper = np.abs(rp.distribute(reduced, rows=[cone]).tau).max(axis=0) * [1.5, 0.95, 1.5, 1.5]  # one motor is weak
     distribution = rp.distribute(reduced, rows=[cone], lower=-upper, upper=upper)
@@ -80,7 +82,7 @@ def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping) -> No
     assert (np.abs(distribution.tau) <= upper).all()
     assert (np.abs(distribution.tau[:, 1]) > 0.99 * upper[1]).any()
     bounds = EffortRows(np.eye(4), -upper, upper)
-    for k in range(len(motion)):
+    for k in range(len(reduced.f)):
         both = EffortRows(*(np.concatenate(parts) for parts in zip(
             (cone.matrix[k], cone.lower[k], np.full(len(cone.lower[k]), np.inf)),
             (bounds.matrix, bounds.lower, bounds.upper), strict=True)))  # fmt: skip
@@ -88,11 +90,8 @@ def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping) -> No
         assert np.abs(distribution.tau[k] - oracle).max() < 1e-4 * np.abs(oracle).max()
 
 
-def test_conditions_that_cannot_be_kept_are_a_status(gripping) -> None:
-    robot, motion = gripping
-    along = rp.RneaDynamics(robot).along(motion)
-    reduced, force = along.reduce(), closure_forces(along)
-    squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
+def test_conditions_that_cannot_be_kept_are_a_status(gripping: Gripping) -> None:
+    along, reduced, force, squeeze = gripping
     distribution = rp.distribute(reduced, rows=[squeeze], lower=-0.5, upper=0.5)
     assert (distribution.status == SampleStatus.BOUND_INFEASIBLE).all()
     assert np.isnan(distribution.tau).all()
@@ -101,18 +100,15 @@ def test_conditions_that_cannot_be_kept_are_a_status(gripping) -> None:
     assert np.isinf(rp.distribute(reduced, rows=[squeeze, other]).residual).all()
     # a robot without choice keeps rows or does not
     five_bar = zoo.robot_of("five_bar")
-    own = rp.RneaDynamics(five_bar).reduce(motion)
+    own = rp.RneaDynamics(five_bar).reduce(along.motion)
     efforts = rp.distribute(own).tau
     limit = float(np.median(efforts[:, 0]))
     kept = rp.distribute(own, rows=[EffortRows(np.array([[1.0, 0.0]]), np.array([-np.inf]), np.array([limit]))])
     assert ((kept.status == SampleStatus.BOUND_INFEASIBLE) == (efforts[:, 0] > limit + 1e-9)).all()
 
 
-def test_rows_are_counted_from_preferred_efforts(gripping) -> None:
-    robot, motion = gripping
-    along = rp.RneaDynamics(robot).along(motion)
-    reduced, force = along.reduce(), closure_forces(along)
-    squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
+def test_rows_are_counted_from_preferred_efforts(gripping: Gripping) -> None:
+    _, reduced, _, squeeze = gripping
     first = rp.distribute(reduced, rows=[squeeze])
     again = rp.distribute(reduced, rows=[squeeze], preferred=first.tau)
     assert np.abs(again.tau - first.tau).max() < 1e-6
@@ -189,9 +185,9 @@ def test_cones_and_rows_of_no_sense_are_refused() -> None:
         ([5], "Rows of efforts was expected"),
     ],
 )
-def test_rows_that_do_not_fit_are_refused(gripping, rows: object, message: str) -> None:
-    robot, motion = gripping
+def test_rows_that_do_not_fit_are_refused(gripping: Gripping, rows: object, message: str) -> None:
+    along, reduced, _, _ = gripping
     with pytest.raises(InputError, match=message):
-        rp.distribute(rp.RneaDynamics(robot).reduce(motion), rows=rows)
+        rp.distribute(reduced, rows=rows)
     with pytest.raises(InputError, match="RNEA dynamics along a motion"):
-        closure_forces(robot)
+        closure_forces(along.robot)

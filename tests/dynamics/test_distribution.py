@@ -1,25 +1,40 @@
-"""Efforts at samples where W has full rank: unique, of least norm, or impossible for want of actuators."""
+"""Efforts at samples of any rank, without bounds: unique, of least norm, or impossible; and what distribute refuses."""
 
+from __future__ import annotations
+
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.optimize
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
-from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
-from redundancy_pin.dynamics.distribution import LARGEST_WEIGHT_RATIO, distribute
+import redundancy_pin as rp
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, LARGEST_WEIGHT_RATIO, distribute
 from redundancy_pin.errors import InputError
 from redundancy_pin.status import SampleStatus
 
 N = 40
+
 SOLUTION = 1e-12
 """Relative: condition numbers up to 1e3 times rounding."""
 
+ROUNDING = 1e-13
+
+POWERS = (-1000, -700, -401, -60, 0, 60, 401, 520, 700, 1000)
+"""Of two. Squares leave the range of doubles from 2^±512 on."""
+
+
+def times_power(values: np.ndarray, power: int) -> np.ndarray:
+    return np.asarray(np.ldexp(values, power))
+
+
 SHAPES = [(1, 1), (2, 2), (3, 3), (6, 6), (1, 3), (2, 3), (3, 4), (6, 8)]
+
+# --- W of full rank
 
 
 @pytest.mark.parametrize(("n", "m"), SHAPES)
@@ -160,11 +175,150 @@ def test_no_samples(n, m):
     assert len(d) == 0
 
 
-def test_results_are_read_only():
-    d = distribute(reduced(np.eye(2)[None], np.ones((1, 2))))
-    for name in ("tau", "status", "rank", "residual", "margin", "condition", "free_direction", "uncontrolled"):
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(d, name)[0] = 1
+def test_weights_may_differ_by_the_largest_ratio_and_no_more():
+    """Counted on forces: a torque's weight is times the square of its scale."""
+    dynamics = reduced([[[1.0, 1.0]]], [[2.0]], column_scale=[1.0, 0.5])
+    widest = distribute(dynamics, weights=[LARGEST_WEIGHT_RATIO / 4.0, 1.0])
+    assert widest.tau[0] == pytest.approx([0.0, 2.0], abs=1e-9)
+    distribute(dynamics, weights=[1.0, 4.0 * LARGEST_WEIGHT_RATIO])
+    for weights in ([0.26 * LARGEST_WEIGHT_RATIO, 1.0], [1.0, 4.1 * LARGEST_WEIGHT_RATIO]):
+        with pytest.raises(InputError, match=r"more than 1e\+12") as caught:
+            distribute(dynamics, weights=weights)
+        assert caught.value.details["ratio"] == pytest.approx(LARGEST_WEIGHT_RATIO, rel=0.05)
+
+
+# --- singularities that are exact by construction, and the limits from both sides
+
+
+def test_outer_product_with_the_force_along_it_and_across_it():
+    # W = a bᵀ, f = 6 a: every τ with b·τ = 6 will do, the shortest is 6 b / |b|²; and 0.25 N that nobody balances
+    a, b, across = np.array([3.0, 4.0]), np.array([1.0, -2.0]), np.array([4.0, -3.0]) / 5.0
+    d = distribute(reduced([np.outer(a, b)] * 2, [6.0 * a, 6.0 * a + 0.25 * across]))
+    assert d.status_labels.tolist() == ["singular_consistent", "singular_inconsistent"]
+    assert d.solved.tolist() == [True, False]
+    assert d.rank.tolist() == [1, 1]
+    assert d.tau[0] == pytest.approx(6.0 * b / 5.0, abs=ROUNDING)
+    assert d.free_direction[0] == pytest.approx(np.array([2.0, 1.0]) / np.sqrt(5.0), abs=ROUNDING)
+    assert np.isnan([d.tau[1], d.free_direction[1]]).all()
+    assert d.uncontrolled == pytest.approx(np.array([across, across]), abs=ROUNDING)
+    assert d.margin == pytest.approx([0.0, 0.0], abs=ROUNDING)
+    assert (d.condition > 1e15).all()
+    assert d.residual == pytest.approx([0.0, 0.25], rel=1e-12, abs=ROUNDING * 30.0)
+
+
+def test_one_freedom_at_its_singular_pose():
+    # W is one number there, of the size of rounding, and largest and smallest singular value at once
+    d = distribute(reduced([[[1e-37]], [[1e-37]], [[1e-4]]], [[2.5], [0.0], [2.5]]))
+    assert d.status_labels.tolist() == ["singular_inconsistent", "singular_consistent", "near_singular"]
+    assert np.isnan(d.tau[0]).all()
+    assert d.residual[0] == pytest.approx(2.5, rel=1e-12)
+    assert d.tau[1:, 0] == pytest.approx([0.0, 2.5e4], rel=1e-12)
+
+
+def test_two_rpr_in_line_needs_the_scalar_condition_of_the_thesis():
+    # both legs along x: W = Jᵀ has the columns ±(1, 0); a force along x is shared, one along y cannot be held
+    W = np.array([[[1.0, -1.0], [0.0, 0.0]]] * 2)
+    d = distribute(reduced(W, [[3.0, 0.0], [3.0, 1e-3]]))
+    assert d.status_labels.tolist() == ["singular_consistent", "singular_inconsistent"]
+    assert d.tau[0] == pytest.approx([1.5, -1.5])
+    assert d.free_direction[0] == pytest.approx(np.array([1.0, 1.0]) / np.sqrt(2.0))
+    assert d.uncontrolled[0] == pytest.approx([0.0, 1.0])
+    assert d.residual[1] == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "rank"), [(2, 2, 0), (3, 3, 2), (3, 3, 1), (6, 6, 4), (3, 4, 2), (2, 5, 1), (4, 3, 2)]
+)
+def test_any_rank_deficiency(n, m, rank):
+    rng = np.random.default_rng(1)
+    values = np.where(np.arange(min(n, m)) < rank, np.linspace(2.0, 1.0, min(n, m)), 0.0)
+    U, W, _ = factors(rng, N, n, m, values)
+    f = times(W, rng.normal(size=(N, m)))
+    d = distribute(reduced(W, f))
+    assert (d.status == SampleStatus.SINGULAR_CONSISTENT).all()
+    assert (d.rank == rank).all()
+    assert d.tau == pytest.approx(times(np.linalg.pinv(W, rcond=1e-9), f), abs=ROUNDING)
+    assert times(W, d.free_direction) == pytest.approx(np.zeros((N, n)), abs=ROUNDING)
+    assert times(W.transpose(0, 2, 1), d.uncontrolled) == pytest.approx(np.zeros((N, m)), abs=ROUNDING)
+    assert np.linalg.norm(d.free_direction, axis=1) == pytest.approx(np.ones(N))
+    assert np.linalg.norm(d.uncontrolled, axis=1) == pytest.approx(np.ones(N))
+
+    d = distribute(reduced(W, f + 0.1 * U[:, :, -1]))
+    assert (d.status == SampleStatus.SINGULAR_INCONSISTENT).all()
+    assert np.isnan(d.tau).all()
+    assert d.residual == pytest.approx(np.full(N, 0.1), rel=1e-10)
+
+
+@examples(40)
+@given(exponents=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4), m=st.integers(3, 4), seed=st.integers(0, 999))
+def test_weighted_norm_at_a_singularity_equals_the_bordered_system(exponents, m, seed):
+    # the optimum solves [diag(w) Wᵀ; W 0] [τ; λ] = [0; f], singular in λ only
+    rng = np.random.default_rng(seed)
+    weights = 10.0 ** np.array(exponents[:m])
+    _, W, _ = factors(rng, 1, 3, m, [2.0, 1.0, 0.0])
+    f = times(W, rng.normal(size=(1, m)))
+    d = distribute(reduced(W, f), weights=weights)
+    bordered = np.block([[np.diag(weights), W[0].T], [W[0], np.zeros((3, 3))]])
+    expected = np.linalg.lstsq(bordered, np.concatenate([np.zeros(m), f[0]]), rcond=1e-13)[0][:m]
+    assert d.status[0] == SampleStatus.SINGULAR_CONSISTENT
+    assert d.tau[0] == pytest.approx(expected, rel=0.0, abs=1e-8 * np.abs(expected).max())
+
+
+def test_directions_are_in_physical_units_and_normalised_in_scaled_ones():
+    rng = np.random.default_rng(2)
+    row, column = np.array([1.0, 1.0, 0.2]), np.array([1.0, 0.2, 0.2])
+    _, A, _ = factors(rng, N, 3, 3, [2.0, 1.0, 0.0])
+    W = A * row[:, None] / column
+    d = distribute(reduced(W, times(W, np.ones((N, 3))), row, column))
+    assert times(W, d.free_direction) == pytest.approx(np.zeros((N, 3)), abs=ROUNDING)
+    assert times(W.transpose(0, 2, 1), d.uncontrolled) == pytest.approx(np.zeros((N, 3)), abs=ROUNDING)
+    assert np.linalg.norm(d.free_direction / column, axis=1) == pytest.approx(np.ones(N))
+    assert np.linalg.norm(d.uncontrolled * row, axis=1) == pytest.approx(np.ones(N))
+    assert (np.take_along_axis(d.free_direction, np.abs(d.free_direction / column).argmax(1)[:, None], 1) > 0.0).all()
+
+
+def test_efforts_pass_continuously_through_a_singularity_where_the_force_is_consistent():
+    # W(e) = U diag(2, 1, e) Vᵀ, f = W(e) τ₀ with τ₀ across the null direction: τ(e) = τ₀ on both sides and at e = 0
+    rng = np.random.default_rng(3)
+    U, _, V = (x[0] for x in factors(rng, 1, 3, 3, [1.0, 1.0, 1.0]))
+    e = np.array([-1e-3, -1e-6, -1e-8, -1e-10, 0.0, 1e-10, 1e-8, 1e-6, 1e-3])
+    W = U * np.stack([np.full(9, 2.0), np.ones(9), e], axis=1)[:, None, :] @ V.T
+    tau = V @ np.array([1.0, -2.0, 0.0])
+    d = distribute(reduced(W, W @ tau))
+    singular = np.abs(e) < 1e-9 * 2.0
+    assert (d.status == np.where(singular, SampleStatus.SINGULAR_CONSISTENT, SampleStatus.NEAR_SINGULAR)).all()
+    error = np.linalg.norm(d.tau - tau, axis=1)
+    # the condition number multiplies rounding next to the singularity, not on it
+    assert (error <= np.where(singular, 1e-14, 1e-14 / np.maximum(np.abs(e), 1e-10))).all()
+
+
+def test_consistency_is_relative_to_the_force_down_to_the_smallest_force_that_counts():
+    W = np.array([np.diag([1.0, 0.0])] * 4)
+    just = CONSISTENCY_TOLERANCE
+    f = np.array([[1e6, 0.5e6 * just], [1e6, 2e6 * just], [1e-15, 1e-13], [0.0, 1e-6]])
+    labels = ["singular_consistent", "singular_inconsistent", "singular_consistent", "singular_inconsistent"]
+    given = replace(reduced(W, f), force_size=np.ones(4))
+    assert distribute(given).status_labels.tolist() == labels
+    assert distribute(given, force_tolerance=1e-5).status[3] == SampleStatus.SINGULAR_CONSISTENT
+    # of a machine a thousand times as strong, and where nothing says how strong it is
+    assert distribute(replace(given, force_size=np.full(4, 1e3))).status[3] == SampleStatus.SINGULAR_CONSISTENT
+    assert distribute(reduced(W, f)).status[2] == SampleStatus.SINGULAR_INCONSISTENT
+
+
+def test_a_singular_sample_among_thousands_of_regular_ones():
+    rng = np.random.default_rng(4)
+    W, f = rng.normal(size=(2000, 3, 3)), rng.normal(size=(2000, 3))
+    W[777] = np.outer([1.0, 2.0, 2.0], [2.0, -1.0, 2.0])
+    f[777] = [9.0, 18.0, 18.0]
+    W[1234], f[1234] = 0.0, 0.0
+    d = distribute(reduced(W, f))
+    assert d.rank[[777, 1234]].tolist() == [1, 0]
+    assert d.status_labels[[777, 1234]].tolist() == ["singular_consistent"] * 2
+    assert d.tau[777] == pytest.approx([2.0, -1.0, 2.0])
+    assert (d.tau[1234] == 0.0).all()
+    others = np.delete(np.arange(2000), [777, 1234])
+    assert (d.status[others] <= SampleStatus.NEAR_SINGULAR).all()
+    assert np.isnan(d.free_direction[others]).all()
 
 
 def test_edges_of_the_tolerances():
@@ -189,41 +343,161 @@ def test_edges_of_the_tolerances():
     assert least.status_labels.tolist() == ["ok"]
 
 
-def test_weights_may_differ_by_the_largest_ratio_and_no_more():
-    """Counted on forces: a torque's weight is times the square of its scale."""
-    dynamics = reduced([[[1.0, 1.0]]], [[2.0]], column_scale=[1.0, 0.5])
-    widest = distribute(dynamics, weights=[LARGEST_WEIGHT_RATIO / 4.0, 1.0])
-    assert widest.tau[0] == pytest.approx([0.0, 2.0], abs=1e-9)
-    distribute(dynamics, weights=[1.0, 4.0 * LARGEST_WEIGHT_RATIO])
-    for weights in ([0.26 * LARGEST_WEIGHT_RATIO, 1.0], [1.0, 4.1 * LARGEST_WEIGHT_RATIO]):
-        with pytest.raises(InputError, match=r"more than 1e\+12") as caught:
-            distribute(dynamics, weights=weights)
-        assert caught.value.details["ratio"] == pytest.approx(LARGEST_WEIGHT_RATIO, rel=0.05)
+# --- numbers of any size
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize(("share", "label"), [(0.9, "ok"), (1.1, "bound_infeasible")])
-def test_an_effort_may_pass_its_bound_by_a_share_of_the_largest_one(sign, share, label):
-    """Of 1000 N beside it; it is put on the bound, and what is then missing is the residual."""
-    passed = share * FORCE_TOLERANCE * 1000.0
-    bound = {"upper": [np.inf, 1.0 - passed]} if sign > 0.0 else {"lower": [-np.inf, -1.0 + passed]}
-    d = distribute(reduced([np.eye(2)], [[1000.0, sign]]), **bound)
-    assert d.status_labels.tolist() == [label]
-    assert d.residual[0] == pytest.approx(passed, rel=1e-6)
-    if label == "ok":
-        assert d.tau[0].tolist() == [1000.0, sign * (1.0 - passed)]
+def matrices(n: int, m: int, rank: int) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(5)
+    W = random.normal(size=(6, n, rank)) @ random.normal(size=(6, rank, m))
+    f = np.einsum("Nij,Nj->Ni", W, random.normal(size=(6, m)))
+    f[3:] = random.normal(size=(3, n))  # outside the range of W where that is less than all
+    return W, f
 
 
-def test_weighted_optimum_against_a_general_optimiser():
-    rng = np.random.default_rng(4)
-    W, f, weights = rng.normal(size=(1, 2, 4)), rng.normal(size=(1, 2)), np.array([1.0, 5.0, 0.2, 2.0])
-    other = scipy.optimize.minimize(
-        lambda tau: weights @ tau**2,
-        np.zeros(4),
-        jac=lambda tau: 2.0 * weights * tau,
-        constraints={"type": "eq", "fun": lambda tau: W[0] @ tau - f[0], "jac": lambda tau: W[0]},
-        method="SLSQP",
-        options={"ftol": 1e-15},
+@pytest.mark.parametrize(("n", "m", "rank"), [(3, 3, 3), (3, 3, 2), (2, 4, 2), (4, 2, 2)])
+def test_distribute_is_linear_at_any_size(n: int, m: int, rank: int) -> None:
+    W, f = matrices(n, m, rank)
+    one = rp.distribute(reduced(W, f), force_tolerance=0.0)
+    for power in POWERS:
+        got = rp.distribute(reduced(W, times_power(f, power)), force_tolerance=0.0)
+        np.testing.assert_array_equal(got.status, one.status)
+        np.testing.assert_array_equal(got.tau, times_power(one.tau, power))
+        lost = one.status >= SampleStatus.SINGULAR_INCONSISTENT
+        np.testing.assert_array_equal(got.residual[lost], times_power(one.residual[lost], power))
+        assert (got.residual[~lost] <= 1e-13 * np.abs(times_power(f, power)).max()).all()
+
+
+def test_distribute_keeps_bounds_of_any_size() -> None:
+    random = np.random.default_rng(5)
+    W, f = random.normal(size=(6, 2, 4)), random.normal(size=(6, 2))
+    free = rp.distribute(reduced(W, f))
+    bound = 0.9 * np.abs(free.tau).max(axis=1, keepdims=True) * np.ones(4)
+    one = rp.distribute(reduced(W, f), lower=-bound, upper=bound)
+    assert set(one.status.tolist()) == {SampleStatus.OK, SampleStatus.BOUND_INFEASIBLE}
+    for power in (-1000, -700, -401, -60, 60, 300):  # bounds that are given may be 1e100 at most
+        limit = times_power(bound, power)
+        got = rp.distribute(reduced(W, times_power(f, power)), lower=-limit, upper=limit, force_tolerance=0.0)
+        np.testing.assert_array_equal(got.status, one.status)
+        np.testing.assert_allclose(got.tau, times_power(one.tau, power), rtol=1e-9)  # a solver's rounding
+        lost = one.status == SampleStatus.BOUND_INFEASIBLE
+        np.testing.assert_allclose(got.residual[lost], times_power(one.residual[lost], power), rtol=1e-9)
+    got = rp.distribute(reduced(W, times_power(f, 700)), lower=-bound, upper=bound)
+    assert set(got.status.tolist()) == {SampleStatus.BOUND_INFEASIBLE}  # what the motors give is nothing beside f
+    np.testing.assert_allclose(got.residual, times_power(np.linalg.norm(f, axis=1), 700), rtol=1e-12)
+
+
+def test_distribute_says_where_no_double_holds_the_efforts() -> None:
+    W, f = np.array([np.eye(2), 1e-6 * np.eye(2), np.eye(2)]), np.array([[1.0, 2.0], [1e305, 0.0], [0.0, 1.5e308]])
+    got = rp.distribute(reduced(W, f))
+    assert got.status_labels.tolist() == ["ok", "unreachable", "ok"]
+    np.testing.assert_array_equal(got.tau, [[1.0, 2.0], [np.nan, np.nan], [0.0, 1.5e308]])
+    assert np.isnan(got.residual[1])
+    assert got.rank.tolist() == [2, 0, 2]
+
+
+# --- what is refused, by name
+
+GOOD = reduced(np.ones((4, 2, 3)), np.ones((4, 2)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        pytest.param({"weights": [1.0, 1.0]}, r"weights has shape \(2,\), expected \(3,\)", id="weights-shape"),
+        pytest.param({"weights": [1.0, -2.0, 1.0]}, r"weights\[1\] is -2", id="weights-negative"),
+        pytest.param({"weights": [1.0, 1.0, 0.0]}, r"weights\[2\] is 0", id="weights-zero"),
+        pytest.param({"weights": [1.0, np.nan, 1.0]}, "weights has 1 value", id="weights-nan"),
+        pytest.param({"weights": [1.0, np.inf, 1.0]}, "weights has 1 value", id="weights-infinite"),
+        pytest.param({"weights": [1.0, 1e13, 1.0]}, r"factor of 1e\+13", id="weights-apart"),
+        pytest.param({"weights": "heavy"}, "weights is not an array of numbers", id="weights-text"),
+        pytest.param({"lower": [0.0, 0.0]}, r"lower has shape \(2,\), expected \(3,\)", id="lower-shape"),
+        pytest.param({"upper": np.zeros((3, 3))}, r"upper has shape \(3, 3\), expected \(4, 3\)", id="upper-samples"),
+        pytest.param({"upper": np.nan}, "upper has 3 value", id="upper-scalar"),
+        pytest.param({"lower": [0.0, np.nan, 0.0]}, r"lower has 1 value.*index \(1,\)", id="lower-nan"),
+        pytest.param({"lower": [0.0, np.inf, 0.0]}, "lower has 1 value", id="lower-at-plus-infinity"),
+        pytest.param({"upper": [0.0, 0.0, -np.inf]}, "upper has 1 value", id="upper-at-minus-infinity"),
+        pytest.param({"upper": ["a", "b", "c"]}, "upper is not an array of numbers", id="upper-text"),
+        pytest.param(
+            {"lower": [0.0, 2.0, 0.0], "upper": [1.0, 1.0, 1.0]},
+            r"actuator 1 \(first at sample 0\): 2 > 1",
+            id="lower-above-upper",
+        ),
+        pytest.param({"near_singular": -0.1}, "near_singular is -0.1", id="near-singular"),
+        pytest.param({"rank_tolerance": 0.0}, "rank_tolerance is 0.0.*at least 1e-14", id="rank-zero"),
+        pytest.param({"rank_tolerance": np.nan}, "rank_tolerance is nan", id="rank-nan"),
+        pytest.param({"consistency_tolerance": np.inf}, "consistency_tolerance is inf", id="consistency"),
+        pytest.param({"force_tolerance": -1.0}, "force_tolerance is -1.0", id="force"),
+    ],
+)
+def test_arguments_out_of_their_domain(arguments, message):
+    with pytest.raises(InputError, match=message):
+        distribute(GOOD, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"f": np.ones((4, 3))}, r"\(4, 2, 3\), \(4, 3\) and \(4,\)"),
+        ({"f": np.ones((5, 2))}, r"\(5, 2\)"),
+        ({"W": np.ones((4, 2))}, r"\(4, 2\), \(4, 2\)"),
+        ({"W": np.ones((4, 2, 0))}, r"\(4, 2, 0\)"),
+        ({"reachable": np.ones(3, bool)}, r"\(3,\)"),
+        ({"row_scale": np.ones(3)}, "row_scale has shape"),
+        ({"row_scale": np.array([1.0, 0.0])}, r"row_scale\[1\] is 0"),
+        ({"column_scale": np.ones(2)}, "column_scale has shape"),
+        ({"column_scale": np.array([1.0, -1.0, 1.0])}, r"column_scale\[1\] is -1"),
+    ],
+)
+def test_dynamics_that_do_not_fit_together(changes, message):
+    with pytest.raises(InputError, match=message):
+        distribute(dataclasses.replace(GOOD, **changes))
+
+
+def test_bounds_a_sample_each_are_compared_sample_by_sample():
+    lower = np.zeros((4, 3))
+    lower[2, 1] = 5.0
+    with pytest.raises(InputError, match="first at sample 2") as caught:
+        distribute(GOOD, lower=lower, upper=[1.0, 1.0, 1.0])
+    assert caught.value.details == {"sample": 2, "actuator": 1}
+
+
+def test_arguments_are_not_changed():
+    W, f = np.ones((4, 2, 3)), np.ones((4, 2))
+    weights, lower, upper = np.ones(3), np.full(3, -9.0), np.full(3, 9.0)
+    W[1] = np.nan
+    before = [a.copy() for a in (W, f, weights, lower, upper)]
+    distribute(reduced(W, f, reachable=[True, True, False, True]), weights=weights, lower=lower, upper=upper)
+    for array, copy in zip((W, f, weights, lower, upper), before, strict=True):
+        assert np.array_equal(array, copy, equal_nan=True)
+        assert array.flags.writeable
+
+
+def test_labels_are_the_names_in_lower_case():
+    assert [status.label for status in SampleStatus] == [
+        "ok",
+        "near_singular",
+        "singular_consistent",
+        "singular_inconsistent",
+        "underactuated",
+        "bound_infeasible",
+        "unreachable",
+        "branch_lost",
+        "out_of_range",
+        "type_i",
+        "type_ii",
+        "not_finite",
+    ]
+
+
+def test_a_backend_in_place_of_its_result_is_refused():
+    with pytest.raises(InputError, match=r"given dict. Pass the result of a backend's reduce"):
+        distribute({})
+
+
+def test_results_print_what_tells_them_apart():
+    given = reduced([[[1.0]], [[1e-37]], [[1.0]]], [[2.0], [1.0], [-3.0]], reachable=[True, True, False])
+    assert repr(given) == "ReducedDynamics(N=3, n=1, m=1, k=0, 1 unreachable; peak |f| 3 N or N·m)"
+    assert repr(distribute(given)) == (
+        "Distribution(N=3, m=1: 1 ok, 1 singular_inconsistent, 1 unreachable; peak |tau| 2 N or N·m, "
+        "least margin 1e-37)"
     )
-    # SLSQP stops on the cost, so its minimiser is good to the square root of 1e-15
-    assert distribute(reduced(W, f), weights=weights).tau[0] == pytest.approx(other.x, abs=1e-6)

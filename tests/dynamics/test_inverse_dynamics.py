@@ -121,19 +121,6 @@ def test_reachable_stretches_are_looked_at_one_by_one() -> None:
     assert result.status is ResultStatus.UNBOUNDED
 
 
-def test_backends_without_a_tree_mark_what_is_out_of_reach_too() -> None:
-    """3 m beside the machine; what can be reached has the same efforts by all."""
-    robot = zoo.robot_of("3rrr")
-    t, x = np.linspace(0.0, 1.0, 3), np.tile(zoo.home_of(robot), (3, 1))
-    x[2, 0] += 3.0
-    still = PlatformMotion(t, x, 0.0 * x, 0.0 * x, check_rates=False)
-    results = [rp.inverse_dynamics(backend(robot), still, unreachable="mark") for backend in BACKENDS.values()]
-    for result in results:
-        assert (result.efforts.status == SampleStatus.UNREACHABLE).tolist() == [False, False, True]
-        assert result.status is ResultStatus.UNBOUNDED
-        np.testing.assert_allclose(result.efforts.tau, results[0].efforts.tau, atol=1e-9)
-
-
 # --- the command ---
 
 

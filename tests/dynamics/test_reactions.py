@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.dynamics.contacts import closure_forces
@@ -14,31 +15,11 @@ FORCE_TOLERANCE = 1e-9
 """N, N·m: forces of 10 to 100, conditioned no worse than 1e3, leave 1e-11."""
 
 
-def swinging(robot, samples=5, amplitude=0.08):
-    """A smooth motion around the reference of a planar robot, all coordinates in motion."""
-    from redundancy_pin.kinematics.closure import ConstraintSystem
-    from redundancy_pin.kinematics.coordinates import coordinates
-
-    home = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))[0]
-    t = np.linspace(0.1, 0.7, samples)
-    phase = 3.0 * t[:, None] + np.arange(robot.n)
-    return rp.PlatformMotion(
-        t, home + amplitude * np.sin(phase), 3 * amplitude * np.cos(phase), -9 * amplitude * np.sin(phase)
-    )
-
-
-def carriers_for(robot, t):
-    phase = 5.0 * t[:, None] + np.arange(robot.k)
-    return rp.CarrierMotion(0.1 * np.sin(phase), 0.5 * np.cos(phase), -2.5 * np.sin(phase))
-
-
 @pytest.fixture(scope="module", params=["2rpr", "3rrr"])
 def case(request):
     masses = {"2rpr": {"end_effector_mass": 0.7, "cylinder_mass": 0.4, "piston_mass": 0.3}, "3rrr": {}}[request.param]
-    robot = rp.load_robot(request.param, gravity=(0.4, -9.81, -2.0), **masses)
-    motion = swinging(robot)
-    carriers = carriers_for(robot, motion.t)
-    along = RneaDynamics(robot).along(motion)
+    robot, t = zoo.robot_of(request.param, gravity=(0.4, -9.81, -2.0), **masses), np.linspace(0.1, 0.7, 5)
+    along, carriers = RneaDynamics(robot).along(zoo.smooth_motion(robot, 1).at(t)), zoo.carriers_at(robot, t)
     reduced = along.reduce(carriers)
     tau = np.linalg.solve(reduced.W, reduced.f[:, :, None])[:, :, 0]
     return robot, along, carriers, reduced, tau

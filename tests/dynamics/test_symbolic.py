@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 
 import casadi as ca
 import numpy as np
@@ -11,12 +10,10 @@ import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
+from machines import machine
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import CompiledDynamics, RneaDynamics, inverse_kinematics, joint_reactions, symbolic
-from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.compiled import design_of
-from redundancy_pin.dynamics.compiled.parameters import places_of
 from redundancy_pin.dynamics.compiled.symbolic import SymbolicRobot
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
 from redundancy_pin.robot import Robot
@@ -24,10 +21,6 @@ from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
 EQUAL = 1e-11
 """Relative to the largest value, or one; rounding is 1e-14."""
-
-
-def robot_of(name: str) -> Robot:
-    return spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name)
 
 
 def assert_equal(got: object, want: np.ndarray, what: str) -> None:
@@ -38,7 +31,7 @@ def assert_equal(got: object, want: np.ndarray, what: str) -> None:
 @pytest.mark.long_for("gough")
 @pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
 def test_they_say_what_rnea_says(name: str) -> None:
-    robot = robot_of(name)
+    robot = machine(name)
     functions = symbolic(robot)
     t = np.linspace(0.0, 1.0, 3)
     motion, carriers = zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1)
@@ -79,7 +72,7 @@ def test_they_say_what_rnea_says(name: str) -> None:
 @pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
 def test_off_the_motion_they_are_pinocchios_and_the_kinematics(name: str) -> None:
     """The tree, whether its loops are closed or not; and what is missing to a pose that is turned away."""
-    robot, rng = robot_of(name), np.random.default_rng(8)
+    robot, rng = machine(name), np.random.default_rng(8)
     functions, model = symbolic(robot), robot.model.copy()
     data, home = model.createData(), np.array(robot.q_reference)
     for _ in range(2):
@@ -127,7 +120,7 @@ def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
 
 
 def test_both_kinds_of_graphs_hold_them() -> None:
-    robot = robot_of("3rrr")
+    robot = machine("3rrr")
     functions = symbolic(robot)
     assert {field.name for field in dataclasses.fields(SymbolicRobot)} > {"f", "W", "rnea", "balance"}
     nv = robot.model.nv
@@ -141,35 +134,6 @@ def test_both_kinds_of_graphs_hold_them() -> None:
         # linear in a
         rest = np.array(functions.f(*numbers[:2], np.zeros(nv)))
         assert_equal(np.array(by_a) @ numbers[2][:, None] + rest, np.array(value), "f by a")
-
-
-@pytest.mark.parametrize("name", ["3rrr", "gough"])
-def test_columns_of_masses_are_what_pinocchios_inertias_change_by(name: str) -> None:
-    """Mass, first moment and inertia about the origin: linear in a mass and in its inertia, by differences a centre."""
-    robot = zoo.robot_of(name)
-    joint = next(str(robot.model.names[i]) for i in range(1, robot.model.njoints) if robot.model.inertias[i].mass > 0.0)
-    body = robot.model.inertias[robot.model.getJointId(joint)]
-    mass, centre, inertia, h = body.mass, np.array(body.lever), np.eye(3), 1e-6  # any inertia will do
-
-    def moments(m: float, c: Array, about: Array) -> Array:
-        """By the spatial inertia: its lower right block is about the origin."""
-        whole = pin.Inertia(m, c, about).matrix()
-        first = np.array([whole[5, 1], whole[3, 2], whole[4, 0]])
-        return np.concatenate([[m], first, whole[[3, 3, 4, 3, 4, 5], [3, 4, 4, 5, 5, 5]]])
-
-    changes = {f"{joint}.mass": lambda d: (mass + d, centre, inertia)}
-    for i, axis in enumerate("xyz"):
-        changes[f"{joint}.centre.{axis}"] = lambda d, i=i: (mass, centre + d * np.eye(3)[i], inertia)
-        for j in range(i, 3):
-            change = np.zeros((3, 3))
-            change[i, j] = change[j, i] = 1.0
-            changes[f"{joint}.inertia.{axis}{'xyz'[j]}"] = lambda d, c=change: (mass, centre, inertia + d * c)
-    for parameter, changed in changes.items():
-        column = design_of(robot, [parameter]).columns[:, 0]
-        expected = (moments(*changed(h)) - moments(*changed(-h))) / (2.0 * h)
-        at = places_of(robot)["joint", robot.model.getJointId(joint), "body"]
-        np.testing.assert_allclose(column[at], expected, atol=1e-8)
-        assert np.count_nonzero(column) == np.count_nonzero(column[at])
 
 
 def test_expressions_of_the_carriers_motion_have_the_values_of_rnea(shipped: Robot) -> None:
@@ -231,11 +195,3 @@ def test_fatrop_crosses_in_stages_like_ipopt() -> None:
         determinants.append([float(np.linalg.det(sym.W(at).full())) for at in q])
     assert costs[1] == pytest.approx(costs[0], rel=1e-4)
     assert all(min(values) < 0.0 < max(values) for values in determinants)
-
-
-def test_a_pickle_is_as_good() -> None:
-    robot = robot_of("four_bar")
-    functions = symbolic(robot)
-    other = pickle.loads(pickle.dumps(functions))
-    assert_equal(other.W(robot.q_reference), np.array(functions.W(np.array(robot.q_reference))), "W")
-    assert "four_bar" in repr(functions)

@@ -11,23 +11,30 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+import zoo
 from generated_c import COMPILERS, Code
+from scipy.spatial.transform import Rotation
 from tilting_platforms import HOME, NAMES, actuators, in_coordinates, motion, poses, robot_called, slopes
 
 import redundancy_pin as rp
-from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation import FeedForward, motion_reference
+from redundancy_pin.status import SampleStatus
 
 ROUNDING = 1e-11
 """Chains are closed to 1e-11 m; conditions of W are below 100."""
+
 DIFFERENCES = 1e-7
 """Central differences over 2 ms of motions with periods of 2 s: h² / 6 times the third rate, against the largest."""
+
 TIMES = np.linspace(0.0, 2.0, 41)
 
 
@@ -125,8 +132,11 @@ OTHERS = {
     ("x", "y", "z"): False,
 }
 """Other coordinates that fit where the platform is tilted, and whether they are tried in compiled dynamics too."""
+
 TILTED = np.array([0.62, 0.28, 0.39])
+
 SPAN = np.linspace(0.0, 0.2, 9)
+
 DIFFERENTIATED = 1e-7
 """Rates of the other coordinates are good to 1e-9; their conditions are up to 100."""
 
@@ -137,9 +147,6 @@ def test_other_coordinates_of_the_same_motion_give_the_same_efforts(axes: tuple[
     expected = rp.distribute(rp.RneaDynamics(robot_of("3prs")).reduce(motion("3prs", SPAN))).tau
     for kind in (rp.RneaDynamics, CompiledDynamics)[: 1 + OTHERS[axes]]:
         near(rp.distribute(kind(robot).reduce(in_coordinates(axes, "3prs", SPAN))).tau, expected, DIFFERENTIATED)
-
-
-# --- what is made of it ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -180,3 +187,67 @@ def test_axes_that_do_not_fit_are_refused_with_some_that_do(axes: tuple[str, ...
     with pytest.raises(DeclarationError) as caught:
         rp.load_robot(folder)
     assert "These axes of 'platform' fit: [z, rx, ry]." in caught.value.remedy
+
+
+# --- starts for poses that the straight way does not reach, whatever the size of the machine
+
+SHORT = 0.12
+"""Length of the links, as a part of that of the machine: little more than spans from the base to a level platform."""
+
+
+def found(dynamics: Dynamics, x: Array) -> BoolArray:
+    """Return which coordinates have a configuration, each looked for by itself."""
+    rest = np.zeros((1, dynamics.robot.n))
+    one_by_one = [rp.PlatformMotion([0.0], each[None], rest, rest) for each in x]
+    return np.array([dynamics.along(one, unreachable="mark").reduce().reachable[0] for one in one_by_one])
+
+
+@pytest.mark.parametrize("size", [0.01, pytest.param(100.0, marks=pytest.mark.long)])
+def test_poses_out_of_reach_are_told_from_others(size: float, tmp_path: Path) -> None:
+    """Of a 3-PRS, those at which a link does not span from its slide to its ball joint."""
+    x = np.array([0.6, 0.0, 0.0]) + np.random.default_rng(5).uniform(-1.0, 1.0, (20, 3)) * [1.5, 0.7, 0.7]
+    expected = np.isfinite(actuators("3prs", x, link=SHORT)).all(axis=1)
+    assert 2 < expected.sum() < 17
+    dynamics = CompiledDynamics(robot_called("3prs", tmp_path, size, link=SHORT))
+    np.testing.assert_array_equal(found(dynamics, x * [size, 1.0, 1.0]), expected)
+
+
+LENGTHS = (
+    "base_radius",
+    "platform_radius",
+    "cylinder_length",
+    "cylinder_radius",
+    "piston_length",
+    "piston_radius",
+    "height",
+)
+
+
+def gough(size: float) -> Robot:
+    """Return the platform with all lengths so many times as long."""
+    plain = zoo.robot_of("gough")
+    return rp.load_robot("gough", **{name: float(plain.parameters[name]) * size for name in LENGTHS})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("size", [0.001, 0.01, 100.0])
+def test_a_gough_platform_finds_its_legs(size: float) -> None:
+    """Each leg is the vector between its joints, anywhere within 1.5 m and turned by up to half a turn about each axis:
+    there is always one, as slides have no ends here."""
+    robot, rng = gough(size), np.random.default_rng(3)
+    x = np.repeat(np.eye(4)[None], 60, axis=0)
+    x[:, :3, 3] = rng.uniform(-1.5, 1.5, (60, 3)) * size
+    x[:, :3, :3] = Rotation.from_rotvec(rng.uniform(-2.6, 2.6, (60, 3))).as_matrix()
+    assert found(CompiledDynamics(robot), x).all()
+
+
+@pytest.mark.parametrize("size", [0.01, 100.0])
+def test_noise_of_a_start_counts_in_lengths_of_the_machine(size: float) -> None:
+    """A hundredth of a margin of 0.1 is noise for every size, and a tenth of the machine is none."""
+    robot, random = gough(size), np.random.default_rng(5)
+    backends = CompiledDynamics(robot), rp.RneaDynamics(robot)
+    x, zero, unit = follower(robot).home.x, np.zeros(6), velocity_unit(robot)
+    for noise, status in ((1e-4, SampleStatus.OK), (0.3, SampleStatus.BRANCH_LOST)):
+        for _ in range(5):
+            start = pin.integrate(robot.model, robot.q_reference, noise * random.normal(size=len(unit)) * unit)
+            assert [one.torque(x, zero, zero, start=start).status for one in backends] == [status, status]

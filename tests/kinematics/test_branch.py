@@ -26,51 +26,41 @@ from redundancy_pin.kinematics.branch import (
     follows,
     known_state,
 )
-from redundancy_pin.kinematics.coordinates import moved
+from redundancy_pin.kinematics.coordinates import moved, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.margins import closed_around
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Payload, Robot
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.status import SampleStatus
 
 
-def test_a_pose_nearby_is_the_one_that_assembly_closes(shipped: Robot) -> None:
-    system, own = zoo.system_of(shipped), follower(shipped)
-    increment = np.random.default_rng(5).uniform(-0.02, 0.02, shipped.n) * shipped.characteristic_length
-    x = moved(shipped, own.home.x, increment)
-    reached = own.advance(own.home, x)
-    assert isinstance(reached, ClosedState)
-    guess = integrate(shipped.model, own.home.q[None], (own.home.gamma @ increment)[None])
-    expected = assemble(system, guess, x[None])
-    np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(reached.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
-    assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
-
-
-@pytest.mark.parametrize("name", ["hinge", "cylindrical", "universal"])
-def test_axes_that_coincide_are_followed_and_not_turned_over(name: str) -> None:
-    """Along a turn by hundredths: each pose is the one that assembly closes."""
-    robot = spatial_chains.chain_of(name)
-    system, own = zoo.system_of(robot), follower(robot)
+@pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
+def test_a_pose_nearby_is_the_one_that_assembly_closes(name: str) -> None:
+    """Three steps on, also where axes of a closure coincide: nothing is turned over."""
+    robot = spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name)
+    system, own, rng = zoo.system_of(robot), follower(robot), np.random.default_rng(5)
     here = own.home
     for _ in range(3):
-        x = here.x + 0.02
+        increment = rng.uniform(-0.02, 0.02, robot.n) * robot.characteristic_length
+        x = moved(robot, here.x, increment)
         reached = own.advance(here, x)
         assert isinstance(reached, ClosedState)
-        expected = assemble(system, integrate(robot.model, here.q[None], (here.gamma @ (x - here.x))[None]), x[None])
+        guess = integrate(robot.model, here.q[None], (here.gamma @ increment)[None])
+        expected = assemble(system, guess, x[None])
         np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(reached.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(reached.W, expected.gamma[0][robot.actuated_velocity].T, rtol=0.0, atol=1e-10)
+        assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
         here = reached
 
 
 @pytest.mark.parametrize("independent", [{"joints": ["a", "b"]}, {"platform": "tip", "axes": ["x", "y"]}])
 def test_a_chain_without_closures_is_followed(independent: dict[str, Any]) -> None:
     """Two links in a plane, whose tip is where trigonometry puts it."""
-    model, joint, apart = pin.Model(), 0, pin.SE3.Identity()
-    for name in ("a", "b"):
-        joint = model.addJoint(joint, pin.JointModelRZ(), apart, name)
-        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
-        apart = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
-    model.addBodyFrame("tip", joint, pin.SE3(np.eye(3), np.array([0.8, 0.0, 0.0])), 0)
+    model = pin.Model()
+    for parent, name in enumerate("ab"):
+        zoo.add_body(model, parent, pin.JointModelRZ(), float(parent), 0.0, name)
+    model.addBodyFrame("tip", 2, pin.SE3(np.eye(3), np.array([0.8, 0.0, 0.0])), 0)
     reference = {"guess": {"a": 0.3, "b": 0.5}, **({} if "joints" in independent else {"platform": [1.5, 0.9]})}
     robot = Robot.from_model(model, actuated=["a", "b"], independent=independent, reference=reference)
     own = follower(robot)
@@ -143,6 +133,27 @@ def test_coordinates_and_rates_of_another_shape_are_refused() -> None:
         own.rates(home, along(0.0, 0.0), along(np.nan, 0.0))
 
 
+@pytest.mark.parametrize("names", [("five_bar", "delta"), ("five_bar", "four_bar"), ("3rrr", "delta")])
+def test_a_state_of_another_robot_is_refused_by_names(names: tuple[str, str]) -> None:
+    own, other = (follower(zoo.robot_of(name)) for name in names)
+    for go_on in (own.advance, own.follow, own.step):
+        with pytest.raises(InputError, match=f"{other.robot.name}.*{own.robot.name}"):
+            go_on(other.home, own.home.x)
+    motion = rp.PlatformMotion([0.0], own.home.x[None], *np.zeros((2, 1, own.robot.n)))
+    with pytest.raises(InputError, match=f"{other.robot.name}.*{own.robot.name}"):
+        inverse_kinematics(own.robot, motion, start=other.home, mark_unreachable=True)
+
+
+def test_a_state_of_the_same_robot_with_other_motors_is_refused() -> None:
+    """The same tree and loops, but other independent coordinates."""
+    robot = zoo.robot_of("five_bar")
+    driven = follower(with_independent_joints(robot, robot.actuated))
+    with pytest.raises(InputError, match="no closed state"):
+        driven.advance(follower(robot).home, driven.home.x)
+    loaded = follower(robot.loaded(Payload(robot.platform.frame if robot.platform else "", 1.0)))
+    assert isinstance(loaded.advance(follower(robot).home, loaded.home.x + 0.01), ClosedState)
+
+
 def test_a_state_keeps_no_array_that_others_change() -> None:
     own = follower(zoo.robot_of("five_bar"))
     x = np.array(own.home.x) + 0.01
@@ -179,13 +190,6 @@ def test_where_the_closures_lose_rank_and_no_branch_goes_on_it_is_said(
     assert end.status is SampleStatus.TYPE_I
     assert end.rank_lost
     assert not end.is_final
-
-
-def test_the_actuation_matrix_of_a_state_is_that_of_inverse_kinematics(shipped: Robot) -> None:
-    state = follower(shipped).home
-    still = np.zeros((1, shipped.n))
-    W = inverse_kinematics(shipped, rp.PlatformMotion([0.0], state.x[None], still, still)).W[0]
-    np.testing.assert_allclose(state.W, W, atol=1e-12)
 
 
 @pytest.mark.parametrize("beside", [0.0, 1e-6, -1e-6])
@@ -245,13 +249,13 @@ def test_a_step_across_a_rank_loss_stays_on_the_smooth_branch(length: float, sid
 
 
 def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None:
-    """Those along the branch by 0.4 rad or characteristic lengths of the joint that moves farthest, before closing."""
+    """No joint is displaced by more than 0.35 rad or characteristic lengths before closing, which moves it again."""
     reference, q = np.array(shipped.q_reference), closed_around(zoo.system_of(shipped)).q
     unit = velocity_unit(shipped)
     far = np.array([np.abs(pin.difference(shipped.model, reference, one) / unit).max() for one in q])
     assert far[0] < 1e-9
     along = far[1 + len(far) // 2 :]
-    assert 0.3 < along.min() <= along.max() < 0.5
+    assert 0.01 < along.min() <= along.max() < 0.5
 
 
 def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
@@ -263,22 +267,12 @@ def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
     assert follows(system, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
 
 
-def test_behind_a_gap_the_motion_is_reacquired_in_the_mode() -> None:
-    robot = zoo.robot_of("five_bar")
-    heights = np.linspace(1.5, 0.5, 101)
-    x = np.stack([np.full(len(heights), 0.25), heights], axis=1)
-    still = np.zeros_like(x)
-    motion = rp.PlatformMotion(np.arange(101.0), x, still, still, check_rates=False)
-    tree = inverse_kinematics(robot, motion, mark_unreachable=True)
-    np.testing.assert_array_equal(tree.reachable, heights < np.sqrt(1 - 0.25**2))
-
-
 @pytest.mark.parametrize("excess", [1e-6, 1e-7, 1e-8, 1e-9])
-@pytest.mark.parametrize("count", [2, 4, 7, 13, 40])
+@pytest.mark.parametrize("count", [2, 7, 40])
 def test_no_branch_is_changed_where_two_nearly_touch(excess: float, count: int, tmp_path: Path) -> None:
     """The coupler stays on its side of a four-bar that misses its flat pose by a little: followed, or given up."""
     robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25 + excess), (1.0, 1.9, 1.5))
-    own, coupler = follower(robot), robot.model.joints[robot.model.getJointId("coupler")].idx_q
+    own, coupler = follower(robot), zoo.index(robot, "coupler")
     here = own.advance(own.home, np.array([np.pi - 0.02]))
     assert isinstance(here, ClosedState)
     side = np.sign(np.sin(here.q[coupler]))

@@ -15,7 +15,7 @@ from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.dynamics.rnea import RneaDynamics
-from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import SingularPoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.branch import ClosedState, Follower, follower
 from redundancy_pin.kinematics.closure import constraint_system
@@ -49,7 +49,9 @@ SAMPLES = {
     "coarse": np.linspace(-1.0, 1.0, 10) + 0.033,
     "dense": np.linspace(-2e-2, 2e-2, 401),
     "from the pose on": np.linspace(0.0, 1.0, 51),
-    "at the pose alone": np.zeros(1),
+    "at the pose alone": np.zeros(2),
+    "to the pose from afar": np.array([-2.0, 0.0]),
+    "to the pose from the other side": np.array([0.3 - np.pi, 0.0]),
 }
 RATE_OF_CRANK, SECOND_RATE = 2.0, 0.7
 
@@ -70,7 +72,11 @@ def turning(crank: np.ndarray) -> PlatformMotion:
 @pytest.mark.parametrize(
     ("linkage", "samples"),
     [  # every linkage, and every kind of samples, once in make test
-        pytest.param(linkage, samples, marks=() if linkage == "parallelogram" or i == k else pytest.mark.long)
+        pytest.param(
+            linkage,
+            samples,
+            marks=() if linkage == "parallelogram" or i == k or (i, k) in ((0, 8), (0, 9)) else pytest.mark.long,
+        )
         for i, linkage in enumerate(LINKAGES)
         for k, samples in enumerate(SAMPLES)
     ],
@@ -94,31 +100,8 @@ def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
     assert np.abs(tree.v[:, rocker] - rate).max() < RATE
     assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
     np.testing.assert_allclose(tree.v, np.einsum("nvi,ni->nv", tree.gamma, motion.xd), atol=RATE)
-
-
-@pytest.mark.parametrize("linkage", LINKAGES)
-@pytest.mark.parametrize("samples", ["one at the pose", "one a little further", "dense"])
-def test_positions_alone_are_on_the_branch_too(linkage: str, samples: str, tmp_path: Path) -> None:
-    lengths, guess = LINKAGES[linkage]
-    robot = folding_four_bar(tmp_path, lengths, guess)
-    motion = turning(np.pi + SAMPLES[samples])
-    tree = inverse_kinematics(robot, motion, positions_only=True)
-    angle, *_ = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
-    assert np.abs(np.sin((tree.q[:, joint(robot, "rocker")] - angle) / 2.0)).max() < POSITION
-
-
-@pytest.mark.parametrize("start", [np.pi - 2.0, np.pi - 1.0, 0.3])
-def test_the_pose_itself_is_reached_in_one_step_from_afar(start: float, tmp_path: Path) -> None:
-    lengths, guess = LINKAGES["folding"]
-    robot = folding_four_bar(tmp_path, lengths, guess)
-    tree = inverse_kinematics(robot, turning(np.array([start, np.pi])))
-    angle, rate, second = rocker_motion(
-        robot, lengths, tree.motion.x[:, 0], tree.motion.xd[:, 0], tree.motion.xdd[:, 0]
-    )
-    rocker = joint(robot, "rocker")
-    assert np.abs(np.sin((tree.q[:, rocker] - angle) / 2.0)).max() < POSITION
-    assert np.abs(tree.v[:, rocker] - rate).max() < RATE
-    assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
+    alone = inverse_kinematics(robot, motion, mark_unreachable=mark, positions_only=True)
+    assert np.abs(np.sin((alone.q[:, rocker] - angle) / 2.0)).max() < POSITION
 
 
 def test_a_thousand_turns_to_a_flat_pose_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,7 +122,7 @@ def test_a_thousand_turns_to_a_flat_pose_are_one(tmp_path: Path, monkeypatch: py
 
 def test_two_turns_of_a_parallelogram_leave_its_sides_parallel(tmp_path: Path) -> None:
     robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
-    motion = turning(np.linspace(1.0, 1.0 + 4.0 * np.pi, 3001))
+    motion = turning(np.linspace(1.0, 1.0 + 4.0 * np.pi, 601))
     tree = inverse_kinematics(robot, motion)
     crank, rocker = joint(robot, "crank"), joint(robot, "rocker")
     assert np.abs(np.sin((tree.q[:, rocker] - tree.q[:, crank]) / 2.0)).max() < POSITION
@@ -169,25 +152,6 @@ def test_branches_that_all_but_touch_are_not_taken_for_one_another(samples: int,
     assert np.abs(error).max() < 1e-15 / np.sqrt(excess) * 10.0 + 1e-12
 
 
-def test_the_branch_may_lead_into_another_working_mode(tmp_path: Path) -> None:
-    """Behind the flat pose the smooth branch has the coupler on its other side; the mode of before has a kink there."""
-    robot = folding_four_bar(tmp_path, *LINKAGES["folding"], modes=True)
-    tree = inverse_kinematics(robot, turning(np.pi + SAMPLES["coarse"]))
-    side = np.sign(mode_indicator(robot, tree.q)[:, 0])
-    assert (side == np.where(tree.motion.x[:, 0] < np.pi, side[0], -side[0])).all()
-
-
-def test_a_linkage_that_ends_flat_is_refused_there(tmp_path: Path) -> None:
-    """A stretched leg is no crossing of branches: the crank stops, and rates are infinite."""
-    lengths = (0.4, 0.3, 0.2, 0.25)
-    robot = folding_four_bar(tmp_path, lengths, (1.0, 2.0, 1.5))
-    limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
-    with pytest.raises((SingularPoseError, UnreachablePoseError)):
-        inverse_kinematics(robot, turning(np.linspace(1.0, limit, 51)))
-    with pytest.raises(UnreachablePoseError):
-        inverse_kinematics(robot, turning(np.linspace(1.0, limit + 0.1, 51)))
-
-
 def test_efforts_are_continuous_through_the_flat_pose(tmp_path: Path) -> None:
     """The power of the crank is the rate of the energy, at the pose and beside it."""
     robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
@@ -212,24 +176,12 @@ def test_reactions_are_not_made_up_where_the_closures_determine_none(tmp_path: P
     """Flat, the linkage can be prestressed: closure forces are undetermined, and least squares would hide it."""
     robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
     along = RneaDynamics(robot).along(turning(np.pi + np.linspace(-0.5, 0.5, 5)))
+    assert classify_motion(along.tree, tolerance=1e-7).type_i.tolist() == [False, False, True, False, False]
     reactions = joint_reactions(along, distribute(along.reduce()).tau)
     assert np.isnan(reactions.closure_force).any(axis=1).tolist() == [False, False, True, False, False]
     assert np.isnan(reactions.joint_wrench).any(axis=(1, 2)).tolist() == [False, False, True, False, False]
     # the tangent of the other branch is a virtual motion too there, and nothing balances the forces along it
     assert (reactions.residual < 1e-9).tolist() == [True, True, False, True, True]
-
-
-def test_the_flat_pose_is_classified_as_the_rank_loss_it_is(tmp_path: Path) -> None:
-    robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
-    tree = inverse_kinematics(robot, turning(np.pi + np.linspace(-0.5, 0.5, 5)))
-    assert classify_motion(tree, tolerance=1e-7).type_i.tolist() == [False, False, True, False, False]
-
-
-def test_a_motion_that_stays_on_the_pose_has_the_rates_of_its_branch(tmp_path: Path) -> None:
-    robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
-    tree = inverse_kinematics(robot, turning(np.full(4, np.pi)))
-    assert np.abs(tree.v[:, joint(robot, "rocker")] - RATE_OF_CRANK).max() < RATE
-    assert np.abs(tree.a[:, joint(robot, "rocker")] - SECOND_RATE).max() < ACCELERATION
 
 
 def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
@@ -356,16 +308,6 @@ def test_a_loop_that_rests_at_or_beside_its_flat_pose_while_another_goes_through
         np.testing.assert_allclose(tree.a[:, at], sign * xdd[:, column], atol=1e-5)
 
 
-def test_rates_that_are_rounding_beside_a_rank_loss_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where no line of nodes is good enough, Newton's method closes all the same; its accelerations are off by 1."""
-    monkeypatch.setattr(Follower, "pass_through", lambda *_: None)
-    robot, rate = row_of_four_bars(1), np.array([[-1.0], [-1.0]])
-    motion = PlatformMotion(np.array([0.0, 1.0]), np.array([[1.0], [1e-5]]), rate, 0.0 * rate, check_rates=False)
-    with pytest.raises(SingularPoseError, match=r"sample 1 \(t = 1 s, x = \[1e-05\]\) the closures lose rank"):
-        inverse_kinematics(robot, motion)
-    assert inverse_kinematics(robot, motion, positions_only=True).q[1, 1] == pytest.approx(-1e-5, abs=1e-10)
-
-
 @pytest.mark.parametrize("length", [2.0**-6, 1.0, 2.0**6])
 @pytest.mark.parametrize(("rate", "second", "nearest"), [(0.0, 0.0, 1e-5), (1e-9, 1.0, 1e-5), (-1.0, 0.0, 1e-3)])
 def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
@@ -383,8 +325,12 @@ def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
         if taken:
             assert inverse_kinematics(robot, motion).q[1, 1] == pytest.approx(-beside, abs=1e-9)
         else:
-            with pytest.raises(SingularPoseError, match="the closures lose rank"):
+            with pytest.raises(SingularPoseError, match=r"sample 1 \(t = 1 s, x = .* the closures lose rank"):
                 inverse_kinematics(robot, motion)
+            # where no line of nodes is good enough, Newton's method closes all the same
+            if beside >= 1e-5:
+                q = inverse_kinematics(robot, motion, positions_only=True).q
+                assert q[1, 1] == pytest.approx(-beside, abs=1e-9)
 
 
 def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:

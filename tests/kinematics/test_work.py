@@ -110,10 +110,10 @@ def test_searches_take_a_few_dozen_starts(counted: Callable[..., int]) -> None:
     robot = zoo.robot_of("3rrr", carriers=False)
     system = zoo.system_of(robot)
     far = zoo.home_of(robot) + np.array([0.1, 0.05, 0.2])
-    at_most(counted(lambda: multistart(system, -np.array(robot.q_reference), far)), 300)
+    at_most(counted(lambda: multistart(system, -np.array(robot.q_reference), far)), 202)
 
 
-CLOSING = {"universal": 111, "hinge": 97, "cylindrical": 85, "continuous": 56}
+CLOSING = {"universal": 115, "hinge": 106, "cylindrical": 86, "continuous": 65}
 
 
 @pytest.mark.parametrize("name", CLOSING)
@@ -125,7 +125,8 @@ def test_loops_are_closed_from_afar_in_few_steps(name: str, counted: Callable[..
     starts = [pin.integrate(robot.model, np.array(robot.q_reference), off) for off in offs]
     at_most(counted(lambda: closed.extend(close(system, start) for start in starts)), CLOSING[name])
     assert all(gap < closure_tolerance(robot) for _, gap in closed)
-    assert system.misalignment(system.evaluate(np.array([q for q, _ in closed]))).max() < 1e-9
+    # an arccosine near 1 knows an angle to the root of the rounding, 1.5e-8
+    assert system.misalignment(system.evaluate(np.array([q for q, _ in closed]))).max() < 1e-7
 
 
 def test_loops_too_far_apart_to_close_are_given_up_in_a_few_dozen_steps(counted: Callable[..., int]) -> None:

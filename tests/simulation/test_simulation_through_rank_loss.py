@@ -222,7 +222,7 @@ def test_a_start_at_the_flat_pose_that_does_not_say_where_to_is_refused_with_the
         rp.simulate(robot, start=flat([0.0, 0.0, 0.0]), duration=0.1)
     with pytest.raises(SingularPoseError, match="rank"):  # J_c v = 0, but along neither motion
         rp.simulate(robot, start=flat([-1.0, 2.0, 0.0]), duration=0.1)
-    with pytest.raises(SingularPoseError, match=r"is 0\.00[12] from that of the nearest smooth motion"):
+    with pytest.raises(SingularPoseError, match=r"is 0\.00[12] 1/s from that of the nearest smooth motion"):
         rp.simulate(robot, start=flat([-1.0, 1.001, -0.999]), duration=0.1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,7 +74,7 @@ def test_at_a_type_ii_pose_speed_is_endless_and_one_force_is_none() -> None:
     q = np.array(robot.q_reference)
     turn = 2 * np.pi / 3  # the distal links in line
     for joint, angle in {"base_1": turn, "elbow_1": -turn, "base_2": np.pi / 3, "elbow_2": turn}.items():
-        q[robot.model.joints[robot.model.getJointId(joint)].idx_q] = angle
+        q[zoo.index(robot, joint)] = angle
     performance = rp.performance(robot, q)
     assert np.isinf(performance.velocity.axes[0, 0])
     assert np.isfinite(performance.velocity.axes[0, 1])
@@ -96,7 +97,7 @@ def test_stiffness_is_the_second_derivative_of_the_springs_energy(springs: str) 
     q = np.array(robot.q_reference)
     names = robot.actuated if springs == "motors" else (*robot.actuated, "elbow_2", "wrist_1")
     k = dict(zip(names, [100.0, 150.0, 80.0, 40.0, 25.0], strict=False))
-    columns = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in k]
+    columns = [zoo.index(robot, name) for name in k]
     h = 1e-3
     signs, unit = ((1, 1), (1, -1), (-1, 1), (-1, -1)), np.eye(3)
     pairs = [h * (a * unit[i] + b * unit[j]) for i in range(3) for j in range(3) for a, b in signs]
@@ -123,10 +124,7 @@ def test_play_is_attained_at_a_corner_of_the_box_and_never_passed() -> None:
 
 def test_play_of_redundant_motors_is_what_all_of_them_allow() -> None:
     own = zoo.robot_of("2rpr")
-    robot = rp.Robot.from_model(
-        own.model, closures=own.closures, actuated=["slide_1", "slide_2", "swivel_1"], carriers=own.carriers,
-        independent=own.platform, reference=np.array(own.q_reference),
-    )  # fmt: skip
+    robot = zoo.driven_by(own, "slide_1", "slide_2", "swivel_1")
     q, off = zoo.random_closed(own, 1, 4), np.array([1e-3, 2e-3, 3e-3])
     play = rp.platform_play(robot, q, off)
     for W, largest in zip(rp.performance(robot, q).W, play, strict=True):
@@ -141,9 +139,8 @@ def test_play_of_redundant_motors_is_what_all_of_them_allow() -> None:
     assert (play <= rp.platform_play(own, q, off[:2]) + 1e-12).all()
 
 
-def test_refusals() -> None:
-    robot = zoo.robot_of("2rpr")
-    q = robot.q_reference
+def test_numbers_of_no_sense_are_refused(poses: tuple[rp.Robot, Array, Array]) -> None:
+    robot, _, q = poses
     for wrong, message in (
         (lambda: rp.performance(robot, q, rates=-1.0), "rates is"),
         (lambda: rp.platform_play(robot, q, [-1e-3, 0.0]), "play is"),
@@ -152,8 +149,16 @@ def test_refusals() -> None:
     ):
         with pytest.raises(InputError, match=message):
             wrong()
-    from dataclasses import replace
-
+    for given in ([], [1.0, 2.0, 3.0], [[1, 2], [3]], 10**400, "x", np.nan):
+        for question in (
+            lambda given=given: rp.platform_stiffness(robot, q, given),
+            lambda given=given: rp.platform_stiffness(robot, q, {robot.actuated[0]: given}),
+            lambda given=given: rp.platform_play(robot, q, given),
+            lambda given=given: rp.performance(robot, q, rates=given),
+            lambda given=given: rp.performance(robot, given),
+        ):
+            with pytest.raises(InputError):
+                question()
     weak = replace(robot, actuated=robot.actuated[:1], actuated_velocity=robot.actuated_velocity[:1])
     with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 DOF"):
         rp.performance(weak, q)
@@ -175,17 +180,3 @@ def test_figure_has_an_ellipse_a_pose_in_each_panel(name: str) -> None:
         assert abs(length.max() / length.min() - performance.force.condition[-1]) < 1e-9
     with pytest.raises(InputError, match="A performance was expected"):
         rp.plot.ellipsoids(5)
-
-
-@pytest.mark.parametrize("given", [[], [1.0, 2.0, 3.0], [[1, 2], [3]], 10**400, "x", np.nan], ids=range(6))
-def test_numbers_of_no_sense_are_refused(poses: tuple[rp.Robot, Array, Array], given: object) -> None:
-    robot, _, q = poses
-    for question in (
-        lambda: rp.platform_stiffness(robot, q, given),
-        lambda: rp.platform_stiffness(robot, q, {robot.actuated[0]: given}),
-        lambda: rp.platform_play(robot, q, given),
-        lambda: rp.performance(robot, q, rates=given),
-        lambda: rp.performance(robot, given),
-    ):
-        with pytest.raises(InputError):
-            question()

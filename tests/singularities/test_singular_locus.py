@@ -166,7 +166,7 @@ def test_five_bar_is_type_ii_where_its_distal_links_are_in_line() -> None:
     locus = locus_of("five_bar")
     x, q = points_of(locus, SingularityKind.TYPE_II)
     robot = locus.robot
-    base = [q[:, robot.model.joints[robot.model.getJointId(f"base_{leg}")].idx_q] for leg in (1, 2)]
+    base = [q[:, zoo.index(robot, f"base_{leg}")] for leg in (1, 2)]
     elbows = [
         np.stack([0.5 * np.cos(a) + shift, 0.5 * np.sin(a)], axis=1) for a, shift in zip(base, (0.0, 0.5), strict=True)
     ]
@@ -199,6 +199,33 @@ def test_locked_actuators_let_the_platform_move_along_the_uncontrolled_twist(mod
     assert np.median(turned(across, 2e-4) / turned(across, 1e-4)) == pytest.approx(2.0, abs=0.01)
 
 
+def test_bounds_orientation_and_reachable_nodes_are_those_of_the_closed_form() -> None:
+    robot = zoo.robot_of("3rrr")
+    locus = singular_locus(robot, bounds=[(0.5, 1.2), (0.2, 0.8)], orientation=0.1, resolution=21)
+    assert [(axis[0], axis[-1]) for axis in locus.axes] == [(0.5, 1.2), (0.2, 0.8)]
+    assert locus.fixed == {"rz": 0.1}
+    assert locus.reference[2] == 0.1
+    locus = locus_of("3rrr")
+    nodes = np.zeros((locus.margin.size, 3))
+    nodes[:, :2] = np.stack(np.meshgrid(*locus.axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    np.testing.assert_array_equal(locus.reachable.ravel(), legs_of(locus.robot, nodes).reachable.all(axis=0))
+    for array in (locus.margin, locus.serial_margin, locus.points, locus.axes[0], locus.curves[0].points):
+        assert not array.flags.writeable
+
+
+def test_what_cannot_be_drawn_is_refused() -> None:
+    with pytest.raises(UnsupportedRobotError, match="gough"):
+        singular_locus(zoo.robot_of("gough"))
+    for name, given in (
+        ("orientation", {"orientation": 0.2}),
+        ("resolution", {"resolution": 2}),
+        ("bounds", {"bounds": [(1.0, 0.0), (0.0, 1.0)]}),
+        ("bounds", {"bounds": [(0.0, 1.0)]}),
+    ):
+        with pytest.raises(InputError, match=name):
+            singular_locus(zoo.robot_of("2rpr"), **given)
+
+
 def test_four_bar_lists_the_crank_angles_at_which_coupler_and_rocker_are_in_line() -> None:
     robot = zoo.robot_of("four_bar", ground_length=0.4, crank_length=0.3, coupler_length=0.35, rocker_length=0.2)
     locus = singular_locus(robot, resolution=GRID)
@@ -215,38 +242,3 @@ def test_a_crank_that_turns_fully_has_no_singularity() -> None:
     assert locus.curves == ()
     assert locus.points.shape == (0, 1)
     assert locus.reachable.all()
-
-
-def test_reachable_nodes_are_those_of_the_closed_form() -> None:
-    locus = locus_of("3rrr")
-    nodes = np.zeros((locus.margin.size, 3))
-    nodes[:, :2] = np.stack(np.meshgrid(*locus.axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    np.testing.assert_array_equal(locus.reachable.ravel(), legs_of(locus.robot, nodes).reachable.all(axis=0))
-
-
-def test_bounds_and_orientation_are_taken() -> None:
-    robot = zoo.robot_of("3rrr")
-    locus = singular_locus(robot, bounds=[(0.5, 1.2), (0.2, 0.8)], orientation=0.1, resolution=21)
-    assert [(axis[0], axis[-1]) for axis in locus.axes] == [(0.5, 1.2), (0.2, 0.8)]
-    assert locus.fixed == {"rz": 0.1}
-    assert locus.reference[2] == 0.1
-
-
-def test_what_cannot_be_drawn_is_refused() -> None:
-    with pytest.raises(UnsupportedRobotError, match="gough"):
-        singular_locus(zoo.robot_of("gough"))
-    with pytest.raises(InputError, match="orientation"):
-        singular_locus(zoo.robot_of("2rpr"), orientation=0.2)
-    with pytest.raises(InputError, match="resolution"):
-        singular_locus(zoo.robot_of("2rpr"), resolution=2)
-    with pytest.raises(InputError, match="bounds"):
-        singular_locus(zoo.robot_of("2rpr"), bounds=[(1.0, 0.0), (0.0, 1.0)])
-    with pytest.raises(InputError, match="bounds"):
-        singular_locus(zoo.robot_of("2rpr"), bounds=[(0.0, 1.0)])
-
-
-def test_results_are_read_only() -> None:
-    locus = locus_of("2rpr")
-    for array in (locus.margin, locus.serial_margin, locus.points, locus.axes[0], locus.curves[0].points):
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 0.0

@@ -8,7 +8,6 @@ import zoo
 from hypothesis import given
 from hypothesis import strategies as st
 
-import redundancy_pin as rp
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import InputError
@@ -31,8 +30,8 @@ def two_rpr_at(points: Array) -> Array:
     q = np.zeros((len(points), robot.model.nq))
     for leg, base in enumerate(BASE, start=1):
         span = points - base
-        q[:, index(robot, f"swivel_{leg}")] = np.arctan2(span[:, 1], span[:, 0])
-        q[:, index(robot, f"slide_{leg}")] = np.hypot(span[:, 0], span[:, 1])
+        q[:, zoo.index(robot, f"swivel_{leg}")] = np.arctan2(span[:, 1], span[:, 0])
+        q[:, zoo.index(robot, f"slide_{leg}")] = np.hypot(span[:, 0], span[:, 1])
     return q
 
 
@@ -41,14 +40,10 @@ def three_rrr_from(x: Array, theta: Array, beta: Array) -> Array:
     robot = zoo.robot_of("3rrr")
     q = np.zeros((len(x), robot.model.nq))
     for leg in range(3):
-        q[:, index(robot, f"base_{leg + 1}")] = theta[leg]
-        q[:, index(robot, f"elbow_{leg + 1}")] = beta[leg] - theta[leg]
-    q[:, index(robot, "wrist_1")] = x[:, 2] - beta[0]
+        q[:, zoo.index(robot, f"base_{leg + 1}")] = theta[leg]
+        q[:, zoo.index(robot, f"elbow_{leg + 1}")] = beta[leg] - theta[leg]
+    q[:, zoo.index(robot, "wrist_1")] = x[:, 2] - beta[0]
     return q
-
-
-def index(robot, joint: str) -> int:
-    return robot.model.joints[robot.model.getJointId(joint)].idx_q
 
 
 @given(st.floats(-1.0, 1.5), st.floats(0.01, 1.0), st.sampled_from([-1, 1]))
@@ -127,10 +122,10 @@ def test_four_bar_at_the_end_of_its_crank_is_combined() -> None:
     tip = 0.3 * np.array([np.cos(crank), np.sin(crank)])
     rocker = np.arctan2(tip[1], tip[0] - 0.4)
     q = np.zeros(3)
-    q[index(robot, "crank")], q[index(robot, "rocker")] = crank, rocker
+    q[zoo.index(robot, "crank")], q[zoo.index(robot, "rocker")] = crank, rocker
     coupler = [angle for angle in (0.0, np.pi) if closes(robot, q, angle)]
     assert len(coupler) == 1
-    q[index(robot, "coupler")] = coupler[0]
+    q[zoo.index(robot, "coupler")] = coupler[0]
     classes = classify(robot, q)
     assert classes.kind[0] == SingularityKind.COMBINED
     assert classes.passive_motion[0]
@@ -140,43 +135,29 @@ def test_four_bar_at_the_end_of_its_crank_is_combined() -> None:
 
 def closes(robot, q: Array, coupler: float) -> bool:
     trial = q.copy()
-    trial[index(robot, "coupler")] = coupler
+    trial[zoo.index(robot, "coupler")] = coupler
     return bool(np.abs(zoo.system_of(robot).evaluate(trial[None]).phi).max() < 1e-9)
 
 
-def test_margins_agree_with_the_lift_and_are_lower_bounds_of_distance(shipped) -> None:
+def test_margins_and_directions_along_a_regular_motion(shipped) -> None:
+    """The parallel margin is that of W, and |D_a Wᵀ ẋ| of the least controlled unit twist, which makes it the least."""
     motion = zoo.smooth_motion(shipped, seed=3).at(np.linspace(0.0, 1.0, 30))
     tree = inverse_kinematics(shipped, motion)
     classes = classify_motion(tree)
     assert (classes.kind == SingularityKind.REGULAR).all()
-    np.testing.assert_allclose(
-        classes.parallel_margin,
-        spectrum_of(scaled(tree.W, row_scale(shipped), column_scale(shipped))).margin,
-        rtol=1e-9,
-    )
+    units = row_scale(shipped), column_scale(shipped)
+    np.testing.assert_allclose(classes.parallel_margin, spectrum_of(scaled(tree.W, *units)).margin, rtol=1e-9)
+    rates = np.einsum("nij,ni->nj", tree.W, classes.least_controlled) * units[1]
+    np.testing.assert_allclose(np.linalg.norm(rates, axis=1), classes.parallel_margin, rtol=1e-9)
     # the inverse kinematics's bound is within a factor √p of the serial margin
     p = shipped.model.nv - shipped.k
     assert (tree.serial_margin_bound <= classes.serial_margin * (1 + 1e-9)).all()
     assert (tree.serial_margin_bound * np.sqrt(p) >= classes.serial_margin * (1 - 1e-9)).all()
     assert (classes.locked_margin > 0.0).all()
-
-
-def test_directions_are_unit_vectors_of_the_scaled_metric(shipped) -> None:
-    classes = classify(shipped, zoo.random_closed(shipped, seed=5, count=20))
-    for twist in (classes.least_controlled, classes.least_producible):
-        np.testing.assert_allclose(np.linalg.norm(twist * row_scale(shipped), axis=1), 1.0, rtol=ROUNDING)
-        scaled = twist * row_scale(shipped)
-        largest = np.take_along_axis(scaled, np.abs(scaled).argmax(axis=1)[:, None], axis=1)
+    for twist in (classes.least_controlled * units[0], classes.least_producible * units[0]):
+        np.testing.assert_allclose(np.linalg.norm(twist, axis=1), 1.0, rtol=ROUNDING)
+        largest = np.take_along_axis(twist, np.abs(twist).argmax(axis=1)[:, None], axis=1)
         assert (largest > -1e-6).all()
-
-
-def test_least_controlled_twist_moves_the_actuators_by_the_margin(shipped) -> None:
-    """|D_a Wᵀ ẋ| of the least controlled unit twist is the margin: what makes it the least controlled."""
-    motion = zoo.smooth_motion(shipped, seed=4).at(np.linspace(0.0, 1.0, 20))
-    tree = inverse_kinematics(shipped, motion)
-    classes = classify_motion(tree)
-    rates = np.einsum("nij,ni->nj", tree.W, classes.least_controlled) * column_scale(shipped)
-    np.testing.assert_allclose(np.linalg.norm(rates, axis=1), classes.parallel_margin, rtol=1e-9)
 
 
 def test_unreachable_samples_are_marked() -> None:
@@ -191,7 +172,7 @@ def test_unreachable_samples_are_marked() -> None:
 
 
 def test_one_actuator_too_few_is_no_singularity() -> None:
-    robot = actuated_at("2rpr", "slide_1")
+    robot = zoo.driven_by(zoo.robot_of("2rpr"), "slide_1")
     classes = classify(robot, two_rpr_at(np.array([[0.25, 0.3], [0.2, 0.0]])))
     assert (classes.kind == SingularityKind.REGULAR).all()
     np.testing.assert_allclose(classes.parallel_margin, 1.0, rtol=ROUNDING)  # W is the unit vector of leg 1
@@ -200,7 +181,7 @@ def test_one_actuator_too_few_is_no_singularity() -> None:
 
 
 def test_one_actuator_too_many_removes_the_singularity() -> None:
-    robot = actuated_at("2rpr", "slide_1", "slide_2", "swivel_1")
+    robot = zoo.driven_by(zoo.robot_of("2rpr"), "slide_1", "slide_2", "swivel_1")
     classes = classify(robot, two_rpr_at(np.array([[0.2, 0.0], [0.0, 0.0]])))
     # Wᵀ has the rows u1, u2 and n1/d1; on the base line u1 = −u2, and n1 L/d1 alone controls y
     assert classes.kind[0] == SingularityKind.REGULAR
@@ -210,25 +191,16 @@ def test_one_actuator_too_many_removes_the_singularity() -> None:
 
 def test_one_freedom_driven_where_its_motor_stands_still() -> None:
     # crank and coupler in line, 0.1 + 0.35 m: the rocker turns round, and W, its rate over the crank's, is rounding
-    robot = actuated_at("four_bar", "rocker")
+    robot = zoo.driven_by(zoo.robot_of("four_bar"), "rocker")
     theta = np.arccos((0.45**2 + 0.4**2 - 0.25**2) / (2.0 * 0.45 * 0.4))
     psi = np.arctan2(0.45 * np.sin(theta), 0.45 * np.cos(theta) - 0.4)
     q = np.zeros((1, robot.model.nq))
     for name, angle in {"crank": theta, "rocker": psi, "coupler": theta + np.pi - psi}.items():
-        q[0, index(robot, name)] = angle
+        q[0, zoo.index(robot, name)] = angle
     classes = classify(robot, q)
     assert classes.kind[0] == SingularityKind.TYPE_II
     assert classes.parallel_margin[0] == pytest.approx(0.0, abs=ROUNDING)
     assert np.isinf(classes.condition[0])
-
-
-def actuated_at(name: str, *joints: str) -> rp.Robot:
-    """Return a shipped robot with other main actuators."""
-    own = zoo.robot_of(name)
-    return rp.Robot.from_model(
-        own.model, closures=own.closures, actuated=joints, carriers=own.carriers,
-        independent=own.platform or {"joints": own.independent_joints}, reference=np.array(own.q_reference),
-    )  # fmt: skip
 
 
 def test_scaling_makes_the_condition_number_independent_of_the_unit_of_length() -> None:

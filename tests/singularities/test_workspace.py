@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +13,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.coordinates import in_working_mode
+from redundancy_pin.kinematics.coordinates import in_working_mode, with_independent_joints
 from redundancy_pin.singularities.grid import default_axes, slice_through, solve_grid
 from redundancy_pin.singularities.workspace import Workspace
 
@@ -76,19 +74,6 @@ def test_margins_are_those_of_the_legs_directions(five_bar: Workspace) -> None:
     assert np.array_equal(np.nan_to_num(five_bar.best), best)
 
 
-def test_the_default_grid_ends_beyond_the_workspace() -> None:
-    x, y = rp.workspace("five_bar", resolution=9).axes
-    tip = np.sqrt(1.0 - (BASE / 2.0) ** 2)  # 0.968: where the discs' borders meet
-    assert y[0] < -tip < tip < y[-1]
-    assert x[0] < -0.5 < 1.0 < x[-1]
-
-
-def add_joint(model: pin.Model, parent: int, joint: object, x: float, y: float, name: str) -> int:
-    index = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([x, y, 0.0])), name)
-    model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    return int(index)
-
-
 def add_legs(model: pin.Model, bases: Array, lengths: Array, far: Array, modes: Sequence[int]) -> dict[str, float]:
     """Add legs of two links, named crank_i and elbow_i with a frame tip_i, and return their angles.
 
@@ -100,8 +85,8 @@ def add_legs(model: pin.Model, bases: Array, lengths: Array, far: Array, modes: 
         bend = mode * np.arccos((to @ to - upper**2 - lower**2) / (2.0 * upper * lower))
         turned = np.arctan2(to[1], to[0]) - np.arctan2(lower * np.sin(bend), upper + lower * np.cos(bend))
         guess |= {f"crank_{leg}": float(np.angle(np.exp(1j * turned))), f"elbow_{leg}": float(bend)}
-        crank = add_joint(model, 0, pin.JointModelRZ(), *base, f"crank_{leg}")
-        elbow = add_joint(model, crank, pin.JointModelRZ(), upper, 0.0, f"elbow_{leg}")
+        crank = zoo.add_body(model, 0, pin.JointModelRZ(), *base, f"crank_{leg}")
+        elbow = zoo.add_body(model, crank, pin.JointModelRZ(), upper, 0.0, f"elbow_{leg}")
         model.addBodyFrame(f"tip_{leg}", elbow, pin.SE3(np.eye(3), np.array([lower, 0.0, 0.0])), 0)
     return guess
 
@@ -116,7 +101,7 @@ def test_the_default_grid_goes_on_where_a_horn_is_narrow() -> None:
     guess |= add_legs(model, bases, lengths, home + offsets, modes)
     hand = 0
     for name, joint in {"x": pin.JointModelPX(), "y": pin.JointModelPY(), "turn": pin.JointModelRZ()}.items():
-        hand = add_joint(model, hand, joint, 0.0, 0.0, name)
+        hand = zoo.add_body(model, hand, joint, 0.0, 0.0, name)
     for name, place in (("hand", [0.0, 0.0]), *((f"corner_{leg}", corners[leg]) for leg in range(3))):
         model.addBodyFrame(name, hand, pin.SE3(np.eye(3), np.array([*place, 0.0])), 0)
     model.lowerPositionLimit, model.upperPositionLimit = -100.0 * np.ones(9), 100.0 * np.ones(9)
@@ -164,7 +149,7 @@ def test_an_island_is_not_left_out_for_a_node_at_its_end() -> None:
     spread = np.arccos((length**2 + coupler**2 - rocker**2) / (2.0 * coupler * length))
     model = pin.Model()
     for name, parent, x in (("crank", 0, 0.0), ("knee", 1, crank), ("rocker", 0, base)):
-        add_joint(model, parent, pin.JointModelRZ(), x, 0.0, name)
+        zoo.add_body(model, parent, pin.JointModelRZ(), x, 0.0, name)
     for name, joint, x in (("tip", 2, coupler), ("end", 3, rocker)):
         model.addBodyFrame(name, joint, pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])), 0)
     for turn in (1.0, -1.0):
@@ -211,13 +196,10 @@ def test_a_part_that_is_not_connected_is_found(modes: bool) -> None:
 
 @pytest.mark.parametrize("free", [("x", "z"), ("x", "y", "z")])
 def test_gough_is_in_range_where_its_legs_are(free: tuple[str, ...]) -> None:
-    sys.path.insert(0, str(Path(__file__).parents[1] / "kinematics"))
-    from test_forward_kinematics import leg_lengths
-
     robot = zoo.robot_of("gough").with_limits({f"slide_{i}": {"lower": 0.5, "upper": 0.9} for i in range(1, 7)})
     bounds = [*[(-0.45, 0.45)] * (len(free) - 1), (0.2, 0.9)]
     space = rp.workspace(robot, free, bounds=bounds, resolution=12 if len(free) == 2 else 6)
-    lengths = np.array([leg_lengths(robot, pose) for pose in space.x])
+    lengths = np.array([zoo.leg_lengths(robot, pose) for pose in space.x])
     within = ((lengths >= 0.5) & (lengths <= 0.9)).all(axis=1).reshape(space.in_range.shape[1:])
     assert within.any()
     assert (~within).any()
@@ -268,22 +250,9 @@ def test_islands_are_marked_in_clouds_and_on_lines() -> None:
 
 def test_of_a_robot_without_platform_one_or_two_joints_span_a_workspace() -> None:
     shipped = zoo.robot_of("five_bar")
-    home = dict(
-        zip([str(name) for name in shipped.model.names][1:], np.array(shipped.q_reference).tolist(), strict=True)
-    )
-    robot = rp.Robot.from_model(
-        shipped.model,
-        actuated=shipped.actuated,
-        carriers=[{"joint": name, "position": [-0.1, 0.1]} for name in shipped.carriers],
-        closures=shipped.closures,
-        independent={"joints": shipped.actuated},
-        reference={
-            "joints": {name: home[name] for name in shipped.actuated},
-            "guess": {name: at for name, at in home.items() if name not in (*shipped.actuated, *shipped.carriers)},
-        },
-    )
+    robot = with_independent_joints(shipped, shipped.actuated)
     space = rp.workspace(robot, resolution=13)
-    middle = [home[name] for name in shipped.actuated]
+    middle = [shipped.q_reference[zoo.index(shipped, name)] for name in shipped.actuated]
     for axis, at in zip(space.axes, middle, strict=True):
         assert np.abs(axis[[0, -1]] - [at - np.pi, at + np.pi]).max() < 1e-12
     u = nodes(space)
@@ -321,9 +290,6 @@ def test_of_a_robot_without_platform_one_or_two_joints_span_a_workspace() -> Non
 def test_slices_of_no_sense_are_refused(given: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         rp.workspace("five_bar", **{"resolution": 5, **given})
-
-
-def test_a_robot_without_translations_to_vary_has_no_picture() -> None:
     with pytest.raises(UnsupportedRobotError, match="has no picture"):
         rp.workspace("3rrr", ())
 

@@ -6,6 +6,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import CarrierMotion, PlatformMotion, load_robot
@@ -44,15 +45,50 @@ def home_of(robot: Robot) -> Array:
     return coordinates(robot, system.evaluate(robot.q_reference[None]))[0]
 
 
+def index(robot: Robot, name: str) -> int:
+    """Return where the position of a joint begins in q."""
+    return int(robot.model.joints[robot.model.getJointId(name)].idx_q)
+
+
+def driven_by(robot: Robot, *joints: str) -> Robot:
+    """Return a robot with other main actuators."""
+    return Robot.from_model(
+        robot.model,
+        closures=robot.closures,
+        actuated=joints,
+        carriers=robot.carriers,
+        independent=robot.platform or {"joints": robot.independent_joints},
+        reference=np.array(robot.q_reference),
+    )
+
+
+def add_body(model: pin.Model, parent: int, joint: pin.JointModel, x: float, y: float, name: str) -> int:
+    """Add a joint at (x, y, 0) of its parent, m, with a body of 1 kg on it, and return its number."""
+    number = int(model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([x, y, 0.0])), name))
+    model.appendBodyToJoint(number, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    return number
+
+
 def reach_of(robot: Robot) -> Array:
     """Return (n,) an excursion about home that stays inside the workspace of every shipped robot, m and rad."""
     return 0.15 * robot.characteristic_length / row_scale(robot)
 
 
+def leg_lengths(robot: Robot, pose: Array) -> Array:
+    """Return (6,) distances between the joints on base and platform of a Gough at a pose (4, 4)."""
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
+    middle = data.oMf[model.getFrameId("platform")]
+    lengths = []
+    for i in range(1, 7):
+        base = data.oMi[model.getJointId(f"swing_{i}")].translation
+        tip = data.oMf[model.getFrameId(f"corner_{i}")] if i > 1 else data.oMi[model.getJointId("ball_1_x")]
+        lengths.append(np.linalg.norm(pose[:3, :3] @ middle.actInv(tip).translation + pose[:3, 3] - base))
+    return np.array(lengths)
+
+
 def random_tree(robot: Robot, seed: int, count: int) -> tuple[Array, Array]:
     """Return random open configurations (count, nq) and velocities (count, nv): chains not closed."""
-    import pinocchio as pin
-
     rng = np.random.default_rng(seed)
     model = robot.model
     steps = rng.uniform(-1.0, 1.0, (count, model.nv))

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
+from redundancy_pin.arrays import AGREEMENT_TOLERANCE, CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
+from redundancy_pin.dynamics.base import TERMS
 from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.parameters import Topology, parameter_vector, topology_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
@@ -47,7 +48,9 @@ LARGEST_TURN = 0.5
 
 _CONSTANTS = {
     "NEIGHBOURS": NEIGHBOURS,
+    "TERMS": TERMS,
     "TOLERANCE": CLOSURE_TOLERANCE,
+    "AGREEMENT": AGREEMENT_TOLERANCE,
     "LEAST_MARGIN": LEAST_MARGIN,
     "RANK_TOLERANCE": RANK_TOLERANCE,
     "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
@@ -122,6 +125,7 @@ def _defined(topology: Topology) -> Definition:
         "drives": ([chain.q, positions], [_missed(chain, positions)]),
         "project": (projected, reduced),
         "derivatives": (projected, derivatives),
+        "carrier_terms": ([*tree, gamma, chain.external], _carrier_terms(ca.vertcat(*reduced), carriers, robot.n)),
         "base_wrench": (motion, [-ground]),
         "energy": (motion, [energy]),
     }
@@ -129,6 +133,23 @@ def _defined(topology: Topology) -> Definition:
     for name, (inputs, outputs) in definitions.items():
         functions[f"rp_{name}"] = function_of(chain, f"rp_{name}", inputs, outputs)
     return Definition(chain, functions)
+
+
+def _carrier_terms(whole: Any, carriers: list[Any], n: int) -> list[Any]:
+    """Return f and forces (n + k) with the carriers at rest at s = 0, and the terms (k, 5, n + k) of ``CarrierTerms``.
+
+    The terms are Taylor coefficients: exact on straight tracks, where forces have no others.
+    """
+    terms: list[Any] = []
+    s, sd, sdd = carriers
+    for c in range(s.numel()):
+        by_s, by_sd, by_sdd = (ca.jacobian(whole, part[c]) for part in (s, sd, sdd))
+        for term in (by_s, 0.5 * ca.jacobian(by_s, s[c]), by_sd, ca.jacobian(by_sd, s[c]), by_sdd):
+            own = ca.SX(whole.numel(), 1)
+            own[[*range(n), n + c]] = term[[*range(n), n + c]]
+            terms.append(own)
+    at_rest = ca.substitute([whole, ca.vertcat(ca.SX(0, 1), *terms)], carriers, [ca.SX.zeros(s.numel())] * 3)
+    return list(at_rest)
 
 
 def tree_functions(chain: SymbolicChain) -> dict[str, tuple[list[Any], list[Any]]]:
@@ -315,6 +336,10 @@ class Code:
         self.robot, self.library = robot, library_of(recipe, robot)
         self._numbers = parameter_vector(robot)
         self.numbers = address(self._numbers)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Load it again, from the cache, where it is copied or sent to."""
+        return type(self), (self.robot,)
 
 
 def address(array: Array) -> ctypes.c_void_p:

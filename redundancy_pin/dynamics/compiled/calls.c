@@ -1,6 +1,7 @@
 /* What Python calls for one sample: torques and joint states. It follows sample.c. A state is a configuration (NQ) and the sign
-   of its determinant, 0 where unknown: where Newton's method starts, and afterwards where it ended. Calls return a status of
-   redundancy_pin.status; only samples that are closed write their results and the state. */
+   of its determinant, 0 where unknown: where Newton's method starts, and afterwards where it ended. Not a number: a rank loss of the
+   closures, from where kinematics go on. Calls return a status of redundancy_pin.status; only samples that are closed write their
+   results and the state. */
 
 /* A range of a joint or a track of a carrier (robot/joint_ranges.py): its index in q, whether whole turns count as none, its
    ends and slack. */
@@ -8,8 +9,9 @@ typedef struct {
   double at, turns, lower, upper, slack;
 } Range;
 
-#define PART 0.1         /* least share of the platform in the norm of K's inverse at the end of a branch, no unit: 1e-4 at a rank loss */
 #define MOST_SEARCHES 100 /* steps of Newton's method: half a turn of every joint takes some 50 */
+#define ENDLESS 10 /* steps of it that have not taken a tenth of the residual together: the rest is what stays open */
+#define NEXT_TO_SINGULAR 1e-2 /* margin of K, no unit, at the end of a way: it may be zero within the shortest step, 3e-3 of 30 rad */
 
 enum { OUT_OF_REACH = NO_POSE + 1 };
 
@@ -38,44 +40,34 @@ int rp_begin(const double *numbers, const double *declared, const double *start,
   return 1;
 }
 
-/* Squares of the Frobenius norms of the inverse of a pose's K, and of its columns that belong to the platform. */
-static void inverse_sizes(const Pose *pose, double *all, double *platform) {
-  double X[NP + 1][NP + 1];
-  invert(pose->lu, pose->pivot, X);
-  *all = *platform = 0.0;
-  for (int i = 0; i < NP; ++i) {
-    *all += dot(X[i], X[i], NP);
-    *platform += dot(X[i] + R, X[i] + R, N);
-  }
-}
-
-/* Whether a pose is next to a rank loss of the closures: the platform then hardly has a part in what K cannot do, and a branch may go
-   on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
-static int may_go_on(const Pose *pose) {
-  double all, platform;
-  inverse_sizes(pose, &all, &platform);
-  return !(platform > PART * PART * all);
-}
-
 /* Close the loops at a start, which may be open by the noise of measurements: so little that K stays regular on the way, as
-   RneaDynamics has it. Returns whether they close. */
+   RneaDynamics has it. The distance moved proves the branch, so that Newton's steps need only shrink. Returns whether they close. */
 static int close_start(const double *numbers, const double *start, Pose *pose, double *x) {
-  double all, platform, moved = 0.0;
-  if (pose_at(numbers, start, 0.0, pose, x)) return 0;
+  double all, platform, moved = 0.0, trig[2 * NT + 1];
+  if (!finite(start, NQ)) return 0;
+  turns_of(start, trig);
+  coordinates_of(numbers, start, trig, x);
+  if (!newton_by(1.0, numbers, start, x, 0, pose)) return 0;
   inverse_sizes(pose, &all, &platform);
   for (int i = 0; i < NQ; ++i) moved = fmax(moved, fabs(pose->q[i] - start[i]) / POSITION_UNIT[i]);
   return moved * moved * all < 0.25; /* half of the margin, 1 / sqrt(all) */
 }
 
-/* The largest residual, without unit, that Newton's method with a line search leaves at coordinates x; q is moved. Zero where it does not
-   come to an end: kinematics then look. */
+/* The largest residual, without unit, that Newton's method with a line search leaves at coordinates x; q is moved. It ends where steps
+   no longer make it shorter, at latest after MOST_SEARCHES. Zero where K is singular, and where that little is left next to a double
+   root (a leg at full stretch), which rounding moves by the square root of the tolerance: kinematics then look. */
 static double left_open(const double *numbers, double *q, const double *x) {
   double trig[2 * NT + 1], residual[NP + 1], step[NP + 1], part[NP + 1], K[NP * NP + 1], alignment[NALIGN], from[NQ];
+  double before = INFINITY;
   int pivot[NP + 1];
   turns_of(q, trig);
   rows(numbers, q, trig, x, residual, K, alignment);
   for (int iteration = 0; iteration < MOST_SEARCHES; ++iteration) {
     double size = dot(residual, residual, NP), share = 1.0;
+    if (iteration % ENDLESS == 0) {
+      if (sqrt(size) > 0.9 * before) break;
+      before = sqrt(size);
+    }
     copy(step, residual, NP);
     copy(from, q, NQ);
     if (decompose(K, pivot) == 0.0) return 0.0;
@@ -92,7 +84,8 @@ static double left_open(const double *numbers, double *q, const double *x) {
     }
     if (last || !(share > SHORTEST)) return largest(residual, NP);
   }
-  return 0.0;
+  double open = largest(residual, NP);
+  return open > sqrt(TOLERANCE) ? open : 0.0;
 }
 
 /* Whether a pose is turned so far from the coordinates x that the rows of its rotation, sines, do not say how to get there. */
@@ -115,13 +108,14 @@ static void keep(const Pose *pose, double *state) {
 
 /* One sample; in and out as rp_sample. Where Newton's method does not get there in one step, the branch of the state is followed, on the
    straight way, however many turns away. The state is moved where the sample is closed; reached, of the same size, is the last
-   configuration on the way. Returns a status of the driver, or OUT_OF_REACH with the closure residual among out. */
+   configuration on the way, or the first next to a rank loss. Returns a status of the driver, or OUT_OF_REACH with the closure residual among out. */
 int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
   double here[NX], from[NQ + 1];
   Pose pose;
   int refused = refusal_of(in);
   copy(reached, state, NQ + 1);
   if (refused) return refused;
+  if (isnan(state[NQ])) return LOST;
   if (state[NQ] == 0.0) { /* a start: its chains have to close, and the sign of its determinant is not known yet */
     if (!close_start(numbers, state, &pose, here)) return LOST;
     keep(&pose, reached);
@@ -133,8 +127,9 @@ int rp_reach(const double *numbers, double *state, double *reached, const double
       keep(&pose, from);
       closed = rp_sample(numbers, from, in, out);
     } else {
-      keep(&pose, reached);
-      double open = may_go_on(&pose) || turned_far(numbers, &pose, in) ? 0.0 : left_open(numbers, pose.q, in);
+      int bifurcation = may_go_on(&pose);
+      if (!bifurcation) keep(&pose, reached); /* the tangent, by which kinematics pass, is known better where the way began */
+      double open = bifurcation || turned_far(numbers, &pose, in) ? 0.0 : left_open(numbers, pose.q, in);
       out[N * M + N + NK] = open * LENGTH;
       if (open > TOLERANCE) closed = OUT_OF_REACH;
     }
@@ -169,62 +164,92 @@ int rp_torque(const double *numbers, double *state, double *reached, const doubl
 #endif
 
 #if M && M >= N
-/* Moves a pose to where its actuators are at the given positions, on the straight way of the actuators, in as many steps as
-   Newton's method needs to contract. Returns a status. */
+enum { FOR_KINEMATICS = STATUSES };
+
+/* Whether K is next to singular at a closed configuration: actuators lead through that at a type I singularity, and maybe at a rank loss
+   of the closures. */
+static int is_next_to_singular(const double *numbers, const double *q) {
+  double all, platform, x[NX], residual[NP + 1], alignment[NALIGN];
+  Pose pose;
+  turns_of(q, pose.trig);
+  coordinates_of(numbers, q, pose.trig, x);
+  rows(numbers, q, pose.trig, x, residual, pose.lu, alignment);
+  if (decompose(pose.lu, pose.pivot) == 0.0) return 1;
+  inverse_sizes(&pose, &all, &platform);
+  return !(all * NEXT_TO_SINGULAR * NEXT_TO_SINGULAR < 1.0);
+}
+
+static int close_drives(const double *numbers, Pose *pose, const double *position, const double *left) {
+  double off[M];
+  Pose next = *pose;
+  int status = forward(numbers, &next, position, left, off);
+  if (status == STATUS_OK) *pose = next;
+  return status;
+}
+
+/* Moves a pose to where its actuators are at the given positions, on the straight way of the actuators. Returns a status. */
 static int follow_drives(const double *numbers, Pose *pose, const double *position) {
-  double left[M], target[M], off[M], done = 0.0, share = 1.0;
-  drives(pose->q, position, left);
-  while (done < 1.0) {
-    Pose next = *pose;
-    double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
-    for (int j = 0; j < M; ++j) target[j] = position[j] - ahead * left[j];
-    int status = forward(numbers, &next, target, off);
-    if (status == STATUS_OK) {
-      *pose = next;
-      done += share;
-      share = fmin(2.0 * share, 1.0 - done);
-    } else {
-      share *= 0.5;
-      if (share < SHORTEST) return status == STATUS_TYPE_II ? status : STATUS_BRANCH_LOST;
-    }
+  double way[M];
+  drives(pose->q, position, way);
+  int status = follow_way(numbers, pose, close_drives, position, way, M);
+  return status == STATUS_OK || status == STATUS_TYPE_II ? status : STATUS_BRANCH_LOST;
+}
+
+/* Whether velocities (M) of the actuators, more than DOF, are those of one motion of the platform, relative to the terms that cancel. */
+static int velocities_agree(const double *numbers, const Platform *platform, const double *velocity) {
+  double missing = 0.0, size = 0.0;
+  for (int j = 0; j < M; ++j) {
+    const double *row = platform->gamma + ACTUATED[j] * N;
+    missing = fmax(missing, fabs(dot(row, platform->xd, N) - velocity[j]) * COLUMN_SCALE[j]);
+    for (int i = 0; i < N; ++i) size = fmax(size, fabs(row[i] * platform->xd[i]) * COLUMN_SCALE[j]);
   }
-  return STATUS_OK;
+  return missing <= AGREEMENT * size;
 }
 
 /* All joints and the platform from the actuators. in: positions (M) and velocities (M) of the actuators, s (NK), sd (NK); out:
-   q (NQ), v (NV), x (NX), xd (N), type II margin. State and reached are as of rp_reach. */
+   q (NQ), v (NV), x (NX), xd (N), type II margin, residual. More actuators than DOF may contradict each other: the residual of positions,
+   m, is then written, and the status is unreachable. State and reached are as of rp_reach. Returns a status, or FOR_KINEMATICS where
+   these may go on from reached, or from the state at a rank loss of the closures. */
 int rp_joint_state(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   const double *position = in, *velocity = in + M, *s = velocity + M, *sd = s + NK;
-  double x[NX], *q = out, *v = q + NQ;
+  double x[NX], last[NQ], *q = out, *v = q + NQ;
   Pose pose;
   Platform platform;
   copy(reached, state, NQ + 1);
   if (!finite(in, 2 * M + 2 * NK)) return STATUS_NOT_FINITE;
+  if (isnan(state[NQ])) return FOR_KINEMATICS;
   copy(pose.q, state, NQ);
   turns_of(pose.q, pose.trig);
   pose.sign = state[NQ];
   if (pose.sign == 0.0 && !close_start(numbers, state, &pose, x)) return STATUS_BRANCH_LOST;
   keep(&pose, reached);
+  copy(last, pose.q, NQ);
   int status = platform_of(numbers, &pose, position, velocity, &platform);
   if (status == STATUS_UNREACHABLE || status == STATUS_TYPE_II) { /* too far for one step of Newton's method */
     copy(pose.q, reached, NQ);
     turns_of(pose.q, pose.trig);
     pose.sign = reached[NQ];
     status = follow_drives(numbers, &pose, position);
-    keep(&pose, reached);
-    if (status) return status;
+    copy(last, pose.q, NQ);
+    if (status) return M == N && is_next_to_singular(numbers, last) ? FOR_KINEMATICS : status;
     status = platform_of(numbers, &pose, position, velocity, &platform);
   }
-  if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) return status;
+  if (status == STATUS_NOT_FINITE) return status;
+  if (status != STATUS_OK && status != STATUS_NEAR_SINGULAR) { /* at the sample itself */
+    int singular = status == STATUS_TYPE_I || status == STATUS_BRANCH_LOST || is_next_to_singular(numbers, last);
+    return M == N && singular ? FOR_KINEMATICS : status;
+  }
   copy(q, pose.q, NQ);
   clear(v, NV);
   for (int i = 0; i < NV; ++i)
     for (int j = 0; j < N; ++j) v[i] += platform.gamma[i * N + j] * platform.xd[j];
   for (int i = 0; i < NK; ++i) q[CARRIED[i]] = s[i], v[CARRIERS[i]] = sd[i];
   if (!finite(v, NV)) return STATUS_NOT_FINITE;
+  v[NV + NX + N] = platform.margin;
+  v[NV + NX + N + 1] = fmax(platform.gap, platform.mismatch);
+  if (M > N && (platform.mismatch > AGREEMENT * LENGTH || !velocities_agree(numbers, &platform, velocity))) return STATUS_UNREACHABLE;
   copy(v + NV, platform.x, NX);
   copy(v + NV + NX, platform.xd, N);
-  v[NV + NX + N] = platform.margin;
   keep(&pose, state);
   return in_ranges(q, ranges, count) ? status : STATUS_OUT_OF_RANGE;
 }

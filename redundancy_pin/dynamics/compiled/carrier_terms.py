@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import CarrierTerms, terms_along
+from redundancy_pin.dynamics.base import TERMS, CarrierTerms, terms_along
 from redundancy_pin.dynamics.compiled.build import NEIGHBOURS
 from redundancy_pin.dynamics.compiled.closing import CLOSED, branch_ends
 from redundancy_pin.motion import PlatformMotion
@@ -25,9 +25,6 @@ from redundancy_pin.robot.scales import coordinate_unit
 
 if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled import CompiledDynamics
-
-TERMS = 5
-"""s, s², ṡ, s ṡ, s̈."""
 
 BESIDE = 0.04
 """Distance, in characteristic lengths and rad, at which a neighbour tells that the branch ends: a follower's step."""
@@ -53,7 +50,7 @@ class Continued:
     def _make_room(self, samples: int) -> None:
         """Make memory for so many samples, whose addresses are looked up once."""
         self._room = samples
-        self._given, self._sizes = np.empty((samples, self._width)), np.empty((samples, 3))
+        self._given, self._sizes = np.empty((samples, self._width)), np.empty((samples, 2))
         n, m, k = self._n, self._m, self._k
         self._out = np.empty(samples * (n * m + (1 + k * TERMS) * (n + k)))
         parts = self._given, self._out, self._sizes

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -20,9 +19,11 @@ from redundancy_pin.dynamics.compiled.build import LARGEST_TURN, Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
 from redundancy_pin.errors import WorkingModeError
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower, known_state
+from redundancy_pin.kinematics.coordinates import with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.scales import column_scale, row_scale
 
 CLOSED, _LOST = range(2)
 """Statuses of the driver: CLOSED, and the one of samples that it has not come to."""
@@ -72,11 +73,11 @@ def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool,
         # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
         given = [np.ascontiguousarray(part) for part in (motion.t, motion.x, motion.xd, motion.xdd)]
         nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
-        shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), ())
+        shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))
         arrays = [np.empty((samples, *shape)) for shape in shapes]
-        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == samples:
-            q, trig, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
-            return Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(np.ones(samples, dtype=bool)))
+        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == CLOSED:
+            q, trig, v, a, gamma, W, gap, sizes = (read_only(array) for array in arrays)
+            return Lifted(motion, q, trig, v, a, gamma, W, gap, sizes[:, 0], read_only(np.ones(samples, dtype=bool)))
     state = None if start is None else _state_at(robot, start)
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
     trig = read_only(trig_at(robot, tree.q))
@@ -122,20 +123,45 @@ def _state_at(robot: Robot, start: Start) -> ClosedState:
     return closed
 
 
-def follow_motors(robot: Robot, q: Array, position: Array) -> Array | None:
-    """Return the configuration (nq,) at positions (m,) of the main actuators on the branch of another one, or None.
+class Driven(NamedTuple):
+    """A configuration from the main actuators: q (nq,), v (nv,), x and xd as of ``JointStateSample``.
 
-    The motors move straight, as the independent coordinates of a robot without a platform.
+    ``gamma`` (nv, m) velocities per unit of each main actuator's; ``margin`` smallest singular value of the scaled W,
+    and ``serial_margin`` of its inverse, zero at a type I singularity; ``closing_margin`` of K, zero also at a rank
+    loss of the closures, no units; ``residual`` of the closures, m.
     """
-    if robot.m != robot.n:
-        return None
-    driven = replace(robot, platform=None, independent_joints=robot.actuated, working_modes=None, working_mode=())
-    try:
-        here = _state_at(driven, Start(q, None))
-    except WorkingModeError:
-        return None
-    reached = follower(driven).advance(here, position)
-    return np.array(reached.q) if isinstance(reached, ClosedState) else None
+
+    q: Array
+    v: Array
+    x: Array
+    xd: Array
+    gamma: Array
+    margin: float
+    serial_margin: float
+    closing_margin: float
+    residual: float
+
+
+def follow_motors(robot: Robot, start: Start, position: Array, velocity: Array) -> Driven:
+    """Return the configuration at positions (m,) and velocities (m,) of as many main actuators as degrees of freedom.
+
+    They move straight, as the independent coordinates of a robot without a platform, whose K may be singular where that
+    of the robot is not. With u̇ of the actuators ẋ = J_x Γ u̇, so that W⁻ᵀ = J_x Γ.
+
+    Raises:
+        UnreachablePoseError, WorkingModeError: as ``inverse_kinematics``.
+        SingularPoseError: a type II singularity, or a rank loss that no smooth branch leads through.
+    """
+    driven = with_independent_joints(robot, robot.actuated)
+    motion = PlatformMotion(np.zeros(1), position[None], velocity[None], np.zeros((1, robot.m)), check_rates=False)
+    tree = inverse_kinematics(driven, motion, start=_state_at(driven, start))
+    q, v, gamma, own = tree.q[0], tree.v[0], tree.gamma[0], follower(robot)
+    closing_margin = own.margin(q, None)
+    own.chain.update(q, v)
+    by_motors = own.chain.platform_jacobian() @ gamma
+    sizes = np.linalg.svd(by_motors * row_scale(robot)[:, None] / column_scale(robot), compute_uv=False)
+    margins = 1.0 / float(sizes[0]), float(sizes[-1]), closing_margin
+    return Driven(q, v, own.chain.coordinates(q), by_motors @ velocity, gamma, *margins, float(tree.gap[0]))
 
 
 def parts_of(samples: int, threads: int) -> list[slice]:

@@ -9,26 +9,26 @@ thread has its own buffers, and its own configuration from which Newton's method
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
-from math import isfinite
+from math import isfinite, isnan
 from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, numbers
 from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
-from redundancy_pin.dynamics.compiled.build import Code
-from redundancy_pin.dynamics.compiled.closing import Lifted, Start
+from redundancy_pin.dynamics.compiled.build import LEAST_MARGIN, Code
+from redundancy_pin.dynamics.compiled.closing import Driven, Lifted, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
-from redundancy_pin.dynamics.one_sample import REFUSALS, refused, solve_sample, without_answer
+from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refused, solve_sample, without_answer
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, Wrench
-from redundancy_pin.robot.joint_ranges import range_table
+from redundancy_pin.robot.joint_ranges import is_in_range, range_table
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import is_pose, too_few_motors
 from redundancy_pin.status import SampleStatus
@@ -41,6 +41,9 @@ _STATUSES = tuple(SampleStatus)
 
 _NO_POSE = len(_STATUSES)
 """Code of ``rp_torque``: x is a matrix, but no homogeneous pose."""
+
+_FOR_KINEMATICS = len(_STATUSES)
+"""Code of ``rp_joint_state``: K is next to singular where the C ends, and kinematics may go on."""
 
 _WITHOUT_RESULT = frozenset(
     {
@@ -85,21 +88,7 @@ class _Arguments:
         for part, value, (name, shape) in zip(self.parts, values, self._shapes.items(), strict=False):
             if name in _OPTIONAL and (np.ndim(value) == 0 or not np.size(value)) and value is not None:
                 value = np.full(shape, value if np.ndim(value) == 0 else 0.0)
-            part[:] = _converted(value, name, shape).ravel()
-
-
-def _converted(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
-    """Return numbers of any kind as an array of a shape; raises InputError. They need not be finite."""
-    try:
-        raw = np.asarray(value)
-        if raw.dtype.kind in "cSU" or (raw.dtype.kind == "O" and None in raw.ravel().tolist()):
-            raise TypeError  # numpy makes a real part of complex numbers, numbers of text, and NaN of None
-        given = raw.astype(np.float64)
-    except (TypeError, ValueError):
-        return checked(value, name, shape)  # raises, and says why
-    if given.shape != shape:
-        checked(np.nan_to_num(given), name, shape)
-    return given
+            part[:] = numbers(value, name, shape).ravel()
 
 
 def _caller(code: Code, name: str, *arguments: Any) -> Callable[[], int]:
@@ -120,12 +109,19 @@ class _Branch:
         numbers: (P,) the robot's, as the C takes them. The signs of its working mode are those of the branch, so that
             the C keeps every leg on its side.
         state: (nq + 1,) the last configuration, and the sign of the determinant of K, 0 where that is not known.
-        reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to.
+        reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to; next to a rank
+            loss of the closures the first, where Γ is known better.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
     """
 
+    passed: Start | None = None
+    """The last sample at a rank loss of the closures, which q does not tell the branch at, but Γ does."""
+
+    _refusal: tuple[bytes, SampleStatus, float] | None = None
+
     def __init__(self, robot: Robot, code: Code) -> None:
         self._shape, self.known = robot.q_reference.shape, False
+        self._pose = np.setdiff1d(np.arange(robot.model.nq), robot.carrier_position)
         self.state, self.reached = np.append(robot.q_reference, 0.0), np.zeros(robot.model.nq + 1)
         own, topology = parameter_vector(robot), topology_of(robot)
         places = places_of(robot)["mode",]
@@ -145,10 +141,35 @@ class _Branch:
         try:
             self._given[:] = cast(Any, start)
         except _NEEDS_CONVERTING:
-            self._start[:] = _converted(start, "start", self._shape)
+            self._start[:] = numbers(start, "start", self._shape)
         begun = bool(self._begin())
         self.known = self.known or begun
+        if self.passed is not None and np.array_equal(self.passed.q[self._pose], self.state[self._pose]):
+            self.state[-1] = np.nan
         return begun
+
+    def move(self, q: Array, gamma: Array, margin: float) -> None:
+        """Go on from a sample that kinematics have solved, with Γ where its margin is too small for the C."""
+        self.passed = Start(q, gamma) if margin < LEAST_MARGIN else None
+        self.begin(q)
+
+    def way_on(self) -> Start | None:
+        """Return from where kinematics go on: None from a start that the C does not close."""
+        if isnan(self.state[-1]):
+            return self.passed
+        return Start(self.reached[:-1].copy(), None) if self.reached[-1] else None
+
+    def refuse(self, given: Sequence[Array], status: SampleStatus, residual: float) -> None:
+        """Remember what kinematics say of a sample without an answer, for as long as it is asked for again."""
+        self._refusal = self._key(given), status, residual
+
+    def refusal(self, given: Sequence[Array]) -> tuple[SampleStatus, float] | None:
+        """Return what was remembered of a sample (positions and rates) from this state: a set-point that is held."""
+        known = self._refusal
+        return known[1:] if known is not None and known[0] == self._key(given) else None
+
+    def _key(self, given: Sequence[Array]) -> bytes:
+        return b"".join(part.tobytes() for part in (self.state, self._signs, *given))
 
     def save(self) -> tuple[Array, Array, bool]:
         """Return what ``restore`` takes."""
@@ -257,7 +278,6 @@ class TorqueCall(SampleCall):
         if not robot.m:
             raise InputError(f"{robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
         super().__init__(robot, code, follow)
-        self._passed: Start | None = None  # the last sample that kinematics solved
 
     def _function(self, code: Code, name: str = "rp_torque", *more: Any) -> Callable[[], int]:
         return super()._function(code, name, self._ranges, len(self._ranges), *more)
@@ -290,28 +310,25 @@ class TorqueCall(SampleCall):
             return without_answer(self._robot, SampleStatus.NOT_FINITE)
         if code == SampleStatus.UNREACHABLE and self._branch.known:
             return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
-        motion = self._motion(t)
-        return self._by_kinematics(motion, t)
-
-    def _by_kinematics(self, motion: PlatformMotion, t: float) -> TorqueSample:
-        """Return the sample by kinematics, from the last configuration on the way that the C has closed."""
-        robot, branch, passed = self._robot, self._branch, self._passed
-        start = None
-        if branch.known:
-            at_passed = passed is not None and np.array_equal(passed.q, branch.reached[:-1])
-            if not at_passed and not branch.reached[-1]:  # a start that the C has not closed
-                return without_answer(robot, SampleStatus.BRANCH_LOST)
-            start = passed if at_passed else Start(branch.reached[:-1].copy(), None)
+        motion, robot, branch = self._motion(t), self._robot, self._branch
+        start = branch.way_on() if branch.known else None
+        if branch.known and start is None:
+            return without_answer(robot, SampleStatus.BRANCH_LOST)
+        pose = self._arguments.parts[:3]
+        known = branch.refusal(pose)
+        if known is not None:
+            return without_answer(robot, *known)
         try:
             tree, reduced = self._followed(motion, start)
         except REFUSALS as error:
-            return refused(robot, error)
+            answer = refused(robot, error)
+            branch.refuse(pose, answer.status, answer.residual)
+            return answer
         x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
+        branch.move(tree.q[0], tree.gamma[0], float(tree.margin[0]))
         sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
-        branch.begin(tree.q[0])
-        self._passed = Start(tree.q[0], tree.gamma[0])
-        given = x.reshape(self._shape), xd, xdd, s, sd, sdd
-        return solve_sample(robot, sample, tree.q[0], (float(tree.gap[0]), float(tree.margin[0])), given, t)
+        kinematics = float(tree.gap[0]), float(tree.margin[0])
+        return solve_sample(robot, sample, tree.q[0], kinematics, (x.reshape(self._shape), xd, xdd, s, sd, sdd), t)
 
 
 class JointStateCall:
@@ -320,14 +337,14 @@ class JointStateCall:
     Args:
         robot: the robot.
         code: its compiled dynamics.
-        follow: returns the configuration (nq,) on the branch of another one at positions (m,) of the main actuators, by
-            kinematics, or None; called where the C does not get there.
+        follow: solves positions and velocities (m,) of the main actuators by kinematics, on the branch of a start;
+            called where the C does not get there.
 
     Raises:
         UnsupportedRobotError: fewer main actuators than degrees of freedom.
     """
 
-    def __init__(self, robot: Robot, code: Code, follow: Callable[[Array, Array], Array | None]) -> None:
+    def __init__(self, robot: Robot, code: Code, follow: Callable[[Start, Array, Array], Driven]) -> None:
         few = too_few_motors(robot)
         if few:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
@@ -337,9 +354,9 @@ class JointStateCall:
         self._arguments = _Arguments({"position": (m,), "velocity": (m,), "s": (k,), "sd": (k,)})
         self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
-        self._results = np.zeros(self._ends[-1] + 1)
+        self._results = np.zeros(self._ends[-1] + 2)
         branch = self._branch = _Branch(robot, code)
-        self._follow, self._ranges = follow, range_table(robot)
+        self._robot, self._follow, self._ranges = robot, follow, range_table(robot)
         given = branch.numbers, branch.state, branch.reached, self._arguments.memory, self._results
         self._call = _caller(code, "rp_joint_state", *given, self._ranges, len(self._ranges))
 
@@ -357,12 +374,13 @@ class JointStateCall:
         branch = self._branch
         saved = None if start is None else branch.save()
         finite = start is None or branch.begin(start)
+        self._results[-1] = np.nan
         code = self._call() if finite else int(SampleStatus.NOT_FINITE)
         if code in _WITHOUT_RESULT:
-            if code == SampleStatus.BRANCH_LOST:
-                code = self._beyond_bifurcation(code)
+            if code == _FOR_KINEMATICS:
+                code = self._by_kinematics()
             if code in _WITHOUT_RESULT:
-                self._results.fill(np.nan)
+                self._results[:-1] = np.nan
                 if saved is not None:
                     branch.restore(saved)
         results, (q, v, x, xd) = self._results.copy(), self._ends
@@ -373,21 +391,38 @@ class JointStateCall:
             results[x:xd],
             _STATUSES[code],
             results.item(xd),
+            results.item(xd + 1),
         )
 
-    def _beyond_bifurcation(self, code: int) -> int:
-        """Return the status where kinematics lead the branch through a bifurcation, which the C does not pass."""
-        branch = self._branch
-        closed = branch.reached[-1] != 0.0  # otherwise the chains are open at the start
-        q = self._follow(branch.reached[:-1].copy(), self._arguments.parts[0].copy()) if closed else None
-        if q is None:
-            return code
-        before = branch.save()
-        branch.begin(q)
-        code = self._call()
-        if code in _WITHOUT_RESULT:
-            branch.restore(before)
-        return code
+    def _by_kinematics(self) -> int:
+        """Solve a sample where K is singular, or beyond such a pose, by kinematics; returns its status."""
+        robot, branch, start = self._robot, self._branch, self._branch.way_on()
+        position, velocity, s, sd = self._arguments.parts
+        given = position, velocity
+        if start is None or not is_finite(given, 0.0):
+            return int(SampleStatus.BRANCH_LOST if start is None else SampleStatus.NOT_FINITE)
+        known = branch.refusal(given)
+        if known is not None:
+            self._results[-1] = known[1]
+            return int(known[0])
+        try:
+            found = self._follow(start, position.copy(), velocity.copy())
+        except REFUSALS as error:
+            _, status, *_, residual, _ = refused(robot, error)
+            if status is SampleStatus.TYPE_I:  # of the motors as coordinates
+                status = SampleStatus.TYPE_II
+            branch.refuse(given, status, residual)
+            self._results[-1] = residual
+            return int(status)
+        if found.serial_margin < LEAST_MARGIN:
+            return int(SampleStatus.TYPE_I)
+        branch.move(found.q, found.gamma, found.closing_margin)
+        q, v = found.q.copy(), found.v.copy()
+        q[robot.carrier_position], v[robot.carrier_velocity] = s, sd
+        self._results[:] = np.concatenate([q, v, found.x.ravel(), found.xd, [found.margin, found.residual]])
+        if not is_in_range(robot, q):
+            return int(SampleStatus.OUT_OF_RANGE)
+        return int(SampleStatus.NEAR_SINGULAR if found.margin < NEAR_SINGULAR_MARGIN else SampleStatus.OK)
 
 
 class AccelerationCall:
@@ -404,11 +439,10 @@ class AccelerationCall:
         self._arguments = _Arguments({name: (size,) for name, size in sizes.items()})
         self._q, self._v, self._tau, self._force, _ = self._arguments.views
         self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
-        self._read = forward.reader() if wrenches else None
+        self._forward, self._loaded = forward, bool(wrenches)  # it keeps its numbers
         self._a = np.zeros(model.nv)
         given = forward.numbers, self._arguments.memory, self._a
         self._call = _caller(forward, "rp_acceleration", *given)
-        self._code = forward  # which keeps its numbers
 
     def __call__(self, q: Any, v: Any, tau: Any, carrier_force: Any, t: float) -> AccelerationSample:
         """Return the accelerations; see ``Dynamics.acceleration``."""
@@ -422,9 +456,9 @@ class AccelerationCall:
             self._arguments.convert(q, v, tau, carrier_force)
         if t != 0.0 and not isfinite(t):
             self._arguments.memory[0] = np.nan
-        if self._read is not None and np.isfinite(self._arguments.memory[: -len(self._arguments.parts[-1])]).all():
-            here = self._read(*self._arguments.parts[:2])
-            wrenches = wrench_values(self._loads, np.array([t]), here.x[None], here.xd[None])
+        if self._loaded and np.isfinite(self._arguments.memory[: -len(self._arguments.parts[-1])]).all():
+            x, xd = self._forward.platform(*self._arguments.parts[:2])
+            wrenches = wrench_values(self._loads, np.array([t]), x[None], xd[None])
             self._arguments.parts[-1][:] = np.concatenate(wrenches, axis=1)[0]
         status = _STATUSES[self._call()]
         return AccelerationSample(self._a.copy(), status)

@@ -30,6 +30,9 @@ _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and
 by 1e-14 in rounding. Sums, products and powers up to the sixth are exact."""
 
+_ROUNDING = 1e-14
+"""Rounding of a weighted sum of seven numbers, relative to the largest of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Design(Frozen):
@@ -56,9 +59,10 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
     - ``"JOINT.origin.x"``, ..., ``.rx``, ``.ry``, ``.rz``: the joint's frame moved along its parent's axes, or turned
       about its own; ``"LINK.origin.x"``, ... likewise for a link of a closure or of the platform.
 
-    The model's own are exact. For a number of the xacro file the file is loaded seven times or less with changed
-    arguments, without closing its loops, and the model's numbers are differenced, to order six: smooth functions to
-    1e-14 or so. All other arguments are held, also those whose defaults would follow.
+    The model's own are exact. For a number of the xacro file the file is loaded seven times with changed arguments,
+    without closing its loops, and the model's numbers are differenced, to order six: smooth functions to 1e-14 or so.
+    Steps are a hundredth of the number; of a number that is 0, of the robot's characteristic length, or of 1 if that is
+    less. All other arguments are held, also those whose defaults would follow.
 
     Args:
         robot: the robot.
@@ -67,8 +71,8 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
 
     Raises:
         InputError: an unknown parameter, or one that is not a number.
-        UnsupportedRobotError: a parameter that changes the axis, the type or the number of joints, or of a robot that
-            was not loaded from a file.
+        UnsupportedRobotError: a parameter that changes the axis, the type or the number of joints; a number of the
+            xacro file of a robot that was not loaded from one, or whose masses, lengths or model were changed since.
 
     Example:
         >>> design = design_of(load_robot("3rrr"), ["distal_length", "elbow_1.mass"])
@@ -182,23 +186,28 @@ def by_xacro(robot: Robot, name: str, trust: bool) -> Array:
     value = float(robot.parameters[name])
     # at zero to one side: a negative mass or length would be refused
     offsets = np.arange(7) - (3 if value else 0)
-    step = _STEP * (abs(value) if value else 1.0)
-    weights = _difference_weights(offsets) / step
-    used = [(float(weight), float(value + i * step)) for i, weight in zip(offsets, weights, strict=True) if weight]
-    others = [_reloaded(robot, name, at, trust) for _, at in used]
-    if len({repr(other.loads) for other in others}) == 1:
-        others = [dataclasses.replace(other, loads=robot.loads) for other in others]
-    elif repr(_reloaded(robot, name, value, trust).loads) != repr(robot.loads):
+    # at zero the unit is not known: small for a length of the machine, and for an angle
+    step = _STEP * (abs(value) or min(1.0, robot.characteristic_length))
+    loaded = {int(i): _reloaded(robot, name, float(value + i * step), trust) for i in offsets}
+    if len({repr(each.loads) for each in loaded.values()}) == 1:
+        loaded = {i: dataclasses.replace(each, loads=robot.loads) for i, each in loaded.items()}
+    elif repr(loaded[0].loads) != repr(robot.loads):
         raise UnsupportedRobotError(
             f"The parameter {name!r} changes loads of the file of {robot.name}, which was given other loads.",
             remedy="Differentiate the robot as it was loaded, or by parameters that change no loads.",
             parameter=name,
         )
-    column = sum(
-        (weight * numbers_of(other).values for (weight, _), other in zip(used, others, strict=True)),
-        np.zeros(len(numbers_of(robot).values)),
-    )
-    column[np.abs(column) < 1e-14 / step] = 0.0  # rounding: what is left of it would cost as much as a derivative
+    if not np.array_equal(numbers_of(loaded[0]).values, numbers_of(robot).values):
+        raise UnsupportedRobotError(
+            f"Masses, lengths or the model of {robot.name} were changed after it was loaded, and {name!r} is read from "
+            "its file.",
+            remedy="Change arguments of the file only, or name the tree's own numbers, such as JOINT.mass.",
+            parameter=name,
+        )
+    numbers = np.array([numbers_of(each).values for each in loaded.values()])
+    column: Array = _difference_weights(offsets) @ numbers / step
+    # rounding: what is left of it would cost as much as a derivative
+    column[np.abs(column) <= _ROUNDING * np.abs(numbers).max(axis=0) / step] = 0.0
     return column
 
 
@@ -206,9 +215,7 @@ def _difference_weights(offsets: IntArray) -> Array:
     """Return the weights of values at these offsets in the first derivative at 0, exact for polynomials."""
     size = len(offsets)
     powers = np.vander(offsets.astype(float), size, increasing=True).T
-    weights: Array = np.linalg.solve(powers, np.eye(size)[1])
-    weights[np.abs(weights) < 1e-12] = 0.0  # the value itself has none in central differences
-    return weights
+    return np.asarray(np.linalg.solve(powers, np.eye(size)[1]))
 
 
 def _reloaded(robot: Robot, name: str, value: float, trust: bool) -> Robot:
@@ -219,14 +226,16 @@ def _reloaded(robot: Robot, name: str, value: float, trust: bool) -> Robot:
         arguments = {**robot.parameters, name: value}
         parameters, read = open_model(path.parent / file.data["urdf"], arguments, trust=trust)
         declaration = parse({"reference": {}, **file.data}, parameters)
-        other = read_robot(declaration, read(declaration.joint_types), parameters=parameters)
+        mechanism = read(declaration.joint_types)
+        mechanism.model.gravity.linear = robot.gravity
+        other = read_robot(declaration, mechanism, parameters=parameters, mode=robot.working_mode or None)
     if not _alike(robot, other):
         raise UnsupportedRobotError(
             f"The parameter {name!r} changes the joints of {robot.name}, their axes or their number (at {value:g}).",
             remedy="Differentiate by parameters that move joints and change masses and lengths.",
             parameter=name,
         )
-    return other
+    return dataclasses.replace(other, characteristic_length=robot.characteristic_length)
 
 
 def _alike(robot: Robot, changed: Robot) -> bool:
@@ -235,4 +244,4 @@ def _alike(robot: Robot, changed: Robot) -> bool:
         return False
     tolerance = math.sqrt(np.finfo(float).eps) * _STEP
     ours, theirs = (np.concatenate(motion_subspaces(each), axis=1) for each in (robot, changed))
-    return bool(np.allclose(ours, theirs, rtol=0.0, atol=tolerance)) and bool(np.allclose(one.armature, other.armature))
+    return bool(np.allclose(ours, theirs, rtol=0.0, atol=tolerance))

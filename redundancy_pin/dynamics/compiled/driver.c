@@ -14,6 +14,8 @@
 #define SETTLED (0.01 * TOLERANCE) /* so are all steps this small: a hundredth of the tolerance of closures */
 #define ROUNDED (2.0 * EPSILON) /* and steps that are this share of the largest coordinate and no longer shrink */
 #define SHORTEST 1e-4   /* share of the way to a sample, no unit; the way is lost where shorter steps fail */
+#define PART 0.1        /* least share of the platform in the norm of K's inverse at the end of a branch, no unit: 1e-4 at a rank loss */
+#define ROUNDED_MARGIN 2e-4 /* margin of K, no unit, next to a rank loss of the closures: below, rounding takes 1e-5 and more of accelerations */
 #define ITERATIONS 15   /* three times as many as quadratic convergence takes from LONGEST to SETTLED */
 
 enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3, NOT_FINITE = 4, NO_POSE = 5 };
@@ -46,9 +48,9 @@ static double largest_position(const double *numbers, const double *q) {
   return result;
 }
 
-/* Newton's method from q, to coordinates that miss x by left (N); returns whether it contracted all the way. */
-static int newton(const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
-  double step[NP + 1], alignment[NALIGN], last = LONGEST / CONTRACTION;
+/* Newton's method from q, to coordinates that miss x by left (N); returns whether each step was at most a ratio of the one before. */
+static int newton_by(double ratio, const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
+  double step[NP + 1], alignment[NALIGN], last = LONGEST / ratio;
   copy(out->q, q, NQ);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
     turns_of(out->q, out->trig);
@@ -60,7 +62,7 @@ static int newton(const double *numbers, const double *q, const double *x, const
     if (out->sign == 0.0) return 0;
     solve(out->lu, out->pivot, step);
     double size = largest(step, NP);
-    int stalled = size > CONTRACTION * last && size <= FLOOR;
+    int stalled = size > ratio * last && size <= FLOOR;
     int settled = size <= SETTLED || (stalled && (out->gap < TOLERANCE || size <= ROUNDED * largest_position(numbers, out->q)));
     if (settled) {
       if (!left)
@@ -68,7 +70,7 @@ static int newton(const double *numbers, const double *q, const double *x, const
           if (!(alignment[i] > 0.0)) return 0;
       return 1;
     }
-    if (!(size <= CONTRACTION * last)) return 0;
+    if (!(size <= ratio * last)) return 0;
     for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
     move(out->q, step);
     last = size;
@@ -76,24 +78,44 @@ static int newton(const double *numbers, const double *q, const double *x, const
   return 0;
 }
 
-/* From a closed pose to the coordinates x, on the straight way there, the determinant's sign kept. */
-static int follow(const double *numbers, Pose *pose, const double *x) {
-  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], left[N + 1], done = 0.0, share = 1.0, sign = pose->sign;
-  Pose next;
-  rows(numbers, pose->q, pose->trig, x, residual, K, alignment);
+/* The same while it contracts. */
+static int newton(const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
+  return newton_by(CONTRACTION, numbers, q, x, left, out);
+}
+
+/* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract. close
+   brings a pose to the goal, of which it misses `left` (null: nothing), the determinant's sign kept, or does not move it. Returns
+   CLOSED, or why the last step failed; the pose is then the last one on the way. */
+static int follow_way(const double *numbers, Pose *pose, int (*close)(const double *, Pose *, const double *, const double *),
+                      const double *goal, const double *way, int size) {
+  double left[NV + 1], done = 0.0, share = 1.0;
   while (done < 1.0) {
     double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
-    for (int i = 0; i < N; ++i) left[i] = ahead * residual[R + i];
-    if (newton(numbers, pose->q, x, ahead > 0.0 ? left : 0, &next) && next.sign == sign) {
-      *pose = next;
+    for (int i = 0; i < size; ++i) left[i] = ahead * way[i];
+    int failed = close(numbers, pose, goal, ahead > 0.0 ? left : 0);
+    if (!failed) {
       done += share;
       share = fmin(2.0 * share, 1.0 - done);
     } else {
       share *= 0.5;
-      if (share < SHORTEST) return 0;
+      if (share < SHORTEST) return failed;
     }
   }
-  return 1;
+  return CLOSED;
+}
+
+static int close_at(const double *numbers, Pose *pose, const double *x, const double *left) {
+  Pose next;
+  if (!newton(numbers, pose->q, x, left, &next) || next.sign != pose->sign) return LOST;
+  *pose = next;
+  return CLOSED;
+}
+
+/* From a closed pose to the coordinates x, on the straight way there; returns whether it comes there. */
+static int follow(const double *numbers, Pose *pose, const double *x) {
+  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
+  rows(numbers, pose->q, pose->trig, x, residual, K, alignment);
+  return follow_way(numbers, pose, close_at, x, residual + R, N) == CLOSED;
 }
 
 /* --- whole turns: as in robot/whole_turns.py ----------------------------------------------------------------------- */
@@ -127,9 +149,7 @@ static int go_round(const double *numbers, Pose *pose, double *at, int c, double
     left -= times * followed;
     at[c] = first + (fabs(count) - left) * step;
     known = 1;
-    Pose next;
-    if (!newton(numbers, pose->q, at, 0, &next) || next.sign != pose->sign) return 0;
-    *pose = next;
+    if (close_at(numbers, pose, at, 0)) return 0;
   }
   return 1;
 }
@@ -214,6 +234,25 @@ static int in_mode(const double *numbers, const Pose *pose) {
 /* Place a pose at a configuration that is closed at x: what follow() starts from. */
 static int start_at(const double *numbers, Pose *pose, const double *q, const double *x) { return newton(numbers, q, x, 0, pose); }
 
+/* Squares of the Frobenius norms of the inverse of a pose's K, and of its columns that belong to the platform. */
+static void inverse_sizes(const Pose *pose, double *all, double *platform) {
+  double X[NP + 1][NP + 1];
+  invert(pose->lu, pose->pivot, X);
+  *all = *platform = 0.0;
+  for (int i = 0; i < NP; ++i) {
+    *all += dot(X[i], X[i], NP);
+    *platform += dot(X[i] + R, X[i] + R, N);
+  }
+}
+
+/* Whether a pose is next to a rank loss of the closures: the platform then hardly has a part in what K cannot do, and a branch may go
+   on beyond. At a leg that is stretched, or folded, it has one, and the branch ends. */
+static int may_go_on(const Pose *pose) {
+  double all, platform;
+  inverse_sizes(pose, &all, &platform);
+  return !(platform > PART * PART * all);
+}
+
 /* Whether coordinates are a homogeneous pose, as motion.PlatformMotion asks; all are where a robot has no poses. */
 static int is_pose(const double *x) {
 #if NX != N
@@ -249,7 +288,7 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   if (refused) return refused;
   if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
-  if (margin < LEAST_MARGIN) return SINGULAR;
+  if (margin < LEAST_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return SINGULAR;
   if (!in_mode(numbers, &pose)) return OTHER_MODE;
   const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK, numbers};
   double *const res[] = {f, force};

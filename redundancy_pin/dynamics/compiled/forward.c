@@ -28,6 +28,18 @@ static void closures(const double *numbers, const double *q, double *residual, d
   rp_closures(arg, res);
 }
 
+/* Residuals of the closures (R) in m: angles count times the characteristic length. */
+static void scale_residual(const double *numbers, double *residual) {
+  for (int i = 0; i < R; ++i) residual[i] *= LENGTH / EQUATION_UNIT[i];
+}
+
+/* The first rows of K (NP x NP, column by column) without units, row by row, `width` numbers apart: each in m/s, of scaled
+   velocities. Ranks and determinants are judged by these: an angle beside a length says something about units only. */
+static void scale_rows(const double *numbers, const double *K, int rows, int width, double *scaled) {
+  for (int i = 0; i < rows; ++i)
+    for (int j = 0; j < NP; ++j) scaled[i * width + j] = K[i + j * NP] * (LENGTH / EQUATION_UNIT[i]) / VELOCITY_SCALE[COLUMNS[j]];
+}
+
 /* Gauss and Jordan's elimination of rows (R x width), pivots among the first NP columns; the columns of the pivots come in
    order[]. Returns the smallest pivot over the largest. */
 static double eliminate(double *A, int width, int *order) {
@@ -87,36 +99,47 @@ static void solve_factorised(const double *A, int size, double *b) {
   }
 }
 
-/* Rows of closures and platform (NP x NP, column by column), their bias, mass matrix and efforts at rest of the tree,
-   under wrenches (NWRENCH). */
+/* Rows of closures and platform (NP x NP, column by column), their bias, mass matrix and efforts at rest of the tree, under
+   wrenches (NWRENCH), or null: a simulation adds their forces itself. */
 static void equations(const double *numbers, const double *q, const double *v, const double *wrenches, double *K, double *bias, double *mass,
                       double *effort) {
+  static const double NONE[NWRENCH + 1] = {0.0};
   double trig[2 * NT + 1];
   turns_of(q, trig);
-  const double *const arg[] = {q, trig, v, wrenches, numbers};
+  const double *const arg[] = {q, trig, v, wrenches ? wrenches : NONE, numbers};
   double *const res[] = {K, bias, mass, effort};
   rp_equations(arg, res);
 }
 
-static const double NONE[NWRENCH + 1] = {0.0}; /* a simulation adds the forces of wrenches itself */
-
-void rp_dynamics(const double *numbers, const double *q, const double *v, double *K, double *bias, double *mass, double *effort) {
-  equations(numbers, q, v, NONE, K, bias, mass, effort);
+/* The same at a state, q and v; out: K, bias, mass matrix and efforts, side by side. */
+void rp_dynamics(const double *numbers, const double *state, double *out) {
+  double *bias = out + NP * NP, *mass = bias + NP;
+  equations(numbers, state, state + NQ, 0, out, bias, mass, mass + NV * NV);
 }
 
-/* Returns a status of redundancy_pin.status. Accelerations of the tree under generalised forces (NV) and wrenches (NWRENCH); `given` are those of carriers driven by
-   motion, or null. Closure forces (R) and the unbalanced generalised forces `missing` (NV) are computed unless null. */
-static int accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *wrenches,
-                         const double *given, double *a,
-                         double *closure_force, double *missing) {
+/* Coordinates of the platform (NX) and their rates (N) at a state, q and v, side by side. */
+void rp_platform_at(const double *numbers, const double *state, double *out) {
+  double trig[2 * NT + 1];
+  turns_of(state, trig);
+  const double *const arg[] = {state, trig, state + NQ, numbers};
+  double *const res[] = {out, out + NX};
+  rp_platform(arg, res);
+}
+
+/* Accelerations of the tree under generalised forces (NV) and wrenches (NWRENCH, or null); `given` are those of carriers driven
+   by motion, or null. Closure forces (R) and the unbalanced generalised forces `missing` (NV) are computed unless null. Returns
+   a status of redundancy_pin.status. */
+int rp_accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *wrenches,
+                     const double *given, double *a, double *closure_force, double *missing) {
   double K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV], rest[NV];
   double A[(R + 1) * (NP + 1 + R)], basis[NV][FREE + 1] = {{0.0}}, product[NV][FREE + 1], reduced[FREE * FREE + 1], z[FREE + 1];
   int order[R + 1], dependent[NP + 1] = {0}, width = NP + 1 + (closure_force ? R : 0), d = 0;
   equations(numbers, q, v, wrenches, K, bias, mass, effort);
+  scale_rows(numbers, K, R, width, A);
+  scale_residual(numbers, bias);
   for (int i = 0; i < R; ++i) {
-    for (int j = 0; j < NP; ++j) A[i * width + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
     A[i * width + NP] = bias[i];
-    for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1;
+    for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1 ? LENGTH / EQUATION_UNIT[i] : 0.0;
   }
   double ratio = eliminate(A, width, order);
   if (ratio != ratio) return STATUS_NOT_FINITE;
@@ -187,12 +210,6 @@ static int accelerations(const double *numbers, const double *q, const double *v
   return STATUS_OK;
 }
 
-/* The same without wrenches. */
-int rp_accelerations(const double *numbers, const double *q, const double *v, const double *force, const double *given, double *a,
-                     double *closure_force, double *missing) {
-  return accelerations(numbers, q, v, force, NONE, given, a, closure_force, missing);
-}
-
 /* One state from Python: in = q, v, main efforts, carrier forces, wrenches, side by side; out = accelerations (NV), NaN where
    the answer is not STATUS_OK. */
 int rp_acceleration(const double *numbers, const double *in, double *out) {
@@ -204,58 +221,10 @@ int rp_acceleration(const double *numbers, const double *in, double *out) {
   }
   for (int i = 0; i < M; ++i) force[ACTUATED[i]] = tau[i];
   for (int i = 0; i < NK; ++i) force[CARRIERS[i]] = carrier[i];
-  int status = accelerations(numbers, in, v, force, wrenches, 0, out, 0, 0);
+  int status = rp_accelerations(numbers, in, v, force, wrenches, 0, out, 0, 0);
   if (status == STATUS_OK && !finite(out, NV)) status = STATUS_NOT_FINITE;
   for (int i = 0; status != STATUS_OK && i < NV; ++i) out[i] = NAN;
   return status;
-}
-
-/* What controllers read off a state, one after the other: coordinates of the platform and their rates; M and h of
-   M (x'', s'') + h = (W tau, F), (D x D) and (D) with D = N + NK; W (N x M). Returns 0 at a type I pose,
-   where the first two are all there is. */
-int rp_reading(const double *numbers, const double *q, const double *v, double *out) {
-  enum { D = N + NK };
-  double trig[2 * NT + 1], K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV], inverse[NP + 1][NP + 1];
-  double basis[NV][D + 1] = {{0.0}}, product[NV][D + 1], own[NV] = {0.0};
-  int pivot[NP + 1];
-  turns_of(q, trig);
-  const double *const arg[] = {q, trig, v, numbers};
-  double *const res[] = {out, out + NX};
-  rp_platform(arg, res);
-  out += NX + N;
-  equations(numbers, q, v, NONE, K, bias, mass, effort);
-  double size = largest(K, NP * NP);
-  if (decompose(K, pivot) == 0.0) return 0;
-  invert(K, pivot, inverse);
-  if (!(size * largest(&inverse[0][0], (NP + 1) * (NP + 1)) * RANK_TOLERANCE <= 1.0)) return 0;
-  for (int i = 0; i < NP; ++i) {
-    for (int j = 0; j < N; ++j) basis[COLUMNS[i]][j] = inverse[i][R + j];
-    for (int j = 0; j < NP; ++j) own[COLUMNS[i]] -= inverse[i][j] * bias[j];
-  }
-  for (int j = 0; j < NK; ++j) basis[CARRIERS[j]][N + j] = 1.0;
-  for (int i = 0; i < NV; ++i) {
-    for (int j = 0; j < D; ++j) product[i][j] = 0.0;
-    for (int k = 0; k < NV; ++k) {
-      double m = mass[i + k * NV];
-      if (m == 0.0) continue;
-      effort[i] += m * own[k];
-      for (int j = 0; j < D; ++j) product[i][j] += m * basis[k][j];
-    }
-  }
-  for (int i = 0; i < D; ++i)
-    for (int j = 0; j < D; ++j) {
-      double sum = 0.0;
-      for (int k = 0; k < NV; ++k) sum += basis[k][i] * product[k][j];
-      *out++ = sum;
-    }
-  for (int i = 0; i < D; ++i) {
-    *out = 0.0;
-    for (int k = 0; k < NV; ++k) *out += basis[k][i] * effort[k];
-    ++out;
-  }
-  for (int i = 0; i < N; ++i)
-    for (int j = 0; j < M; ++j) *out++ = basis[ACTUATED[j]][i];
-  return 1;
 }
 
 /* Values of piecewise polynomials at an instant, those at the ends outside; *piece is where the last one was. */
@@ -278,8 +247,7 @@ static int loads_at(const Run *run, Progress *at, double t, double end, const do
   polynomials(run->edges, run->pieces, run->coefficients, run->terms, M + NK, before, &at->piece, u);
   for (int i = 0; i < NV; ++i) out[i] = 0.0;
   for (int i = 0; i < M + NK; ++i) {
-    if (run->saturates) u[i] = fmin(fmax(u[i], -run->limits[i]), run->limits[i]);
-    out[i < M ? ACTUATED[i] : CARRIERS[i - M]] += u[i];
+    out[i < M ? ACTUATED[i] : CARRIERS[i - M]] += fmin(fmax(u[i], -run->limits[i]), run->limits[i]);
   }
   return 1;
 }
@@ -300,7 +268,7 @@ static void rate(const double *numbers, const Run *run, Progress *at, double t, 
   int known = loads_at(run, at, t, end, q, v, out);
   if (known && run->prescribed)
     for (int i = 0; i < NK; ++i) state[CARRIED[i]] = out[NV + i], state[NQ + CARRIERS[i]] = out[NV + NK + i];
-  if (!known || rp_accelerations(numbers, q, v, out, given, result + NQ, 0, 0)) {
+  if (!known || rp_accelerations(numbers, q, v, out, 0, given, result + NQ, 0, 0)) {
     none(result);
     return;
   }
@@ -309,18 +277,18 @@ static void rate(const double *numbers, const Run *run, Progress *at, double t, 
   rp_rates(arg, res);
 }
 
-/* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; the gap before and after. */
-static int project(const double *numbers, double *y, double wanted, double *before, double *left) {
+/* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; gaps: closure residual before and after, m. */
+int rp_projected(const double *numbers, double *y, double wanted, double *gaps) {
   double residual[R + 1], K[NP * NP + 1], S[R * NP + 1], G[R * R + 1], step[NP + 1] = {0.0}, *v = y + NQ;
   for (int iteration = 0; iteration < 9; ++iteration) {
     if (!iteration && NQ != NV) move(y, step); /* which normalises */
     closures(numbers, y, residual, K);
-    *left = largest(residual, R);
-    if (!isfinite(*left)) return 0;
-    if (!iteration) *before = *left;
-    int last = *left <= wanted || iteration == 8;
-    for (int i = 0; i < R; ++i)
-      for (int j = 0; j < NP; ++j) S[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
+    scale_residual(numbers, residual);
+    gaps[1] = largest(residual, R);
+    if (!isfinite(gaps[1])) return 0;
+    if (!iteration) gaps[0] = gaps[1];
+    int last = gaps[1] <= wanted || iteration == 8;
+    scale_rows(numbers, K, R, NP, S);
     for (int i = 0; i < R; ++i)
       for (int k = 0; k <= i; ++k) {
         double sum = 0.0;
@@ -331,7 +299,7 @@ static int project(const double *numbers, double *y, double wanted, double *befo
     if (last)
       for (int i = 0; i < R; ++i) {
         residual[i] = 0.0;
-        for (int j = 0; j < NP; ++j) residual[i] += K[i + j * NP] * v[COLUMNS[j]];
+        for (int j = 0; j < NP; ++j) residual[i] += S[i * NP + j] * v[COLUMNS[j]] * VELOCITY_SCALE[COLUMNS[j]];
       }
     solve_factorised(G, R, residual);
     for (int j = 0; j < NP; ++j) {
@@ -347,8 +315,6 @@ static int project(const double *numbers, double *y, double wanted, double *befo
   }
   return 0;
 }
-
-int rp_projected(const double *numbers, double *y, double wanted, double *gaps) { return project(numbers, y, wanted, gaps, gaps + 1); }
 
 /* Smallest over largest singular value of rows S (R x NP), which are overwritten. */
 static double rank_ratio(double *S) {
@@ -367,129 +333,89 @@ static double determinant(double *A) {
 }
 
 /* The functions whose zeros are events, at a configuration: stops, type I, type II, rank of the closures. */
-static int functions(const double *numbers, const Run *run, const double *q, double *values) {
+static void functions(const double *numbers, const Run *run, const double *q, double *values) {
   double residual[R + 1], K[NP * NP + 1], work[NP * NP + 1];
-  int count = 0;
-  closures(numbers, q, residual, K);
+  closures(numbers, q, residual, work);
+  scale_rows(numbers, work, NP, NP, K);
   for (int i = 0; i < run->stops; ++i) {
     const double *stop = run->stop + 4 * i;
-    values[count++] = stop[2] * (stop[3] - q[(int)stop[0]]);
+    *values++ = stop[2] * (stop[3] - q[(int)stop[0]]);
   }
   if (LEGS) {
     double trig[2 * NT + 1];
     turns_of(q, trig);
     const double *const arg[] = {q, trig, numbers};
-    double *const res[] = {values + count};
+    double *const res[] = {values};
     rp_modes(arg, res);
-    for (int i = 0; i < LEGS; ++i) values[count++] *= run->mode[i];
+    for (int i = 0; i < LEGS; ++i) *values++ *= run->mode[i];
   } else {
-    for (int i = 0; i < NP; ++i)
-      for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
-    values[count++] = determinant(work);
+    copy(work, K, NP * NP);
+    *values++ = determinant(work);
   }
   if (M == N) {
-    for (int i = 0; i < NP; ++i)
-      for (int j = 0; j < NP; ++j)
-        work[i * NP + j] = (i < R ? K[i + j * NP] : i - R < M && COLUMNS[j] == ACTUATED[i - R]) / VELOCITY_SCALE[COLUMNS[j]];
-    values[count++] = determinant(work);
+    copy(work, K, R * NP);
+    for (int i = R; i < NP; ++i)
+      for (int j = 0; j < NP; ++j) work[i * NP + j] = i - R < M && COLUMNS[j] == ACTUATED[i - R];
+    *values++ = determinant(work);
   }
-  for (int i = 0; i < R; ++i)
-    for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / VELOCITY_SCALE[COLUMNS[j]];
-  values[count++] = rank_ratio(work);
-  return count;
+  *values = rank_ratio(K);
 }
 
-/* Interpolant of a step, scipy's: made from the stages, and evaluated at a share of the step. */
-static void interpolant(const double *numbers, const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
-                        double *K, double *F) {
-  double stage[NY];
-  if (!run->eighth) {
-    for (int p = 0; p < run->powers; ++p)
-      for (int i = 0; i < NY; ++i) {
-        double sum = 0.0;
-        for (int s = 0; s <= run->stages; ++s) sum += K[s * NY + i] * run->P[s * run->powers + p];
-        F[p * NY + i] = h * sum;
-      }
-    return;
-  }
-  for (int s = run->stages + 1; s < run->extended; ++s) {
-    for (int i = 0; i < NY; ++i) {
-      double sum = 0.0;
-      for (int k = 0; k < s; ++k) sum += run->A[s * run->extended + k] * K[k * NY + i];
-      stage[i] = y[i] + h * sum;
+/* Rates of the stages from `first` to `last` of a step, and the state y1 at its end; returns whether all of them have an answer. */
+static int stages(const double *numbers, const Run *run, Progress *at, double h, double end, const double *y, double *y1, double *K, int first,
+                  int last) {
+  for (int s = first; s <= last; ++s) {
+    double state[NY], *rates = K + s * NY;
+    copy(state, y, NY);
+    for (int k = 0; k < s; ++k) {
+      double share = h * run->A[s * run->rows + k];
+      if (share != 0.0)
+        for (int i = 0; i < NY; ++i) state[i] += share * K[k * NY + i];
     }
-    rate(numbers, run, at, t + run->C[s] * h, end, stage, K + s * NY);
+    rate(numbers, run, at, at->t + run->C[s] * h, end, state, rates);
+    if (s == run->stages) copy(y1, state, NY);
+    if (rates[NQ] != rates[NQ]) return 0;
   }
-  for (int i = 0; i < NY; ++i) {
-    double change = y1[i] - y[i], f0 = K[i], f1 = K[run->stages * NY + i];
-    F[i] = change;
-    F[NY + i] = h * f0 - change;
-    F[2 * NY + i] = 2.0 * change - h * (f1 + f0);
-    for (int p = 3; p < run->powers; ++p) {
-      double sum = 0.0;
-      for (int s = 0; s < run->extended; ++s) sum += run->P[(p - 3) * run->extended + s] * K[s * NY + i];
-      F[p * NY + i] = h * sum;
-    }
-  }
+  return 1;
 }
 
-static void between(const Run *run, const double *F, const double *y, double x, double *out) {
-  for (int i = 0; i < NY; ++i) {
-    double sum = 0.0;
-    for (int p = run->powers - 1; p >= 0; --p) {
-      sum += F[p * NY + i];
-      sum *= !run->eighth || (run->powers - 1 - p) % 2 == 0 ? x : 1.0 - x;
-    }
-    out[i] = y[i] + sum;
+/* The state at a share x of a step, by the interpolant of the method. */
+static void between(const Run *run, double h, const double *y, const double *K, double x, double *out) {
+  copy(out, y, NY);
+  for (int s = 0; s < run->rows; ++s) {
+    double weight = 0.0;
+    for (int p = run->powers - 1; p >= 0; --p) weight = x * (weight + run->P[s * run->powers + p]);
+    for (int i = 0; i < NY; ++i) out[i] += h * weight * K[s * NY + i];
   }
 }
 
 /* A step of at most *h, shortened until its error is within the tolerances, and the length for the next in *h; returns the
-   time at its end, or NaN where no step is short enough. */
+   time at its end, or NaN where no step is short enough. Step control is scipy's. */
 static double take(const double *numbers, const Run *run, Progress *at, double end, const double *y, double *h, double *y1, double *K) {
   double least = 10.0 * (nextafter(at->t, INFINITY) - at->t), length = fmax(fmin(*h, run->max_step), least);
-  int rejected = 0, stages = run->stages;
+  int rejected = 0;
   for (;;) {
-    double stage[NY], e5 = 0.0, e3 = 0.0, factor;
-    int answered = 1;
+    double e5 = 0.0, e3 = 0.0, error = NAN;
     if (!(length >= least)) return NAN;
     double t1 = fmin(at->t + length, end);
     length = t1 - at->t;
-    for (int s = 1; s <= stages; ++s) {
-      const double *a = s < stages ? run->A + s * run->extended : run->B;
-      copy(stage, y, NY);
-      for (int k = 0; k < s; ++k) {
-        double share = length * a[k];
-        if (share != 0.0)
-          for (int i = 0; i < NY; ++i) stage[i] += share * K[k * NY + i];
-      }
-      rate(numbers, run, at, at->t + (s < stages ? run->C[s] : 1.0) * length, end, stage, K + s * NY);
-      answered = K[s * NY + NQ] == K[s * NY + NQ];
-      if (!answered) break; /* those after it have no answer either */
-      if (s == stages) copy(y1, stage, NY);
-    }
-    double error = NAN;
-    if (answered) {
+    if (stages(numbers, run, at, length, end, y, y1, K, 1, run->stages)) {
       for (int i = 0; i < NY; ++i) {
-        double scale = run->atol + fmax(fabs(y[i]), fabs(y1[i])) * run->rtol, five = 0.0, three = 0.0;
-        for (int s = 0; s <= stages; ++s) {
+        double scale = run->atol[i] + fmax(fabs(y[i]), fabs(y1[i])) * run->rtol, five = 0.0, three = 0.0;
+        for (int s = 0; s <= run->stages; ++s) {
           five += K[s * NY + i] * run->E[s];
-          if (run->eighth) three += K[s * NY + i] * run->E3[s];
+          three += K[s * NY + i] * run->E3[s];
         }
         e5 += five / scale * (five / scale);
         e3 += three / scale * (three / scale);
       }
-      error = !run->eighth ? length * sqrt(e5 / NY)
-              : e5 == 0.0 && e3 == 0.0 ? 0.0
-                                       : length * e5 / sqrt((e5 + 0.01 * e3) * NY);
+      error = e5 == 0.0 && e3 == 0.0 ? 0.0 : length * e5 / sqrt((e5 + 0.01 * e3) * NY);
     }
+    double factor = error == error ? 0.9 * pow(error, -1.0 / (run->order + 1.0)) : 0.2;
     if (error < 1.0) {
-      factor = error == 0.0 ? 10.0 : fmin(10.0, 0.9 * pow(error, -1.0 / (run->order + 1.0)));
-      if (rejected) factor = fmin(1.0, factor);
-      *h = length * factor;
+      *h = length * fmin(rejected ? 1.0 : 10.0, factor);
       return t1;
     }
-    factor = error == error ? 0.9 * pow(error, -1.0 / (run->order + 1.0)) : 0.2;
     length *= fmax(0.2, factor);
     rejected = 1;
   }
@@ -509,11 +435,19 @@ static int may_touch_zero(const double *ratios, int count, double near) {
   return !(least > 1.5 * change);
 }
 
+/* The largest of velocities (NV) without units, 1/s. */
+static double largest_rate(const double *numbers, const double *v) {
+  double most = 0.0;
+  for (int i = 0; i < NV; ++i) most = fmax(most, fabs(v[i]) * VELOCITY_SCALE[i] / LENGTH);
+  return most;
+}
+
 /* Whether nothing happens in a step: no sign of a function changes, no joint turns back near its stop, the closures keep
    away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end. */
-static int ordinary(const double *numbers, const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
-                    double *K, double *values, double *F, int *dense) {
-  int fine = h > run->short_step || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
+static int ordinary(const double *numbers, const Run *run, Progress *at, double h, double end, const double *y, const double *y1, double *K,
+                    double *values, int *dense) {
+  double speed = fmax(1.0 / run->time, fmax(largest_rate(numbers, y + NQ), largest_rate(numbers, y1 + NQ)));
+  int fine = !(h * speed < run->brief) || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
   double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0, near = at->near;
   const double *f0 = K, *f1 = K + run->stages * NY;
   int watched = WATCHED(run);
@@ -543,10 +477,9 @@ static int ordinary(const double *numbers, const Run *run, Progress *at, double 
   int count = (int)(travel / run->check_travel);
   if (count > looks) {
     double state[NY], all[MOST_WATCHED];
-    interpolant(numbers, run, at, t, h, end, y, y1, K, F);
-    *dense = 1;
+    *dense = stages(numbers, run, at, h, end, y, 0, K, run->stages + 1, run->rows - 1);
     for (int k = 0; k <= count; ++k) {
-      between(run, F, y, (double)k / count, state);
+      between(run, h, y, K, (double)k / count, state);
       functions(numbers, run, state, all);
       ratios[k] = all[watched - 1];
     }
@@ -558,41 +491,20 @@ static int ordinary(const double *numbers, const Run *run, Progress *at, double 
   return 1;
 }
 
-/* A first step, as scipy selects it. */
-static double first_step(const double *numbers, const Run *run, Progress *at, double end, const double *y, const double *f) {
-  double d0 = 0.0, d1 = 0.0, d2 = 0.0, y1[NY], f1[NY];
-  for (int i = 0; i < NY; ++i) {
-    double scale = run->atol + fabs(y[i]) * run->rtol;
-    d0 += y[i] / scale * (y[i] / scale) / NY;
-    d1 += f[i] / scale * (f[i] / scale) / NY;
-  }
-  d0 = sqrt(d0), d1 = sqrt(d1);
-  double h0 = fmin(d0 < 1e-5 || d1 < 1e-5 ? 1e-6 : 0.01 * d0 / d1, end - at->t);
-  for (int i = 0; i < NY; ++i) y1[i] = y[i] + h0 * f[i];
-  rate(numbers, run, at, at->t + h0, end, y1, f1);
-  for (int i = 0; i < NY; ++i) {
-    double scale = run->atol + fabs(y[i]) * run->rtol;
-    d2 += (f1[i] - f[i]) / scale * ((f1[i] - f[i]) / scale) / NY;
-  }
-  d2 = sqrt(d2) / h0;
-  double h1 = d1 <= 1e-15 && d2 <= 1e-15 ? fmax(1e-6, h0 * 1e-3) : pow(0.01 / fmax(d1, d2), 1.0 / (run->order + 1.0));
-  return fmin(fmin(100.0 * h0, h1), fmin(end - at->t, run->max_step));
-}
-
 /* Onto the closures, carriers where their motion is given. */
-static int placed(const double *numbers, const Run *run, Progress *at, double t, double end, double *y, double *before, double *left) {
+static int placed(const double *numbers, const Run *run, Progress *at, double t, double end, double *y, double *gaps) {
   double out[NV + 3 * NK + 1];
   if (run->prescribed) {
     if (!loads_at(run, at, t, end, y, y + NQ, out)) return 0;
     for (int i = 0; i < NK; ++i) y[CARRIED[i]] = out[NV + i], y[NQ + CARRIERS[i]] = out[NV + NK + i];
   }
-  return project(numbers, y, run->tolerance, before, left);
+  return rp_projected(numbers, y, run->tolerance, gaps);
 }
 
 /* From a closed state y over at most `most` ordinary steps. Returns 1 before a step that its caller must take, 0 at the end or
    after that many steps. y, the functions `values` and the progress are those of the last state. */
 int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, double *values, long most) {
-  double *const K = run->rates, F[8 * NY], y1[NY], next[NY], sample[NY], gap, left;
+  double *const K = run->rates, y1[NY], next[NY], sample[NY], gaps[2], other[2];
   long limit = at->steps + most;
   int known = 0;
   while (at->next_break < run->breaks) {
@@ -607,7 +519,7 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
       rate(numbers, run, at, at->t, end, y, K);
       ++at->restarts;
       if (K[NQ] != K[NQ]) return 1;
-      at->next_step = at->next_step > 0.0 ? fmin(at->next_step, end - at->t) : first_step(numbers, run, at, end, y, K);
+      at->next_step = fmin(at->next_step, end - at->t);
     }
     known = 1;
     double h = at->next_step, t1 = take(numbers, run, at, end, y, &h, y1, K), length = t1 - at->t;
@@ -616,24 +528,23 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     int dense = 0;
     if (length < run->shortest && t1 < end) return 1;
     copy(shown, values, WATCHED(run));
-    if (!ordinary(numbers, run, at, at->t, length, end, y, y1, K, shown, F, &dense)) return 1;
+    if (!ordinary(numbers, run, at, length, end, y, y1, K, shown, &dense)) return 1;
     copy(next, y1, NY);
-    double moved = 0.0, fastest = fmax(largest(y + NQ, NV), largest(y1 + NQ, NV));
-    int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->largest_residual;
-    for (int i = NQ; good && i < NY; ++i) moved = fmax(moved, fabs(next[i] - y1[i]));
-    if (!good || !(moved <= run->velocity_change * fastest + run->velocity_floor)) {
+    double change[NV], fastest = fmax(largest_rate(numbers, y + NQ), largest_rate(numbers, y1 + NQ));
+    int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, gaps) && gaps[1] <= run->largest_residual;
+    for (int i = 0; i < NV; ++i) change[i] = next[NQ + i] - y1[NQ + i];
+    if (!good || !(largest_rate(numbers, change) <= run->velocity_change * fastest + run->velocity_floor / run->time)) {
       at->near = was_near;
       return 1;
     }
     while (at->sample < run->samples && run->sample_at[at->sample] < t1 - run->time_tolerance) {
-      double t = run->sample_at[at->sample], before, after;
+      double t = run->sample_at[at->sample];
       copy(sample, y, NY);
       if (t > at->t) {
-        if (!dense) interpolant(numbers, run, at, at->t, length, end, y, y1, K, F);
-        dense = 1;
-        between(run, F, y, (t - at->t) / length, sample);
+        dense = dense || stages(numbers, run, at, length, end, y, 0, K, run->stages + 1, run->rows - 1);
+        between(run, length, y, K, (t - at->t) / length, sample);
       }
-      if (!placed(numbers, run, at, t, INFINITY, sample, &before, &after)) return 1;
+      if (!placed(numbers, run, at, t, INFINITY, sample, other)) return 1;
       copy(run->recorded + (long)at->sample++ * NY, sample, NY);
     }
     copy(y, next, NY);
@@ -641,7 +552,7 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     at->t = t1;
     at->next_step = h;
     ++at->steps;
-    at->largest_correction = fmax(at->largest_correction, gap);
+    at->largest_correction = fmax(at->largest_correction, gaps[0]);
     if (t1 < end) {
       rate(numbers, run, at, t1, end, y, K);
       if (K[NQ] != K[NQ]) return 1;

@@ -7,8 +7,9 @@ and efforts at rest of the tree. Their linearisation is that of ``derivatives``.
 from __future__ import annotations
 
 import ctypes
+import math
 from dataclasses import fields
-from math import isfinite
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,6 @@ from redundancy_pin.dynamics.forward import (
     Equations,
     LinearParts,
     Loads,
-    Reading,
     Rules,
 )
 from redundancy_pin.errors import UnsupportedRobotError
@@ -50,24 +50,21 @@ _RUN = Struct(
     "Run",
     (
         Member("stages", "int", "of an explicit Runge-Kutta method, by the tables of scipy"),
-        Member("extended", "int", "stages with those of its interpolant"),
-        Member("eighth", "int", "whether it is DOP853"),
-        Member("powers", "int", "of time in its interpolant"),
-        Member("A", "const double *", "(extended, extended)"),
-        Member("B", "const double *", "(stages)"),
-        Member("C", "const double *", "(extended)"),
-        Member("E", "const double *", "(stages + 1)"),
-        Member("E3", "const double *", "(stages + 1), of DOP853"),
-        Member("P", "const double *", "interpolant, (stages + 1, powers), or (powers - 3, extended) of DOP853"),
-        Member("rates", "double *", "(extended + 1, NQ + NV), memory for the rates of the stages"),
+        Member("rows", "int", "stages, the rates at the end, and stages of the interpolant"),
+        Member("powers", "int", "of the share of a step in the interpolant, without the constant"),
+        Member("A", "const double *", "(rows, rows); the row after the stages leads to the end of a step"),
+        Member("C", "const double *", "(rows)"),
+        Member("E", "const double *", "(stages + 1) of the error estimate"),
+        Member("E3", "const double *", "(stages + 1) of a second one, of DOP853; zeros otherwise"),
+        Member("P", "const double *", "(rows, powers) interpolant"),
+        Member("rates", "double *", "(rows, NQ + NV), memory for the rates of the stages"),
         Member("order", "double", "of its error estimate"),
         Member("rtol", "double", "relative tolerance of a step"),
-        Member("atol", "double", "absolute tolerance of a step"),
+        Member("atol", "const double *", "(NQ + NV) absolute tolerance of a step"),
         Member("max_step", "double", "s"),
         Member("prescribed", "int", "whether the carriers' motion is given, by loads"),
         Member("pieces", "int", "of the polynomials of efforts"),
         Member("terms", "int", "of each of them"),
-        Member("saturates", "int", "whether any limit is finite"),
         Member("edges", "const double *", "(pieces + 1) their ends, s"),
         Member("coefficients", "const double *", "(pieces, terms, M + NK), N and N m"),
         Member("limits", "const double *", "(M + NK) largest main efforts and carrier forces, N and N m"),
@@ -81,14 +78,17 @@ _RUN = Struct(
         Member("stops", "int", "of joints at their limits"),
         Member("stop", "const double *", "(stops, 4) index in q and in v, side, bound"),
         Member("mode", "const double *", "(LEGS) signs of the working mode"),
-        Member("short_step", "double", "s; shorter steps are checked at their end only"),
+        Member("time", "double", "s; time scale of the motion"),
+        Member(
+            "brief", "double", "rad; steps with less travel, at the speeds of their ends, are checked at their end only"
+        ),
         Member("check_travel", "double", "rad; largest travel of joints between two checks of the closures' rank"),
         Member("near_rank", "double", "ratio of singular values of the closures below which a rank loss may be near"),
         Member("shortest", "double", "s; the shortest ordinary step"),
         Member("tolerance", "double", "m; closure residual that a projection must reach"),
         Member("largest_residual", "double", "m; closure residual that it must not leave"),
         Member("velocity_change", "double", "by a projection, at most this share of the largest velocity"),
-        Member("velocity_floor", "double", "and this amount, m/s or rad/s"),
+        Member("velocity_floor", "double", "and this amount, characteristic lengths or rad, per time scale"),
     ),
     {"Loads": _LOADS},
 )
@@ -97,7 +97,7 @@ _PROGRESS = Struct(
     "Progress",
     (
         Member("t", "double", "s"),
-        Member("next_step", "double", "s; negative where unknown"),
+        Member("next_step", "double", "s, at most"),
         Member("near", "double", "ratio of singular values of the closures below which a rank loss is looked for"),
         Member("largest_correction", "double", "m; largest closure residual before a projection"),
         Member("steps", "long", "so far"),
@@ -159,7 +159,7 @@ class CompiledForward(Code):
     def __init__(self, robot: Robot) -> None:
         super().__init__(_FORWARD, robot)
         self._accelerations, self._projected = self.library.rp_accelerations, self.library.rp_projected
-        self._dynamics, self._advance = self.library.rp_dynamics, self.library.rp_advance
+        self._advance = self.library.rp_advance
         model = robot.model
         self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
         self._rows = self._p - robot.n
@@ -174,7 +174,7 @@ class CompiledForward(Code):
         carriers = None if carrier_acceleration is None else np.ascontiguousarray(carrier_acceleration, np.float64)
         given = None if carriers is None else address(carriers)
         results = (address(part) for part in (a, closure_force, missing))
-        status = self._accelerations(self.numbers, *(address(part) for part in inputs), given, *results)
+        status = self._accelerations(self.numbers, *(address(part) for part in inputs), None, given, *results)
         return None if status else Accelerations(a, closure_force, missing)
 
     def project(self, y: Array, tolerance: float) -> tuple[Array, float, float] | None:
@@ -186,15 +186,22 @@ class CompiledForward(Code):
 
     def equations(self, q: Array, v: Array) -> Equations:
         """Return the equations of the tree and its closures at a state."""
-        K, bias = np.empty((self._p, self._p), order="F"), np.empty(self._p)
-        mass, effort = np.empty((self._nv, self._nv), order="F"), np.empty(self._nv)
-        state = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v)]
-        self._dynamics(self.numbers, *(address(part) for part in (*state, K, bias, mass, effort)))
-        return Equations(K, bias, mass, effort)
+        p, nv = self._p, self._nv
+        K, bias, mass, effort = self._read(self.library.rp_dynamics, q, v, (p * p, p, nv * nv, nv))
+        return Equations(K.reshape(p, p, order="F"), bias, mass.reshape(nv, nv, order="F"), effort)
 
-    def reader(self) -> CompiledReader:
-        """Return what reads one state at a time, for one thread."""
-        return CompiledReader(self)
+    def platform(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return coordinates of the platform and their rates at a state; see ``ForwardKernel.platform``."""
+        n, shape = self.robot.n, (4, 4) if is_pose(self.robot) else (self.robot.n,)
+        x, xd = self._read(self.library.rp_platform_at, q, v, (math.prod(shape), n))
+        return x.reshape(shape), xd
+
+    def _read(self, function: Any, q: Array, v: Array, sizes: tuple[int, ...]) -> list[Array]:
+        """Return results of these sizes at a state; side by side in memory, for an address takes a microsecond."""
+        state, out = np.concatenate((q, v)), np.empty(sum(sizes))
+        function(self.numbers, address(state), address(out))
+        ends = accumulate(sizes)
+        return [out[end - size : end] for size, end in zip(sizes, ends, strict=True)]
 
     def linear(self, q: Array, v: Array, a: Array, tau: Array) -> LinearParts:
         """Return exact derivatives at N states in motion under main efforts (N, m)."""
@@ -229,37 +236,6 @@ class CompiledForward(Code):
         return CompiledIntegration(self, rules)
 
 
-class CompiledReader:
-    """Reads states, one at a time, in fixed memory; ``dynamics.forward.Reader``. Copied, it is None."""
-
-    def __init__(self, forward: CompiledForward) -> None:
-        robot = forward.robot
-        n, d, self._nq = robot.n, robot.n + robot.k, forward._nq
-        self._x: tuple[int, ...] = (4, 4) if is_pose(robot) else (n,)
-        self._shapes = (d, d), (n, robot.m)
-        sizes = [16 if len(self._x) == 2 else n, n, d * d, d, n * robot.m]
-        self._ends = np.cumsum(sizes).tolist()
-        self._state, self._out = np.zeros(forward._nq + forward._nv), np.full(self._ends[-1], np.nan)
-        v = ctypes.c_void_p(self._state.ctypes.data + 8 * self._nq)
-        self._forward = forward  # whose numbers the code reads
-        self._given = forward.numbers, address(self._state), v, address(self._out)
-        self._read = forward.library.rp_reading
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return nothing: the memory stays where it is."""
-        return type(None), ()
-
-    def __call__(self, q: Array, v: Array) -> Reading:
-        """Return what there is at q (nq,), v (nv,)."""
-        self._state[: self._nq], self._state[self._nq :] = q, v
-        regular = self._read(*self._given)
-        out, (a, b, c, d, e) = self._out.copy(), self._ends
-        mass, W = self._shapes
-        return Reading(
-            out[:a].reshape(self._x), out[a:b], out[b:c].reshape(mass), out[c:d], out[d:e].reshape(W), bool(regular)
-        )
-
-
 class CompiledIntegration:
     """An integration in machine code; ``dynamics.forward.Integration``.
 
@@ -280,6 +256,7 @@ class CompiledIntegration:
         for field in fields(rules):
             if field.type == "float":
                 setattr(self._run, field.name, getattr(rules, field.name))
+        self._point("atol", rules.atol)
         self._point("sample_at", rules.grid)
         self._point("break_at", rules.breaks)
         self._point("stop", rules.stops.T)
@@ -288,7 +265,6 @@ class CompiledIntegration:
         self._run.recorded = self.recorded.ctypes.data
         self._run.samples, self._run.breaks = len(rules.grid), len(rules.breaks)
         self._run.stops, self._run.prescribed = rules.stops.shape[1], int(rules.prescribed)
-        self._run.saturates = int(np.isfinite(rules.limits).any())
         if rules.efforts is not None:
             self._act(rules.efforts.edges, np.swapaxes(rules.efforts.coefficients, 0, 1))
         if rules.loads is not None:
@@ -345,7 +321,7 @@ class CompiledIntegration:
         except BaseException as error:  # C cannot raise it: the caller does
             self._error = error
             return 0
-        return int(isfinite(sum(whole.tolist())))  # of a few numbers sooner known than by np.isfinite
+        return int(math.isfinite(sum(whole.tolist())))  # of a few numbers sooner known than by np.isfinite
 
     def _memory(self, address: int, size: int) -> Array:
         """Return the memory of C at an address; C hands over the same few again and again."""
@@ -363,23 +339,42 @@ class CompiledIntegration:
         """Set the tables of a method of scipy."""
         from scipy.integrate import DOP853, RK45
 
-        run = self._run
-        if name == "DOP853":
-            count, extra = DOP853.n_stages, len(DOP853.C_EXTRA)
-            run.extended = count + 1 + extra
-            A, C = np.zeros((run.extended, run.extended)), np.zeros(run.extended)
-            A[:count, :count], C[:count] = DOP853.A, DOP853.C
-            A[count + 1 :, : DOP853.A_EXTRA.shape[1]], C[count + 1 :] = DOP853.A_EXTRA, DOP853.C_EXTRA
-            run.eighth, run.powers, E, P = 1, 3 + len(DOP853.D), DOP853.E5, DOP853.D
-            self._point("E3", DOP853.E3)
-            method: Any = DOP853
-        else:
-            count, method = RK45.n_stages, RK45
-            run.extended = count
-            A, C, E, P = np.zeros((count, count)), RK45.C, RK45.E, RK45.P
-            A[:, : RK45.A.shape[1]] = RK45.A
-            run.eighth, run.powers = 0, RK45.P.shape[1]
-        run.stages, run.order = count, method.error_estimator_order
-        for table, values in (("A", A), ("B", method.B), ("C", C), ("E", E), ("P", P)):
+        is_8 = name == "DOP853"
+        method: Any = DOP853 if is_8 else RK45
+        count = method.n_stages
+        rows = count + 1 + (len(DOP853.C_EXTRA) if is_8 else 0)
+        A, C = np.zeros((rows, rows)), np.ones(rows)
+        A[:count, : method.A.shape[1]], A[count, :count], C[:count] = method.A, method.B, method.C
+        if is_8:
+            A[count + 1 :], C[count + 1 :] = DOP853.A_EXTRA, DOP853.C_EXTRA
+        tables: dict[str, Array] = {
+            "A": A,
+            "C": C,
+            "E": DOP853.E5 if is_8 else RK45.E,
+            "E3": DOP853.E3 if is_8 else np.zeros(count + 1),
+            "P": _interpolant_of_order_7() if is_8 else RK45.P,
+            "rates": np.zeros((rows, self._width)),
+        }
+        for table, values in tables.items():
             self._point(table, values)
-        self._point("rates", np.zeros((run.extended + 1, self._width)))
+        run = self._run
+        run.stages, run.rows, run.powers = count, rows, tables["P"].shape[1]
+        run.order = method.error_estimator_order
+
+
+def _interpolant_of_order_7() -> Array:
+    """Return (16, 7) scipy's interpolant of DOP853 by powers of the share x of a step, y(x) = y₀ + h Σ K_s P_sp x^p.
+
+    Scipy has it as a nested product of x and 1 − x (Hairer, Norsett and Wanner, 1993, section II.6).
+    """
+    from scipy.integrate import DOP853
+
+    count, (extra, rows) = DOP853.n_stages, DOP853.D.shape
+    change, first, both = np.zeros((3, rows))
+    change[:count], first[0], both[[0, count]] = DOP853.B, 1.0, 1.0
+    parts = np.vstack([change, first - change, 2.0 * change - both, DOP853.D])
+    powers, weight = np.zeros((3 + extra, 4 + extra)), np.ones(1)
+    for i in range(len(powers)):
+        weight = np.convolve(weight, [1.0, -1.0] if i % 2 else [0.0, 1.0])
+        powers[i, : i + 2] = weight
+    return np.asarray(parts.T @ powers[:, 1:], dtype=np.float64)

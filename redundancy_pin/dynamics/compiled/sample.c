@@ -260,9 +260,10 @@ static int failure_at(const double *numbers, Pose *pose) {
   return s.rank < N ? STATUS_TYPE_II : STATUS_UNREACHABLE;
 }
 
-/* Newton's method for closures and actuated positions at once. It is trusted while it contracts, as newton() is. The pose ends
-   with K decomposed, on the same side of type I singularities. Returns a status. */
-static int forward(const double *numbers, Pose *pose, const double *position, double *off) {
+/* Newton's method for closures and actuated positions at once, to positions that miss those given by left (M, or null). It is
+   trusted while it contracts, as newton() is. The pose ends with K decomposed, on the same side of type I singularities.
+   Returns a status. */
+static int forward(const double *numbers, Pose *pose, const double *position, const double *left, double *off) {
   double step[NP + 1], alignment[NALIGN], x[NX], last = LONGEST / CONTRACTION, sign = pose->sign;
   Driven driven;
   driven.known = 0;
@@ -271,6 +272,8 @@ static int forward(const double *numbers, Pose *pose, const double *position, do
     rows(numbers, pose->q, pose->trig, x, step, pose->lu, alignment);
     pose->gap = largest(step, R);
     drives(pose->q, position, off);
+    if (left)
+      for (int j = 0; j < M; ++j) off[j] -= left[j];
     int reused = driven.known = driven.known && last * last <= FLOOR;
     if (!actuated_step(numbers, pose, off, step, &driven)) return failure_at(numbers, pose);
     double size = largest(step, NP);
@@ -306,7 +309,7 @@ static int platform_of(const double *numbers, Pose *pose, const double *position
   clear(out->x, NX);
   clear(out->xd, N);
   out->mismatch = out->gap = out->margin = out->type_I_margin = 0.0;
-  int status = forward(numbers, pose, position, off);
+  int status = forward(numbers, pose, position, 0, off);
   if (status) return status;
   coordinates_of(numbers, pose->q, pose->trig, out->x);
   clear(none, N);

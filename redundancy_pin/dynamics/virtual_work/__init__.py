@@ -26,12 +26,12 @@ from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRr
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, UnsupportedRobotError, millimetres
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import JointForces, Robot, RobotLike, as_robot
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
 from redundancy_pin.robot.joint_ranges import joint_ranges
-from redundancy_pin.robot.loads import wrench_values
+from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import require_matching
-from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales
+from redundancy_pin.robot.scales import column_scale, is_revolute, row_scale, sample_scales
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
@@ -94,6 +94,12 @@ class VirtualWork(Dynamics):
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
         # the closed form has one branch, given by the working mode, and needs no start
+        springs = (load.joint for load in of_kind(self._robot.loads, JointForces) if load.stiffness)
+        if any(is_revolute(self._robot, joint) for joint in springs):
+            raise UnsupportedRobotError(
+                "One sample does not tell the whole turns of a hinge, which its spring counts.",
+                remedy="Use reduce and distribute for whole motions, or RneaDynamics.",
+            )
         return solve_batch_of_one(self, given, t)
 
 

@@ -33,7 +33,7 @@ from redundancy_pin.simulation.controllers.base import (
     positive_each,
 )
 from redundancy_pin.simulation.derivatives import state_error
-from redundancy_pin.simulation.state import PROJECTION_TOLERANCE, Manifold, State
+from redundancy_pin.simulation.state import Manifold, State
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
@@ -62,7 +62,7 @@ class ReducedModel:
     """
 
     def __init__(self, robot: Robot, kernel: ForwardKernel | None = None) -> None:
-        self.robot, self._read = robot, None if kernel is None else kernel.reader()
+        self.robot, self._kernel = robot, kernel
         self.chain = ClosedChain(robot)
         nv = robot.model.nv
         self._columns = np.array(self.chain.pose_columns)
@@ -78,12 +78,7 @@ class ReducedModel:
             SingularPoseError: a type I pose, where platform and carriers are no coordinates.
         """
         robot, n, rows = self.robot, self.robot.n, self.chain.rows
-        if self._read is not None:
-            *_, mass, bias, W, regular = self._read(q, v)
-            if not regular:
-                raise self._singular()
-            return ReducedEquations(mass, bias, W)
-        system, rates, mass, at_rest = self._equations(q, v)
+        system, rates, mass, at_rest = self._equations(q, v) if self._kernel is None else self._kernel.equations(q, v)
         _, _, inverse, singular = lapack.dgesv(system, self._identity)
         if singular or np.abs(system).max() * np.abs(inverse).max() * RANK_TOLERANCE > 1.0:
             raise self._singular()
@@ -214,7 +209,6 @@ class ComputedTorque(Tracking):
         self._kernel = kernel_of(robot, dynamics)
         self._model = ReducedModel(robot, self._kernel)
         self._manifold = Manifold(self._model.chain)
-        self._read = None if self._kernel is None else self._kernel.reader()
         self._rows = row_scale(robot)
         if effort_scale is None:
             largest_tau = np.maximum(largest_tau, correcting_efforts(self.reference, bandwidth**2 * POSITION))
@@ -280,9 +274,10 @@ class ComputedTorque(Tracking):
         model = self.robot.model
         q = pin.integrate(model, np.array(state.q), lead * state.v + 0.5 * lead * lead * a)
         v = state.v + lead * a
-        projected = None if self._kernel is None else self._kernel.project(np.concatenate([q, v]), PROJECTION_TOLERANCE)
+        tolerance = self._manifold.tolerance
+        projected = None if self._kernel is None else self._kernel.project(np.concatenate([q, v]), tolerance)
         q, v = self._manifold.project(q, v)[:2] if projected is None else np.split(projected[0], [len(q)])
-        return State(self._model.chain, t + lead, q, v, self._read)
+        return State(self._model.chain, t + lead, q, v, self._kernel)
 
 
 def correcting_efforts(reference: MotionReference, acceleration: float) -> Array:

@@ -127,7 +127,7 @@ class Encoders(Controller):
                 self._rate = self._rate + self._share * ((away - self._away) / (t - self._last) - self._rate)
             self._away, self._last = away, t
         q, v, _, _ = self._manifold.project(reading, speed + self._rate)
-        return State(self._chain, t, q, v, state.read)
+        return State(self._chain, t, q, v, state.kernel)
 
     def effort(self, t: float, state: State) -> Command:
         """Return the efforts for the estimated state."""

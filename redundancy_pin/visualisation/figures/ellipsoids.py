@@ -9,8 +9,6 @@ import numpy as np
 from redundancy_pin.arrays import Array, require_type
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.tree import frame_placement
-from redundancy_pin.robot.lookup import find_link_index
 from redundancy_pin.singularities.performance import Ellipsoid, Performance
 from redundancy_pin.visualisation.figures.paths import draw_mechanism, label_plane, projection
 from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_below
@@ -52,8 +50,7 @@ def draw_ellipsoids(performance: Performance, *, plane: str | None = None) -> Fi
     matrix = projection(view)
     rows = [robot.platform.axes.index(axis) for axis in moving]
     into = matrix[:, ["xyz".index(axis) for axis in moving]]
-    vectors = constraint_system(robot).evaluate(performance.q).vectors
-    places = frame_placement(vectors, find_link_index(robot.model, robot.platform.frame))[1].T @ matrix.T
+    places = constraint_system(robot).evaluate(performance.q).placement(robot.platform.frame)[1].T @ matrix.T
     lines = [np.stack(ends) @ matrix.T for ends in links(robot, performance.q[0])]
     hinges = base_hinges(robot) @ matrix.T
     size = float(np.ptp(np.concatenate([*lines, hinges, places]), axis=0).max())

@@ -18,10 +18,9 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.kinematics.tree import frame_placement
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.lookup import find_joint_index, find_link_index
+from redundancy_pin.robot.lookup import find_joint_index
 from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.mechanism import joint_axis, solids_of
 from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, Role, Solid
@@ -223,8 +222,7 @@ def traced(robot: Robot, q: Array) -> Array:
     if robot.platform is None and not robot.closures:
         return np.zeros((0, 3))
     name = robot.platform.frame if robot.platform is not None else robot.closures[0].frame_a
-    vectors = constraint_system(robot).evaluate(q).vectors
-    return frame_placement(vectors, find_link_index(robot.model, name))[1].T
+    return constraint_system(robot).evaluate(q).placement(name)[1].T
 
 
 def _arrows(

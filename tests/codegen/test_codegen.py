@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import spatial_chains
 import zoo
-from generated_c import ACTUATED, COMPILERS, NOTHING_WRITTEN, Code, actuated_by, compiled, filled_with, folder_of, run
+from generated_c import COMPILERS, NOTHING_WRITTEN, Code, compiled, filled_with, folder_of, run
+from machines import code_of, machine
 from prescribed import factors, times
+from scaled import Units, scaled_robot
 
 import redundancy_pin as rp
 from redundancy_pin import codegen
@@ -33,12 +34,6 @@ pytestmark = pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not insta
 EQUAL = 1e-12
 """Relative to the largest value of a motion, as generated C was asked for; efforts times the condition number."""
 
-MASSIVE = {
-    "2rpr": {"end_effector_mass": 0.4, "cylinder_mass": 0.5, "piston_mass": 0.3, "gravity": (0.0, -9.81, 0.0)},
-    "3rrr": {"gravity": (0.0, -9.81, 0.0)},
-    "four_bar": {},
-    "gough": {"payload_mass": 2.0},
-}
 SMALL = ("2rpr", "3rrr", "four_bar", "universal", "continuous", "more actuators", "fewer actuators")
 LARGE = pytest.param("gough", marks=pytest.mark.long)
 LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("3rrr", "universal", "gough")]
@@ -46,20 +41,8 @@ LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("3rrr", "univers
 
 
 @cache
-def robot_of(name: str) -> Robot:
-    if name in ACTUATED:
-        return actuated_by(*ACTUATED[name])
-    return spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name, **MASSIVE[name])
-
-
-@cache
-def code_of(name: str) -> Code:
-    return Code(robot_of(name))
-
-
-@cache
 def program_of(name: str, level: str = "-O2", compiler: str = "gcc") -> Path:
-    folder = folder_of(robot_of(name))
+    folder = folder_of(machine(name))
     target = folder.parent / f"{compiler}{level}"
     return compiled([folder / "unit.c", folder / "test_unit.c"], target, level, compiler=compiler)
 
@@ -85,7 +68,7 @@ def test_it_compiles_and_its_own_test_passes(name: str, compiler: str) -> None:
 @pytest.mark.long_for("fewer actuators", "more actuators")
 @pytest.mark.parametrize("name", ["2rpr", "more actuators", "fewer actuators", *LONG])
 def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
-    folder = folder_of(robot_of(name))
+    folder = folder_of(machine(name))
     sources = [folder / "unit.c", folder / "test_unit.c"]
     # unoptimised: nothing is hidden, in a third of the time
     flags = ("-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -94,9 +77,20 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.parametrize("units", [Units(1e-6, 1e-12), Units(1e6, 1e6)], ids=["small", "large"])
+def test_its_own_test_knows_the_size_of_the_machine(units: Units, tmp_path: Path) -> None:
+    folder = codegen.write_c(scaled_robot(machine("2rpr"), units), tmp_path / "code", prefix="unit").folder
+    tests, text = compiled([folder / "test_unit.c"], tmp_path / "test.o", "-c"), (folder / "unit.c").read_text()
+    for what in ("f", "tau", ""):
+        wrong = f"  for (int i = 0; i < 1; ++i) efforts->{what}[i] *= 1.0 + 1e-6;\n" if what else ""
+        (tmp_path / "unit.c").write_text(text.replace("  efforts->gap = ", f"{wrong}  efforts->gap = "))
+        done = run(compiled([tmp_path / "unit.c", tests], tmp_path / "program", f"-I{folder}"))
+        assert f"{what} is" in done.stdout if what else done.returncode == 0, done.stdout
+
+
 @pytest.mark.long
 def test_its_own_test_can_fail(tmp_path: Path) -> None:
-    folder = folder_of(robot_of("2rpr"))
+    folder = folder_of(machine("2rpr"))
     text = (folder / "unit.c").read_text(encoding="utf-8")
     broken = {
         "f": text.replace("copy(efforts->f, f, UNIT_OWN_N);", "copy(efforts->f, f, 2); efforts->f[1] *= 1.0 + 1e-9;"),
@@ -104,7 +98,7 @@ def test_its_own_test_can_fail(tmp_path: Path) -> None:
         "carrier force": text.replace("copy(efforts->carrier_force, rest,", "copy(efforts->carrier_force, f,"),
         "xd": text.replace("xd[i] = result[i] / UNIT_OWN_ROW_SCALE[i]", "xd[i] = result[i] * 1.000001"),
         "closure Jacobian": text.replace("= K[i + j * UNIT_OWN_NP] *", "= -K[i + j * UNIT_OWN_NP] *"),
-        "status of a bad input": re.sub(r"if \(!unit_own_finite\(in, .*?\) \|\|", "if (", text),
+        "status of a bad input": re.sub(r"if \(!unit_own_finite\(in, .*?\)\) return UNIT_OWN_NOT_FINITE;", "", text),
         "a state that was written to": text.replace(
             "int closed = unit_own_rp_sample(UNIT_OWN_NUMBERS, from, in, out);",
             "int closed = unit_own_rp_sample(UNIT_OWN_NUMBERS, from, in, out); state->sign = 2.0;",
@@ -129,7 +123,7 @@ def rows_of(motion: rp.PlatformMotion, carriers: rp.CarrierMotion, k: int) -> li
 
 def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion) -> list[int]:
     """Compare samples in order with the RNEA backend, each from the state before; return their statuses."""
-    robot, code = robot_of(name), code_of(name)
+    robot, code = machine(name), code_of(name)
     reduced = rp.RneaDynamics(robot).reduce(motion, carriers)
     want = rp.distribute(reduced)
     state, scale = code.start(), np.nanmax(np.abs(want.tau), initial=0.0)
@@ -160,7 +154,7 @@ def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
 @pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 7])
 def test_smooth_motions_and_their_samples_in_any_order(name: str, seed: int) -> None:
-    robot, t = robot_of(name), np.linspace(0.0, 2.0, 120)
+    robot, t = machine(name), np.linspace(0.0, 2.0, 120)
     motion, carriers = zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed)
     assert_same(name, motion, carriers)
     if name in ("2rpr", "3rrr", "universal"):
@@ -171,7 +165,7 @@ def test_smooth_motions_and_their_samples_in_any_order(name: str, seed: int) -> 
 
 
 def test_through_type_two() -> None:
-    robot = robot_of("2rpr")
+    robot = machine("2rpr")
     motion = rp.trajectory.reference.circle().sample(dt=0.004)  # crosses the line of the base twice
     statuses = assert_same("2rpr", motion, zoo.carriers_at(robot, motion.t))
     assert {SampleStatus.OK, SampleStatus.NEAR_SINGULAR} <= set(statuses)
@@ -197,7 +191,7 @@ int probe(const double *W, const double *f, unit_efforts *out) {
 @pytest.mark.long_for("3rrr", "more actuators")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", LARGE, "more actuators", "fewer actuators"])
 def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -> None:
-    robot, random = robot_of(name), np.random.default_rng(3)
+    robot, random = machine(name), np.random.default_rng(3)
     folder = folder_of(robot)
     (tmp_path / "probe.c").write_text(PROBE)
     library = ctypes.CDLL(
@@ -260,7 +254,7 @@ def drives_along(robot: Robot, motion: rp.PlatformMotion) -> tuple[np.ndarray, n
 @pytest.mark.long_for("universal", "four_bar")
 @pytest.mark.parametrize("name", [*(name for name in SMALL if name != "fewer actuators"), LARGE])
 def test_the_platform_follows_from_its_actuators(name: str) -> None:
-    robot, code, t = robot_of(name), code_of(name), np.linspace(0.0, 2.0, 150)
+    robot, code, t = machine(name), code_of(name), np.linspace(0.0, 2.0, 150)
     motion = zoo.smooth_motion(robot, 4).at(t)
     positions, velocities = drives_along(robot, motion)
     condition = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).condition
@@ -278,7 +272,7 @@ def test_the_branch_is_that_of_the_state() -> None:
     """The end-effector of a 2-RPR lies above or below its base for the same legs."""
     code = code_of("2rpr")
     motion = rp.PlatformMotion([0.0], [[0.25, 0.2]], [[0.1, 0.3]], [[0.0, 0.0]])
-    positions, velocities = drives_along(robot_of("2rpr"), motion)
+    positions, velocities = drives_along(machine("2rpr"), motion)
     for side in (1.0, -1.0):
         state = code.start()
         assert code.go_to(state, np.array([0.24, 0.19 * side])) == 0
@@ -293,13 +287,13 @@ def test_at_type_two_actuators_do_not_determine_the_platform() -> None:
     state = code.start()
     assert code.go_to(state, at.x[0]) == 0
     kept, untouched = bytes(state), bytes(filled_with(code.platform_type, 7.0))
-    got = code.platform(state, drives_along(robot_of("2rpr"), at)[0][0], np.zeros(2))
+    got = code.platform(state, drives_along(machine("2rpr"), at)[0][0], np.zeros(2))
     assert (got.status, got.raw, bytes(state)) == (SampleStatus.TYPE_II, untouched, kept)
     assert code.at("margins", state).rank == 1
 
 
 def test_more_actuators_than_freedoms_take_the_nearest_pose() -> None:
-    robot, code = robot_of("more actuators"), code_of("more actuators")
+    robot, code = machine("more actuators"), code_of("more actuators")
     motion = rp.PlatformMotion([0.0], zoo.home_of(robot)[None], [[0.5]], [[0.0]])
     positions, velocities = drives_along(robot, motion)
     off = np.array([2e-3, -1e-3])
@@ -320,7 +314,7 @@ def test_more_actuators_than_freedoms_take_the_nearest_pose() -> None:
 @pytest.mark.long_for("universal", "four_bar")
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
 def test_jacobians_and_margins(name: str) -> None:
-    robot, code, t = robot_of(name), code_of(name), np.linspace(0.0, 2.0, 20)
+    robot, code, t = machine(name), code_of(name), np.linspace(0.0, 2.0, 20)
     motion = zoo.smooth_motion(robot, 9).at(t)
     tree = rp.inverse_kinematics(robot, motion)
     want, efforts = ConstraintSystem(robot).evaluate(tree.q).Jc, rp.distribute(rp.RneaDynamics(robot).reduce(motion))
@@ -346,7 +340,7 @@ def test_jacobians_and_margins(name: str) -> None:
 @pytest.mark.long_for("universal")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "universal"])
 def test_bad_input_gets_a_status_and_nothing_is_written(name: str) -> None:
-    robot, code = robot_of(name), code_of(name)
+    robot, code = machine(name), code_of(name)
     n, k = robot.n, robot.k
     good = [zoo.home_of(robot), np.ones(n), np.ones(n), *([np.zeros(k)] * 3 if k else [])]
     untouched, state = bytes(filled_with(code.efforts_type, 7.0)), code.start()
@@ -380,7 +374,7 @@ def test_out_of_reach_and_type_one() -> None:
 
 
 def test_a_state_knows_its_side_of_type_one() -> None:
-    code, home = code_of("3rrr"), zoo.home_of(robot_of("3rrr"))
+    code, home = code_of("3rrr"), zoo.home_of(machine("3rrr"))
     state = code.start()
     side = state.sign
     assert abs(side) == 1.0
@@ -405,7 +399,7 @@ def test_statuses_of_the_header_are_those_of_the_package(tmp_path: Path) -> None
 
 def test_another_working_mode_has_a_status_of_its_own() -> None:
     """A mode read off the crank changes where nothing is singular, so that its own check is what notices."""
-    robot = robot_of("four_bar")
+    robot = machine("four_bar")
     crank = replace(robot, working_modes=WorkingModes(("crank",), (1,)), working_mode=(1,))
     code, still = Code(crank), np.zeros((1, 1))
     assert np.sin(zoo.home_of(robot)[0]) > 0.0
@@ -420,7 +414,7 @@ def test_another_working_mode_has_a_status_of_its_own() -> None:
 
 
 def test_each_state_is_its_own() -> None:
-    robot, code, t = robot_of("3rrr"), code_of("3rrr"), np.linspace(0.0, 1.0, 100)
+    robot, code, t = machine("3rrr"), code_of("3rrr"), np.linspace(0.0, 1.0, 100)
     motions = [zoo.smooth_motion(robot, seed).at(t) for seed in range(4)]
 
     def work(motion: rp.PlatformMotion) -> np.ndarray:
@@ -439,7 +433,7 @@ def test_each_state_is_its_own() -> None:
 
 def test_names_from_a_file_cannot_leave_their_comments(tmp_path: Path) -> None:
     odd = 'x */ int y = "; /* ??/\n\\ é'
-    robot = robot_of("four_bar")
+    robot = machine("four_bar")
     robot = replace(
         robot,
         name=odd,
@@ -460,15 +454,23 @@ def test_prefixes(name: str, prefix: str) -> None:
     assert codegen.prefix_of(name, None) == prefix
 
 
+@pytest.mark.parametrize("prefix", ["rp", "status", "check", "Unit", "robot"])
+def test_prefixes_that_name_something_in_the_code(prefix: str, tmp_path: Path) -> None:
+    """The generated functions rp_drives, an enumerator STATUS_OK, and check_jacobians of the test program."""
+    codegen.write_c(machine("four_bar"), tmp_path / "code", prefix=prefix)
+    for stem in ("", "test_"):
+        compiled([tmp_path / "code" / f"{stem}{prefix}.c"], tmp_path / "code.o", "-c", "-O0")
+
+
 @pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "x" * 41, "a\n", "a__b", "a_", "math", "TEST"])
 def test_prefixes_that_are_no_names(prefix: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="prefix"):
-        codegen.write_c(robot_of("four_bar"), tmp_path / "code", prefix=prefix)
+        codegen.write_c(machine("four_bar"), tmp_path / "code", prefix=prefix)
     assert not (tmp_path / "code").exists()
 
 
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, folder = robot_of("four_bar"), tmp_path / "code"
+    robot, folder = machine("four_bar"), tmp_path / "code"
     codegen.write_c(robot, folder, prefix="first")
     written = codegen.write_c(robot, folder, prefix="second")
     assert {path.name for path in folder.iterdir()} == set(written.files)
@@ -489,16 +491,25 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: p
         codegen.write_c(robot, folder)
 
 
+def test_joints_beyond_their_ranges_have_efforts(tmp_path: Path) -> None:
+    robot, t = machine("four_bar").with_limits({"crank": {"upper": 1.1}}), np.linspace(0.0, 1.0, 20)[:, None]
+    motion = rp.PlatformMotion(t[:, 0], 1.0 + 0.2 * np.sin(6.0 * t), 1.2 * np.cos(6.0 * t), -7.2 * np.sin(6.0 * t))
+    assert 0 < rp.RneaDynamics(robot).reduce(motion).out_of_range.sum() < len(t)
+    codegen.write_c(robot, tmp_path / "code", prefix="bar", motion=motion)
+    done = run(compiled([tmp_path / "code" / f"{stem}bar.c" for stem in ("", "test_")], tmp_path / "program"))
+    assert done.stdout.startswith("0 failures"), done.stdout
+
+
 @pytest.mark.long
 def test_a_motion_of_ones_own(tmp_path: Path) -> None:
-    robot = robot_of("2rpr")
+    robot = machine("2rpr")
     motion = rp.trajectory.reference.circle().sample(dt=0.01)
     written = codegen.write_c(robot, tmp_path / "code", motion=motion, prefix="circle")
     assert written.samples == min(200, len(motion))
     program = compiled([tmp_path / "code" / f"{stem}circle.c" for stem in ("", "test_")], tmp_path / "program")
     assert run(program).stdout.startswith("0 failures")
     with pytest.raises(InputError):
-        codegen.write_c(robot, tmp_path / "other", motion=zoo.smooth_motion(robot_of("3rrr")).at(np.zeros(1)))
+        codegen.write_c(robot, tmp_path / "other", motion=zoo.smooth_motion(machine("3rrr")).at(np.zeros(1)))
     with pytest.raises(InputError, match="without a motion"):
         codegen.write_c(robot, tmp_path / "other", carriers=rp.CarrierMotion.parked(3, 2))
     away = rp.PlatformMotion([0.0], [[0.0, 0.0]], [[0.0, 0.0]], [[0.0, 0.0]])  # a leg of no length
@@ -509,7 +520,7 @@ def test_a_motion_of_ones_own(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_times_are_printed(tmp_path: Path) -> None:
-    folder = folder_of(robot_of("2rpr"))
+    folder = folder_of(machine("2rpr"))
     program = compiled([folder / "unit.c", folder / "test_unit.c"], tmp_path / "program", "-O2")
     done = run(program, "--time", "200")
     assert done.returncode == 0
@@ -529,7 +540,7 @@ def test_valgrind_finds_nothing(name: str) -> None:
 
 def test_two_robots_are_linked_into_one_program(tmp_path: Path) -> None:
     for name in ("2rpr", "four_bar"):
-        written = codegen.write_c(robot_of(name), tmp_path / name)
+        written = codegen.write_c(machine(name), tmp_path / name)
         assert written.prefix == {"2rpr": "robot_2rpr", "four_bar": "four_bar"}[name]
     main = tmp_path / "main.c"
     main.write_text(
@@ -548,7 +559,7 @@ def test_from_far_away_it_is_that_branch_or_none() -> None:
     x = np.stack([random.uniform(-0.2, 0.7, 200), random.uniform(0.02, 0.5, 200)], axis=1)
     still = np.zeros((1, 2))
     for start, end in zip(x[::2], x[1::2], strict=True):
-        positions, _ = drives_along(robot_of("2rpr"), rp.PlatformMotion([0.0], end[None], still, still))
+        positions, _ = drives_along(machine("2rpr"), rp.PlatformMotion([0.0], end[None], still, still))
         state = code.start()
         assert code.go_to(state, start) == 0
         kept = bytes(state)

@@ -1,0 +1,391 @@
+"""What every backend promises: shapes, marks, refusals, and a status where a joint is beyond its range."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import zoo
+from machines import machine
+from scipy.optimize import brentq
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
+from redundancy_pin.errors import CarrierLimitError, InputError, SingularPoseError, UnreachablePoseError
+from redundancy_pin.status import ResultStatus, SampleStatus
+from redundancy_pin.trajectory import reference
+
+BACKENDS = [rp.RneaDynamics, rp.VirtualWork, rp.CompiledDynamics]
+EVERY = pytest.mark.parametrize("backend", BACKENDS)
+WITH_LOOPS = pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
+Backend = Callable[[rp.Robot], Dynamics]
+
+
+def motion_of(robot: rp.Robot, samples: int = 5, seed: int = 11) -> tuple[rp.PlatformMotion, rp.CarrierMotion]:
+    t = np.linspace(0.0, 1.0, samples)
+    return zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed)
+
+
+def still_at(*x: Array) -> rp.PlatformMotion:
+    rest = np.zeros((len(x), np.size(x[0])))
+    return rp.PlatformMotion(np.arange(float(len(x))), np.array(x), rest, rest, check_rates=False)
+
+
+# --- what every backend returns
+
+RETURNED = [(rp.RneaDynamics, name) for name in zoo.SHIPPED]
+RETURNED += [(backend, name) for backend in BACKENDS[1:] for name in ("2rpr", "3rrr")]
+
+
+@pytest.mark.parametrize(("backend", "name"), RETURNED)
+def test_results_are_read_only_and_of_the_stated_shapes(backend: Backend, name: str) -> None:
+    robot, N = machine(name), 5
+    n, m, k, L = robot.n, robot.m, robot.k, robot.characteristic_length
+    motion, carriers = motion_of(robot)
+    along = backend(robot).along(motion)
+    assert along.robot is robot
+    assert along.motion is motion
+    reduced = along.reduce(carriers)
+    shapes = {"t": (N,), "f": (N, n), "W": (N, n, m), "carrier_force": (N, k), "reachable": (N,), "gap": (N,)}
+    shapes |= {"row_scale": (n,), "column_scale": (m,), "out_of_range": (N,), "force_size": (N,)}
+    results = {field.name: getattr(reduced, field.name) for field in fields(reduced)}
+    assert {part: array.shape for part, array in results.items()} == shapes
+    derivatives = along.carrier_derivatives(carriers)
+    for part in derivatives.__dataclass_fields__:
+        results[part] = getattr(derivatives, part)
+        assert results[part].shape == ((N, n, k) if part.startswith("f_") else (N, k, k))
+    results |= {"wrench": along.base_wrench(carriers), "energy": along.energy(carriers)}
+    assert (results["wrench"].shape, results["energy"].shape) == ((N, 6), (N,))
+    for array in results.values():
+        assert not array.flags.writeable
+    assert isinstance(replace(reduced, f=reduced.f * 2), ReducedDynamics)
+    if name in ("2rpr", "3rrr"):  # moments and torques count as forces at the characteristic length
+        rows, columns = ([1, 1], [1, 1]) if name == "2rpr" else ([1, 1, L], [L, L, L])
+        np.testing.assert_array_equal(reduced.row_scale, rows)
+        np.testing.assert_array_equal(reduced.column_scale, columns)
+
+
+@EVERY
+def test_one_solution_of_the_kinematics_serves_many_carrier_motions(backend: Backend) -> None:
+    robot = machine("3rrr")
+    motion, _ = motion_of(robot)
+    dynamics = backend(robot)
+    along = dynamics.along(motion)
+    for seed in (0, 1, 0):
+        carriers = zoo.carriers_at(robot, motion.t, seed)
+        np.testing.assert_array_equal(along.reduce(carriers).f, dynamics.reduce(motion, carriers).f)
+    left_out, parked = along.reduce(), along.reduce(rp.CarrierMotion.parked(5, 3))
+    for name in ("f", "W", "carrier_force"):
+        np.testing.assert_array_equal(getattr(left_out, name), getattr(parked, name))
+
+
+def test_a_single_sample_equals_that_sample_of_many(shipped: rp.Robot) -> None:
+    motion, carriers = motion_of(shipped)
+    dynamics, one = rp.RneaDynamics(shipped), carriers[2:3]
+    many, alone = dynamics.along(motion), dynamics.along(motion[2:3])
+    pairs = [(alone.reduce(one).f, many.reduce(carriers).f)]
+    pairs += [(getattr(alone, name)(one), getattr(many, name)(carriers)) for name in ("base_wrench", "energy")]
+    for got, want in pairs:
+        np.testing.assert_allclose(got[0], want[2], rtol=0.0, atol=1e-9 * np.abs(want).max())
+
+
+@EVERY
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_a_robot_without_carriers_has_empty_carrier_arrays(backend: Backend, name: str) -> None:
+    bare = zoo.robot_of(name, carriers=False)
+    along = backend(bare).along(motion_of(bare)[0])
+    for carriers in (None, rp.CarrierMotion(*np.zeros((3, 5, 0)))):
+        assert along.reduce(carriers).carrier_force.shape == (5, 0)
+    derivatives = along.carrier_derivatives()
+    assert derivatives.f_s.shape == (5, bare.n, 0)
+    assert derivatives.force_sdd.shape == (5, 0, 0)
+    if name == "2rpr":  # nothing else has mass by default
+        np.testing.assert_allclose(along.reduce().f, 0.0, atol=1e-14)
+    assert np.abs(along.reduce().f - backend(zoo.robot_of(name)).along(along.motion).reduce().f).max() > 1e-3
+
+
+@EVERY
+def test_type_two_poses_stay_finite(backend: Backend) -> None:
+    """B of the 2-RPR on the base line: parallel legs. In the middle of the 3-RRR's base, by symmetry, all distal links
+    point at the centre for one α: they meet in a point."""
+    flat = rp.PlatformMotion([0.0], [[0.2, 0.0]], [[0.1, 0.3]], [[0.0, 0.2]])
+
+    def turned(alpha: float) -> rp.PlatformMotion:
+        x = [[np.sqrt(3) / 2, 0.5, alpha]]
+        return rp.PlatformMotion([0.0], x, [[0.1, 0.3, -0.5]], [[0.4, 0.2, 1.0]])
+
+    def moment(alpha: float) -> float:  # of leg 1's pull about the centre
+        return float(rp.VirtualWork("3rrr").reduce(turned(alpha)).W[0, 2, 0])
+
+    for name, motion in (("2rpr", flat), ("3rrr", turned(brentq(moment, -np.pi / 2, np.pi / 2, xtol=1e-15)))):
+        reduced = backend(zoo.robot_of(name)).reduce(motion)
+        assert np.isfinite(reduced.f).all()
+        singular_values = np.linalg.svd(reduced.W[0], compute_uv=False)
+        assert singular_values[-1] < 1e-12 < 0.1 < singular_values[-2]
+
+
+@EVERY
+def test_platform_inertia_auto_is_that_of_a_disc(backend: Backend) -> None:
+    spin = rp.PlatformMotion([0.0], [[0.9, 0.5, 0.1]], [[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
+    auto, none = (backend(rp.load_robot("3rrr", platform_inertia=value)).reduce(spin) for value in ("auto", 0.0))
+    np.testing.assert_allclose(auto.f - none.f, [[0.0, 0.0, 0.5 * 0.5 * 0.25**2]], atol=1e-12)
+
+
+@EVERY
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_gravity_out_of_the_plane_enters_the_base_wrench_alone(backend: Backend, name: str) -> None:
+    robots = [zoo.robot_of(name, gravity=(0.3, -9.0, z)) for z in (2.0, 0.0)]
+    motion, carriers = motion_of(robots[0])
+    tilted, level = (backend(robot).along(motion) for robot in robots)
+    for of in ("carrier_force", "f"):
+        got, want = (getattr(along.reduce(carriers), of) for along in (tilted, level))
+        np.testing.assert_allclose(got, want, rtol=0.0, atol=1e-13 * np.abs(want).max())
+    np.testing.assert_allclose(tilted.energy(carriers), level.energy(carriers), rtol=1e-13)
+    difference = tilted.base_wrench(carriers) - level.base_wrench(carriers)
+    mass = {"2rpr": 2.0, "3rrr": 3 * (1.0 + 1.0 + 3.0) + 0.5}[name]
+    np.testing.assert_allclose(difference[:, 2], 2.0 * mass)
+    np.testing.assert_allclose(difference[:, [0, 1, 5]], 0.0, atol=1e-12)
+    assert np.abs(difference[:, 3:5]).min() > 0.0
+
+
+# --- what every backend refuses
+
+
+@EVERY
+def test_motions_and_carriers_that_do_not_fit_are_refused(backend: Backend) -> None:
+    robot = zoo.robot_of("3rrr")
+    dynamics, (motion, _) = backend(robot), motion_of(robot)
+    wrong = rp.PlatformMotion(motion.t, *np.zeros((3, 5, 4)))
+    poses = rp.PlatformMotion(motion.t, np.tile(np.eye(4), (5, 1, 1)), *np.zeros((2, 5, 3)))
+    for bad in (wrong, poses):
+        with pytest.raises(InputError, match=r"moves in \d coordinates"):
+            dynamics.along(bad)
+    with pytest.raises(InputError, match="unreachable is 'ignore'"):
+        dynamics.reduce(motion, unreachable="ignore")  # type: ignore[arg-type]
+    for samples, count in ((4, 3), (5, 2), (5, 0)):
+        carriers = rp.CarrierMotion.parked(samples, count)
+        for call in (dynamics.reduce, lambda *given: rp.inverse_dynamics(dynamics, *given)):
+            with pytest.raises(InputError, match=r"expected \(5, 3\)"):
+                call(motion, carriers)
+        with pytest.raises(InputError, match="carrier motion"):
+            dynamics.along(motion).energy(carriers)
+
+
+@EVERY
+def test_a_carrier_off_its_track_is_named_unless_the_check_is_off(backend: Backend) -> None:
+    robot = zoo.robot_of("3rrr")
+    dynamics, (motion, _) = backend(robot), motion_of(robot)
+    s = np.zeros((5, 3))
+    s[3, 1] = 1.25
+    carriers = rp.CarrierMotion(s, np.zeros((5, 3)), np.zeros((5, 3)))
+    message = r"'carrier_2' leaves its track \[-1, 1\] m by 0.25 m at sample 3"
+    with pytest.raises(CarrierLimitError, match=message) as caught:
+        dynamics.reduce(motion, carriers)
+    assert (caught.value.details["carrier"], caught.value.details["sample"]) == ("carrier_2", 3)
+    assert caught.value.details["amount"] == pytest.approx(0.25)
+    assert np.isfinite(dynamics.reduce(motion, carriers, check_track=False).f).all()
+
+
+# --- out of reach, singular, another mode
+
+
+def line(first: list[float], last: list[float], samples: int = 30) -> rp.PlatformMotion:
+    t = np.linspace(0.0, 1.0, samples)
+    a, b = np.array(first), np.array(last)
+    x = a + t[:, None] * (b - a)
+    return rp.PlatformMotion(t, x, np.repeat((b - a)[None], samples, axis=0), np.zeros_like(x))
+
+
+LEAVING = {
+    "out of the workspace": ("3rrr", line([0.9, 0.5, 0.0], [2.9, 0.5, 0.0]), UnreachablePoseError),
+    "begins out of it": ("3rrr", line([9.0, 0.5, 0.0], [9.1, 0.5, 0.0]), UnreachablePoseError),
+    "through a stretched leg of no length": ("2rpr", line([0.25, 0.3], [0.0, 0.0], 11), SingularPoseError),
+    "five-bar stretched": ("five_bar", line([0.0, 0.5], [0.0, 5.0]), UnreachablePoseError),
+}
+
+
+@pytest.mark.parametrize("what", LEAVING)
+def test_a_motion_that_cannot_be_is_refused_as_by_rnea(what: str) -> None:
+    name, motion, expected = LEAVING[what]
+    robot = machine(name)
+    with pytest.raises(expected) as theirs:
+        rp.RneaDynamics(robot).along(motion)
+    with pytest.raises(expected) as mine:
+        rp.CompiledDynamics(robot).along(motion)
+    assert mine.value.details["sample"] == theirs.value.details["sample"]
+    if expected is UnreachablePoseError:
+        # the smallest gap from another start may be another local one, of the same size
+        assert 0.3 < mine.value.details["gap"] / theirs.value.details["gap"] < 3.0  # type: ignore[operator]
+
+
+@WITH_LOOPS
+@pytest.mark.parametrize("first", [0, 15])
+def test_unreachable_samples_are_marked_and_the_others_unharmed(backend: Backend, first: int) -> None:
+    """Of the five-bar straight up its axis and back, those beyond 0.968 m, where both legs are stretched."""
+    robot = zoo.robot_of("five_bar")
+    x = np.stack([np.full(41, 0.25), 0.76 + 0.6 * np.sin(np.linspace(0.0, np.pi, 41))], axis=1)[first:]
+    motion = rp.PlatformMotion(np.arange(float(len(x))), x, np.ones_like(x), np.ones_like(x), check_rates=False)
+    carriers, dynamics = zoo.carriers_at(robot, motion.t), backend(robot)
+    with pytest.raises(UnreachablePoseError):
+        dynamics.reduce(motion, carriers)
+    marked = dynamics.reduce(motion, carriers, unreachable="mark")
+    within = x[:, 1] < np.sqrt(1 - 0.25**2)
+    np.testing.assert_array_equal(marked.reachable, within)
+    for array in (marked.f, marked.W, marked.carrier_force):
+        assert np.isnan(array[~within]).all()
+        assert np.isfinite(array[within]).all()
+    assert np.all(marked.gap[~within] > 1e-3)
+    back = rp.RneaDynamics(robot).reduce(motion[-5:], carriers[-5:])
+    np.testing.assert_allclose(marked.f[-5:], back.f, rtol=0.0, atol=1e-9 * np.abs(back.f).max())
+
+
+def test_backends_without_a_tree_mark_what_is_out_of_reach_too() -> None:
+    """3 m beside the machine; what can be reached has the same efforts by all."""
+    robot = zoo.robot_of("3rrr")
+    t, x = np.linspace(0.0, 1.0, 3), np.tile(zoo.home_of(robot), (3, 1))
+    x[2, 0] += 3.0
+    still = rp.PlatformMotion(t, x, 0.0 * x, 0.0 * x, check_rates=False)
+    results = [rp.inverse_dynamics(backend(robot), still, unreachable="mark") for backend in BACKENDS]
+    for result in results:
+        assert (result.efforts.status == SampleStatus.UNREACHABLE).tolist() == [False, False, True]
+        assert result.status is ResultStatus.UNBOUNDED
+        np.testing.assert_allclose(result.efforts.tau, results[0].efforts.tau, atol=1e-9)
+
+
+UP = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+STRETCHED = {"2rpr": [0.0, 0.0], "3rrr": [*(2.25 * UP), 0.0]}
+"""Type I: leg 1 of the 2-RPR has no length; leg 1 of the 3-RRR is straight."""
+
+
+@pytest.mark.parametrize("name", STRETCHED)
+def test_closed_forms_name_the_leg_and_mark_samples_that_leave_the_others_alone(name: str) -> None:
+    robot, good = zoo.robot_of(name), np.arange(7) != 2
+    motion, carriers = motion_of(robot, 7)
+    dynamics, x = rp.VirtualWork(robot), motion.x.copy()
+
+    def with_pose(sample: int, pose: Any) -> rp.PlatformMotion:
+        x[sample] = pose
+        return rp.PlatformMotion(motion.t, x.copy(), motion.xd, motion.xdd, check_rates=False)
+
+    with pytest.raises(SingularPoseError, match="leg 1") as refusal:
+        dynamics.along(with_pose(2, STRETCHED[name]))
+    assert (refusal.value.details["leg"], refusal.value.details["sample"]) == (0, 2)
+    assert abs(refusal.value.details["margin"]) < 1e-5
+    broken = with_pose(2, STRETCHED[name])
+    if name == "3rrr":  # the other one reaches everything
+        with pytest.raises(UnreachablePoseError) as refusal:
+            dynamics.reduce(still_at(motion.x[0], [*(2.5 * UP), 0.0]))  # leg 1 is 0.25 m short
+        assert refusal.value.details["sample"] == 1
+        assert refusal.value.details["gap"] == pytest.approx(0.25)
+        broken, good[5] = with_pose(5, [5.0, 0.0, 0.0]), False
+    along, intact = dynamics.along(broken, unreachable="mark"), dynamics.along(motion)
+    reduced = along.reduce(carriers)
+    np.testing.assert_array_equal(reduced.reachable, good)
+    assert np.isfinite(reduced.gap).all()
+    assert reduced.gap[good].max() < 1e-11
+    if name == "3rrr":
+        # the largest distance of a corner from its base hinge, less the 2 m a leg reaches
+        corners = np.array([5.0, 0.0]) - 0.25 * np.array([UP, [-UP[0], UP[1]], [0.0, -1.0]])
+        base = np.array([[0, 0], [np.sqrt(3), 0], [np.sqrt(3) / 2, 1.5]])
+        assert reduced.gap[5] == pytest.approx(np.hypot(*(corners - base).T).max() - 2.0)
+    first, second = (each.carrier_derivatives(carriers) for each in (along, intact))
+    pairs = [(getattr(first, part), getattr(second, part)) for part in first.__dataclass_fields__]
+    whole = intact.reduce(carriers)
+    pairs += [(getattr(reduced, part), getattr(whole, part)) for part in ("f", "W", "carrier_force")]
+    pairs += [(getattr(along, part)(carriers), getattr(intact, part)(carriers)) for part in ("base_wrench", "energy")]
+    for marked, expected in pairs:
+        assert np.isnan(marked[~good]).all()
+        np.testing.assert_array_equal(marked[good], expected[good])
+
+
+# --- joints beyond their range
+
+LINE = reference.line().sample(0.05)
+
+RANGE = {"lower": 0.05, "upper": 1.1}  # rad; the first swivel of the 2-RPR goes from 1.2 to −1.2 on the line
+
+
+def beyond(motion: rp.PlatformMotion) -> Array:
+    """Return (N,) whether the first leg of the shipped 2-RPR is turned too far: its hinge is the origin."""
+    angle = np.arctan2(motion.x[:, 1], motion.x[:, 0])
+    return (angle > RANGE["upper"]) | (angle < RANGE["lower"])
+
+
+@pytest.fixture(scope="module")
+def robot() -> rp.Robot:
+    return zoo.robot_of("2rpr").with_limits({"swivel_1": RANGE})
+
+
+@pytest.mark.parametrize("backend", ["RneaDynamics", "VirtualWork", "CompiledDynamics"])
+def test_passive_joints_beyond_their_range_are_a_status_in_every_backend(robot: rp.Robot, backend: str) -> None:
+    if backend == "CompiledDynamics":
+        pytest.importorskip("casadi")
+    make = getattr(rp, backend)
+    unlimited = rp.distribute(make(zoo.robot_of("2rpr")).reduce(LINE))
+    distribution = rp.distribute(make(robot).reduce(LINE))
+    out = beyond(LINE) & unlimited.solved
+    assert out.any()
+    assert (~beyond(LINE)).any()
+    assert (distribution.status == np.where(out, SampleStatus.OUT_OF_RANGE, unlimited.status)).all()
+    assert (distribution.solved == unlimited.solved).all()
+    np.testing.assert_array_equal(distribution.tau, unlimited.tau)
+
+
+def test_statuses_without_a_solution_come_first(robot: rp.Robot) -> None:
+    reduced = rp.RneaDynamics(robot).reduce(LINE)
+    out = np.ones(len(LINE), dtype=bool)
+    W, reachable = np.array(reduced.W), np.array(reduced.reachable)
+    W[0], reachable[1] = 0.0, False
+    given = replace(reduced, W=W, reachable=reachable, f=reduced.f + 1.0, out_of_range=out)
+    distribution = rp.distribute(given, lower=np.where(np.arange(len(LINE)) == 2, 1e6, -np.inf)[:, None].repeat(2, 1))
+    assert distribution.status[:3].tolist() == [
+        SampleStatus.SINGULAR_INCONSISTENT,
+        SampleStatus.UNREACHABLE,
+        SampleStatus.BOUND_INFEASIBLE,
+    ]
+    assert (distribution.status[3:] == SampleStatus.OUT_OF_RANGE).all()
+    assert SampleStatus.OUT_OF_RANGE.solved
+    assert not SampleStatus.UNREACHABLE.solved
+
+
+def test_inverse_kinematics_knows_ranges(robot: rp.Robot) -> None:
+    tree = rp.inverse_kinematics(robot, LINE)
+    assert (tree.out_of_range == beyond(LINE)).all()
+    assert tree.reachable.all()
+
+
+@pytest.mark.parametrize("ends", [(0.0, 0.0), (1.0, -1.0)])
+def test_limits_that_are_none_are_none(ends: tuple[float, float]) -> None:
+    free = zoo.robot_of("2rpr")
+    model = free.model.copy()
+    at = model.joints[model.getJointId("swivel_1")].idx_q
+    model.lowerPositionLimit[at], model.upperPositionLimit[at] = ends
+    assert not rp.inverse_kinematics(replace(free, model=model), LINE).out_of_range.any()
+
+
+def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp.Robot) -> None:
+    both = zoo.robot_of("2rpr"), robot
+    plans = [rp.plan_switch_off(rp.VirtualWork(one), reference.line(), threshold=4.0, dt=0.05) for one in both]
+    unlimited, marked = plans
+    assert (unlimited.status, marked.status) == (ResultStatus.OK, ResultStatus.LIMIT_VIOLATED)
+    left = [event for event in marked.limits.violated if event.quantity == "range"]
+    assert {event.limit for event in left} == set(RANGE.values())
+    assert {event.carrier for event in left} == {"swivel_1"}
+    assert marked.robot.limit_unit("range", "swivel_1") == "rad"
+    assert rp.plot.plan(marked).get_suptitle().endswith("(range of swivel_1)")
+    np.testing.assert_array_equal(marked.tau, unlimited.tau)
+    out = marked.sample_status == SampleStatus.OUT_OF_RANGE
+    assert (out == (beyond(unlimited.motion) & (unlimited.sample_status <= SampleStatus.SINGULAR_CONSISTENT))).all()
+    assert rp.check_plan(marked, rp.VirtualWork(robot)).deviations == ()
+
+
+def test_singular_instants_out_of_range_are_not_unbounded_for_that(robot: rp.Robot) -> None:
+    unlimited = rp.inverse_dynamics(rp.VirtualWork(zoo.robot_of("2rpr")), LINE)
+    result = rp.inverse_dynamics(rp.VirtualWork(robot), LINE)
+    assert result.status is unlimited.status
+    assert [one.unbounded for one in result.instants] == [one.unbounded for one in unlimited.instants]
+    assert [one.limit for one in result.joint_limits] == [RANGE["lower"], RANGE["upper"]]

@@ -1,0 +1,348 @@
+"""One call, one sample: the branch that is followed from sample to sample."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zoo
+from flat_linkages import row_of_four_bars
+from folding import folding_four_bar, joint, rocker_angle, rocker_motion
+from scipy.spatial.transform import Rotation
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.kinematics.branch import follower
+from redundancy_pin.machine_code import find_compiler
+from redundancy_pin.robot.scales import closure_tolerance
+from redundancy_pin.status import SampleStatus
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
+
+FOLDING, GUESS = (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)
+"""A four-bar whose crank turns once round, through a flat pose at π where two branches meet; m and rad."""
+
+STOPPED, STOPPED_GUESS = (0.4, 0.3, 0.2, 0.25), (1.0, 2.0, 1.5)
+"""A four-bar whose crank turns to ±1.4 rad and no farther: it reaches angles near a turn, but not on the same way."""
+
+ROUNDING = 1e-9
+
+BOTH = pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+
+
+def in_small_steps(dynamics: Dynamics, path: Array, start: Array) -> Array:
+    """Return the torques (N, m) along coordinates (N, 1) so dense that the next sample is plainly the nearest."""
+    tau = [dynamics.torque(path[0], [1.0], [2.0], start=start).tau]
+    return np.array([*tau, *(dynamics.torque(x, [1.0], [2.0]).tau for x in path[1:])])
+
+
+@BOTH
+def test_a_jump_keeps_the_branch_of_the_sample_before(backend: type[Dynamics]) -> None:
+    """A four-bar of equal sides is a parallelogram or crossed; the second branch is not the reference's."""
+    robot = row_of_four_bars(1)
+    dynamics, path = backend(robot), np.linspace(1.2, 2.5, 60)[:, None]
+    torques = []
+    for branch in rp.assembly_modes(robot, path[0]).q:
+        dense = in_small_steps(dynamics, path, branch)
+        dynamics.torque(path[0], [1.0], [2.0], start=branch)
+        there, back = (dynamics.torque(x, [1.0], [2.0]) for x in (path[-1], path[0]))
+        np.testing.assert_allclose([there.tau, back.tau], dense[[-1, 0]], rtol=ROUNDING)
+        torques.append(dense[-1, 0])
+    assert abs(np.subtract(*torques)) > 0.1
+
+
+@pytest.mark.parametrize("turn", [2.0, 2.5])
+@pytest.mark.parametrize("axis", range(3))
+def test_a_jump_by_more_than_a_right_angle_keeps_the_branch(axis: int, turn: float) -> None:
+    """The rows of a rotation are sines, least again half a turn away; RNEA follows in short turns."""
+    robot, still = rp.load_robot("gough"), np.zeros(6)
+    home, half = follower(robot).home.x, np.zeros(3)
+    half[axis] = 0.5 * turn
+    poses = np.repeat(home[None], 2, axis=0)
+    poses[:, :3, :3] = Rotation.from_rotvec([-half, half]).as_matrix() @ home[:3, :3]
+    calls = rp.CompiledDynamics(robot), rp.RneaDynamics(robot)
+    jumped, stepped = ([one.torque(pose, still, still) for pose in poses][1] for one in calls)
+    assert (jumped.status, stepped.status) == (SampleStatus.OK, SampleStatus.OK)
+    assert max(jumped.residual, stepped.residual) < closure_tolerance(robot)
+    np.testing.assert_allclose(jumped.tau, stepped.tau, rtol=0.0, atol=ROUNDING * np.abs(stepped.tau).max())
+
+
+@BOTH
+def test_a_sample_off_the_branch_has_a_status_and_does_not_move_it(backend: type[Dynamics], tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, STOPPED, STOPPED_GUESS)
+    dynamics = backend(robot)
+    start = np.array(rp.assembly_modes(robot, [1.0]).q)
+    reference = int(np.abs(start - robot.q_reference).max(axis=1).argmin())
+    other = start[1 - reference]
+    want = dynamics.torque([1.1], [1.0], [2.0], start=other)
+    assert want.status is SampleStatus.OK
+    for crank, status in (([2.5], SampleStatus.UNREACHABLE), ([2.0 * np.pi - 1.0], SampleStatus.BRANCH_LOST)):
+        lost = dynamics.torque(crank, [1.0], [2.0])
+        assert lost.status is status
+        assert np.isnan([*lost.tau, lost.margin]).all()
+        again = dynamics.torque([1.1], [1.0], [2.0])
+        np.testing.assert_allclose(again.tau, want.tau, rtol=ROUNDING)
+    # two sides of 0.45 m together, ends 0.4 m and 0.3 m from their hinge: what Newton's method leaves is between a
+    # third of what is missing, shared by three joints, and all of it
+    missing = np.sqrt(0.4**2 + 0.3**2 - 2.0 * 0.4 * 0.3 * np.cos(2.5)) - 0.45
+    assert 0.3 * missing < dynamics.torque([2.5], [1.0], [2.0]).residual < 1.01 * missing
+    for failed in ([2.5], [2.0 * np.pi - 1.0]):
+        assert not dynamics.torque(failed, [1.0], [2.0], start=start[reference]).status.solved
+    np.testing.assert_allclose(dynamics.torque([1.1], [1.0], [2.0]).tau, want.tau, rtol=ROUNDING)
+
+
+@BOTH
+def test_a_start_decides_the_branch_in_any_working_mode(backend: type[Dynamics]) -> None:
+    robot, flipped = zoo.robot_of("five_bar"), zoo.robot_of("five_bar", working_mode=(-1, 1))
+    dynamics, other, still = backend(robot), backend(flipped), np.zeros(2)
+    x = zoo.home_of(robot)
+    start = rp.inverse_kinematics(flipped, rp.PlatformMotion([0.0], x[None], still[None], still[None])).q[0]
+    near, far = x + np.array([[0.05, 0.0], [0.2, 0.05]])
+    for given, at in ((start, x), (None, near), (None, far), (None, x)):
+        got, want = dynamics.torque(at, still, [1.0, 2.0], start=given), other.torque(at, still, [1.0, 2.0])
+        assert got.status is want.status is SampleStatus.OK
+        np.testing.assert_allclose(got.tau, want.tau, rtol=ROUNDING)
+    own = dynamics.torque(x, still, [1.0, 2.0], start=robot.q_reference)
+    assert own.status is SampleStatus.OK
+    assert np.abs(own.tau - got.tau).max() > 0.1 * np.abs(own.tau).max()
+    if isinstance(dynamics, rp.CompiledDynamics):
+        state = dynamics.joint_state(start[[0, 3]], start=start)
+        assert state.status is SampleStatus.OK
+        np.testing.assert_allclose(state.q, start, atol=1e-12)
+
+
+@BOTH
+def test_a_start_that_is_open_or_no_number_is_refused_with_a_status(backend: type[Dynamics]) -> None:
+    robot, zero = zoo.robot_of("3rrr"), np.zeros(3)
+    dynamics, home, q = backend(robot), zoo.home_of(robot), np.array(robot.q_reference)
+    before = dynamics.torque(home, zero, zero + 1.0)
+    pose = np.setdiff1d(np.arange(len(q)), robot.carrier_position)
+    open_start = q.copy()
+    open_start[pose] += np.random.default_rng(3).uniform(-1.5, 1.5, len(pose))
+    for start, status in ((open_start, SampleStatus.BRANCH_LOST), (q * np.nan, SampleStatus.NOT_FINITE)):
+        assert dynamics.torque(home, zero, zero + 1.0, start=start).status is status
+        np.testing.assert_allclose(dynamics.torque(home, zero, zero + 1.0).tau, before.tau, rtol=1e-12)
+        if isinstance(dynamics, rp.CompiledDynamics):
+            assert dynamics.joint_state(np.zeros(3), start=start).status is status
+    noisy = q + 1e-4 * np.sign(open_start - q)  # as encoders have it: the pose alone says where the joints are
+    np.testing.assert_allclose(dynamics.torque(home, zero, zero + 1.0, start=noisy).tau, before.tau, rtol=1e-12)
+    for wrong in (q[:-1], [[0.0]], "there"):
+        with pytest.raises(InputError, match="start"):
+            dynamics.torque(home, zero, zero, start=wrong)
+
+
+@BOTH
+@pytest.mark.parametrize(("noise", "status"), [(0.005, SampleStatus.OK), (0.02, SampleStatus.BRANCH_LOST)])
+def test_noise_of_a_start_counts_by_the_distance_from_a_stretched_leg(
+    backend: type[Dynamics], noise: float, status: SampleStatus
+) -> None:
+    """The tip of the five-bar one part in a hundred from the reach of its first leg: both elbows are off by rad."""
+    robot, still = zoo.robot_of("five_bar"), np.zeros(2)
+    x = 0.99 * np.array([0.25, 0.968]) / np.hypot(0.25, 0.968)
+    q = np.array(rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], x[None], still[None], still[None])).q[0])
+    q[[1, 4]] += [noise, -noise]
+    assert backend(robot).torque(x, still, still, start=q).status is status
+
+
+def asked_one_by_one(dynamics: rp.RneaDynamics, motion: rp.PlatformMotion) -> list[Any]:
+    samples: list[Any] = []
+    for k in range(len(motion)):
+        start = samples[-1] if samples else None
+        samples.append(dynamics.sample(motion.x[k], motion.xd[k], motion.xdd[k], start=start))
+    return samples
+
+
+def crank_motion(crank: Array) -> rp.PlatformMotion:
+    rate = np.full((len(crank), 1), 2.0)
+    return rp.PlatformMotion(0.01 * np.arange(len(crank)), crank[:, None], rate, 0.0 * rate + 0.7, check_rates=False)
+
+
+@pytest.mark.parametrize("modes", [False, True])
+@pytest.mark.parametrize("offsets", [np.linspace(-0.5, 0.5, 41), np.linspace(-0.5, 0.5, 20)])
+def test_calls_go_through_a_bifurcation_by_the_tangent(offsets: Array, modes: bool, tmp_path: Path) -> None:
+    """Crank, coupler and rocker in one line: there and nearby the closed form of the branch, by every call."""
+    robot = folding_four_bar(tmp_path, FOLDING, GUESS, modes=modes)
+    dynamics, rocker = rp.CompiledDynamics(robot), joint(robot, "rocker")
+    motion = crank_motion(np.pi + offsets)
+    home, crank = robot.q_reference, motion.x[:, 0]
+    branch = min(
+        (rocker_angle(FOLDING, sign) for sign in (1.0, -1.0)),
+        key=lambda angle: abs(np.sin((angle(home[:1])[0] - home[rocker]) / 2.0)),
+    )
+    whole = rp.RneaDynamics(robot).reduce(motion)
+    samples = asked_one_by_one(rp.RneaDynamics(robot), motion)
+    np.testing.assert_allclose([s.f for s in samples], whole.f, rtol=0.0, atol=1e-7 * np.abs(whole.f).max())
+    reached = np.array([sample.state.q[rocker] for sample in samples])
+    assert np.abs(np.sin((reached - branch(crank)) / 2.0)).max() < 1e-12
+    want = rp.distribute(whole)
+    got = [dynamics.torque([x], [2.0], [0.7]) for x in crank]
+    assert [one.status for one in got] == [SampleStatus(code) for code in want.status]
+    np.testing.assert_allclose([one.tau for one in got], want.tau, rtol=0.0, atol=1e-7 * np.abs(want.tau).max())
+    for x in crank:
+        state = dynamics.joint_state([x], [2.0])
+        assert state.status is SampleStatus.OK
+        assert abs(np.sin((state.q[rocker] - branch(np.array([x]))[0]) / 2.0)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("lengths", "guess"), [(FOLDING, GUESS), ((0.5, 0.2, 0.5, 0.2), (1.0, 1.0, -1.0))], ids=["folding", "parallelogram"]
+)
+def test_at_and_next_to_a_flat_pose_the_answer_is_that_of_the_branch(
+    lengths: tuple[float, float, float, float], guess: tuple[float, float, float], tmp_path: Path
+) -> None:
+    """Whatever was asked for before: up to the flat pose, into it, past it and back, by 1e-9 to 0.1 rad."""
+    robot, random = folding_four_bar(tmp_path, lengths, guess), np.random.default_rng(0)
+    dynamics, reference = rp.CompiledDynamics(robot), rp.RneaDynamics(robot)
+    home, rocker = robot.q_reference, joint(robot, "rocker")
+    away = np.append(10.0 ** random.uniform(-9.0, -1.0, 40), [0.0, 1e-9, 2e-5, 1e-5, 0.0])
+    away *= random.choice([-1.0, 1.0], len(away))
+    for flat in (np.pi, 2.0 * np.pi):
+        crank = flat + away
+        angle, rate, _ = rocker_motion(robot, lengths, crank, np.ones(len(crank)), np.zeros(len(crank)))
+        for x, position, speed in zip(crank, angle, rate, strict=True):
+            state = dynamics.joint_state([x], [1.0])
+            assert state.status is SampleStatus.OK
+            assert abs(np.sin((state.q[rocker] - position) / 2.0)) < 1e-9
+            np.testing.assert_allclose(state.v[rocker], speed, rtol=0.0, atol=1e-6)
+            np.testing.assert_allclose([state.x[0], state.xd[0], state.margin], [x, 1.0, 1.0], rtol=1e-12)
+            got, want = dynamics.torque([x], [1.0], [0.0]), reference.torque([x], [1.0], [0.0])
+            assert got.status is want.status is SampleStatus.OK
+            np.testing.assert_allclose(got.tau, want.tau, rtol=1e-6)
+        assert dynamics.joint_state([flat - 0.1], start=home).status is SampleStatus.OK
+        passed = dynamics.joint_state([flat])
+        again = dynamics.joint_state([flat + 0.1], start=passed.q)  # what it returned says the branch
+        assert abs(np.sin((again.q - dynamics.joint_state([flat + 0.1], start=home).q) / 2.0)).max() < 1e-9
+
+
+def test_what_has_no_answer_does_not_keep_a_control_loop_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kinematics take many periods of 1 kHz: they are not asked out of reach, and once for a set-point that is held."""
+    asked: list[Any] = []
+
+    def counted(*given: Any, **keywords: Any) -> rp.JointTrajectory:
+        asked.append(given)
+        return rp.inverse_kinematics(*given, **keywords)
+
+    monkeypatch.setattr("redundancy_pin.dynamics.compiled.closing.inverse_kinematics", counted)
+    dynamics, still = rp.CompiledDynamics("3rrr"), np.zeros(3)
+    home, motors = zoo.home_of(dynamics.robot), dynamics.robot.q_reference[[0, 3, 6]]
+    statuses = [dynamics.torque(home + 0.02 * i, still, still).status for i in range(60)]
+    assert (statuses[0], statuses.count(SampleStatus.UNREACHABLE)) == (SampleStatus.OK, 17)
+    for turn in 0.05 * np.arange(60):
+        state = dynamics.joint_state(motors + turn * np.array([-1.0, 1.0, -1.0]))
+    assert (state.status, asked) == (SampleStatus.BRANCH_LOST, [])
+    afresh = rp.CompiledDynamics("3rrr")
+    assert {afresh.torque(home + 50.0, still, still).status for _ in range(3)} == {SampleStatus.UNREACHABLE}
+    assert afresh.torque(home + 51.0, still, still).status is SampleStatus.UNREACHABLE
+    expected = 2
+    assert len(asked) == expected
+
+
+@pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_samples_do_not_jump_to_a_branch_that_all_but_touches(excess: float, tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, (*FOLDING[:3], FOLDING[3] + excess), GUESS)
+    coupler = joint(robot, "coupler")
+    samples = asked_one_by_one(rp.RneaDynamics(robot), crank_motion(np.linspace(np.pi - 0.5, np.pi + 0.5, 101)))
+    assert len({float(np.sign(np.sin(sample.state.q[coupler]))) for sample in samples}) == 1
+
+
+def test_a_start_decides_the_branch(tmp_path: Path) -> None:
+    """Behind a rank loss the branch that was followed and that of the reference are two."""
+    robot = folding_four_bar(tmp_path, FOLDING, GUESS)
+    dynamics = rp.RneaDynamics(robot)
+    motion = crank_motion(np.linspace(np.pi - 0.5, np.pi + 0.5, 51))
+    through = asked_one_by_one(dynamics, motion)[-1]
+    again = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=through)
+    np.testing.assert_allclose(again.state.q, through.state.q, rtol=0.0, atol=1e-12)
+    other = folding_four_bar(tmp_path, FOLDING, (GUESS[0] + 4.0, GUESS[1] + 3.0, GUESS[2]))
+    elsewhere = rp.RneaDynamics(other).sample(motion.x[-1], motion.xd[-1], motion.xdd[-1])
+    assert np.abs(np.sin((elsewhere.state.q - through.state.q) / 2.0)).max() > 1e-3
+    with pytest.raises(InputError, match="start is a int"):
+        dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=3)
+    kept = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=elsewhere)
+    np.testing.assert_allclose(kept.state.q, elsewhere.state.q, rtol=0.0, atol=1e-12)
+
+
+def test_what_is_out_of_reach_singular_or_behind_the_border_is_refused_by_name() -> None:
+    robot = zoo.robot_of("five_bar")
+    dynamics, still = rp.RneaDynamics(robot), np.zeros(2)
+    home = zoo.home_of(robot)
+    start = dynamics.sample(home, still, still)
+    for given in (None, start):
+        with pytest.raises(UnreachablePoseError) as caught:
+            dynamics.sample(home + 50.0, still, still, start=given)
+        assert caught.value.details["sample"] == 0
+    legs = 2
+    assert len(robot.working_mode) == legs
+    flipped = zoo.robot_of("five_bar", working_mode=tuple(-sign for sign in robot.working_mode))
+    other = rp.RneaDynamics(flipped).sample(home, still, still)
+    same = dynamics.sample(home, still, still, start=other)  # a start has its own mode
+    np.testing.assert_allclose(same.state.q, other.state.q, rtol=0.0, atol=1e-12)
+
+
+def test_a_line_that_leaves_the_workspace_is_no_way(tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, STOPPED, STOPPED_GUESS)
+    limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
+    dynamics = rp.RneaDynamics(robot)
+    start = dynamics.sample([1.0], [0.0], [0.0])
+    with pytest.raises((SingularPoseError, UnreachablePoseError)):
+        dynamics.sample([limit], [0.0], [0.0], start=start)
+    with pytest.raises(WorkingModeError, match="cannot be reached continuously"):
+        dynamics.sample([2.0 * np.pi - 1.0], [0.0], [0.0], start=start)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize("name", ["four_bar", "five_bar", "3rrr"])
+def test_backends_take_and_refuse_the_same_noisy_starts(name: str, noise: float) -> None:
+    """Noise of encoders and passive joints, rad, until few starts are near enough; none of those changes the branch."""
+    dynamics, reference = rp.CompiledDynamics(name), rp.RneaDynamics(name)
+    robot, random = dynamics.robot, np.random.default_rng(3)
+    x, zero = zoo.home_of(robot), np.zeros(robot.n)
+    want = reference.torque(x, zero, zero + 1.0)
+    for start in robot.q_reference + noise * random.normal(size=(100, robot.model.nq)):
+        got = [one.torque(x, zero, zero + 1.0, start=start) for one in (dynamics, reference)]
+        assert got[0].status is got[1].status
+        assert got[0].status in (SampleStatus.OK, SampleStatus.BRANCH_LOST)
+        for one in got:
+            if one.status is SampleStatus.OK:
+                np.testing.assert_allclose(one.tau, want.tau, rtol=1e-6, atol=1e-8)
+
+
+@BOTH
+@pytest.mark.parametrize(("turn", "status"), [((2.5, 0.0), SampleStatus.OK), ((0.0, 2.0), SampleStatus.BRANCH_LOST)])
+def test_a_tilt_by_more_than_a_right_angle_is_followed_by_coordinates(
+    backend: type[Dynamics], turn: tuple[float, float], status: SampleStatus
+) -> None:
+    """Of the 3-RPS, whose tilts are two coordinates: one leads past its legs, the other stays on the branch."""
+    dynamics, stepped, still = backend("3rps"), backend("3rps"), np.zeros(3)
+    home, tilt = follower(dynamics.robot).home.x, np.array([0.0, *turn])
+    for part in np.linspace(-0.5, 0.5, 101) if status is SampleStatus.OK else ():
+        small = stepped.torque(home + part * tilt, still, still)
+    dynamics.torque(home - 0.5 * tilt, still, still)
+    jumped = dynamics.torque(home + 0.5 * tilt, still, still)
+    assert jumped.status is status
+    if status is SampleStatus.OK:
+        np.testing.assert_allclose(jumped.tau, small.tau, rtol=1e-7)
+
+
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics, rp.VirtualWork])
+def test_near_full_stretch_a_sample_is_ok_and_its_serial_margin_small(backend: type[Dynamics]) -> None:
+    """W and f exist there, and grow: a leg of length 2 a part e from full stretch turns by sqrt(e), its lever too."""
+    dynamics, along = backend("3rrr"), np.array([np.cos(0.7), np.sin(0.7), 0.0])
+    corner = np.array([0.25 * np.cos(np.pi / 6.0), 0.125, 0.0])  # where leg 1 holds the platform, from its centre
+    missing, still = np.array([1e-3, 1e-6, 1e-9]), np.zeros(3)
+    near = [dynamics.torque(2.0 * (1.0 - part) * along + corner, still, [1.0, 0.5, 0.3]) for part in missing]
+    assert [one.status for one in near] == [SampleStatus.OK] * 3
+    grown = np.array([one.tau[0] for one in near]) * np.sqrt(missing)
+    np.testing.assert_allclose(grown / grown[-1], 1.0, atol=0.1)
+    np.testing.assert_allclose(grown[1] / grown[-1], 1.0, atol=2e-3)
+    if backend is not rp.VirtualWork:
+        margin = np.array([one.serial_margin for one in near]) / np.sqrt(missing)
+        np.testing.assert_allclose(margin / margin[-1], 1.0, atol=0.02)
+    for beyond, status in ((0.0, SampleStatus.TYPE_I), (1e-9, SampleStatus.UNREACHABLE)):
+        end = dynamics.torque(2.0 * (1.0 + beyond) * along + corner, still, [1.0, 0.5, 0.3])
+        assert end.status is status
+        assert np.isnan(end.tau).all()
