@@ -290,6 +290,9 @@ def _of_mechanism(
             drive = "Give it actuators"
         remedy = f"{drive}, or write a robot.yaml that names it under `urdf`, and joints under `actuated`."
         raise DeclarationError(f"{file.name} drives no joint.", remedy=remedy)
+    if data.get("couplings"):
+        coupled = parse({"independent": {"joints": given["actuated"]}, **given}, parameters).coupled
+        mechanism = mechanism.counting_turns({name for each in coupled for name in (each.joint, each.of)})
     own = data.get("gravity", mechanism.model.gravity.linear.tolist())
     return made(
         given,

@@ -4,7 +4,8 @@ With Φ = q_j − p(q_i), m or rad, as one more row of the constraints,
 
     Φ̇ = v_j − p' v_i,    J̇ v = −p'' v_i²,    J̇ = −p'' v_i e_i,    J̈ = −(p''' v_i² + p'' v̇_i) e_i.
 
-The multiplier is the effort that the coupling exerts in joint j; in joint i it exerts −p' times that.
+The multiplier is the effort that the coupling exerts in joint j; in joint i it exerts −p' times that. Further
+joints may be added by constant factors, q_j = p(q_i) + Σ f_k q_k: they change Φ and its Jacobian alone.
 """
 
 from __future__ import annotations
@@ -38,6 +39,11 @@ class CouplingRows:
         self._v, self._of_v = np.array([[int(joint.idx_v) for joint in pair] for pair in ends], dtype=np.intp).T
         self.turning = [not slides(joint) for joint, _ in ends]
         self._rows = np.arange(len(ends))
+        self._more_q, self._more_v = np.zeros((len(ends), model.nq)), np.zeros((len(ends), model.nv))
+        for row, each in enumerate(robot.couplings):
+            for name, factor in each.also:
+                joint = find_joint(model, name)
+                self._more_q[row, joint.idx_q] = self._more_v[row, joint.idx_v] = factor
         degree = max(len(each.polynomial) for each in robot.couplings)
         powers = np.zeros((len(ends), degree))
         for row, each in enumerate(robot.couplings):
@@ -57,12 +63,12 @@ class CouplingRows:
 
     def residual(self, q: Array) -> Array:
         """Return (C,) or (N, C) Φ."""
-        phi: Array = q[..., self._q] - self._value(0, q)
+        phi: Array = q[..., self._q] - self._value(0, q) - q @ self._more_q.T
         return phi
 
     def jacobian(self, q: Array) -> Array:
         """Return (C, nv) or (N, C, nv) the rows."""
-        rows = self._in_column(-self._value(1, q))
+        rows = self._in_column(-self._value(1, q)) - self._more_v
         rows[..., self._rows, self._v] += 1.0
         return rows
 

@@ -194,7 +194,7 @@ def _check_couplings(
 ) -> None:
     joints = joint_names(model)
     for coupling in couplings:
-        for name in filter(None, (coupling.joint, coupling.of)):
+        for name in filter(None, (coupling.joint, coupling.of, *(more for more, _ in coupling.also))):
             _require_name(name, joints, "moving joint", of)
             joint = find_joint(model, name)
             if (joint.nq, joint.nv) != (1, 1):

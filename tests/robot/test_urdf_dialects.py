@@ -180,6 +180,26 @@ def test_a_coupling_is_of_sums_of_angles(ends: tuple[str, str], expected: object
     assert coupling.polynomial == (0.0, 2.0)
 
 
+@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
+def test_a_coupling_of_three_joints_shares_its_torque(backend: type, tmp_path: Path) -> None:
+    """With foot = 2 (knee + motor), virtual work adds twice the torque of the foot to both others."""
+    belt = '<coupling name="belt"><predecessor link="bar"/><successor link="arm"/><ratio value="2"/></coupling>'
+    path = changed(tmp_path, ("<loop ", f"{belt}<!--<loop "), ("</loop>", "</loop>-->"))
+    robot = rp.load_robot(path, actuated="motor,knee", gravity=GRAVITY)
+    names = list(robot.model.names)[1:]
+    motor, knee, foot = (names.index(name) for name in ("motor", "knee", "foot"))
+    states = np.zeros((3, 3))
+    states[:, motor], states[:, knee] = (0.2, 1.1, -2.0), (-0.1, 0.7, 3.0)
+    states[:, foot] = 2.0 * (states[:, motor] + states[:, knee])
+    q, v, a = states
+    alone = pin.rnea(robot.model, robot.model.createData(), q, v, a)
+    columns = [names.index(name) for name in robot.independent_joints]
+    motion = rp.PlatformMotion([0.0], *(state[None, columns] for state in states))
+    tau = rp.distribute(backend(robot).reduce(motion)).tau[0]
+    own = [names.index(name) for name in robot.actuated]
+    np.testing.assert_allclose(tau, [alone[index] + 2.0 * alone[foot] for index in own], rtol=1e-9)
+
+
 def test_joints_of_a_plain_file_are_named_as_driven_and_its_base_may_move(tmp_path: Path) -> None:
     drive = '  <transmission name="drive"><joint name="motor"/><actuator name="m"/></transmission>\n'
     path = changed(tmp_path, (drive, ""))

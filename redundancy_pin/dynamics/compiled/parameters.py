@@ -172,7 +172,7 @@ def topology_of(robot: Robot) -> Topology:
         (list(model.names), [joint.shortname() for joint in model.joints], list(model.parents)),
         [(name, joint) for name, _, joint in links_of(robot)],
         [(closure.frame_a, closure.frame_b, closure.axes) for closure in robot.closures],
-        [(coupling.joint, coupling.of, len(coupling.polynomial)) for coupling in robot.couplings],
+        [(each.joint, each.of, len(each.polynomial), each.also) for each in robot.couplings],
         (robot.platform, robot.independent_joints, robot.actuated, robot.carriers),
         robot.working_modes.joints if robot.working_modes else (),
         [_kind_of(load) for load in robot.loads if not isinstance(load, Payload)],  # a payload is in the inertias

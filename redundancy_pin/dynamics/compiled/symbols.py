@@ -264,7 +264,8 @@ class SymbolicChain:
         for i, each in enumerate(robot.couplings):
             joint, of = (find_joint(self.model, name).idx_q for name in (each.joint, each.of or each.joint))
             polynomial = ca.vertsplit(self.number("coupling", i))
-            rows.append(self.q[joint] - sum(c * self.q[of] ** power for power, c in enumerate(polynomial)))
+            more = sum(factor * self.q[find_joint(self.model, name).idx_q] for name, factor in each.also)
+            rows.append(self.q[joint] - more - sum(c * self.q[of] ** power for power, c in enumerate(polynomial)))
         return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
     def _closure_row(self, closure: Closure, axis: str) -> SX:

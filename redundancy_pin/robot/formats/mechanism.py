@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from redundancy_pin.errors import ModelFileError
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index
 from redundancy_pin.robot.loop_joints import ROWS, LoopJoint
-from redundancy_pin.robot.rebuild import joint_along, rebuilt, span
+from redundancy_pin.robot.rebuild import axis_of, joint_along, rebuilt, span
 from redundancy_pin.robot.types import AXES, Closure, Coupling
 
 MOST_LINKS = 2000
@@ -84,6 +84,22 @@ class Mechanism:
             q[find_joint(model, name).idx_q] = value
         forces = tuple(load for load in self.forces if load.joint not in replaced)
         return replace(self, model=model, start=q, forces=forces)
+
+    def counting_turns(self, names: Collection[str]) -> Mechanism:
+        """Return the mechanism with joints that count their turns in place of continuous ones among some.
+
+        Cosine and sine, which Pinocchio has of the latter, forget the turns. Positions start within half a turn.
+        """
+        replaced: dict[str, list[tuple[str, pin.JointModel]]] = {}
+        start: dict[str, float] = {}
+        for index in range(1, self.model.njoints):
+            name, joint = str(self.model.names[index]), self.model.joints[index]
+            if name in names and (joint.nq, joint.nv) == (2, 1):
+                replaced[name] = [(name, joint_along("revolute", axis_of(self.model, index)))]
+                cosine, sine = self.start[span(self.model, index, "q")]
+                start[name] = math.atan2(sine, cosine)
+        made = self.with_joints(replaced, start) if replaced else self
+        return replace(made, forces=self.forces)
 
     def with_hinges(self, names: Sequence[str]) -> Mechanism:
         """Return the mechanism with three hinges (yaw, pitch, roll) in place of each of some ball joints."""
