@@ -53,6 +53,7 @@ def load_robot(
     gravity: Sequence[float] | None = None,
     working_mode: Sequence[int] | None = None,
     trust: bool = False,
+    untrusted: bool = False,
     **arguments: object,
 ) -> Robot:
     """Load a robot, close its chains at the declared reference and check its mobility.
@@ -64,8 +65,10 @@ def load_robot(
             the folder that holds one.
         gravity: (3,) acceleration of gravity in the world frame, m/s²; as declared when left out.
         working_mode: ±1 a leg; as declared when left out.
-        trust: let the expressions of a xacro file be any Python, which runs with your rights: for files whose author
-            you trust.
+        trust: let the expressions of a xacro file be any Python, which runs with your rights, and let MJCF read files
+            of other folders: for files whose author you trust.
+        untrusted: let third-party compilers (MuJoCo's) read a stranger's file in a child process, which has limits of
+            time and memory.
         **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``).
 
     Raises:
@@ -75,7 +78,9 @@ def load_robot(
         DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over-
             or under-constrained chains, a reference that does not close.
     """
-    robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust)
+    if trust and untrusted:
+        raise InputError("trust and untrusted are both true.", remedy="Pass one of them.")
+    robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust, untrusted=untrusted)
     for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
         _warn_once(note)
     return robot
@@ -98,6 +103,7 @@ def load_with(
     gravity: Sequence[float] | None = None,
     working_mode: Sequence[int] | None = None,
     trust: bool = False,
+    untrusted: bool = False,
 ) -> Robot:
     """Load a robot as ``load_robot``, with xacro arguments that come from a file.
 
@@ -106,7 +112,7 @@ def load_with(
     written, path = repr((sorted(arguments.items()), gravity, working_mode)), declaration_path(source)
     kept = is_shipped(path) and not trust
     # what is kept is known by a path that means the same in all folders
-    request = _Request(path.resolve() if kept else path, written, arguments, gravity, working_mode, trust)
+    request = _Request(path.resolve() if kept else path, written, arguments, gravity, working_mode, trust, untrusted)
     if is_model_file(path):
         return _load(request, {})
     if not kept:
@@ -125,6 +131,7 @@ class _Request:
     gravity: Sequence[float] | None = field(compare=False)
     working_mode: Sequence[int] | None = field(compare=False)
     trust: bool
+    untrusted: bool
 
 
 def _declared(request: _Request) -> Robot:
@@ -218,7 +225,7 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     if data and is_urdf(file):
         # before xacro runs, which would make a cryptic error of a length that is negative
         require_conditions(data, known_values(file, request.arguments))
-    parameters, read = open_model(file, request.arguments, trust=request.trust)
+    parameters, read = open_model(file, request.arguments, trust=request.trust, untrusted=request.untrusted)
     require_conditions(data, parameters)
     kinds: Mapping[str, str] | None = {} if data else None
     if data.get("joint_types"):

@@ -54,7 +54,7 @@ Reader = Callable[[Mapping[str, str] | None], Mechanism]
 
 
 def open_model(
-    path: Path, arguments: Mapping[str, object], *, trust: bool = False
+    path: Path, arguments: Mapping[str, object], *, trust: bool = False, untrusted: bool = False
 ) -> tuple[dict[str, Argument], Reader]:
     """Return the arguments of a model file with their values, and what reads its mechanism.
 
@@ -64,6 +64,7 @@ def open_model(
             of MJCF ``keyframe``, the name of the one that the mechanism starts from; of URDF and SDF ``actuated``,
             names of driven joints with commas between.
         trust: let xacro evaluate its expressions as Python, and MJCF read files of other folders.
+        untrusted: let MuJoCo compile MJCF in a child process with limits of time and memory.
 
     Raises:
         ModelFileError: a file that cannot be read, or says what is not covered.
@@ -83,7 +84,7 @@ def open_model(
         if kinds:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
         reader = _READERS[_format(path)]
-        return reader(path, **given, trust=trust) if reader is read_mjcf else reader(path, **given)
+        return reader(path, **given, trust=trust, untrusted=untrusted) if reader is read_mjcf else reader(path, **given)
 
     return dict(given), read
 

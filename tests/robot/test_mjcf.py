@@ -381,10 +381,13 @@ def test_a_model_of_a_stranger_is_compiled_by_a_child_with_limits(tmp_path, monk
         assert [each.closure() for each in own.loop_joints] == [each.closure() for each in other.loop_joints]
     with pytest.raises(RedundancyPinError, match=r"line 3: .*counted|MuJoCo refuses it.*'axes'"):
         read_mjcf(FILES / "bad" / "attribute.xml", untrusted=True)
+    path = write(tmp_path, FOUR_BAR)
+    assert rp.load_robot(path, untrusted=True).notes == rp.load_robot(path).notes
+    with pytest.raises(RedundancyPinError, match="trust and untrusted are both true"):
+        rp.load_robot(path, trust=True, untrusted=True)
     monkeypatch.setattr(limited, "SECONDS", 0.01)
     with pytest.raises(RedundancyPinError, match=r"takes more than 0\.01 s"):
-        read_mjcf(path := write(tmp_path, hinge()), untrusted=True)
-    assert path.exists()
+        rp.load_robot(write(tmp_path, hinge()), untrusted=True)
 
 
 def test_without_mujoco_the_extra_is_named(tmp_path, monkeypatch):
