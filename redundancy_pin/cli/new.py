@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,10 +21,10 @@ from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.lookup import find_link_index
 
 if TYPE_CHECKING:
-    import pinocchio as pin
-
+    from redundancy_pin.arrays import Array
     from redundancy_pin.robot import Robot
-    from redundancy_pin.robot.formats.urdf_tree import JointEntry, Tree
+    from redundancy_pin.robot.formats.mechanism import JointEntry, Mechanism
+    from redundancy_pin.robot.formats.urdf import Urdf
 
 _SINGLE = ("revolute", "continuous", "prismatic")
 
@@ -53,17 +53,16 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
 
     Nothing is asked. It looks at the tree: a frame that carries nothing and weighs nothing, and coincides with another
     such one or with another chain's link when all joints are at zero, is where a loop was cut, and so are the only two
-    such frames; joints with transmissions are driven, else as many as there are freedoms, those with limits of effort
-    and position first; joints that mimic others are coupled to them; the reference is a closed configuration. What
-    is written loads; read it, and correct it.
+    such frames; loops that the URDF states itself are kept; joints with transmissions are driven, else as many as
+    there are freedoms, those with limits of effort and position first; joints that mimic others are coupled to them;
+    the reference is a closed configuration. What is written loads; read it, and correct it.
 
     \b
     Example:
       redundancy-pin new machine.urdf
     """
     from redundancy_pin.loading import load_robot
-    from redundancy_pin.robot.build import model_of
-    from redundancy_pin.robot.formats.urdf_tree import read_tree
+    from redundancy_pin.robot.formats.urdf import read_urdf, urdf_mechanism
     from redundancy_pin.robot.urdf import render
 
     source = Path(path)
@@ -75,29 +74,29 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     if target.exists():
         raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
     urdf, _ = render(source, {}, trust=trust)
-    tree = read_tree(urdf, source)
-    model = model_of(tree, urdf, source)
-    model.gravity.linear = np.array([0.0, 0.0, -9.81])
-    pairs, how, doubts = _proposed_closures(tree, model)
-    transmissions, unknown = _transmissions(urdf, tree)
-    doubts += [f"A transmission drives {name!r}, which is no joint that moves." for name in unknown]
+    tree = read_urdf(urdf, source)
+    name = source.name.partition(".")[0]
+    mechanism = urdf_mechanism(tree, name)
+    mechanism.model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    pairs, how, doubts = _proposed_closures(tree, mechanism)
+    declared = mechanism.actuated if mechanism.drives_declared else ()
     single = [joint for joint in tree.joints if joint.kind in _SINGLE and not joint.mimic]
-    driven = transmissions or [joint.name for joint in single if _is_limited(joint)] or [joint.name for joint in single]
+    driven = [*declared] or [joint.name for joint in single if _is_limited(joint)] or [joint.name for joint in single]
     if not driven:
         raise InputError(f"{source.name} has no joint of one freedom to drive.", remedy="Add one.")
     data = {
-        "name": source.name.partition(".")[0],
+        "name": name,
         "urdf": source.name,
         "closures": [{"frames": pair, "axes": ["x", "y", "z"]} for pair in pairs],
         "actuated": driven,
         "reference": {},
     }
-    robot, flat = _closed(data, model, drive_independent=not transmissions, couplings=tree.couplings)
+    robot, flat = _closed(data, mechanism, drive_independent=not declared)
     doubts += [_FLAT] if flat else []
     beside = target.resolve().parent == source.resolve().parent
     doubts += _out_of_range(robot)
     place = source.name if beside else str(source.resolve())
-    write_text(target, _text(robot, place, how, bool(transmissions), doubts))
+    write_text(target, _text(robot, place, how, bool(declared), doubts, {each.name for each in mechanism.loop_joints}))
     loaded = load_robot(target, trust=trust)
     facts = {
         "out": str(target),
@@ -109,12 +108,12 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     }
     for doubt in () if as_json else doubts:
         warning(doubt)
-    closures = f"{len(loaded.closures)} closure(s)" if pairs else f"no closure: {how}"
+    closures = f"{len(loaded.closures)} closure(s)" if loaded.closures else f"no closure: {how}"
     counts = f"n = {loaded.n}, m = {loaded.m}, {closures}"
     report(as_json, facts, f"{target}: {counts}. Read it, and correct it.")
 
 
-def _closed(data: Mapping[str, Any], model: pin.Model, **settings: Any) -> tuple[Robot, bool]:
+def _closed(data: Mapping[str, Any], mechanism: Mechanism, *, drive_independent: bool) -> tuple[Robot, bool]:
     """Return the robot, and whether it is that of a pose beside zero: where loops lie in a line their rank is lower.
 
     Raises:
@@ -124,23 +123,33 @@ def _closed(data: Mapping[str, Any], model: pin.Model, **settings: Any) -> tuple
 
     from redundancy_pin.loading import made
 
-    zero, rng = pin.neutral(model), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
+
+    def at(start: Array) -> Robot:
+        own = replace(mechanism, model=mechanism.model.copy(), start=start)  # it becomes the robot's
+        return made(data, own, loose=True, drive_independent=drive_independent)
+
+    model = mechanism.model
     try:
-        return made(data, model, zero, loose=True, **settings), False
+        return at(mechanism.start), False
     except DeclarationError:
         for _ in range(_TRIES):
-            beside = pin.integrate(model, zero, rng.uniform(-_BESIDE, _BESIDE, model.nv))
+            beside = pin.integrate(model, mechanism.start, rng.uniform(-_BESIDE, _BESIDE, model.nv))
             if model.nq == model.nv:
                 beside = np.clip(beside, model.lowerPositionLimit, model.upperPositionLimit)
             with suppress(DeclarationError):
-                return made(data, model, beside, loose=True, **settings), True
+                return at(beside), True
         raise
 
 
-def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], str, list[str]]:
+def _proposed_closures(tree: Urdf, mechanism: Mechanism) -> tuple[list[list[str]], str, list[str]]:
     """Return pairs of frames that close loops, how they were found, and what could be otherwise."""
     import pinocchio as pin
 
+    if mechanism.loop_joints:  # all loops of a file are read, or none
+        named = ", ".join(each.name for each in mechanism.loop_joints)
+        return [], f"the URDF says it, at {named}", []
+    model = mechanism.model
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
@@ -206,21 +215,7 @@ def _is_limited(joint: JointEntry) -> bool:
     return limits.get("effort", 0.0) > 0.0 and bounds < (np.inf if joint.kind == "prismatic" else 2.0 * np.pi - 0.01)
 
 
-def _transmissions(urdf: str, tree: Tree) -> tuple[list[str], list[str]]:
-    """Return the moving joints that transmissions name, and what else they name."""
-    from redundancy_pin.robot.formats.xml_files import parsed_text
-
-    moving = [joint.name for joint in tree.joints if joint.kind in _SINGLE]
-    named = [
-        joint.get("name") or (joint.text or "").strip()
-        for transmission in parsed_text(urdf, "the URDF").iter("transmission")
-        for joint in transmission.iter("joint")
-    ]
-    names = list(dict.fromkeys(named))
-    return [name for name in names if name in moving], [name for name in names if name not in moving]
-
-
-def _text(robot: Robot, urdf: str, how: str, transmissions: bool, doubts: list[str]) -> str:
+def _text(robot: Robot, urdf: str, how: str, is_declared: bool, doubts: list[str], stated: Collection[str]) -> str:
     """Return the declaration, with a comment on each thing that was guessed."""
     import json
 
@@ -233,11 +228,23 @@ def _text(robot: Robot, urdf: str, how: str, transmissions: bool, doubts: list[s
             angle = q[joint.idx_q] if joint.nq == 1 else np.arctan2(q[joint.idx_q + 1], q[joint.idx_q])
             positions[str(name)] = round(float(angle), 6)
     guessed = "as many joints as freedoms, those with limits first; choose."
-    driven = "the joints with transmissions." if transmissions else guessed
+    driven = "the joints with transmissions or ros2_control." if is_declared else guessed
     free = {name: positions[name] for name in robot.independent_joints}
     rest = {name: value for name, value in positions.items() if name not in free}
     made = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.cli", ""), trim_blocks=True)
     made.filters["quoted"] = lambda value: json.dumps(value, ensure_ascii=False)
     template = made.get_template("robot.yaml.j2")
     said = [printable(doubt) for doubt in doubts]
-    return template.render(robot=robot, urdf=urdf, how=how, driven=driven, free=free, rest=rest, doubts=said) + "\n"
+    return (
+        template.render(
+            robot=robot,
+            closures=[each for each in robot.closures if each.name not in stated],
+            urdf=urdf,
+            how=how,
+            driven=driven,
+            free=free,
+            rest=rest,
+            doubts=said,
+        )
+        + "\n"
+    )
