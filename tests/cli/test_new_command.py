@@ -67,20 +67,21 @@ def test_frames_that_coincide_and_transmissions(urdf, tmp_path):
 
 
 def test_what_it_cannot_know_is_said(urdf, tmp_path):
-    """Of three links at one point two are paired; transmissions of no joint, and references out of range, are named."""
+    """Of three links at one point two are paired; references out of range are named. Transmissions drive joints."""
     text = urdf.read_text()
     place = "".join(f'<link name="{name}"/>' for name in ("here", "there")) + "".join(
         f'<joint name="{name}_end" type="fixed"><parent link="{parent}"/><child link="{name}"/>'
         f'<origin xyz="{x} 0 0"/></joint>'
         for name, parent, x in (("here", "base", 0.4), ("there", "crank", 0.4))
     )
-    text = text.replace("</robot>", f'{place}<transmission name="t"><joint name="no joint"/></transmission></robot>')
+    urdf.write_text(text.replace("</robot>", '<transmission name="t"><joint name="no joint"/></transmission></robot>'))
+    assert "drives 'no joint', which is no joint that moves" in " ".join(call("new", urdf).stderr.split())
+    text = text.replace("</robot>", f"{place}</robot>")
     urdf.write_text(text.replace('lower="-100"', 'lower="0.5"', 1))
     run = call("new", urdf)
     written = (tmp_path / "robot.yaml").read_text()
     for said in (
         "'coupler_tip' is where 'here' and 'there' are",
-        "A transmission drives 'no joint', which is no joint that moves",
         "The reference is out of the range of crank",
     ):
         assert said in " ".join(run.stderr.split()), run.stderr
@@ -204,7 +205,7 @@ def test_continuous_joints_that_mimic_count_their_turns(tmp_path, declared):
         facts = json.loads(call("new", path, "--out", out, "--json").stdout)
         assert [each["polynomial"] for each in facts["couplings"]] == [[0.1, 2.0]]
     robot = rp.load_robot(out)
-    crank, dial = (list(robot.model.names).index(name) - 1 for name in ("crank", "dial"))
+    crank, dial = (robot.model.joints[robot.model.getJointId(name)].idx_q for name in ("crank", "dial"))
     if declared:
         turns = np.linspace(0.3, 7.0, 60)[:, None]  # the crank is short enough to go round
         q = rp.forward_kinematics(robot, turns).q
