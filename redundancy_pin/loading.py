@@ -300,7 +300,9 @@ def _of_mechanism(
     if data.get("couplings"):
         coupled = parse({"independent": {"joints": given["actuated"]}, **given}, parameters).coupled
         mechanism = mechanism.counting_turns({name for each in coupled for name in (each.joint, each.of)})
-    own = data.get("gravity", mechanism.model.gravity.linear.tolist())
+    # a URDF does not say it: a declaration of one that leaves it out has none
+    unsaid = [0.0, 0.0, 0.0] if data and is_urdf(file) else mechanism.model.gravity.linear.tolist()
+    own = data.get("gravity", unsaid)
     return made(
         given,
         replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again

@@ -205,6 +205,9 @@ class _Coupling(Schema):
     joint: str
     of: str
     polynomial: Annotated[_Floats, Field(min_length=1)]
+    also: Annotated[
+        tuple[tuple[str, Annotated[float, Field(allow_inf_nan=False)]], ...], Field(description="joints and factors")
+    ] = ()
 
 
 class _Record(Schema):

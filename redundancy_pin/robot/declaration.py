@@ -211,6 +211,7 @@ class CouplingEntry(Schema):
     polynomial: Annotated[tuple[Number, ...], Field(min_length=1, max_length=9)] = Field(
         description="a list of 1 to 9 numbers, the constant first"
     )
+    also: Annotated[tuple[tuple[str, Number], ...], Field(description="a list of pairs, a joint and a factor")] = ()
 
     @field_validator("polynomial")
     @classmethod
@@ -390,7 +391,7 @@ class Declaration(Schema):
     def coupled(self) -> tuple[Coupling, ...]:
         """The couplings, each with a name."""
         return tuple(
-            Coupling(c.name or " of ".join(filter(None, (c.joint, c.of))), c.joint, c.of, c.polynomial)
+            Coupling(c.name or " of ".join(filter(None, (c.joint, c.of))), c.joint, c.of, c.polynomial, c.also)
             for c in self.couplings
         )
 

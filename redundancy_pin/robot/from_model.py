@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -111,7 +112,7 @@ def _coupling(given: Any, number: int) -> dict[str, Any]:
     if isinstance(given, Mapping):
         return dict(given)
     if isinstance(given, Coupling):
-        return {"name": given.name, "joint": given.joint, "of": given.of, "polynomial": list(given.polynomial)}
+        return {**asdict(given), "polynomial": list(given.polynomial), "also": list(given.also)}
     if not isinstance(given, (tuple, list)) or len(given) != 3:
         remedy = "Pass a Coupling, (joint, of, polynomial), or a mapping with these."
         raise InputError(f"couplings[{number}] is {shown(given)}.", remedy=remedy)
