@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -34,11 +34,11 @@ from redundancy_pin.robot.build import characteristic_length, read_robot
 from redundancy_pin.robot.changes import changed_urdf, require_still_joined
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
-from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL, read_urdf, urdf_mechanism
+from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
 from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.robot.model_files import is_model_file, is_urdf, open_model
+from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
 from redundancy_pin.robot.named import too_few_motors
 from redundancy_pin.robot.rebuild import rebuilt, span
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
@@ -168,13 +168,21 @@ def robot_with(
         robot = _with_added(robot, loads)
     if not (masses or lengths):
         return robot
-    file = read_declaration(path)
-    with file.naming():
-        declaration = parse(_whole(file.data, path), robot.parameters)
-        urdf = read_urdf(changed_urdf(robot.urdf, masses, lengths), path.parent / declaration.urdf)
-        new, _ = _joined(
+    file = None if is_model_file(path) else read_declaration(path)
+    with nullcontext() if file is None else file.naming():
+        roles = {"actuated": list(robot.actuated), "independent": {"joints": list(robot.independent_joints)}}
+        declaration = parse(_whole({"urdf": path.name, **roles} if file is None else file.data, path), robot.parameters)
+        mechanism = mechanism_of_urdf(
+            changed_urdf(robot.urdf, masses, lengths),
+            path.parent / declaration.urdf,
+            robot.parameters,
+            None if file is None else declaration.joint_types,
+        )
+        if file is None:  # without a declaration the reference is the nearest closed configuration
+            mechanism = replace(mechanism, start=np.array(robot.q_reference))
+        new, _, dropped = _joined(
             declaration,
-            urdf_mechanism(urdf, robot.name, kinds=declaration.joint_types),
+            mechanism,
             gravity=robot.gravity.tolist(),
             parameters=robot.parameters,
             source=robot.source,
@@ -194,7 +202,7 @@ def robot_with(
                 setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
         if lengths:
             require_still_joined(robot, new)
-            new = _closed(new, declaration, robot.parameters)
+            new = _closed(new, declaration, robot.parameters, dropped)
         else:  # masses close no loop: the reference is that of the robot
             new = replace(new, q_reference=robot.q_reference, characteristic_length=robot.characteristic_length)
         return _with_added(new, robot.loads)
@@ -231,14 +239,19 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     if data.get("joint_types"):
         kinds = parse(_whole(data, request.path), parameters).joint_types
     mechanism = read(kinds)
+
+    def at(own: Mechanism) -> Robot:
+        return _of_mechanism(own, request, file, data, parameters)
+
     try:
-        robot = _of_mechanism(mechanism, request, file, data, parameters)
+        robot = at(mechanism)
     except DeclarationError as error:
         if "balls" in error.details:
-            mechanism = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
-            robot = _of_mechanism(mechanism, request, file, data, parameters)
+            robot = at(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
         elif "rank" in error.details and mechanism.loop_joints and not data:
-            robot = _beside(mechanism, request, file, parameters, error)
+            robot = beside(mechanism, at, error)
+            _warn_once(f"{file.name}: {FLAT}")
+            robot = replace(robot, notes=(*robot.notes, FLAT))
         else:
             raise
     _report(robot.notes, file)
@@ -257,13 +270,22 @@ _TRIES = 8
 """How many poses are tried: each is as good as any other, and fails only near a singularity."""
 
 
-def _beside(
-    mechanism: Mechanism, request: _Request, file: Path, parameters: Mapping[str, Argument], error: DeclarationError
-) -> Robot:
-    """Return a robot whose reference is near the start of its file, where rows are redundant; no file says where.
+FLAT = (
+    "Where all joints start, loops lie in a line, branches meet and rows are redundant: the reference is a pose near "
+    "it. See that it is on the branch of your machine."
+)
+"""What is said of a robot that ``beside`` has made."""
 
-    Raises:
-        DeclarationError: the one that is given, if no pose serves.
+
+def beside(mechanism: Mechanism, make: Callable[[Mechanism], Robot], error: DeclarationError) -> Robot:
+    """Return the robot of the first of a few poses near the start of a mechanism that makes one.
+
+    Where loops lie in a line their rank is lower than anywhere else.
+
+    Args:
+        mechanism: what a file describes.
+        make: makes a robot of it, with another start.
+        error: raised again if no pose serves.
     """
     model, rng = mechanism.model, np.random.default_rng(1)
     for _ in range(_TRIES):
@@ -271,13 +293,7 @@ def _beside(
         if model.nq == model.nv:
             start = np.clip(start, model.lowerPositionLimit, model.upperPositionLimit)
         with suppress(DeclarationError):
-            robot = _of_mechanism(replace(mechanism, start=start), request, file, {}, parameters)
-            note = (
-                "Where the file starts, loops lie in a line, and branches meet: the reference is a pose near it. "
-                "See that it is on the branch of your machine, or declare a `reference`."
-            )
-            _warn_once(f"{file.name}: {note}")
-            return replace(robot, notes=(*robot.notes, note))
+            return make(replace(mechanism, start=start))
     raise error
 
 
@@ -297,9 +313,6 @@ def _of_mechanism(
             drive = "Give it actuators"
         remedy = f"{drive}, or write a robot.yaml that names it under `urdf`, and joints under `actuated`."
         raise DeclarationError(f"{file.name} drives no joint.", remedy=remedy)
-    if data.get("couplings"):
-        coupled = parse({"independent": {"joints": given["actuated"]}, **given}, parameters).coupled
-        mechanism = mechanism.counting_turns({name for each in coupled for name in (each.joint, each.of)})
     # a URDF does not say it: a declaration of one that leaves it out has none
     unsaid = [0.0, 0.0, 0.0] if data and is_urdf(file) else mechanism.model.gravity.linear.tolist()
     own = data.get("gravity", unsaid)
@@ -307,7 +320,7 @@ def _of_mechanism(
         given,
         replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again
         gravity=own if request.gravity is None else request.gravity,
-        loose=not (data and is_urdf(file)) or bool(mechanism.loop_joints),
+        loose=not (data and is_urdf(file)),
         mode=request.working_mode,
         parameters=parameters,
         source=source_of(request.path),
@@ -327,17 +340,16 @@ def _warn_once(text: str) -> None:
     _LOG.warning(text)
 
 
-def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Argument], dropped: bool = False) -> Robot:
+def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Argument], dropped: bool) -> Robot:
     """Return the robot with its reference closed and its mobility checked.
 
     Args:
         robot: with the guess as reference.
         declaration: what it was made of.
         parameters: what its expressions are in.
-        dropped: redundant rows were left out though the declaration does not say `redundant_rows: true`.
+        dropped: redundant rows were left out.
     """
     system = ConstraintSystem(robot)
-    dropped = dropped or declaration.redundant_rows
     check_mobility(system, dropped=dropped)
     _require_radians(robot, declaration.reference.guess, "reference.guess")
     guess = np.array(robot.q_reference)
@@ -434,7 +446,7 @@ def _where_open(robot: Robot, q: Array) -> str:
 
 def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> None:
     """Check that no joint that turns is put beyond a turn that its limits do not ask for: it would be in degrees."""
-    counted = {name for each in robot.couplings for name in (each.joint, each.of)}  # their turns
+    counted = {name for each in robot.couplings for name in each.joints}  # their turns
     for name, value in positions.items():
         if name in counted or not is_revolute(robot, name) or abs(value) <= 2.0 * np.pi:
             continue
@@ -482,7 +494,7 @@ def robot_from_model(
     start = in_order_of(model, given, at, checked(reference, "reference", (model.nq,))) if near else None
     loose = any(hasattr(each, "joint1_placement") for each in closures)
     mechanism = Mechanism(data["name"], model, pin.neutral(model) if start is None else start, shapes=urdf)
-    robot = made(data, mechanism, loose=loose, mode=working_mode)
+    robot = made(data, mechanism, loose=loose, mode=working_mode, own_model=True)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
     if note := too_few_motors(robot):
         _warn_once(note)
@@ -499,6 +511,7 @@ def made(
     parameters: Mapping[str, Argument] = MappingProxyType({}),
     source: str = "",
     drive_independent: bool = False,
+    own_model: bool = False,
 ) -> Robot:
     """Return the robot of a declaration and a mechanism.
 
@@ -511,18 +524,19 @@ def made(
         parameters: of the robot.
         source: of the robot, where a file says what it is; its numbers may be rounded.
         drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
+        own_model: the tree is the user's, whose joints stay what they are.
     """
     chosen = dict(data)
     chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
     declaration = parse(chosen, parameters)
-    loose = loose or declaration.redundant_rows or bool(declaration.loop_joints)
-    robot, selection = _joined(
+    robot, selection, dropped = _joined(
         declaration,
         mechanism,
         gravity=gravity,
         parameters=parameters,
         source=source,
         mode=mode,
+        own_model=own_model,
         loose=loose,
         choose=not data.get("independent"),
     )
@@ -537,7 +551,7 @@ def made(
                 "The file does not say what is driven: taken are the independent joints; actuated=... names others."
             )
         robot = replace(robot, notes=tuple(notes))
-    return _closed(robot, declaration, parameters, loose)
+    return _closed(robot, declaration, parameters, dropped)
 
 
 def _joined(
@@ -548,14 +562,18 @@ def _joined(
     loose: bool = False,
     choose: bool = False,
     **of: Any,
-) -> tuple[Robot, Selection | None]:
-    """Return the robot, not closed yet, without redundant closure rows where ``loose``; and what was chosen."""
+) -> tuple[Robot, Selection | None, bool]:
+    """Return the robot, not closed yet; what was chosen; and whether redundant closure rows were left out.
+
+    They are where ``loose``, where the declaration says that there are some, and where joints close the loops: those of
+    a mechanism that moves in a plane constrain more than it needs.
+    """
     if gravity is not None:
         mechanism.model.gravity.linear = np.array(checked(gravity, "gravity", (3,)))
     robot = read_robot(declaration, mechanism, **of)
-    loose = loose or declaration.redundant_rows or bool(declaration.loop_joints)
+    loose = loose or declaration.redundant_rows or bool(declaration.loop_joints or mechanism.loop_joints)
     if not (loose or choose):
-        return robot, None
+        return robot, None, False
     model, resisted = robot.model, {load.joint for load in mechanism.forces}
     turning = [index for index in range(1, model.njoints) if np.any(model.armature[span(model, index, "v")])]
     robot, selection, notes = _with_rows_that_count(
@@ -564,7 +582,7 @@ def _joined(
         rounded=bool(of.get("source")),
         resisted=resisted | {str(model.names[index]) for index in turning},
     )
-    return replace(robot, notes=(*robot.notes, *notes)), selection
+    return replace(robot, notes=(*robot.notes, *notes)), selection, loose
 
 
 def _with_rows_that_count(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,6 @@ from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.lookup import find_link_index
 
 if TYPE_CHECKING:
-    from redundancy_pin.arrays import Array
     from redundancy_pin.robot import Robot
     from redundancy_pin.robot.formats.mechanism import JointEntry, Mechanism
     from redundancy_pin.robot.formats.urdf import Urdf
@@ -30,14 +28,6 @@ _SINGLE = ("revolute", "continuous", "prismatic")
 
 _COINCIDE = 1e-5
 """m: frames that are nearer at the zero configuration are taken to be one point, cut in two; files are rounded."""
-
-_BESIDE, _TRIES = 0.5, 8
-"""How far from zero, rad and m, and how often poses are tried where loops lie in a line at zero."""
-
-_FLAT = (
-    "At zero loops lie in a line, where branches meet and rows are redundant: the reference is another pose. "
-    "See that it is on the branch of your machine."
-)
 
 _NO_MASS = 1e-6
 """Of the mass of all: exporters give frames a gram in a tonne, as some readers refuse links that weigh nothing."""
@@ -61,7 +51,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     Example:
       redundancy-pin new machine.urdf
     """
-    from redundancy_pin.loading import load_robot
+    from redundancy_pin.loading import FLAT, load_robot
     from redundancy_pin.robot.formats.urdf import read_urdf, urdf_mechanism
     from redundancy_pin.robot.urdf import render
 
@@ -92,7 +82,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
         "reference": {},
     }
     robot, flat = _closed(data, mechanism, drive_independent=not declared)
-    doubts += [_FLAT] if flat else []
+    doubts += [FLAT] if flat else []
     beside = target.resolve().parent == source.resolve().parent
     doubts += _out_of_range(robot)
     place = source.name if beside else str(source.resolve())
@@ -114,32 +104,21 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
 
 
 def _closed(data: Mapping[str, Any], mechanism: Mechanism, *, drive_independent: bool) -> tuple[Robot, bool]:
-    """Return the robot, and whether it is that of a pose beside zero: where loops lie in a line their rank is lower.
+    """Return the robot, and whether it is that of a pose beside zero.
 
     Raises:
         DeclarationError: as at zero, if no pose near it serves either.
     """
-    import pinocchio as pin
+    from redundancy_pin.loading import beside, made
 
-    from redundancy_pin.loading import made
-
-    rng = np.random.default_rng(0)
-
-    def at(start: Array) -> Robot:
-        own = replace(mechanism, model=mechanism.model.copy(), start=start)  # it becomes the robot's
+    def at(own: Mechanism) -> Robot:
+        own = replace(own, model=own.model.copy())  # it becomes the robot's
         return made(data, own, loose=True, drive_independent=drive_independent)
 
-    model = mechanism.model
     try:
-        return at(mechanism.start), False
-    except DeclarationError:
-        for _ in range(_TRIES):
-            beside = pin.integrate(model, mechanism.start, rng.uniform(-_BESIDE, _BESIDE, model.nv))
-            if model.nq == model.nv:
-                beside = np.clip(beside, model.lowerPositionLimit, model.upperPositionLimit)
-            with suppress(DeclarationError):
-                return at(beside), True
-        raise
+        return at(mechanism), False
+    except DeclarationError as error:
+        return beside(mechanism, at, error), True
 
 
 def _proposed_closures(tree: Urdf, mechanism: Mechanism) -> tuple[list[list[str]], str, list[str]]:

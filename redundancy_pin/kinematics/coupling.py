@@ -43,7 +43,8 @@ class CouplingRows:
         for row, each in enumerate(robot.couplings):
             for name, factor in each.also:
                 joint = find_joint(model, name)
-                self._more_q[row, joint.idx_q] = self._more_v[row, joint.idx_v] = factor
+                self._more_q[row, joint.idx_q] += factor
+                self._more_v[row, joint.idx_v] += factor
         degree = max(len(each.polynomial) for each in robot.couplings)
         powers = np.zeros((len(ends), degree))
         for row, each in enumerate(robot.couplings):

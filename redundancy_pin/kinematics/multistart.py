@@ -190,8 +190,8 @@ def _independent_parts(robot: Robot) -> list[IntArray]:
         of_platform = {find_joint_index(model, name) for name in robot.independent_joints}
     parts: list[set[int]] = [of_platform]
     loops = [ancestors(closure.frame_a) | ancestors(closure.frame_b) for closure in robot.closures]
-    pairs = [{find_joint_index(model, name) for name in (each.joint, each.of) if name} for each in robot.couplings]
-    for tied in (each - of_platform for each in (*loops, *pairs)):
+    coupled = [{find_joint_index(model, name) for name in each.joints} for each in robot.couplings]
+    for tied in (each - of_platform for each in (*loops, *coupled)):
         parts = [part for part in parts if not part & tied] + [tied.union(*(part for part in parts if part & tied))]
     spans = [[range(model.joints[j].idx_q, model.joints[j].idx_q + model.joints[j].nq) for j in part] for part in parts]
     return [np.array(sorted(c for span in part for c in span), dtype=np.intp) for part in spans if part]

@@ -406,7 +406,11 @@ def _by_name(entries: Sequence[Coupling | tuple[str, float, float]]) -> dict[str
     entries_by_name: dict[str, _Entry] = {}
     for each in entries:
         if isinstance(each, Coupling):
-            entries_by_name[each.name] = (each.joint, each.of), each.polynomial
+            factors = tuple(factor for _, factor in each.also)
+            entries_by_name[each.name] = (
+                (each.joint, each.of, *(name for name, _ in each.also)),
+                each.polynomial + factors,
+            )
         else:
             entries_by_name[each[0]] = (), each[1:]
     return entries_by_name

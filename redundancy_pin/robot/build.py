@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError, did_you_mean, shown
+from redundancy_pin.errors import DeclarationError, InputError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, Mechanism
 from redundancy_pin.robot.joint_ranges import ROUNDING
@@ -37,6 +37,7 @@ def read_robot(
     source: str = "",
     mode: Sequence[int] | None = None,
     of: str = "model",
+    own_model: bool = False,
 ) -> Robot:
     """Return the robot that a declaration makes of a mechanism, its names and roles checked.
 
@@ -50,18 +51,16 @@ def read_robot(
         source: what finds the robot again.
         mode: ±1 a leg; as declared when left out.
         of: what the tree is called in messages.
+        own_model: the tree is the user's, whose joints stay what they are.
 
     Raises:
         DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
         InputError: a working mode of the wrong form.
-        UnsupportedRobotError: a rod of constant length closes a loop.
     """
-    if rods := [joint.name for joint in (*mechanism.loop_joints, *declaration.loop_joints) if joint.kind == "rod"]:
-        raise UnsupportedRobotError(
-            f"Rods of constant length are not covered as closures: {', '.join(rods)}.",
-            remedy="Make each a link, of mass 0, between two balls.",
-            names=rods,
-        )
+    if (
+        not own_model
+    ):  # cosine and sine of continuous joints, which Pinocchio has, forget the turns that couplings count
+        mechanism = mechanism.counting_turns({name for each in declaration.coupled for name in each.joints})
     model = mechanism.model
     _require_closed_form(declaration, parameters)
     joined = {frozenset((loop.frame_a, loop.frame_b)) for loop in declaration.loops}
@@ -201,7 +200,7 @@ def _check_couplings(
 ) -> None:
     joints = joint_names(model)
     for coupling in couplings:
-        for name in filter(None, (coupling.joint, coupling.of, *(more for more, _ in coupling.also))):
+        for name in coupling.joints:
             _require_name(name, joints, "moving joint", of)
             joint = find_joint(model, name)
             if (joint.nq, joint.nv) != (1, 1):

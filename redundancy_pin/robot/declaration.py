@@ -28,7 +28,7 @@ from redundancy_pin.robot.formats.expressions import MATHEMATICS, Budget, evalua
 from redundancy_pin.robot.formats.urdf import KINDS
 from redundancy_pin.robot.formats.xml_files import FORMATS, format_of
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
-from redundancy_pin.robot.loop_joints import LoopJoint, placed, turned_to
+from redundancy_pin.robot.loop_joints import LoopJoint, joint_between, placed
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform, WorkingModes
 from redundancy_pin.robot.urdf import Argument
 
@@ -137,14 +137,13 @@ class ClosureEntry(Schema):
     cylinder: Pair | None = None
     ball: Pair | None = None
     universal: Pair | None = None
+    planar: Pair | None = None
     weld: Pair | None = None
-    rod: Pair | None = None
     at: Points = (_ORIGIN, _ORIGIN)
     rpy: Points = (_ORIGIN, _ORIGIN)
     axis: Direction | tuple[Direction, Direction] | None = Field(
         None, description="x, y, z or a list of 3 numbers, or one of these for each link"
     )
-    length: Limit = None
 
     @model_validator(mode="after")
     def _has_what_its_kind_takes(self) -> ClosureEntry:
@@ -156,8 +155,10 @@ class ClosureEntry(Schema):
         if not set(needed) <= given <= {*needed, *more}:
             left_out = f"; {', '.join(more)} may be left out" if more else ""
             raise ValueError(f"a mapping with {', '.join((*kinds, *needed, *more))}{left_out}")
-        if any(not np.any(direction) for direction in self._directions()):
-            raise ValueError("a mapping with an axis that is not zero")
+        try:
+            self.joint()
+        except DeclarationError as error:
+            raise ValueError(f"a joint: {error.message} {error.remedy}") from error
         return self
 
     def _directions(self) -> tuple[Array, Array]:
@@ -173,13 +174,8 @@ class ClosureEntry(Schema):
         if kind == "frames":
             return None
         links = getattr(self, kind)
-        columns = (1, 0) if kind == "universal" else (2, 2)
-        places = []
-        for point, rpy, axis, column in zip(self.at, self.rpy, self._directions(), columns, strict=True):
-            turn = pin.rpy.rpyToMatrix(*rpy)
-            places.append(placed(turn if kind in ("ball", "weld", "rod") else turn @ turned_to(axis, column), point))
-        name = self.name or f"{kind} {' = '.join(links)}"
-        return LoopJoint(name, kind, links, (places[0], places[1]), self.length or 0.0)
+        places = [placed(pin.rpy.rpyToMatrix(*rpy), at) for at, rpy in zip(self.at, self.rpy, strict=True)]
+        return joint_between(self.name or f"{kind} {' = '.join(links)}", kind, links, places, self._directions())
 
     def closure(self) -> Closure:
         """Return the closure, with a name."""
@@ -196,8 +192,8 @@ _TAKES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "cylinder": ((), ("at", "axis", "rpy")),
     "ball": ((), ("at",)),
     "universal": (("axis",), ("at", "rpy")),
+    "planar": ((), ("at", "axis", "rpy")),
     "weld": ((), ("at", "rpy")),
-    "rod": (("length",), ("at",)),
 }
 """Keys beside a kind: those that it needs, and those that may be left out."""
 

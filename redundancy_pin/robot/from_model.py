@@ -11,12 +11,10 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
+from redundancy_pin.robot.formats.mechanism import NO_MOMENT
 from redundancy_pin.robot.lookup import find_joint_frame, has_link
 from redundancy_pin.robot.rebuild import span
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform
-
-_NO_MOMENT = 1e-12
-"""kg·m²: rounding of moments of inertia."""
 
 
 def in_order_of(model: pin.Model, given: pin.Model, at: list[int], q: Array) -> Array:
@@ -68,7 +66,7 @@ def _require_sound(model: pin.Model) -> None:
         if not np.isfinite(place.homogeneous).all():
             raise InputError(f"The joint {name!r} is not placed by finite numbers.", remedy="Correct it.", joint=name)
         body = np.array([inertia.mass, *inertia.lever, *inertia.inertia.flat])
-        if not np.isfinite(body).all() or inertia.mass < 0.0 or np.linalg.eigvalsh(inertia.inertia)[0] < -_NO_MOMENT:
+        if not np.isfinite(body).all() or inertia.mass < 0.0 or np.linalg.eigvalsh(inertia.inertia)[0] < -NO_MOMENT:
             raise InputError(
                 f"What the joint {name!r} carries has the mass {inertia.mass:g} and the inertia "
                 f"{inertia.inertia.tolist()}, negative or not finite.",

@@ -23,11 +23,12 @@ ROWS: Mapping[str, tuple[str, ...]] = {
     "cylinder": ("x", "y", "rx", "ry"),
     "ball": ("x", "y", "z"),
     "universal": ("x", "y", "z", "rz"),
+    "planar": ("z", "rx", "ry"),
     "weld": AXES,
-    "rod": ("distance",),
 }
-"""Constrained axes of each kind. The z axes of both frames are the axis of a hinge, slider or cylinder. A universal
-joint turns about the y axis of the first frame and the x axis of the second, which stay at right angles."""
+"""Constrained axes of each kind. The z axes of both frames are the axis of a hinge, slider or cylinder, and normal to
+the plane of a planar joint. A universal joint turns about the y axis of the first frame and the x axis of the second,
+which stay at right angles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +40,12 @@ class LoopJoint:
         kind: one of ``ROWS``.
         links: the two links that it joins.
         placements: (4, 4) of its frame in each link, placed as ``ROWS`` says; the frames coincide where it is closed.
-        length: m, that of a rod between the origins of both frames.
     """
 
     name: str
     kind: str
     links: tuple[str, str]
     placements: tuple[Array, Array]
-    length: float = 0.0
 
     def frames(self) -> tuple[str, str]:
         """Return the names of both frames: the link's own where the joint is at its origin."""
@@ -58,7 +57,40 @@ class LoopJoint:
 
     def closure(self) -> Closure:
         """Return the closure between its frames."""
-        return Closure(self.name, *self.frames(), ROWS[self.kind], self.length)
+        return Closure(self.name, *self.frames(), ROWS[self.kind])
+
+
+def joint_between(
+    name: str, kind: str, links: tuple[str, str], places: Sequence[Array], axes: Sequence[Array]
+) -> LoopJoint:
+    """Return a joint from its place and its axis in both links.
+
+    Args:
+        name: what to call it in messages.
+        kind: one of ``ROWS``.
+        links: the two links that it joins.
+        places: (4, 4) where it is in each link; the axes are read there.
+        axes: (3,) along it, of any length but zero; of a universal joint the one that it has in each link. Those of a
+            ball or weld do not count.
+
+    Raises:
+        DeclarationError: one link twice, an axis of length zero, or a slider of two axes: its angle is not determined.
+    """
+    if links[0] == links[1]:
+        remedy = "Name two links."
+        raise DeclarationError(f"The joint {name!r} has one link at both ends, {links[0]!r}.", remedy=remedy, name=name)
+    if not all(np.any(axis) for axis in axes):
+        raise DeclarationError(f"The joint {name!r} has an axis of length zero.", remedy="Correct it.", name=name)
+    first, second = (axis / np.linalg.norm(axis) for axis in axes)
+    if kind == "slider" and np.abs(first - second).max() > RANK_TOLERANCE:
+        remedy = "Turn its frames by rpy, so that one axis serves both."
+        message = f"The slider {name!r} has two axes, which do not say how its links are turned about them."
+        raise DeclarationError(message, remedy=remedy, name=name)
+    one, other = (
+        place if kind in ("ball", "weld") else place @ placed(turned_to(axis, column), np.zeros(3))
+        for place, axis, column in zip(places, axes, (1, 0) if kind == "universal" else (2, 2), strict=True)
+    )
+    return LoopJoint(name, kind, links, (one, other))
 
 
 def add_frames(model: pin.Model, joints: Sequence[LoopJoint]) -> None:

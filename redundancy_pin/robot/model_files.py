@@ -91,27 +91,43 @@ def open_model(
 
 def _open_urdf(path: Path, arguments: Mapping[str, object], trust: bool) -> tuple[dict[str, Argument], Reader]:
     """As ``open_model``; a URDF that is no xacro file has the arguments ``base`` and ``actuated``."""
-    plain = path.suffix.lower() == ".urdf"
     own: dict[str, Argument] = {
-        name: str(value) for name, value in arguments.items() if plain and name in ("base", "actuated")
+        name: str(value) for name, value in arguments.items() if is_plain(path) and name in ("base", "actuated")
     }
-    base = str(own.get("base", "fixed"))
-    _require_base(base)
+    _require_base(str(own.get("base", "fixed")))
     others = {name: value for name, value in arguments.items() if name not in own}
     known_values(path, others)
     text, values = render(path, others, trust=trust)
+    return {**values, **own}, lambda kinds: mechanism_of_urdf(text, path, own, kinds)
 
-    def read(kinds: Mapping[str, str] | None) -> Mechanism:
-        file = read_urdf(text, path)
-        if kinds is None:
-            kinds = {
-                joint.name: SEVERAL_FREEDOMS[joint.kind] for joint in file.joints if joint.kind in SEVERAL_FREEDOMS
-            }
-        made = urdf_mechanism(file, path.stem.partition(".")[0], kinds=kinds, base=base)
-        driven = tuple(name.strip() for name in str(own.get("actuated", "")).split(",") if name.strip())
-        return replace(made, actuated=driven, drives_declared=True) if driven else made
 
-    return {**values, **own}, read
+def mechanism_of_urdf(
+    text: str, path: Path, arguments: Mapping[str, Argument], kinds: Mapping[str, str] | None
+) -> Mechanism:
+    """Return what the text of a URDF describes.
+
+    Args:
+        text: the file, after xacro.
+        path: the file, for messages and its name.
+        arguments: ``base`` and ``actuated`` count, as of ``open_model``.
+        kinds: by joint, what it is replaced by; None without a declaration.
+
+    Raises:
+        ModelFileError, DeclarationError: as ``read_urdf`` and ``urdf_mechanism``.
+    """
+    file = read_urdf(text, path)
+    if kinds is None:
+        kinds = {joint.name: SEVERAL_FREEDOMS[joint.kind] for joint in file.joints if joint.kind in SEVERAL_FREEDOMS}
+    base = str(arguments.get("base", "fixed")) if is_plain(path) else "fixed"
+    made = urdf_mechanism(file, path.stem.partition(".")[0], kinds=kinds, base=base)
+    given = str(arguments.get("actuated", "")) if is_plain(path) else ""
+    driven = tuple(name.strip() for name in given.split(",") if name.strip())
+    return replace(made, actuated=driven, drives_declared=True) if driven else made
+
+
+def is_plain(path: Path) -> bool:
+    """Return whether a file is a URDF that is no xacro file, and has arguments of its own."""
+    return path.suffix.lower() == ".urdf"
 
 
 def _require_base(base: str) -> None:

@@ -45,7 +45,8 @@ def rebuilt(
     Args:
         model: the model; it stays as it is.
         replaced: by joint, the names and joints that stand for it, from its parent outwards; none for a joint that is
-            fixed where it is neutral. They have no limits.
+            fixed where it is neutral. They have no limits of position; one that stands for one of as many freedoms has
+            its inertia of the rotor, and its limits of speed and effort.
 
     Returns:
         The model, and its index of the joint that carries what each joint of the given one carried.
@@ -76,7 +77,9 @@ def rebuilt(
         if attribute in _OF_LIMITS:
             values[:] = -np.inf if attribute.startswith("lower") else np.inf
         for index in order:
-            if str(model.names[index]) not in replaced:
+            stands = replaced.get(str(model.names[index]))
+            of_velocity = kind == "v" and [each.nv for _, each in stands or ()] == [model.joints[index].nv]
+            if stands is None or of_velocity:
                 values[span(new, at[index], kind)] = getattr(model, attribute)[span(model, index, kind)]
         setattr(new, attribute, values)
     for frame in list(model.frames)[1:]:

@@ -62,7 +62,7 @@ def counted_turns(robot: Robot) -> CountedTurns:
     coordinates = np.array([i for i, name in enumerate(robot.independent_joints) if name in bounded], dtype=np.intp)
     angles, kept = np.zeros((2, model.nq), dtype=bool)
     angles[list(bounded.values())] = True
-    coupled = {name for each in robot.couplings for name in (each.joint, each.of)}
+    coupled = {name for each in robot.couplings for name in each.joints}
     kept[[place for name, place in bounded.items() if name in coupled or name in robot.independent_joints]] = True
     return CountedTurns(read_only(coordinates), read_only(angles), read_only(kept))
 

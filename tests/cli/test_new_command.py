@@ -179,7 +179,7 @@ def test_loops_that_lie_in_a_line_at_zero_have_their_reference_beside_it(tmp_pat
     result = call("new", path)
     assert "n = 1, m = 1, 1 closure(s)" in result.stdout
     assert "lie in a line" in result.stderr
-    assert "Doubtful: At zero loops lie in a line" in (tmp_path / "robot.yaml").read_text()
+    assert "Doubtful: Where all joints start, loops lie in a line" in (tmp_path / "robot.yaml").read_text()
     robot = rp.load_robot(tmp_path)
     drive, knee, foot = robot.q_reference
     assert abs(drive) > 0.1
@@ -213,6 +213,7 @@ def test_continuous_joints_that_mimic_count_their_turns(tmp_path, declared):
     else:
         q = np.array(robot.q_reference)[None]
     np.testing.assert_allclose(q[:, dial], 0.1 + 2.0 * q[:, crank], atol=1e-12)
+    assert robot.with_parameters(masses={"dial": 2.0}).model.nq == robot.model.nq
 
 
 def test_what_only_rounding_keeps_from_spinning_freely_is_no_dependent_joint(tmp_path):

@@ -233,3 +233,75 @@ def test_loops_that_lie_in_a_line_at_zero_are_closed_beside(tmp_path: Path) -> N
     robot = rp.load_robot(flat)
     assert abs(np.sin(robot.q_reference[0])) > 1e-3
     assert any("lie in a line" in note for note in robot.notes)
+
+
+def test_a_planar_joint_holds_a_body_on_a_plane(tmp_path: Path) -> None:
+    """A puck of 2 kg and 0.3 kg·m²: its efforts are those of a free body in the plane."""
+    path = tmp_path / "puck.urdf"
+    inertia = '<inertia ixx="0.2" iyy="0.2" izz="0.3" ixy="0" ixz="0" iyz="0"/>'
+    path.write_text(
+        '<robot name="puck"><link name="table"/>'
+        f'<link name="puck"><inertial><mass value="2"/>{inertia}</inertial></link>'
+        '<joint name="free" type="floating"><parent link="table"/><child link="puck"/></joint>'
+        '<loop name="slab" type="planar"><predecessor link="table"><origin xyz="0 0 0.5"/></predecessor>'
+        '<successor link="puck"/><axis xyz="0 0 1"/></loop></robot>'
+    )
+    robot = rp.load_robot(path, actuated="free_x,free_y,free_rz")
+    assert robot.n == 3
+    motion = rp.PlatformMotion([0.0], [[0.1, 0.2, 0.3]], [[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]])
+    tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
+    np.testing.assert_allclose(tau, [8.0, 10.0, 1.8], atol=1e-12)
+
+
+def test_a_slider_with_two_axes_is_refused(tmp_path: Path) -> None:
+    """They do not say how its links are turned about them."""
+    loop = '<loop name="pin" type="revolute">'
+    path = tmp_path / "slider.urdf"
+    text = (FILES / "good" / "urdf_plus.urdf").read_text()
+    assert loop in text
+    two = '<parent_axis xyz="1 0 0"/><child_axis xyz="0 1 0"/>'
+    path.write_text(text.replace(loop, f'<loop name="pin" type="prismatic">{two}'))
+    with pytest.raises(RedundancyPinError, match=r"slider 'pin' has two axes.*slider\.urdf, line \d+"):
+        rp.load_robot(path)
+
+
+def test_a_file_without_a_declaration_takes_other_masses_and_lengths(tmp_path: Path) -> None:
+    """As if the file had said so."""
+    robot = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
+    mass = changed(tmp_path, ('<mass value="0.3"/>', '<mass value="0.6"/>'))
+    other = rp.load_robot(mass, gravity=GRAVITY)
+    names = [name for name in ("crank", "bar", "arm") if _mass(other, name) != _mass(robot, name)]
+    assert len(names) == 1
+    scaled = robot.with_parameters(masses={names[0]: 0.6})
+    assert scaled.actuated == robot.actuated
+    np.testing.assert_array_equal(scaled.q_reference, robot.q_reference)
+    assert _mass(scaled, names[0]) == pytest.approx(0.6)
+    longer = robot.with_parameters(lengths={"knee": 0.13})
+    assert longer.n == 1
+    placements = [one.model.jointPlacements[one.model.getJointId("knee")].translation for one in (longer, robot)]
+    assert [np.linalg.norm(place) for place in placements] == pytest.approx([0.13, 0.12])
+
+
+def _mass(robot: rp.Robot, link: str) -> float:
+    body = robot.model.frames[robot.model.getFrameId(link, pin.BODY)].parentJoint
+    return float(robot.model.inertias[body].mass)
+
+
+def test_a_continuous_joint_that_is_coupled_keeps_its_limits_of_speed_and_effort(tmp_path: Path) -> None:
+    """Counting its turns takes none of them away, nor its friction."""
+    path = tmp_path / "gears.urdf"
+    link = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    joint = '<joint name="{0}" type="continuous"><parent link="base"/><child link="{0}_link"/><axis xyz="0 0 1"/>'
+    path.write_text(
+        f'<robot name="gears"><link name="base"/><link name="a_link">{link}<link name="b_link">{link}'
+        + joint.format("a")
+        + '<limit effort="9" velocity="7"/><dynamics damping="0.5"/></joint>'
+        + joint.format("b")
+        + '<mimic joint="a" multiplier="-3"/></joint></robot>'
+    )
+    robot = rp.load_robot(path, actuated="a")
+    column = robot.model.joints[robot.model.getJointId("a")].idx_v
+    assert (robot.model.upperEffortLimit[column], robot.model.upperVelocityLimit[column]) == (9.0, 7.0)
+    motion = rp.PlatformMotion([0.0], [[0.1]], [[2.0]], [[3.0]])
+    tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0, 0]
+    assert tau == pytest.approx(3.0 * (1.0 + 9.0) + 0.5 * 2.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.lookup import find_joint, find_joint_index
+from redundancy_pin.robot.lookup import find_joint, find_joint_index, joint_names
 from redundancy_pin.robot.loop_joints import ROWS, LoopJoint
 from redundancy_pin.robot.rebuild import axis_of, joint_along, rebuilt, span
 from redundancy_pin.robot.types import AXES, Closure, Coupling
@@ -82,7 +82,9 @@ class Mechanism:
                 q[span(model, at[index], "q")] = self.start[span(self.model, index, "q")]
         for name, value in (start or {}).items():
             q[find_joint(model, name).idx_q] = value
-        forces = tuple(load for load in self.forces if load.joint not in replaced)
+        freedoms = [{name: find_joint(each, name).nv for name in joint_names(each)} for each in (self.model, model)]
+        same = {name for name, count in freedoms[0].items() if freedoms[1].get(name) == count}
+        forces = tuple(load for load in self.forces if load.joint in same)
         return replace(self, model=model, start=q, forces=forces)
 
     def counting_turns(self, names: Collection[str]) -> Mechanism:
@@ -98,8 +100,7 @@ class Mechanism:
                 replaced[name] = [(name, joint_along("revolute", axis_of(self.model, index)))]
                 cosine, sine = self.start[span(self.model, index, "q")]
                 start[name] = math.atan2(sine, cosine)
-        made = self.with_joints(replaced, start) if replaced else self
-        return replace(made, forces=self.forces)
+        return self.with_joints(replaced, start) if replaced else self
 
     def with_hinges(self, names: Sequence[str]) -> Mechanism:
         """Return the mechanism with three hinges (yaw, pitch, roll) in place of each of some ball joints."""
@@ -219,7 +220,7 @@ def mechanism_of_tree(
     places = {root: (0, pin.SE3.Identity())}
     model.addBodyFrame(root, 0, pin.SE3.Identity(), 0)
     inertias = model.armature
-    for joint in _depth_first(root, joints):
+    for joint in joints:
         carrier, place = places[joint.parent]
         place = place * pin.SE3(joint.placement)
         if joint.kind != "fixed":
@@ -233,6 +234,7 @@ def mechanism_of_tree(
             model.appendBodyToJoint(carrier, pin.Inertia(link.mass, link.centre, link.inertia), place)
         model.addBodyFrame(joint.child, carrier, place, 0)
     model.armature = inertias
+    model, _ = rebuilt(model)
     q: Array = pin.neutral(model)
     for moved, value in (start or {}).items():
         at = find_joint(model, moved)
@@ -243,18 +245,6 @@ def mechanism_of_tree(
         for each in closures
     )
     return Mechanism(name, model, q, loops, actuated=actuated, **more)
-
-
-def _depth_first(root: str, joints: Sequence[JointEntry]) -> Iterator[JointEntry]:
-    """Give the joints so that what a joint carries follows it: Pinocchio's mass matrix is wrong otherwise."""
-    above: dict[str, list[JointEntry]] = {}
-    for joint in reversed(joints):
-        above.setdefault(joint.parent, []).append(joint)
-    waiting = above.get(root, [])
-    while waiting:
-        joint = waiting.pop()
-        yield joint
-        waiting += above.get(joint.child, [])
 
 
 def _added(model: pin.Model, joint: JointEntry, carrier: int, place: pin.SE3) -> int:
@@ -299,26 +289,6 @@ def angles(turn: Array) -> tuple[float, float, float]:
     if math.hypot(turn[0, 0], turn[1, 0]) < 1e-12:  # any yaw will do
         return math.atan2(-turn[0, 1], turn[1, 1]), pitch, 0.0
     return math.atan2(turn[1, 0], turn[0, 0]), pitch, math.atan2(turn[2, 1], turn[2, 2])
-
-
-def moved_to(placement: Array, link: LinkEntry) -> LinkEntry:
-    """Return a link's mass as seen from the frame in which its own frame has a placement (4, 4)."""
-    turn = placement[:3, :3]
-    centre = turn @ link.centre + placement[:3, 3]
-    return LinkEntry(link.name, link.mass, centre, turn @ link.inertia @ turn.T)
-
-
-def combined_mass(name: str, parts: list[LinkEntry]) -> LinkEntry:
-    """Return the mass of several parts, all in one frame."""
-    mass = sum(part.mass for part in parts)
-    if not mass > 0.0:
-        return LinkEntry(name, 0.0, np.zeros(3), sum((part.inertia for part in parts), np.zeros((3, 3))))
-    centre: Array = sum((part.mass * part.centre for part in parts), np.zeros(3)) / mass
-    inertia = np.zeros((3, 3))
-    for part in parts:
-        away = part.centre - centre
-        inertia += part.inertia + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
-    return LinkEntry(name, mass, centre, inertia)
 
 
 def impossible_moments(links: Iterable[LinkEntry]) -> tuple[str, ...]:

@@ -361,7 +361,7 @@ def urdf_mechanism(
     carriers = {joint.child: (joint.name, joint.parent) for joint in file.joints}
     loops = read_loops(file.top, carriers, model)
     couplings = (*(joint.mimic for joint in file.joints if joint.mimic), *loops.couplings)
-    counted = {name for each in couplings for name in (each.joint, each.of, *(more for more, _ in each.also))}
+    counted = {name for each in couplings for name in each.joints}
     replaced: dict[str, list[tuple[str, pin.JointModel]]] = {}
     if base == "free":
         replaced["root_joint"] = in_a_row(file.root, SIX)
@@ -377,7 +377,7 @@ def urdf_mechanism(
             replaced[joint.name] = [(joint.name, joint_along("revolute", axis))]
     single = {joint.name for joint in file.joints if joint.kind in _SINGLE and joint.name not in kinds}
     for each in couplings:
-        if not {each.joint, each.of, *(more for more, _ in each.also)} <= single:
+        if not {*each.joints} <= single:
             raise DeclarationError(
                 f"The coupling {each.name!r} is of joints that are replaced, or have several freedoms.",
                 remedy="Couple joints of one freedom.",

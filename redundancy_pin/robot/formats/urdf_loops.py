@@ -25,11 +25,11 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import did_you_mean
+from redundancy_pin.errors import DeclarationError, did_you_mean
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.formats.urdf_parts import DRAKE, Part
 from redundancy_pin.robot.lookup import find_link_index, joint_names, link_names
-from redundancy_pin.robot.loop_joints import LoopJoint, placed, turned_to
+from redundancy_pin.robot.loop_joints import LoopJoint, joint_between, placed
 from redundancy_pin.robot.types import Coupling
 
 _KINDS = {
@@ -53,7 +53,7 @@ _ENDS = {
 }
 """Elements that are loops, and those in them that name the two links."""
 
-_PASSED_OVER = ("material", "sensor", "fixed_frame", "plugin", "collision_filter_group")
+_WITHOUT_MECHANICS = ("material", "sensor", "fixed_frame", "plugin", "collision_filter_group")
 """Elements beside links and joints that change nothing in the mechanics."""
 
 _FORCES = ("linear_spring_damper", "linear_bushing_rpy")
@@ -120,7 +120,7 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
             notes += [f"{NOT_IN_FORCE} {place} of Gazebo." for place in forces]
         elif tag in _FORCES:
             notes.append(f"{NOT_IN_FORCE} {part.place} of Drake.")
-        elif tag not in ("link", "joint", *_PASSED_OVER):
+        elif tag not in ("link", "joint", *_WITHOUT_MECHANICS):
             notes.append(not_understood(part))
     for name in motors:
         if name not in moving:
@@ -161,34 +161,25 @@ def _loop(part: Part, links: set[str]) -> LoopJoint:
             places.append(end.pose())
         else:
             places.append(beside.pose() if beside else end.placement())
-    return joint_at(part, name, kind, names, places, _axes(part, places))
+    return _joint(part, name, kind, names, places, _axes(part))
 
 
-def _axes(part: Part, places: list[Array]) -> list[Array]:
+def _axes(part: Part) -> list[Array]:
     """Return the axis of a loop in each of its two frames."""
     given = [part.one(tag) for tag in ("parent_axis", "child_axis")]
     both = part.one("axis")
     if both is not None and "frame" in both.attributes and both.text_of("frame") != "parent":
         both.refuse(f"{part.owner} has an axis in the frame of {both.text_of('frame')!r}", "Write it in the parent's.")
     default = both.triple("xyz", "the axis") if both else np.array([1.0, 0.0, 0.0])  # as a joint's of a URDF
-    axes = [each.triple("xyz", "the axis") if each else default for each in given]
-    for axis in axes:
-        if not np.linalg.norm(axis) > 0.0:
-            part.refuse(f"{part.owner} has an axis of length zero")
-    return axes
+    return [each.triple("xyz", "the axis") if each else default for each in given]
 
 
-def joint_at(part: Part, name: str, kind: str, links: list[str], places: list[Array], axes: list[Array]) -> LoopJoint:
-    """Return a joint that closes a loop, from its frame and its axis in both links."""
-    if links[0] == links[1]:
-        part.refuse(f"{part.owner} has one link at both ends, {links[0]!r}", "Name two links.")
-    columns = (1, 0) if kind == "universal" else (2, 2)
-    if kind not in ("ball", "weld"):
-        places = [
-            place @ placed(turned_to(axis, column), np.zeros(3))
-            for place, axis, column in zip(places, axes, columns, strict=True)
-        ]
-    return LoopJoint(name, kind, (links[0], links[1]), (places[0], places[1]))
+def _joint(part: Part, name: str, kind: str, links: list[str], places: list[Array], axes: list[Array]) -> LoopJoint:
+    """Return a joint that closes a loop; what makes none is refused at its line."""
+    try:
+        return joint_between(name, kind, (links[0], links[1]), places, axes)
+    except DeclarationError as error:
+        part.refuse(error.message.rstrip("."), error.remedy)
 
 
 def _ball_constraint(part: Part, links: set[str]) -> LoopJoint:
@@ -198,7 +189,7 @@ def _ball_constraint(part: Part, links: set[str]) -> LoopJoint:
         names.append(_link(end, end.text_of("name"), links))
         at = part.required(f"{DRAKE}ball_constraint_{point}").triple("value", "a point")
         places.append(placed(np.eye(3), at))
-    return joint_at(part, f"ball {' = '.join(names)}", "ball", names, places, [np.eye(3)[2]] * 2)
+    return _joint(part, f"ball {' = '.join(names)}", "ball", names, places, [np.eye(3)[2]] * 2)
 
 
 def _of_gazebo(part: Part, model: pin.Model, links: set[str]) -> LoopJoint:
@@ -217,13 +208,11 @@ def _of_gazebo(part: Part, model: pin.Model, links: set[str]) -> LoopJoint:
     along = direction.numbers(direction.content(), 3, "an axis") if direction else np.eye(3)[2]
     if direction and direction.attributes:
         direction.refuse(f"{part.owner} has an axis in another frame", "Write it in the frame of the joint.")
-    if not np.linalg.norm(along) > 0.0:
-        part.refuse(f"{part.owner} has an axis of length zero")
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     at = {link: data.oMf[find_link_index(model, link)] for link in (parent, child)}
     in_parent = (at[parent].actInv(at[child]) * pin.SE3(place)).homogeneous
-    return joint_at(part, name, kind, [parent, child], [in_parent, place], [along, along])
+    return _joint(part, name, kind, [parent, child], [in_parent, place], [along, along])
 
 
 def _coupling(part: Part, carriers: Mapping[str, tuple[str, str]], moving: set[str]) -> Coupling:
