@@ -57,9 +57,8 @@ def read_robot(
         DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
         InputError: a working mode of the wrong form.
     """
-    if (
-        not own_model
-    ):  # cosine and sine of continuous joints, which Pinocchio has, forget the turns that couplings count
+    if not own_model:
+        # cosine and sine of continuous joints, which Pinocchio has, forget the turns that couplings count
         mechanism = mechanism.counting_turns({name for each in declaration.coupled for name in each.joints})
     model = mechanism.model
     _require_closed_form(declaration, parameters)
