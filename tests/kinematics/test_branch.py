@@ -249,13 +249,13 @@ def test_a_step_across_a_rank_loss_stays_on_the_smooth_branch(length: float, sid
 
 
 def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None:
-    """No joint is displaced by more than 0.35 rad or characteristic lengths before closing, which moves it again."""
+    """Those along the branch by 0.4 rad or characteristic lengths of the joint that moves farthest, before closing."""
     reference, q = np.array(shipped.q_reference), closed_around(zoo.system_of(shipped)).q
     unit = velocity_unit(shipped)
     far = np.array([np.abs(pin.difference(shipped.model, reference, one) / unit).max() for one in q])
     assert far[0] < 1e-9
     along = far[1 + len(far) // 2 :]
-    assert 0.01 < along.min() <= along.max() < 0.5
+    assert 0.3 < along.min() <= along.max() < 0.5
 
 
 def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
