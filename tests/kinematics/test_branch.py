@@ -49,7 +49,7 @@ def test_a_pose_nearby_is_the_one_that_assembly_closes(name: str) -> None:
         expected = assemble(system, guess, x[None])
         np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(reached.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
-        np.testing.assert_allclose(reached.W, expected.gamma[0][robot.actuated_velocity].T, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(reached.W, expected.gamma[0][robot.actuated_velocity].T, rtol=0.0, atol=1e-12)
         assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
         here = reached
 

@@ -71,7 +71,7 @@ def test_any_sampling_gives_the_same_closed_configurations(shipped: Robot) -> No
         expected = slice(None, None, 100) if len(times) > 1 else slice(400, 401)
         turned = configuration_difference(shipped.model, dense.q[expected], other.q[kept])
         np.testing.assert_allclose(np.sin(turned) if len(times) == 1 else turned, 0.0, atol=1e-9)
-        np.testing.assert_allclose(other.a[kept], dense.a[expected], rtol=1e-8, atol=1e-7)
+        np.testing.assert_allclose(other.a[kept], dense.a[expected], rtol=1e-8, atol=1e-8)
     assert not any(array.flags.writeable for array in vars(dense).values() if isinstance(array, np.ndarray))
 
 
