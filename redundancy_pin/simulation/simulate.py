@@ -292,7 +292,7 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float, time: float) -
         raise SingularPoseError(
             f"The start is where the closures of {machine.robot.name} lose rank, and its velocity, though allowed, "
             f"is {away:.3g} 1/s from that of the nearest smooth motion through there.",
-            remedy="Start with a velocity along one of the motions that meet there, or beside that pose.",
+            remedy="Start with a velocity along one of the motions that meet there, or near that pose.",
             amount=away,
         )
     return sheet if isinstance(sheet, Sheet) else None
