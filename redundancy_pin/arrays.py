@@ -188,6 +188,7 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
 
 
 _BLOCK = 4000
+"""Samples in a block unless a caller passes its own number, which depends on what it keeps for each sample."""
 
 
 @lru_cache(maxsize=1)

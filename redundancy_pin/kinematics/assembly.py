@@ -124,8 +124,9 @@ def assemble(
     loops. Steps of a rank-deficient system are of least norm. Nothing is returned silently unclosed: see ``closed`` and
     ``gap``.
 
-    It is the one damped Newton, for starts from afar and for many poses at once. ``LoopSolver.close`` is the plain one
-    of followers, for one pose from a configuration nearby: in a loop it takes two to five times as long for each pose.
+    This is the damped Newton method, for starts from afar and for many poses at once. The undamped one of followers,
+    ``LoopSolver.close``, closes one pose from a configuration nearby in a fifth of the time. Two hundred poses take two
+    to eight times as long with it, one after another.
 
     Args:
         system: closures and platform rows of the robot.

@@ -360,11 +360,12 @@ class ConstraintSystem:
         # of many configurations only these frames are kept, one behind the other
         self._kept = (12 * ids[:, None] + np.arange(12)).ravel()
         self._kept_rows = RowSet((*self.rows, *platform), support, np.arange(len(ids)), self.couplings)
-        self.aligned = [
-            (int(12 * ids[at[c.frame_a]] + 3 * k), int(12 * ids[at[c.frame_b]] + 3 * k))
-            for c in robot.closures
-            for k in _aligned(c)
+        self._aligned = [
+            (12 * at[closure.frame_a] + 3 * k, 12 * at[closure.frame_b] + 3 * k)
+            for closure in robot.closures
+            for k in _aligned(closure)
         ]
+        self.aligned = [(int(self._kept[a]), int(self._kept[b])) for a, b in self._aligned]
         self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity, assume_unique=True)
         self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
@@ -444,12 +445,8 @@ class ConstraintSystem:
         where all rows vanish this is 0 for a true closure and at least π/2 for a false one. Closures with less than
         two rotation rows have no such axes.
         """
-        pairs = [
-            (state.placement(closure.frame_a)[0][:, k], state.placement(closure.frame_b)[0][:, k])
-            for closure in self.robot.closures
-            for k in _aligned(closure)
-        ]
-        chords = np.reshape([np.linalg.norm(b - a, axis=0) for a, b in pairs], (len(pairs), len(state.q)))
+        apart = [state.vectors[b : b + 3] - state.vectors[a : a + 3] for a, b in self._aligned]
+        chords = np.reshape([np.linalg.norm(each, axis=0) for each in apart], (len(apart), len(state.q)))
         # an arc cosine would be off by 1e-8 rad where axes coincide
         turned: Array = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
         worst: Array = turned.max(axis=0, initial=0.0)

@@ -106,9 +106,7 @@ def moved(robot: Robot, start: Array, increment: Array) -> Array:
     if start.ndim == 2:
         result[:3, :3] = pin.exp3(full[3:]).dot(start[:3, :3])
     else:
-        from scipy.spatial.transform import Rotation
-
-        result[:, :3, :3] = Rotation.from_rotvec(full[:, 3:]).as_matrix() @ start[:, :3, :3]
+        result[:, :3, :3] = np.reshape([pin.exp3(each) for each in full[:, 3:]], (-1, 3, 3)) @ start[:, :3, :3]
     return result
 
 
@@ -163,11 +161,9 @@ def joint_position(robot: Robot, name: str, q: Array) -> Array:
 def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
     """Return declared reference coordinates as (1, n), or as a pose (1, 4, 4) from xyz and rpy."""
     if is_pose(robot):
-        from scipy.spatial.transform import Rotation
-
         pose: Array = np.eye(4)[None].copy()
         pose[0, :3, 3] = numbers[:3]
-        pose[0, :3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
+        pose[0, :3, :3] = pin.rpy.rpyToMatrix(*numbers[3:])
         return pose
     return np.array(checked(numbers, "reference", (robot.n,)))[None]
 

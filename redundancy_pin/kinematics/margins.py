@@ -15,9 +15,9 @@ from redundancy_pin.kinematics.multistart import SEED, draw_starts
 NEAR_RANK_LOSS = 3e-3
 """Singularity margin below which rounding shows: velocities lose 1e-16 / margin², accelerations 1e-16 / margin³."""
 
-_SAMPLES, _SPREAD = 8, 0.35
+_SAMPLES, _SPREAD = 8, 0.4
 """Random configurations around the reference that determine the typical margin, of each kind, and how far the joints
-are from it at most, rad or characteristic lengths."""
+are from it at most, before closing, rad or characteristic lengths."""
 
 
 @lru_cache(maxsize=64)

@@ -68,13 +68,18 @@ def draw_starts(
         rng: the source of random numbers.
         turn: half-width for turning velocities, rad.
         slide: half-width for sliding velocities, characteristic lengths.
-        along: (f, p) orthonormal displacements without units; only the part along them is kept.
+        along: (f, p) orthonormal displacements without units: starts are displaced along these alone, the joint that
+            moves farthest by its half-width.
     """
     model, columns = system.robot.model, system.pose_columns
     width = np.where(turning_velocities(system.robot)[columns], turn, slide)
     around = rng.uniform(-1.0, 1.0, (count, len(columns))) * width
+    if along is not None:
+        around = around @ along.T @ along
+        farthest = np.abs(around / width).max(axis=1, keepdims=True)
+        around /= np.where(farthest > 0.0, farthest, 1.0)
     steps = np.zeros((count, model.nv))
-    steps[:, columns] = (around if along is None else around @ along.T @ along) * system.step_unit
+    steps[:, columns] = around * system.step_unit
     return integrate(model, np.repeat(q[None], count, axis=0), steps)
 
 

@@ -53,7 +53,8 @@ BETWEEN = 0.2
 """rad; no joint of the pose moves farther than this from look to look at the rank of the closures."""
 
 _SAME = 2e-3
-"""Share of a step, a hundred cube roots of rounding, to which the time of a zero of third order is known."""
+"""Share of a step to which the time of a zero of third order is known: a hundred cube roots of 1e-14, the rounding of a
+determinant."""
 
 _TURN = 1e-6
 """Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it. Rank

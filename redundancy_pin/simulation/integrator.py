@@ -49,7 +49,7 @@ SAME = 1e-9
 """Instants closer than this fraction of a sampling period, or of the interval of the result's samples, are one."""
 
 SHORTEST = 1e-8
-"""Share of the time scale; a machine whose motion takes steps shorter than this, many in a row, is not one."""
+"""Shortest ordinary step, share of the time scale: after many shorter ones in a row the integration is given up."""
 
 _MOST_SHORT = 20
 

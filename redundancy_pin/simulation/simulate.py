@@ -137,10 +137,9 @@ def simulate(
     for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
         if not fits:
             raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
+    rtol, atol = positive(rtol, "rtol", ""), positive(atol, "atol", "")
     if rtol < LEAST_RTOL:
         raise InputError(f"rtol is {rtol}.", remedy=f"Pass at least {LEAST_RTOL}: below it is rounding.", name="rtol")
-    positive(rtol, "rtol", "")
-    positive(atol, "atol", "")
     state = _start(robot, controller, start)
     grid, breaks = _times(controller, state.t, duration, dt, restart_at)
     law = _carrier_law(robot, controller, carriers)
@@ -166,7 +165,7 @@ def simulate(
         machine.dynamics.adapt(first.q)
     machine.solve(first, command, sheet)
     unit = np.concatenate([position_unit(robot), velocity_unit(robot) / time])
-    settings = {"max_step": float(max_step), "rtol": float(rtol), "atol": atol * unit}
+    settings = {"max_step": float(max_step), "rtol": rtol, "atol": atol * unit}
     problem = InitialValueProblem(
         machine, functions, integrator, settings, time, unit, int(max_steps), grid, breaks, sampling
     )
@@ -293,7 +292,7 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float, time: float) -
         raise SingularPoseError(
             f"The start is where the closures of {machine.robot.name} lose rank, and its velocity, though allowed, "
             f"is {away:.3g} 1/s from that of the nearest smooth motion through there.",
-            remedy="Start with a velocity along one of the motions that meet there, or beside that pose.",
+            remedy="Start with a velocity along one of the motions that meet there, or near that pose.",
             amount=away,
         )
     return sheet if isinstance(sheet, Sheet) else None

@@ -263,9 +263,9 @@ class FollowedPath:
         elif end.status is SampleStatus.UNREACHABLE:
             self._raise_border(t, end)
         else:
+            mode = self.system.robot.working_mode
             raise WorkingModeError(
-                f"The path cannot be followed in working mode {mode_name(self.system.robot.working_mode)} at "
-                f"t = {t:.9g} s.",
+                f"The path cannot be followed {f'in working mode {mode_name(mode)} ' if mode else ''}at t = {t:.9g} s.",
                 remedy="Keep the legs away from full stretch, full fold and zero length.",
                 time=t,
             )

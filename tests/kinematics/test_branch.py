@@ -49,7 +49,7 @@ def test_a_pose_nearby_is_the_one_that_assembly_closes(name: str) -> None:
         expected = assemble(system, guess, x[None])
         np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(reached.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
-        np.testing.assert_allclose(reached.W, expected.gamma[0][robot.actuated_velocity].T, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(reached.W, expected.gamma[0][robot.actuated_velocity].T, rtol=0.0, atol=1e-12)
         assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
         here = reached
 
@@ -249,13 +249,13 @@ def test_a_step_across_a_rank_loss_stays_on_the_smooth_branch(length: float, sid
 
 
 def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None:
-    """No joint is displaced by more than 0.35 rad or characteristic lengths before closing, which moves it again."""
+    """Those along the branch by 0.4 rad or characteristic lengths of the joint that moves farthest, before closing."""
     reference, q = np.array(shipped.q_reference), closed_around(zoo.system_of(shipped)).q
     unit = velocity_unit(shipped)
     far = np.array([np.abs(pin.difference(shipped.model, reference, one) / unit).max() for one in q])
     assert far[0] < 1e-9
     along = far[1 + len(far) // 2 :]
-    assert 0.01 < along.min() <= along.max() < 0.5
+    assert 0.3 < along.min() <= along.max() < 0.5
 
 
 def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:

@@ -16,6 +16,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import DeclarationError, WorkingModeError
 from redundancy_pin.kinematics import inverse_kinematics as branch
 from redundancy_pin.kinematics import multistart as search_module
+from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import in_working_mode, working_modes
@@ -84,13 +85,16 @@ def test_frames_far_away_are_turned_together(tmp_path: Path, kind: str, size: fl
 
 @pytest.mark.parametrize("kind", ["hinge about x", "hinge about y", "hinge about z"])
 def test_hinges_that_are_opposite_turn_over(tmp_path: Path, kind: str) -> None:
-    """Either way round; the sines of rows say that nothing is open there."""
+    """Either way round; the sines of rows say that nothing is open there. Followers refuse such a configuration."""
     robot = arm(tmp_path, kind, 1.0)
     q = np.zeros(robot.model.nq)
     over = next(name for name in ("turn_z", "turn_y") if name[-1] != kind[-1])
     q[zoo.index(robot, over)] = np.pi
     assert apart(robot, q, kind)[1] == pytest.approx(np.pi)
     assert max(apart(robot, close(ConstraintSystem(robot), q)[0], kind)) < CLOSED
+    own = follower(robot)
+    assert own.close(own.home.q, own.home.x) is not None
+    assert own.close(q, own.home.x) is None
 
 
 def two_bars(folder: Path, end: tuple[float, float]) -> Robot:

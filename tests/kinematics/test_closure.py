@@ -108,6 +108,17 @@ def test_every_mask_closes_where_its_joint_allows_and_has_no_redundant_row(axes:
         assert np.linalg.svd(state.Jc[0], compute_uv=False).min() > 0.1
 
 
+@pytest.mark.parametrize("free", range(3))
+def test_hinge_rows_stay_independent_all_around(free: int) -> None:
+    """Rows that paired fixed axes of both frames would fall together at a quarter turn."""
+    robot = two_free_bodies((*AXES[:3], *(axis for axis in AXES[3:] if axis != AXES[3 + free])))
+    system, pose = ConstraintSystem(robot), random_pose(np.random.default_rng(free))
+    for angle in np.linspace(0.0, 2 * np.pi, 25):
+        turn = pin.SE3(Rotation.from_rotvec(angle * np.eye(3)[free]).as_matrix(), np.zeros(3))
+        jacobian = system.evaluate(configuration(robot.model, pose, turn)).Jc[0]
+        assert np.linalg.svd(jacobian, compute_uv=False).min() > 0.5
+
+
 @pytest.mark.parametrize("axes", MASKS, ids="".join)
 def test_jacobian_and_bias_are_derivatives_on_and_off_the_manifold(axes: tuple[str, ...]) -> None:
     robot = two_free_bodies(axes)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import zoo
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from spatial_chains import chain_of
 
 from redundancy_pin.kinematics.assembly import integrate
@@ -68,7 +68,7 @@ def test_angles_of_platforms_and_of_continuous_joints_are_read_from_configuratio
 
 def test_reference_numbers_are_coordinates_or_the_urdfs_fixed_axis_angles() -> None:
     pose = reference_coordinates(zoo.robot_of("gough"), (0.1, 0.2, 0.3, 0.4, 0.5, 0.6))[0]
-    np.testing.assert_allclose(pose[:3, :3], pin.rpy.rpyToMatrix(0.4, 0.5, 0.6), atol=ROUNDING)
+    np.testing.assert_allclose(pose[:3, :3], Rotation.from_euler("xyz", (0.4, 0.5, 0.6)).as_matrix(), atol=ROUNDING)
     np.testing.assert_allclose(pose[:, 3], [0.1, 0.2, 0.3, 1.0])
     np.testing.assert_array_equal(reference_coordinates(zoo.robot_of("3rrr"), (0.1, 0.2, 0.3)), [[0.1, 0.2, 0.3]])
 

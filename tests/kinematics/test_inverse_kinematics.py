@@ -26,8 +26,9 @@ VELOCITY = 2e-8  # central differences: STEP² times third derivatives of 10², 
 ACCELERATION = 1e-6  # the same on v, whose third derivatives reach 10⁴
 
 
-@examples(10)
-@given(name=st.sampled_from([*zoo.SHIPPED, *CHAINS]), seed=st.integers(0, 2**16))
+@pytest.mark.parametrize("name", [*zoo.SHIPPED, *CHAINS])
+@examples(2)
+@given(seed=st.integers(0, 2**16))
 def test_velocity_and_acceleration_are_derivatives(name: str, seed: int) -> None:
     robot = chain_of(name) if name in CHAINS else zoo.robot_of(name)
     motion = zoo.smooth_motion(robot, seed)
@@ -61,6 +62,7 @@ def test_any_sampling_gives_the_same_closed_configurations(shipped: Robot) -> No
     base = np.linspace(0.0, 3.0, 10)
     dense = inverse_kinematics(shipped, motion.at(np.linspace(0.0, 3.0, 901)))
     assert dense.reachable.all()
+    assert np.abs(np.diff(dense.q[::100], axis=0)).max() > 0.05
     assert dense.gap.max() < CLOSURE_TOLERANCE
     assert pinocchio_gap(shipped, dense.q[::10]) < CLOSURE_TOLERANCE
     clusters = np.sort(np.concatenate([base, base + 1e-9, base + 2e-9]))
@@ -69,7 +71,7 @@ def test_any_sampling_gives_the_same_closed_configurations(shipped: Robot) -> No
         expected = slice(None, None, 100) if len(times) > 1 else slice(400, 401)
         turned = configuration_difference(shipped.model, dense.q[expected], other.q[kept])
         np.testing.assert_allclose(np.sin(turned) if len(times) == 1 else turned, 0.0, atol=1e-9)
-        np.testing.assert_allclose(other.a[kept], dense.a[expected], rtol=1e-8, atol=1e-7)
+        np.testing.assert_allclose(other.a[kept], dense.a[expected], rtol=1e-8, atol=1e-8)
     assert not any(array.flags.writeable for array in vars(dense).values() if isinstance(array, np.ndarray))
 
 

@@ -143,6 +143,7 @@ def test_the_branch_is_kept_next_to_full_stretch(left: float, samples: int, mode
     tree = inverse_kinematics(robot, motion, mark_unreachable=not modes)
     elbow, exact = tree.q[tree.reachable, zoo.index(robot, "elbow_1")], CLOSURE_TOLERANCE / np.sqrt(left)
     np.testing.assert_allclose(elbow, expected[tree.reachable], atol=exact)
+    assert tree.reachable[[0, -1]].all()
     # so near that branches cannot be told apart without modes, a sample may be refused, not guessed
     assert tree.reachable.all() or (not modes and left < 1e-6)
 

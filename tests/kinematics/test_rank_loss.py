@@ -330,7 +330,7 @@ def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
             # where no line of nodes is good enough, Newton's method closes all the same
             if beside >= 1e-5:
                 q = inverse_kinematics(robot, motion, positions_only=True).q
-                assert q[1, 1] == pytest.approx(-beside, abs=1e-9)
+                assert q[1, 1] == pytest.approx(-beside, abs=1e-10)
 
 
 def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:

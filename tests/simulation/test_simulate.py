@@ -235,6 +235,7 @@ REFUSED = {
     "infinite duration": ({"duration": np.inf}, "finite duration"),
     "zero step": ({"duration": 1.0, "dt": 0.0}, "dt is 0"),
     "tolerance": ({"duration": 1.0, "rtol": 0.0}, "rtol is 0"),
+    "tolerance in words": ({"duration": 1.0, "rtol": "x"}, "rtol is .x"),
     "absolute tolerance": ({"duration": 1.0, "atol": -1.0}, "atol is -1"),
     "integrator": ({"duration": 1.0, "integrator": "Euler"}, "DOP853, RK45, Radau"),
     "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
