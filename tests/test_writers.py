@@ -13,7 +13,7 @@ from zoo import home_of, robot_of, shipped_robots
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, UnsupportedRobotError
-from redundancy_pin.robot import Closure, Coupling, Robot
+from redundancy_pin.robot import Coupling, Robot
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.loads import JointForces, Spring
 
@@ -139,14 +139,12 @@ def test_efforts_of_a_written_robot_are_mujocos_and_those_of_the_robot_that_is_r
     np.testing.assert_allclose(together @ read, together @ ours, rtol=1e-7, atol=1e-7 * size)
 
 
-def test_rods_and_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
+def test_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
     """Where they are met, MuJoCo's errors are zero; they are read again as they were."""
     robot = written("geared", tmp_path)
-    (pinned,) = robot.closures
     also = Coupling("train", "rotor", "rocker", (0.2, -12.0, 0.3), (("cam", 4.0), ("crank", 0.7)))
     lever = Coupling("lever", "cam", "crank", (0.1, 0.5), (("rocker", -0.2),))
-    rod = Closure("rod", pinned.frame_a, pinned.frame_b, ("distance",), 0.75)
-    robot = dataclasses.replace(robot, closures=(rod,), couplings=(also, lever))
+    robot = dataclasses.replace(robot, closures=(), couplings=(also, lever))
     path = robot.to_mjcf(tmp_path / "again.xml")
     engine = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(engine)
@@ -158,14 +156,10 @@ def test_rods_and_couplings_of_several_joints_are_tendons(tmp_path: Path) -> Non
     for name, value in place.items():
         data.joint(name).qpos[0] = value
     mujoco.mj_forward(engine, data)
-    ends = [data.site(f"rod:0{side}").xpos for side in "ab"]
     errors = {engine.equality(int(number)).name: error for number, error in zip(data.efc_id, data.efc_pos, strict=True)}
-    assert errors["rod"] == pytest.approx(np.linalg.norm(ends[0] - ends[1]) - 0.75, abs=1e-12)
     assert errors["train"] == pytest.approx(0.0, abs=1e-12)
     assert errors["lever"] == pytest.approx(0.0, abs=1e-12)
-    read = read_mjcf(path)
-    assert [(each.kind, each.length) for each in read.loop_joints] == [("rod", pytest.approx(0.75, abs=1e-12))]
-    again = next(each for each in read.couplings if each.name == "lever")
+    again = next(each for each in read_mjcf(path).couplings if each.name == "lever")
     assert (again.joint, again.of, again.polynomial, again.also) == ("cam", "rocker", (0.1, -0.2), (("crank", 0.5),))
 
 

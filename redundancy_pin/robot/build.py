@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError, did_you_mean, shown
+from redundancy_pin.errors import DeclarationError, InputError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, Mechanism
 from redundancy_pin.robot.joint_ranges import ROUNDING
@@ -54,14 +54,7 @@ def read_robot(
     Raises:
         DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
         InputError: a working mode of the wrong form.
-        UnsupportedRobotError: a rod of constant length closes a loop.
     """
-    if rods := [joint.name for joint in (*mechanism.loop_joints, *declaration.loop_joints) if joint.kind == "rod"]:
-        raise UnsupportedRobotError(
-            f"Rods of constant length are not covered as closures: {', '.join(rods)}.",
-            remedy="Make each a link, of mass 0, between two balls.",
-            names=rods,
-        )
     model = mechanism.model
     _require_closed_form(declaration, parameters)
     joined = {frozenset((loop.frame_a, loop.frame_b)) for loop in declaration.loops}

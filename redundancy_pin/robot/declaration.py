@@ -138,13 +138,11 @@ class ClosureEntry(Schema):
     ball: Pair | None = None
     universal: Pair | None = None
     weld: Pair | None = None
-    rod: Pair | None = None
     at: Points = (_ORIGIN, _ORIGIN)
     rpy: Points = (_ORIGIN, _ORIGIN)
     axis: Direction | tuple[Direction, Direction] | None = Field(
         None, description="x, y, z or a list of 3 numbers, or one of these for each link"
     )
-    length: Limit = None
 
     @model_validator(mode="after")
     def _has_what_its_kind_takes(self) -> ClosureEntry:
@@ -177,9 +175,9 @@ class ClosureEntry(Schema):
         places = []
         for point, rpy, axis, column in zip(self.at, self.rpy, self._directions(), columns, strict=True):
             turn = pin.rpy.rpyToMatrix(*rpy)
-            places.append(placed(turn if kind in ("ball", "weld", "rod") else turn @ turned_to(axis, column), point))
+            places.append(placed(turn if kind in ("ball", "weld") else turn @ turned_to(axis, column), point))
         name = self.name or f"{kind} {' = '.join(links)}"
-        return LoopJoint(name, kind, links, (places[0], places[1]), self.length or 0.0)
+        return LoopJoint(name, kind, links, (places[0], places[1]))
 
     def closure(self) -> Closure:
         """Return the closure, with a name."""
@@ -197,7 +195,6 @@ _TAKES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "ball": ((), ("at",)),
     "universal": (("axis",), ("at", "rpy")),
     "weld": ((), ("at", "rpy")),
-    "rod": (("length",), ("at",)),
 }
 """Keys beside a kind: those that it needs, and those that may be left out."""
 

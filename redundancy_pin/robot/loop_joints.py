@@ -24,7 +24,6 @@ ROWS: Mapping[str, tuple[str, ...]] = {
     "ball": ("x", "y", "z"),
     "universal": ("x", "y", "z", "rz"),
     "weld": AXES,
-    "rod": ("distance",),
 }
 """Constrained axes of each kind. The z axes of both frames are the axis of a hinge, slider or cylinder. A universal
 joint turns about the y axis of the first frame and the x axis of the second, which stay at right angles."""
@@ -39,14 +38,12 @@ class LoopJoint:
         kind: one of ``ROWS``.
         links: the two links that it joins.
         placements: (4, 4) of its frame in each link, placed as ``ROWS`` says; the frames coincide where it is closed.
-        length: m, that of a rod between the origins of both frames.
     """
 
     name: str
     kind: str
     links: tuple[str, str]
     placements: tuple[Array, Array]
-    length: float = 0.0
 
     def frames(self) -> tuple[str, str]:
         """Return the names of both frames: the link's own where the joint is at its origin."""
@@ -58,7 +55,7 @@ class LoopJoint:
 
     def closure(self) -> Closure:
         """Return the closure between its frames."""
-        return Closure(self.name, *self.frames(), ROWS[self.kind], self.length)
+        return Closure(self.name, *self.frames(), ROWS[self.kind])
 
 
 def add_frames(model: pin.Model, joints: Sequence[LoopJoint]) -> None:

@@ -33,16 +33,13 @@ class Closure:
         name: what to call it in messages.
         frame_a, frame_b: names of the two frames (URDF links).
         axes: the constrained axes, a subset of ``AXES``, read in frame a. A planar pin joint is
-            ``("x", "y")``, a hinge about z ``("x", "y", "z", "rx", "ry")``, a ball joint ``("x", "y", "z")``;
-            ``("distance",)`` is a rod that weighs nothing, between balls at the origins of both frames.
-        length: m, of a rod.
+            ``("x", "y")``, a hinge about z ``("x", "y", "z", "rx", "ry")``, a ball joint ``("x", "y", "z")``.
     """
 
     name: str
     frame_a: str
     frame_b: str
     axes: tuple[str, ...]
-    length: float = 0.0
 
 
 @dataclass(frozen=True)
