@@ -127,16 +127,20 @@ def test_efforts_of_a_written_robot_are_mujocos_and_those_of_the_robot_that_is_r
     spins = [row.startswith("rz") and "ball" in robot.model.names for row in robot.constraint_names]
     held = rp.kinematics.closure.ConstraintSystem(robot).evaluate(q[None]).Jc[0, spins]
     expected = engine.torque(robot, a, held)
-    np.testing.assert_allclose(together @ expected, together @ ours, rtol=1e-7, atol=1e-7 * size)
+    np.testing.assert_allclose(together @ expected, together @ ours, rtol=1e-9, atol=1e-9 * size)
 
     again = rp.load_robot(path, keyframe="reference")
+    np.testing.assert_allclose(again.q_reference, robot.q_reference, atol=1e-9)
+    assert again.loads == robot.loads
+    assert [each.axes for each in again.closures] == [each.axes for each in robot.closures]
+    assert [each.polynomial for each in again.couplings] == [each.polynomial for each in robot.couplings]
     joints = [(robot.model.joints[robot.model.getJointId(name)]) for name in again.independent_joints]
     at = [joint.idx_q for joint in joints], [joint.idx_v for joint in joints]
     same = rp.PlatformMotion([0.0], q[None, at[0]], v[None, at[1]], a[None, at[1]])
-    np.testing.assert_allclose(rp.inverse_kinematics(again, same).v[0], v, rtol=1e-7, atol=1e-9 * np.abs(v).max())
+    np.testing.assert_allclose(rp.inverse_kinematics(again, same).v[0], v, rtol=1e-9, atol=1e-9 * np.abs(v).max())
     theirs = dict(zip(again.actuated, rp.distribute(rp.RneaDynamics(again).reduce(same)).tau[0], strict=True))
     read = np.array([theirs[name] for name in (*robot.actuated, *robot.carriers)])
-    np.testing.assert_allclose(together @ read, together @ ours, rtol=1e-7, atol=1e-7 * size)
+    np.testing.assert_allclose(together @ read, together @ ours, rtol=1e-9, atol=1e-9 * size)
 
 
 def test_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
