@@ -19,6 +19,7 @@ from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     MOST_LINKS,
     NOT_IN_FORCE,
+    SIX,
     Mechanism,
     angles,
     drawn,
@@ -30,9 +31,6 @@ from redundancy_pin.robot.lookup import find_joint, find_joint_index, has_joint,
 from redundancy_pin.robot.loop_joints import LoopJoint
 from redundancy_pin.robot.rebuild import axis_of, joint_along, span
 from redundancy_pin.robot.types import Coupling, slides
-
-_SIX = ("x", "y", "z", "rz", "ry", "rx")
-"""Joints in place of a free one: independent joints have one degree of freedom each."""
 
 _NO_ENDS = np.array([-np.inf, np.inf])
 
@@ -276,7 +274,7 @@ class _Reader:
                 self._refuse(f"the joint {name!r} is free and has an armature, which is not covered", "Take it out.")
             start = self._moved(joint, place)
             yaw, pitch, roll = angles(start.rotation)
-            row = in_a_row(name, _SIX)
+            row = in_a_row(name, SIX)
             for own, model in row:
                 carrier = self.model.addJoint(carrier, model, pin.SE3.Identity(), own)
             self.joints[joint] = tuple(own for own, _ in row)
