@@ -108,6 +108,10 @@ def test_efforts_of_the_closed_chain_are_those_of_mujoco(name, tmp_path):
     # a rod between two balls: its spin is held here and nowhere in the file
     own = ["ball" in robot.model.names and row.startswith("rz") for row in robot.constraint_names]
     assert sum(own) == (name in ("spatial", "rssr"))
+    if any(own):  # at the ball that is damped
+        spin, ball = robot.closures[-1], robot.model.getJointId("ball")
+        frames = [robot.model.frames[robot.model.getFrameId(end)] for end in (spin.frame_a, spin.frame_b)]
+        assert {frame.parentJoint for frame in frames} == {ball, robot.model.parents[ball]}
     rows = rp.kinematics.closure.ConstraintSystem(robot).evaluate(followed.q).Jc[:, own]
     for i in range(4):
         engine.set(robot, followed.q[i], followed.v[i])
@@ -193,6 +197,10 @@ def test_free_bodies_start_where_mujoco_has_them_and_may_be_held_there(root, key
         weight = pin.computeGeneralizedGravity(robot.model, own, np.array(robot.q_reference))
         assert weight[-1] == pytest.approx(data.qfrc_bias[-1], abs=1e-10)
         assert (robot.n, robot.actuated) == (n, ("hip",))
+        if base == "free" and "freejoint" in root:
+            six = [f"root_{axis}" for axis in ("x", "y", "z", "rz", "ry", "rx")]
+            assert list(robot.model.names)[1:] == [*six, "hip"]
+            np.testing.assert_allclose(weight[:3], data.qfrc_bias[:3], atol=1e-10)
     with pytest.raises(RedundancyPinError, match=r"no keyframe 'lyin'.*'lying'"):
         rp.load_robot(path, keyframe="lyin")
 
