@@ -380,7 +380,7 @@ def test_a_model_of_a_stranger_is_compiled_by_a_child_with_limits(tmp_path, monk
             other.shapes,
         )
         assert [each.closure() for each in own.loop_joints] == [each.closure() for each in other.loop_joints]
-    with pytest.raises(RedundancyPinError, match=r"line 3: .*counted|MuJoCo refuses it.*'axes'"):
+    with pytest.raises(RedundancyPinError, match="MuJoCo refuses it.*'axes'"):
         read_mjcf(FILES / "bad" / "attribute.xml", untrusted=True)
     path = write(tmp_path, FOUR_BAR)
     assert rp.load_robot(path, untrusted=True).notes == rp.load_robot(path).notes
