@@ -167,6 +167,14 @@ def test_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
     assert (again.joint, again.of, again.polynomial, again.also) == ("cam", "rocker", (0.1, -0.2), (("crank", 0.5),))
 
 
+def test_closures_of_one_name_have_sites_of_their_own(tmp_path: Path) -> None:
+    robot = robot_of("3rrr")
+    named = dataclasses.replace(robot, closures=tuple(dataclasses.replace(each, name="pin") for each in robot.closures))
+    model, own = (mujoco.MjModel.from_xml_path(str(each.to_mjcf(tmp_path / "own.xml"))) for each in (named, robot))
+    assert (model.nsite, model.neq) == (own.nsite, own.neq)
+    np.testing.assert_array_equal(model.site_pos, own.site_pos)
+
+
 def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
     """The quaternion is w, x, y, z there; their armature and damping are those of the model."""
     robot = dataclasses.replace(rp.load_robot(write(tmp_path, SPATIAL), keyframe="bent"), closures=())
@@ -197,6 +205,15 @@ def test_what_mjcf_does_not_say_is_refused_by_name(tmp_path: Path) -> None:
     model.appendBodyToJoint(joint, pin.Inertia(1e-10, np.zeros(3), 1e-10 * np.eye(3)), pin.SE3.Identity())
     with pytest.raises(UnsupportedRobotError, match="MuJoCo takes nothing below"):
         Robot.from_model(model, actuated=["speck"]).to_mjcf(path)
+    ball = pin.Model()
+    joint = ball.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    ball.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    ball.armature = np.array([0.1, 0.1, 0.2])
+    with pytest.raises(UnsupportedRobotError, match="MuJoCo has one a joint"):
+        dataclasses.replace(robot, model=ball, loads=(), q_reference=pin.neutral(ball)).to_mjcf(path)
+    steep = Coupling("steep", robot.actuated[0], robot.actuated[1], (0.0,) * 5 + (1.0,))
+    with pytest.raises(UnsupportedRobotError, match="'steep' has a polynomial of degree 5"):
+        dataclasses.replace(robot, couplings=(steep,)).to_mjcf(path)
     for step in (0.0, "x", None, [1.0], np.nan):
         with pytest.raises(InputError, match="step is"):
             robot.to_mjcf(path, step=step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sys
@@ -133,6 +134,24 @@ def test_equalities_of_tendons_are_where_mujoco_has_no_error(tmp_path):
     followed = q[at[train.of]]
     q[at[train.joint]] = np.polyval(train.polynomial[::-1], followed) + sum(f * q[at[name]] for name, f in train.also)
     engine.set(mechanism, q, without=["split"])
+    equality = engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    error = dict(zip(engine.data.efc_id[equality], engine.data.efc_pos[equality], strict=True))
+    assert error[engine.model.equality("train").id] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_curved_equalities_of_tendons_are_where_mujoco_has_no_error(tmp_path):
+    """They couple joints without mass, whose positions are the lengths of both tendons."""
+    text = GOOD["gripper"].replace('polycoef="0.1 5"', 'polycoef="0.1 5 0.3 -0.2 0.4"')
+    mechanism, engine = read_mjcf(write(tmp_path, text)), Engine(tmp_path / "model.xml")
+    couplings = {each.name: each for each in mechanism.couplings}
+    train, pair = couplings["train"], couplings["length of pair"]
+    assert (train.joint, train.of, pair.of, pair.also) == ("pair", "lead", "left", (("thumb", 3.0),))
+    q = np.array(mechanism.start)
+    at = {str(name): joint.idx_q for name, joint in zip(mechanism.model.names, mechanism.model.joints, strict=True)}
+    q[at["left"]], q[at["screw"]] = 0.4, 0.3
+    length = np.polyval(train.polynomial[::-1], couplings["length of lead"].polynomial[1] * q[at["screw"]])
+    q[at["thumb"]] = (length - pair.polynomial[1] * q[at["left"]]) / 3.0
+    engine.set(mechanism, q, without=["split", "pair", "lead"])
     equality = engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
     error = dict(zip(engine.data.efc_id[equality], engine.data.efc_pos[equality], strict=True))
     assert error[engine.model.equality("train").id] == pytest.approx(0.0, abs=1e-12)
@@ -380,8 +399,9 @@ def test_a_model_of_a_stranger_is_compiled_by_a_child_with_limits(tmp_path, monk
             other.shapes,
         )
         assert [each.closure() for each in own.loop_joints] == [each.closure() for each in other.loop_joints]
-    with pytest.raises(RedundancyPinError, match="MuJoCo refuses it.*'axes'"):
+    with pytest.raises(RedundancyPinError, match=r"MuJoCo refuses it.*'axes'") as caught:
         read_mjcf(FILES / "bad" / "attribute.xml", untrusted=True)
+    assert caught.value.remedy.startswith("Correct it there")
     path = write(tmp_path, FOUR_BAR)
     assert rp.load_robot(path, untrusted=True).notes == rp.load_robot(path).notes
     with pytest.raises(RedundancyPinError, match="trust and untrusted are both true"):
@@ -389,6 +409,19 @@ def test_a_model_of_a_stranger_is_compiled_by_a_child_with_limits(tmp_path, monk
     monkeypatch.setattr(limited, "SECONDS", 0.01)
     with pytest.raises(RedundancyPinError, match=r"takes more than 0\.01 s"):
         rp.load_robot(write(tmp_path, hinge()), untrusted=True)
+
+
+def test_a_child_has_no_more_memory_than_it_may_and_what_it_prints_is_no_answer(tmp_path, monkeypatch):
+    from redundancy_pin.io.limited import run_limited
+
+    (tmp_path / "child.py").write_text(
+        "import os\nfrom redundancy_pin.io.limited import answer\n"
+        "answer(lambda size: os.write(1, b'printed') and bytes(int(size))[:3])\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    assert run_limited("child", ["1000"], "model.xml") == b"\0\0\0"
+    with pytest.raises(RedundancyPinError, match=r"3000 MB.*exit code 1"):
+        run_limited("child", [str(4 << 30)], "model.xml")
 
 
 def test_without_mujoco_the_extra_is_named(tmp_path, monkeypatch):
@@ -399,9 +432,10 @@ def test_without_mujoco_the_extra_is_named(tmp_path, monkeypatch):
 
 def test_bodies_that_are_welded_are_frames_whatever_the_file_fuses(tmp_path):
     text = GOOD["tops"].replace("<worldbody>", '<compiler fusestatic="true" discardvisual="true"/><worldbody>')
-    fused, model = (read_mjcf(write(tmp_path, each)).model for each in (text, GOOD["tops"]))
-    assert fused == model
-    assert model.existFrame("glued", pin.BODY)
+    fused, mechanism = (read_mjcf(write(tmp_path, each)) for each in (text, GOOD["tops"]))
+    assert fused.model == mechanism.model
+    assert mechanism.model.existFrame("glued", pin.BODY)
+    assert "Mocap bodies stay where they are: target." in mechanism.notes
 
 
 def test_shapes_are_drawn(tmp_path):
