@@ -13,7 +13,7 @@ from zoo import home_of, robot_of, shipped_robots
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, UnsupportedRobotError
-from redundancy_pin.robot import Closure, Coupling, Robot
+from redundancy_pin.robot import Coupling, Robot
 from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.loads import JointForces, Spring
 
@@ -127,26 +127,28 @@ def test_efforts_of_a_written_robot_are_mujocos_and_those_of_the_robot_that_is_r
     spins = [row.startswith("rz") and "ball" in robot.model.names for row in robot.constraint_names]
     held = rp.kinematics.closure.ConstraintSystem(robot).evaluate(q[None]).Jc[0, spins]
     expected = engine.torque(robot, a, held)
-    np.testing.assert_allclose(together @ expected, together @ ours, rtol=1e-7, atol=1e-7 * size)
+    np.testing.assert_allclose(together @ expected, together @ ours, rtol=1e-9, atol=1e-9 * size)
 
     again = rp.load_robot(path, keyframe="reference")
+    np.testing.assert_allclose(again.q_reference, robot.q_reference, atol=1e-9)
+    assert again.loads == robot.loads
+    assert [each.axes for each in again.closures] == [each.axes for each in robot.closures]
+    assert [each.polynomial for each in again.couplings] == [each.polynomial for each in robot.couplings]
     joints = [(robot.model.joints[robot.model.getJointId(name)]) for name in again.independent_joints]
     at = [joint.idx_q for joint in joints], [joint.idx_v for joint in joints]
     same = rp.PlatformMotion([0.0], q[None, at[0]], v[None, at[1]], a[None, at[1]])
-    np.testing.assert_allclose(rp.inverse_kinematics(again, same).v[0], v, rtol=1e-7, atol=1e-9 * np.abs(v).max())
+    np.testing.assert_allclose(rp.inverse_kinematics(again, same).v[0], v, rtol=1e-9, atol=1e-9 * np.abs(v).max())
     theirs = dict(zip(again.actuated, rp.distribute(rp.RneaDynamics(again).reduce(same)).tau[0], strict=True))
     read = np.array([theirs[name] for name in (*robot.actuated, *robot.carriers)])
-    np.testing.assert_allclose(together @ read, together @ ours, rtol=1e-7, atol=1e-7 * size)
+    np.testing.assert_allclose(together @ read, together @ ours, rtol=1e-9, atol=1e-9 * size)
 
 
-def test_rods_and_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
+def test_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
     """Where they are met, MuJoCo's errors are zero; they are read again as they were."""
     robot = written("geared", tmp_path)
-    (pinned,) = robot.closures
     also = Coupling("train", "rotor", "rocker", (0.2, -12.0, 0.3), (("cam", 4.0), ("crank", 0.7)))
     lever = Coupling("lever", "cam", "crank", (0.1, 0.5), (("rocker", -0.2),))
-    rod = Closure("rod", pinned.frame_a, pinned.frame_b, ("distance",), 0.75)
-    robot = dataclasses.replace(robot, closures=(rod,), couplings=(also, lever))
+    robot = dataclasses.replace(robot, closures=(), couplings=(also, lever))
     path = robot.to_mjcf(tmp_path / "again.xml")
     engine = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(engine)
@@ -158,15 +160,19 @@ def test_rods_and_couplings_of_several_joints_are_tendons(tmp_path: Path) -> Non
     for name, value in place.items():
         data.joint(name).qpos[0] = value
     mujoco.mj_forward(engine, data)
-    ends = [data.site(f"rod:0{side}").xpos for side in "ab"]
     errors = {engine.equality(int(number)).name: error for number, error in zip(data.efc_id, data.efc_pos, strict=True)}
-    assert errors["rod"] == pytest.approx(np.linalg.norm(ends[0] - ends[1]) - 0.75, abs=1e-12)
     assert errors["train"] == pytest.approx(0.0, abs=1e-12)
     assert errors["lever"] == pytest.approx(0.0, abs=1e-12)
-    read = read_mjcf(path)
-    assert [(each.kind, each.length) for each in read.loop_joints] == [("rod", pytest.approx(0.75, abs=1e-12))]
-    again = next(each for each in read.couplings if each.name == "lever")
+    again = next(each for each in read_mjcf(path).couplings if each.name == "lever")
     assert (again.joint, again.of, again.polynomial, again.also) == ("cam", "rocker", (0.1, -0.2), (("crank", 0.5),))
+
+
+def test_closures_of_one_name_have_sites_of_their_own(tmp_path: Path) -> None:
+    robot = robot_of("3rrr")
+    named = dataclasses.replace(robot, closures=tuple(dataclasses.replace(each, name="pin") for each in robot.closures))
+    model, own = (mujoco.MjModel.from_xml_path(str(each.to_mjcf(tmp_path / "own.xml"))) for each in (named, robot))
+    assert (model.nsite, model.neq) == (own.nsite, own.neq)
+    np.testing.assert_array_equal(model.site_pos, own.site_pos)
 
 
 def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
@@ -199,6 +205,15 @@ def test_what_mjcf_does_not_say_is_refused_by_name(tmp_path: Path) -> None:
     model.appendBodyToJoint(joint, pin.Inertia(1e-10, np.zeros(3), 1e-10 * np.eye(3)), pin.SE3.Identity())
     with pytest.raises(UnsupportedRobotError, match="MuJoCo takes nothing below"):
         Robot.from_model(model, actuated=["speck"]).to_mjcf(path)
+    ball = pin.Model()
+    joint = ball.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    ball.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    ball.armature = np.array([0.1, 0.1, 0.2])
+    with pytest.raises(UnsupportedRobotError, match="MuJoCo has one a joint"):
+        dataclasses.replace(robot, model=ball, loads=(), q_reference=pin.neutral(ball)).to_mjcf(path)
+    steep = Coupling("steep", robot.actuated[0], robot.actuated[1], (0.0,) * 5 + (1.0,))
+    with pytest.raises(UnsupportedRobotError, match="'steep' has a polynomial of degree 5"):
+        dataclasses.replace(robot, couplings=(steep,)).to_mjcf(path)
     for step in (0.0, "x", None, [1.0], np.nan):
         with pytest.raises(InputError, match="step is"):
             robot.to_mjcf(path, step=step)

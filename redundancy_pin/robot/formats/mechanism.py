@@ -121,6 +121,10 @@ class Mechanism:
         return replace(made, notes=(*self.notes, *left_out, note))
 
 
+SIX = ("x", "y", "z", "rz", "ry", "rx")
+"""Slides and hinges in place of a free joint: independent joints have one degree of freedom each."""
+
+
 def in_a_row(name: str, axes: Sequence[str]) -> list[tuple[str, pin.JointModel]]:
     """Return slides ("x") and hinges ("rx") along axes of a joint's frame, named after that joint."""
     return [
@@ -275,7 +279,7 @@ def six_joints(name: str, parent: str, child: str, place: Array) -> tuple[list[J
     yaw, pitch, roll = angles(place[:3, :3])
     values = dict(zip(AXES, (*place[:3, 3].tolist(), roll, pitch, yaw), strict=True))
     joints = []
-    for axis in ("x", "y", "z", "rz", "ry", "rx"):
+    for axis in SIX:
         joint, direction = f"{name}_{axis}", np.eye(3)["xyz".index(axis[-1])]
         kind, link = "revolute" if len(axis) == 2 else "prismatic", child if axis == "rx" else f"{name}_{axis}::link"
         joints.append(JointEntry(joint, kind, parent, link, np.eye(4), direction, UNLIMITED))

@@ -19,6 +19,7 @@ from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     MOST_LINKS,
     NOT_IN_FORCE,
+    SIX,
     Mechanism,
     angles,
     drawn,
@@ -30,9 +31,6 @@ from redundancy_pin.robot.lookup import find_joint, find_joint_index, has_joint,
 from redundancy_pin.robot.loop_joints import LoopJoint
 from redundancy_pin.robot.rebuild import axis_of, joint_along, span
 from redundancy_pin.robot.types import Coupling, slides
-
-_SIX = ("x", "y", "z", "rz", "ry", "rx")
-"""Joints in place of a free one: independent joints have one degree of freedom each."""
 
 _NO_ENDS = np.array([-np.inf, np.inf])
 
@@ -276,7 +274,7 @@ class _Reader:
                 self._refuse(f"the joint {name!r} is free and has an armature, which is not covered", "Take it out.")
             start = self._moved(joint, place)
             yaw, pitch, roll = angles(start.rotation)
-            row = in_a_row(name, _SIX)
+            row = in_a_row(name, SIX)
             for own, model in row:
                 carrier = self.model.addJoint(carrier, model, pin.SE3.Identity(), own)
             self.joints[joint] = tuple(own for own, _ in row)
@@ -345,7 +343,7 @@ class _Reader:
         """Return the joints of a fixed tendon and their factors: its length is the sum of factor · position."""
         m, label = self.m, self._label(tendon)
         if any(m["wrap_type"][wrap] != "joint" for wrap in self._wraps(tendon)):
-            remedy = "Use a fixed tendon, or an equality of two sites at a constant distance."
+            remedy = "Use a fixed tendon, or a link of mass 0 between two balls."
             self._refuse(f"the tendon {label!r} goes through sites and pulls, which is not covered", remedy)
         return [
             (self._one(int(m["wrap_objid"][wrap]), f"the tendon {label!r}"), float(m["wrap_prm"][wrap]))
@@ -405,10 +403,7 @@ class _Reader:
                 lengths = [float(m["qpos0"][m["jnt_qposadr"][each]]) for each in (one, other) if each >= 0]
                 self._couple(name, ends, lengths, data[:5])
             elif word == "tendon":
-                if rod := self._rod(name, one, other, data):
-                    yield rod
-                else:
-                    self._couple_tendons(name, one, other, data)
+                self._couple_tendons(name, one, other, data)
             else:
                 self._refuse(f"the equality {name!r} is of the kind {word}, which is not covered", "Take it out.")
 
@@ -438,16 +433,6 @@ class _Reader:
         (of, slope), *also = [(each, -factor / first) for each, factor in rest] or [("", 0.0)]
         polynomial = (constant, slope) if of else (constant,)
         self.couplings.append(Coupling(name, joint, of, polynomial, tuple(also)))
-
-    def _rod(self, name: str, tendon: int, other: int, data: Array) -> LoopJoint | None:
-        """Return the rod that a tendon between two sites is whose length an equality holds; None for other tendons."""
-        m = self.m
-        wraps = self._wraps(tendon)
-        if other >= 0 or len(wraps) != 2 or any(m["wrap_type"][wrap] != "site" for wrap in wraps):
-            return None
-        first, second = (self.sites[int(m["wrap_objid"][wrap])] for wrap in wraps)
-        length = float(m["tendon_length0"][tendon] + data[0])
-        return LoopJoint(name, "rod", (first, second), (np.eye(4), np.eye(4)), length)
 
     def _loop_joint(self, number: int, name: str, one: int, other: int, data: Array) -> LoopJoint:
         kind = "ball" if self.m["eq_type"][number] == "connect" else "weld"

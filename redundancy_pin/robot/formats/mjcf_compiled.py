@@ -245,13 +245,15 @@ def _counts(geom: Any) -> bool:
 
 def _shapes(model: Any, files: Mapping[int, tuple[str, Array]]) -> Iterator[tuple[int, str]]:
     """Give the shapes of bodies that are shown, as a URDF has them."""
+    from xml.sax.saxutils import quoteattr  # which imports http and ssl
+
     for number in range(model.ngeom):
         file, scale = files.get(number, ("", np.ones(3)))
         size, kind = model.geom_size[number], _word("Geom", model.geom_type[number])
         if model.geom_group[number] >= _SHOWN_GROUPS or (number in files and not file):
             continue
         if file:
-            shape = f'mesh filename="{_escaped(file)}" scale="{_numbers(scale)}"'
+            shape = f'mesh filename={quoteattr(file)} scale="{_numbers(scale)}"'
         elif kind == "box":
             shape = f'box size="{_numbers(2.0 * size)}"'
         elif kind == "sphere":
@@ -264,10 +266,6 @@ def _shapes(model: Any, files: Mapping[int, tuple[str, Array]]) -> Iterator[tupl
         origin = f'xyz="{_numbers(model.geom_pos[number])}" rpy="{_numbers(pin.rpy.matrixToRpy(turn))}"'
         visual = f"<visual><origin {origin}/><geometry><{shape}/></geometry></visual>\n"
         yield int(model.geom_bodyid[number]), visual
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
 
 
 def _numbers(values: Array) -> str:

@@ -22,6 +22,7 @@ from redundancy_pin.robot.formats.mechanism import (
     MOST_FREEDOMS,
     NO_MOMENT,
     NOT_IN_FORCE,
+    SIX,
     TRIANGLE_TOLERANCE,
     JointEntry,
     LinkEntry,
@@ -318,7 +319,6 @@ def _reduced(element: ElementTree.Element) -> ElementTree.Element:
     return result
 
 
-SIX = ("x", "y", "z", "rz", "ry", "rx")
 ROWS_OF_JOINTS: Mapping[str, tuple[str, ...]] = {
     "six_joints": SIX,
     "three_joints": ("x", "y", "rz"),
