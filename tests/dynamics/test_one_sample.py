@@ -505,7 +505,8 @@ def test_arguments_of_any_kind_are_taken_and_others_refused(backend: Backend) ->
         fewer = given[: 2 if call == dynamics.joint_state else 3]
         if call != dynamics.acceleration:
             assert_alike(call(*fewer, 0.1), call(*fewer, np.full(3, 0.1)), rounding, rounding)
-        assert_alike(call(*fewer), call(*fewer, 0.0), rounding, rounding)  # carriers are parked, after others that were not
+        # carriers are parked, after others that were not
+        assert_alike(call(*fewer), call(*fewer, 0.0), rounding, rounding)
 
 
 @ALL
