@@ -157,9 +157,9 @@ class JointStateSample(NamedTuple):
             motors whose positions or velocities contradict each other are unreachable, as in ``forward_kinematics``:
             by more than 1e-8 characteristic lengths or rad, or than that fraction of the velocities.
         margin: singularity margin, the smallest singular value of the scaled W, no unit.
-        residual: what is left between positions and configuration, m (angles times the characteristic length): the
-            closure residual, or what redundant motors contradict each other by, whichever is larger; NaN if it is not
-            known. To use one of several noisy encoders, declare fewer joints as actuated.
+        residual: closure residual or mismatch of redundant motors, whichever is larger, m (angles times the
+            characteristic length); NaN if unknown. To use one of several noisy encoders, declare fewer joints as
+            actuated.
     """
 
     q: Array

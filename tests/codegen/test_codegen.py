@@ -82,7 +82,7 @@ def test_its_own_test_knows_the_size_of_the_machine(units: Units, tmp_path: Path
     folder = codegen.write_c(scaled_robot(machine("2rpr"), units), tmp_path / "code", prefix="unit").folder
     tests, text = compiled([folder / "test_unit.c"], tmp_path / "test.o", "-c"), (folder / "unit.c").read_text()
     for what in ("f", "tau", ""):
-        wrong = f"  for (int i = 0; i < 1; ++i) efforts->{what}[i] *= 1.0 + 1e-6;\n" if what else ""
+        wrong = f"  for (int i = 0; i < 1; ++i) efforts->{what}[i] *= 1.0 + 1e-9;\n" if what else ""
         (tmp_path / "unit.c").write_text(text.replace("  efforts->gap = ", f"{wrong}  efforts->gap = "))
         done = run(compiled([tmp_path / "unit.c", tests], tmp_path / "program", f"-I{folder}"))
         assert f"{what} is" in done.stdout if what else done.returncode == 0, done.stdout

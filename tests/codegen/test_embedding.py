@@ -18,7 +18,7 @@ import spatial_chains
 import stack
 import zoo
 from flat_linkages import row_of_four_bars
-from generated_c import ACTUATED, COMPILERS, NOTHING_WRITTEN, Code, actuated_by, compiled, filled_with, folder_of, run
+from generated_c import ACTUATED, COMPILERS, NOTHING_WRITTEN, Code, compiled, filled_with, folder_of, run
 
 import redundancy_pin as rp
 from redundancy_pin.errors import CompilerError
@@ -45,7 +45,8 @@ LONG = partial(pytest.param, marks=pytest.mark.long)
 @cache
 def robot_of(name: str) -> Robot:
     if name in ACTUATED:
-        return actuated_by(*ACTUATED[name])
+        driven, *joints = ACTUATED[name]
+        return zoo.driven_by(zoo.robot_of(driven), *joints)
     if name in spatial_chains.CHAINS:
         return spatial_chains.chain_of(name)
     return row_of_four_bars(40) if name == "40 loops" else zoo.robot_of(name)

@@ -97,15 +97,15 @@ def test_a_single_sample_equals_that_sample_of_many(shipped: rp.Robot) -> None:
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_a_robot_without_carriers_has_empty_carrier_arrays(backend: Backend, name: str) -> None:
     bare = zoo.robot_of(name, carriers=False)
-    along = backend(bare).along(motion_of(bare)[0])
+    along = backend(bare).along(zoo.smooth_motion(bare, 11, speed=24.0).at(np.linspace(0.0, 1.0, 5)))
     for carriers in (None, rp.CarrierMotion(*np.zeros((3, 5, 0)))):
         assert along.reduce(carriers).carrier_force.shape == (5, 0)
     derivatives = along.carrier_derivatives()
     assert derivatives.f_s.shape == (5, bare.n, 0)
     assert derivatives.force_sdd.shape == (5, 0, 0)
     if name == "2rpr":  # nothing else has mass by default
-        np.testing.assert_allclose(along.reduce().f, 0.0, atol=1e-14)
-    assert np.abs(along.reduce().f - backend(zoo.robot_of(name)).along(along.motion).reduce().f).max() > 1e-3
+        np.testing.assert_array_equal(along.reduce().f, 0.0)
+    assert np.abs(along.reduce().f - backend(zoo.robot_of(name)).along(along.motion).reduce().f).max() > 0.1
 
 
 @EVERY
@@ -143,12 +143,12 @@ def test_gravity_out_of_the_plane_enters_the_base_wrench_alone(backend: Backend,
     tilted, level = (backend(robot).along(motion) for robot in robots)
     for of in ("carrier_force", "f"):
         got, want = (getattr(along.reduce(carriers), of) for along in (tilted, level))
-        np.testing.assert_allclose(got, want, rtol=0.0, atol=1e-13 * np.abs(want).max())
-    np.testing.assert_allclose(tilted.energy(carriers), level.energy(carriers), rtol=1e-13)
+        np.testing.assert_array_equal(got, want)
+    np.testing.assert_array_equal(tilted.energy(carriers), level.energy(carriers))
     difference = tilted.base_wrench(carriers) - level.base_wrench(carriers)
     mass = {"2rpr": 2.0, "3rrr": 3 * (1.0 + 1.0 + 3.0) + 0.5}[name]
     np.testing.assert_allclose(difference[:, 2], 2.0 * mass)
-    np.testing.assert_allclose(difference[:, [0, 1, 5]], 0.0, atol=1e-12)
+    np.testing.assert_array_equal(difference[:, [0, 1, 5]], 0.0)
     assert np.abs(difference[:, 3:5]).min() > 0.0
 
 
@@ -240,7 +240,7 @@ def test_unreachable_samples_are_marked_and_the_others_unharmed(backend: Backend
         assert np.isfinite(array[within]).all()
     assert np.all(marked.gap[~within] > 1e-3)
     back = rp.RneaDynamics(robot).reduce(motion[-5:], carriers[-5:])
-    np.testing.assert_allclose(marked.f[-5:], back.f, rtol=0.0, atol=1e-9 * np.abs(back.f).max())
+    np.testing.assert_allclose(marked.f[-5:], back.f, rtol=0.0, atol=1e-11 * np.abs(back.f).max())
 
 
 def test_backends_without_a_tree_mark_what_is_out_of_reach_too() -> None:

@@ -308,7 +308,7 @@ def test_backends_take_and_refuse_the_same_noisy_starts(name: str, noise: float)
         assert got[0].status in (SampleStatus.OK, SampleStatus.BRANCH_LOST)
         for one in got:
             if one.status is SampleStatus.OK:
-                np.testing.assert_allclose(one.tau, want.tau, rtol=1e-6, atol=1e-8)
+                np.testing.assert_allclose(one.tau, want.tau, rtol=1e-10, atol=1e-10)
 
 
 @BOTH

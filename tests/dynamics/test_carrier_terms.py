@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import zoo
 from flat_linkages import parallelogram
-from generated_c import actuated_by
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -50,8 +49,8 @@ ROBOTS: dict[str, Callable[[Path], Robot]] = {
     "loads": lambda _: zoo.robot_of("2rpr", end_effector_mass=0.5).loaded(
         Wrench("end_effector", pulling), Payload("end_effector", 0.2), JointForces("slide_1", 2.0)
     ),
-    "more actuators": lambda _: actuated_by("five_bar", "base_1", "base_2", "elbow_1"),
-    "fewer actuators": lambda _: actuated_by("five_bar", "base_1"),
+    "more actuators": lambda _: zoo.driven_by(zoo.robot_of("five_bar"), "base_1", "base_2", "elbow_1"),
+    "fewer actuators": lambda _: zoo.driven_by(zoo.robot_of("five_bar"), "base_1"),
 }
 
 

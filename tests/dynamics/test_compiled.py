@@ -14,7 +14,7 @@ import pytest
 import spatial_chains
 import zoo
 from examples import examples
-from flat_linkages import parallelogram
+from flat_linkages import parallelogram, row_of_four_bars
 from hypothesis import given
 from hypothesis import strategies as st
 from machines import machine
@@ -202,11 +202,12 @@ def test_a_library_is_kept_and_a_broken_one_or_that_of_another_robot_is_built_ag
         assert library.read_bytes() != wrong
 
 
-def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics() -> None:
-    """Newton's method of the driver ends there; the branch goes on, and forces with it."""
-    robot = parallelogram()
+@pytest.mark.parametrize(("bars", "beside"), [(1, 0.0), (2, 1e-5), (2, 1e-4)])
+def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics(bars: int, beside: float) -> None:
+    """Newton's method of the driver ends where one determinant changes its sign, and passes two at once next to it."""
+    robot = parallelogram() if bars == 1 else row_of_four_bars(bars)
     t = np.linspace(0.0, 1.0, 101)
-    through = rp.PlatformMotion(t, 1.2 - 2.4 * t[:, None], np.full((101, 1), -2.4), np.zeros((101, 1)))
+    through = rp.PlatformMotion(t, 0.6 - 1.2 * t[:, None] + beside, np.full((101, 1), -1.2), np.zeros((101, 1)))
     mine, theirs = (backend(robot).reduce(through) for backend in (rp.CompiledDynamics, rp.RneaDynamics))
     assert mine.reachable.all()
     for name in ("f", "W"):

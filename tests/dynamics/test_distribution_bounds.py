@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.optimize
+import zoo
 from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -23,11 +24,7 @@ from redundancy_pin.dynamics.allocation import (
 from redundancy_pin.dynamics.distribution import EffortRows, distribute, torque_speed_bounds
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.coordinates import coordinates
-from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.robot import Robot
 from redundancy_pin.status import SampleStatus
 
 OPTIMUM = 1e-8
@@ -395,14 +392,10 @@ def test_residual_of_infeasible_bounds_is_the_least_within_them():
 
 def test_preload_against_backlash_presses_every_gear_to_its_side():
     """A five-bar with a third motor: bounds one side of zero, against the segment of all solutions, by hand."""
-    shipped = load_robot("five_bar", carriers=True)
-    robot = Robot.from_model(
-        shipped.model, closures=shipped.closures, actuated=[*shipped.actuated, "elbow_1"], carriers=shipped.carriers,
-        independent=shipped.platform, reference=np.array(shipped.q_reference),
-    )  # fmt: skip
+    shipped = zoo.robot_of("five_bar")
+    robot = zoo.driven_by(shipped, *shipped.actuated, "elbow_1")
     t = np.linspace(0.0, 2.0 * np.pi, 60)
-    home = constraint_system(robot).evaluate(np.array(robot.q_reference)[None])
-    x = coordinates(robot, home)[0] + 0.03 * np.stack([np.sin(3 * t), 1 - np.cos(3 * t)], axis=1)
+    x = zoo.home_of(robot) + 0.03 * np.stack([np.sin(3 * t), 1 - np.cos(3 * t)], axis=1)
     xd, xdd = (0.03 * np.stack(pair, axis=1) for pair in (
         (3 * np.cos(3 * t), 3 * np.sin(3 * t)), (-9 * np.sin(3 * t), 9 * np.cos(3 * t))
     ))  # fmt: skip

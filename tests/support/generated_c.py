@@ -13,14 +13,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import yaml
-import zoo
 
-import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.codegen import write_c
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.urdf import models_root
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
@@ -55,18 +51,7 @@ ACTUATED: Mapping[str, tuple[str, ...]] = {
     "more actuators": ("four_bar", "crank", "rocker"),
     "fewer actuators": ("five_bar", "base_1"),
 }
-"""Shipped machines with other actuated joints: arguments of ``actuated_by``."""
-
-
-def actuated_by(model: str, *joints: str) -> Robot:
-    """Return a shipped robot with other actuators."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = shutil.copytree(models_root() / model, Path(name) / model)
-        path = folder / "robot.yaml"
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-        data["actuated"] = list(joints)
-        path.write_text(yaml.safe_dump(data), encoding="utf-8")
-        return rp.load_robot(path, **zoo.WITH_CARRIERS.get(model, {}))
+"""Shipped machines with other actuated joints: a machine, and what ``zoo.driven_by`` drives of it."""
 
 
 class Code:

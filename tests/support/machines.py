@@ -6,7 +6,7 @@ import functools
 
 import spatial_chains
 import zoo
-from generated_c import ACTUATED, Code, actuated_by
+from generated_c import ACTUATED, Code
 
 from redundancy_pin.robot import Robot
 
@@ -24,7 +24,8 @@ MASSIVE: dict[str, dict[str, object]] = {
 def machine(name: str) -> Robot:
     """Return a shipped robot with mass in every link, one with other actuators, or a small spatial chain."""
     if name in ACTUATED:
-        return actuated_by(*ACTUATED[name])
+        driven, *joints = ACTUATED[name]
+        return zoo.driven_by(zoo.robot_of(driven), *joints)
     if name in spatial_chains.CHAINS:
         return spatial_chains.chain_of(name)
     return zoo.robot_of(name, **MASSIVE.get(name, {}))

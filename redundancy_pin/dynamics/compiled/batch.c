@@ -7,11 +7,11 @@ static double largest_rate(const double *numbers, const double *v) {
   return result;
 }
 
-/* Whether margins, rates and accelerations (sizes, by sample as go_on writes them) show a rank loss that a motion steps across. A
+/* Whether margins, rates and accelerations (sizes, by sample as next_sample writes them) show a rank loss that a motion steps across. A
    configuration that is good to 1e-16 gives accelerations to the square of the rates times 1e-16 / margin^3. A share of 1e-5
    and more of them is too much; towards a stretched leg they are themselves as large as rates squared over the margin squared,
    and stay good. Small margins all along, as of short levers, are none: a tenth of the largest of the motion is. */
-static int blurred(const double *sizes, long samples) {
+static int crosses_rank_loss(const double *sizes, long samples) {
   double usual = 0.0;
   for (long k = 0; k < samples; ++k)
     if (isfinite(sizes[2 * k])) usual = fmax(usual, sizes[2 * k]);
@@ -32,7 +32,7 @@ typedef struct {
 /* Goes on to a sample that is dt after the last one, by Newton's method from where rates and accelerations lead, otherwise on the
    straight way. gamma (NV x N) and W (N x M) are those of the sample; sizes: its margin, and the share of the largest rate squared
    in the largest acceleration, at most 1. Returns CLOSED, or why not. */
-static int go_on(const double *numbers, Branch *branch, double dt, const double *x, const double *xd, const double *xdd, double *gamma,
+static int next_sample(const double *numbers, Branch *branch, double dt, const double *x, const double *xd, const double *xdd, double *gamma,
                  double *W, double *sizes) {
   int closed = 0;
   if (branch->known) {
@@ -67,7 +67,7 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
   branch.known = 0;
   if (!start_at(numbers, &branch.pose, q0, x0)) return LOST;
   for (long k = 0; k < samples; ++k) {
-    int failed = go_on(numbers, &branch, k ? t[k] - t[k - 1] : 0.0, x + k * NX, xd + k * N, xdd + k * N, gamma + k * NV * N, W + k * N * M,
+    int failed = next_sample(numbers, &branch, k ? t[k] - t[k - 1] : 0.0, x + k * NX, xd + k * N, xdd + k * N, gamma + k * NV * N, W + k * N * M,
                        sizes + 2 * k);
     if (failed) return failed;
     copy(q + k * NQ, branch.pose.q, NQ);
@@ -76,7 +76,7 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
     copy(a + k * NV, branch.a, NV);
     gap[k] = branch.pose.gap * LENGTH;
   }
-  return blurred(sizes, samples) ? SINGULAR : CLOSED;
+  return crosses_rank_loss(sizes, samples) ? SINGULAR : CLOSED;
 }
 
 static double distance(const double *a, const double *b, int size) {
@@ -107,7 +107,7 @@ int rp_terms(const double *numbers, int samples, const double *in, int width, do
     const double *at = in + k * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
     double dt = k ? at[0] - at[-width] : 0.0;
     if (!isfinite(at[0]) || dt < 0.0) return NOT_FINITE;
-    int failed = go_on(numbers, &branch, dt, x, xd, xdd, gamma, W + k * N * M, sizes + 2 * k);
+    int failed = next_sample(numbers, &branch, dt, x, xd, xdd, gamma, W + k * N * M, sizes + 2 * k);
     if (failed) return failed;
     const double *const arg[] = {branch.pose.q, branch.pose.trig, branch.v, branch.a, gamma, xdd + N, numbers};
     double *const res[] = {constant + k * SUM, terms + k * ALL};
@@ -117,7 +117,7 @@ int rp_terms(const double *numbers, int samples, const double *in, int width, do
       copy(ends[k > 0] + NQ, x, NX);
     }
   }
-  if (blurred(sizes, samples)) return SINGULAR;
+  if (crosses_rank_loss(sizes, samples)) return SINGULAR;
   for (long i = 0; i < (long)samples * (N * M + SUM + ALL); ++i)
     if (!isfinite(out[i])) return NOT_FINITE;
   for (int r = NEIGHBOURS - 1; r > 1; --r) copy(near + r * (NQ + NX), near + (r - 2) * (NQ + NX), NQ + NX);

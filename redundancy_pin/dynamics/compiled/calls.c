@@ -10,7 +10,7 @@ typedef struct {
 } Range;
 
 #define MOST_SEARCHES 100 /* steps of Newton's method: half a turn of every joint takes some 50 */
-#define ENDLESS 10 /* steps of it that have not taken a tenth of the residual together: the rest is what stays open */
+#define STALLED 10 /* steps of it; where so many reduce the residual by less than a tenth, no configuration is near */
 #define NEXT_TO_SINGULAR 1e-2 /* margin of K, no unit, at the end of a way: it may be zero within the shortest step, 3e-3 of 30 rad */
 
 enum { OUT_OF_REACH = NO_POSE + 1 };
@@ -53,10 +53,10 @@ static int close_start(const double *numbers, const double *start, Pose *pose, d
   return moved * moved * all < 0.25; /* half of the margin, 1 / sqrt(all) */
 }
 
-/* The largest residual, without unit, that Newton's method with a line search leaves at coordinates x; q is moved. It ends where steps
-   no longer make it shorter, at latest after MOST_SEARCHES. Zero where K is singular, and where that little is left next to a double
-   root (a leg at full stretch), which rounding moves by the square root of the tolerance: kinematics then look. */
-static double left_open(const double *numbers, double *q, const double *x) {
+/* The largest residual, without unit, after Newton's method with a line search at coordinates x; q is moved. It ends where steps no
+   longer reduce the residual, at latest after MOST_SEARCHES. Kinematics decide where the result is zero: where K is singular, and
+   next to a double root (a leg at full stretch), which rounding moves by the square root of the tolerance. */
+static double least_residual(const double *numbers, double *q, const double *x) {
   double trig[2 * NT + 1], residual[NP + 1], step[NP + 1], part[NP + 1], K[NP * NP + 1], alignment[NALIGN], from[NQ];
   double before = INFINITY;
   int pivot[NP + 1];
@@ -64,7 +64,7 @@ static double left_open(const double *numbers, double *q, const double *x) {
   rows(numbers, q, trig, x, residual, K, alignment);
   for (int iteration = 0; iteration < MOST_SEARCHES; ++iteration) {
     double size = dot(residual, residual, NP), share = 1.0;
-    if (iteration % ENDLESS == 0) {
+    if (iteration % STALLED == 0) {
       if (sqrt(size) > 0.9 * before) break;
       before = sqrt(size);
     }
@@ -84,8 +84,8 @@ static double left_open(const double *numbers, double *q, const double *x) {
     }
     if (last || !(share > SHORTEST)) return largest(residual, NP);
   }
-  double open = largest(residual, NP);
-  return open > sqrt(TOLERANCE) ? open : 0.0;
+  double least = largest(residual, NP);
+  return least > sqrt(TOLERANCE) ? least : 0.0;
 }
 
 /* Whether a pose is turned so far from the coordinates x that the rows of its rotation, sines, do not say how to get there. */
@@ -129,9 +129,9 @@ int rp_reach(const double *numbers, double *state, double *reached, const double
     } else {
       int bifurcation = may_go_on(&pose);
       if (!bifurcation) keep(&pose, reached); /* the tangent, by which kinematics pass, is known better where the way began */
-      double open = bifurcation || turned_far(numbers, &pose, in) ? 0.0 : left_open(numbers, pose.q, in);
-      out[N * M + N + NK] = open * LENGTH;
-      if (open > TOLERANCE) closed = OUT_OF_REACH;
+      double residual = bifurcation || turned_far(numbers, &pose, in) ? 0.0 : least_residual(numbers, pose.q, in);
+      out[N * M + N + NK] = residual * LENGTH;
+      if (residual > TOLERANCE) closed = OUT_OF_REACH;
     }
   }
   if (closed == CLOSED) copy(state, from, NQ + 1);

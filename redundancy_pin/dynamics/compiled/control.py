@@ -112,15 +112,13 @@ class _Branch:
         reached: (nq + 1,) the same of the last one on the way to a sample that the C does not get to; next to a rank
             loss of the closures the first, where Γ is known better.
         known: whether a start or a sample has determined the branch; before that it is the reference's.
+        passed: the last sample at a rank loss of the closures, where Γ determines the branch and q does not.
     """
-
-    passed: Start | None = None
-    """The last sample at a rank loss of the closures, which q does not tell the branch at, but Γ does."""
-
-    _refusal: tuple[bytes, SampleStatus, float] | None = None
 
     def __init__(self, robot: Robot, code: Code) -> None:
         self._shape, self.known = robot.q_reference.shape, False
+        self.passed: Start | None = None
+        self._refusal: tuple[bytes, SampleStatus, float] | None = None
         self._pose = np.setdiff1d(np.arange(robot.model.nq), robot.carrier_position)
         self.state, self.reached = np.append(robot.q_reference, 0.0), np.zeros(robot.model.nq + 1)
         own, topology = parameter_vector(robot), topology_of(robot)
@@ -153,7 +151,7 @@ class _Branch:
         self.passed = Start(q, gamma) if margin < LEAST_MARGIN else None
         self.begin(q)
 
-    def way_on(self) -> Start | None:
+    def next_start(self) -> Start | None:
         """Return from where kinematics go on: None from a start that the C does not close."""
         if isnan(self.state[-1]):
             return self.passed
@@ -311,7 +309,7 @@ class TorqueCall(SampleCall):
         if code == SampleStatus.UNREACHABLE and self._branch.known:
             return without_answer(self._robot, SampleStatus.UNREACHABLE, self._residual())
         motion, robot, branch = self._motion(t), self._robot, self._branch
-        start = branch.way_on() if branch.known else None
+        start = branch.next_start() if branch.known else None
         if branch.known and start is None:
             return without_answer(robot, SampleStatus.BRANCH_LOST)
         pose = self._arguments.parts[:3]
@@ -396,7 +394,7 @@ class JointStateCall:
 
     def _by_kinematics(self) -> int:
         """Solve a sample where K is singular, or beyond such a pose, by kinematics; returns its status."""
-        robot, branch, start = self._robot, self._branch, self._branch.way_on()
+        robot, branch, start = self._robot, self._branch, self._branch.next_start()
         position, velocity, s, sd = self._arguments.parts
         given = position, velocity
         if start is None or not is_finite(given, 0.0):
