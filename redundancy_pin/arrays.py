@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from functools import cached_property, lru_cache
@@ -136,7 +137,9 @@ def numbers(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     try:
         array = np.asarray(values)
         kind = array.dtype.kind
-        if kind in "cSU" or np.ma.is_masked(values) or (kind == "O" and None in array.ravel().tolist()):
+        # naming numpy.ma imports it, which takes 8 ms: no array is masked before somebody has imported it
+        masked = "numpy.ma" in sys.modules and np.ma.is_masked(values)
+        if kind in "cSU" or masked or (kind == "O" and None in array.ravel().tolist()):
             # numpy makes numbers of text, of what is masked, a real part of complex numbers, and NaN of None
             kinds = {"c": "complex numbers", "S": "text", "U": "text", "O": "None"}
             raise TypeError(f"it holds {kinds.get(kind, 'masked values')}")
