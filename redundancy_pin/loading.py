@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray, checked, frozen, read_only
+from redundancy_pin.arrays import Array, IntArray, checked, frozen
 from redundancy_pin.errors import DeclarationError, InputError, millimetres
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
@@ -544,9 +544,7 @@ def made(
         notes = [*robot.notes, f"Independent joints, chosen: {', '.join(selection.independent)}."]
         robot = replace(robot, independent_joints=selection.independent)
         if drive_independent:
-            columns = [find_joint(robot.model, name).idx_v for name in selection.independent]
-            driven = read_only(np.array(columns, dtype=np.intp))
-            robot = replace(robot, actuated=selection.independent, actuated_velocity=driven)
+            robot = replace(robot, actuated=selection.independent)
             notes.append(
                 "The file does not say what is driven: taken are the independent joints; actuated=... names others."
             )

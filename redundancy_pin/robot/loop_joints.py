@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.errors import DeclarationError, InputError
+from redundancy_pin.errors import DeclarationError
 from redundancy_pin.robot.lookup import find_link, has_link
 from redundancy_pin.robot.types import AXES, Closure
 
@@ -97,14 +97,12 @@ def add_frames(model: pin.Model, joints: Sequence[LoopJoint]) -> None:
     """Add the frames of joints that close loops to a model, as links that weigh nothing.
 
     Raises:
-        DeclarationError: the model has no such link, or has one with the name of such a frame.
+        InputError: the model has no such link.
+        DeclarationError: it has one with the name of such a frame.
     """
     for joint in joints:
         for name, link, placement in zip(joint.frames(), joint.links, joint.placements, strict=True):
-            try:
-                carrier = find_link(model, link)
-            except InputError as error:
-                raise DeclarationError(error.message, remedy=error.remedy, name=link) from error
+            carrier = find_link(model, link)
             if name == link:
                 continue
             if has_link(model, name):

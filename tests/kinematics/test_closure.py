@@ -34,7 +34,6 @@ DIFFERENCES = 2e-9
 BENDS = 50 * DIFFERENCES  # the same of Jacobians along a velocity of order one
 ONE_OF_MANY = 1e-13  # sums of a dozen products of order one, in another order
 
-EMPTY = np.array([], dtype=np.intp)
 
 
 def two_free_bodies(axes: tuple[str, ...]) -> Robot:
@@ -54,9 +53,6 @@ def two_free_bodies(axes: tuple[str, ...]) -> Robot:
         actuated=(),
         carriers=(),
         carrier_limits=(),
-        actuated_velocity=EMPTY,
-        carrier_velocity=EMPTY,
-        carrier_position=EMPTY,
         q_reference=pin.neutral(model),
         working_modes=None,
         working_mode=(),
