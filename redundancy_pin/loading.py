@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray, checked, frozen
+from redundancy_pin.arrays import Array, checked, frozen
 from redundancy_pin.errors import DeclarationError, InputError, millimetres
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
@@ -30,7 +30,7 @@ from redundancy_pin.kinematics.mobility import check_mobility, check_reference_r
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
 from redundancy_pin.robot import Closure, Robot
-from redundancy_pin.robot.build import characteristic_length, read_robot
+from redundancy_pin.robot.build import characteristic_length, configuration, read_robot
 from redundancy_pin.robot.changes import changed_urdf, require_still_joined
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
@@ -180,7 +180,7 @@ def robot_with(
         )
         if file is None:  # without a declaration the reference is the nearest closed configuration
             mechanism = replace(mechanism, start=np.array(robot.q_reference))
-        new, _, dropped = _joined(
+        new, dropped = _joined(
             declaration,
             mechanism,
             gravity=robot.gravity.tolist(),
@@ -316,7 +316,7 @@ def _of_mechanism(
     # a URDF does not say it: a declaration of one that leaves it out has none
     unsaid = [0.0, 0.0, 0.0] if data and is_urdf(file) else mechanism.model.gravity.linear.tolist()
     own = data.get("gravity", unsaid)
-    return made(
+    return build_robot(
         given,
         replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again
         gravity=own if request.gravity is None else request.gravity,
@@ -352,18 +352,19 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
     system = ConstraintSystem(robot)
     check_mobility(system, dropped=dropped)
     _require_radians(robot, declaration.reference.guess, "reference.guess")
-    guess = np.array(robot.q_reference)
-    columns = _columns(robot.model, declaration.reference.guess)
-    given = declaration.reference
+    model, guess, given = robot.model, np.array(robot.q_reference), declaration.reference
     if given.platform is None and given.joints is None:
         # no pose is prescribed: the nearest closed configuration of all joints is kept
         q = closed_near(robot, guess)
         gap, closed = 0.0, bool(in_working_mode(robot, q[None])[0])
     else:
         goal = reference_coordinates(robot, declaration.coordinates(parameters))[0]
-        _require_radians(robot, dict(zip(robot.independent_joints, goal.tolist(), strict=False)), "reference.joints")
-        prescribed = _prescribed(robot, guess, goal)
-        q, gap, closed = multistart(system, guess, goal, known=columns, prescribed=prescribed)
+        positions = {} if robot.platform else dict(zip(robot.independent_joints, goal.tolist(), strict=True))
+        _require_radians(robot, positions, "reference.joints")
+        guessed = [find_joint(model, name) for name in given.guess]
+        known = np.array([c for joint in guessed for c in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp)
+        prescribed = configuration(model, positions, guess)
+        q, gap, closed = multistart(system, guess, goal, known=known, prescribed=prescribed)
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),
@@ -387,22 +388,6 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
                 angle=turned,
             )
     return robot
-
-
-def _prescribed(robot: Robot, guess: Array, goal: Array) -> Array:
-    """Return a guess (nq,) with the joints whose positions are prescribed where they end."""
-    start = guess.copy()
-    for name, value in () if robot.platform else zip(robot.independent_joints, goal.tolist(), strict=True):
-        joint = find_joint(robot.model, name)
-        at = (value,) if joint.nq == 1 else (np.cos(value), np.sin(value))
-        start[joint.idx_q : joint.idx_q + joint.nq] = at
-    return start
-
-
-def _columns(model: pin.Model, names: Iterable[str]) -> IntArray:
-    """Return the indices in q of joints."""
-    listed = [find_joint(model, name) for name in names]
-    return np.array([c for joint in listed for c in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp)
 
 
 def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
@@ -494,14 +479,14 @@ def robot_from_model(
     start = in_order_of(model, given, at, checked(reference, "reference", (model.nq,))) if near else None
     loose = any(hasattr(each, "joint1_placement") for each in closures)
     mechanism = Mechanism(data["name"], model, pin.neutral(model) if start is None else start, shapes=urdf)
-    robot = made(data, mechanism, loose=loose, mode=working_mode, own_model=True)
+    robot = build_robot(data, mechanism, loose=loose, mode=working_mode, own_model=True)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
     if note := too_few_motors(robot):
         _warn_once(note)
     return replace(robot, urdf_folder=urdf_folder, notes=(*robot.notes, *moved, *not_in_force(given)))
 
 
-def made(
+def build_robot(
     data: Mapping[str, Any],
     mechanism: Mechanism,
     *,
@@ -526,29 +511,20 @@ def made(
         drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
         own_model: the tree is the user's, whose joints stay what they are.
     """
-    chosen = dict(data)
-    chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
-    declaration = parse(chosen, parameters)
-    robot, selection, dropped = _joined(
+    choose = not data.get("independent")
+    declaration = parse({**data, "independent": {"joints": list(data["actuated"])}} if choose else data, parameters)
+    robot, dropped = _joined(
         declaration,
         mechanism,
         gravity=gravity,
+        loose=loose,
+        choose=choose,
+        drive_independent=drive_independent,
         parameters=parameters,
         source=source,
         mode=mode,
         own_model=own_model,
-        loose=loose,
-        choose=not data.get("independent"),
     )
-    if selection and not data.get("independent"):
-        notes = [*robot.notes, f"Independent joints, chosen: {', '.join(selection.independent)}."]
-        robot = replace(robot, independent_joints=selection.independent)
-        if drive_independent:
-            robot = replace(robot, actuated=selection.independent)
-            notes.append(
-                "The file does not say what is driven: taken are the independent joints; actuated=... names others."
-            )
-        robot = replace(robot, notes=tuple(notes))
     return _closed(robot, declaration, parameters, dropped)
 
 
@@ -559,9 +535,10 @@ def _joined(
     gravity: Sequence[float] | None = None,
     loose: bool = False,
     choose: bool = False,
+    drive_independent: bool = False,
     **of: Any,
-) -> tuple[Robot, Selection | None, bool]:
-    """Return the robot, not closed yet; what was chosen; and whether redundant closure rows were left out.
+) -> tuple[Robot, bool]:
+    """Return the robot, not closed yet, and whether its redundant closure rows were left out.
 
     They are where ``loose``, where the declaration says that there are some, and where joints close the loops: those of
     a mechanism that moves in a plane constrain more than it needs.
@@ -571,53 +548,54 @@ def _joined(
     robot = read_robot(declaration, mechanism, **of)
     loose = loose or declaration.redundant_rows or bool(declaration.loop_joints or mechanism.loop_joints)
     if not (loose or choose):
-        return robot, None, False
+        return robot, False
     model, resisted = robot.model, {load.joint for load in mechanism.forces}
-    turning = [index for index in range(1, model.njoints) if np.any(model.armature[span(model, index, "v")])]
-    robot, selection, notes = _with_rows_that_count(
-        robot,
+    resisted |= {str(model.names[i]) for i in range(1, model.njoints) if np.any(model.armature[span(model, i, "v")])}
+    selection = selected(
+        replace(robot, platform=None, independent_joints=()),
+        np.array(robot.q_reference),
         redundant=loose,
         rounded=bool(of.get("source")),
-        resisted=resisted | {str(model.names[index]) for index in turning},
+        resisted=resisted,
     )
-    return replace(robot, notes=(*robot.notes, *notes)), selection, loose
-
-
-def _with_rows_that_count(
-    robot: Robot, *, redundant: bool, rounded: bool, resisted: Collection[str] = ()
-) -> tuple[Robot, Selection, list[str]]:
-    """Return a robot without its redundant closure rows, what else was chosen, and what is to be said of it."""
-    notes: list[str] = []
-    provisional = replace(robot, platform=None, independent_joints=())
-    selection = selected(
-        provisional, np.array(robot.q_reference), redundant=redundant, rounded=rounded, resisted=resisted
-    )
-    kept = selection.robot
+    kept, notes, every = selection.robot, [*robot.notes, *_notes(selection)], robot.closures
     robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
-    if selection.fixed_spins:
+    if selection.left_out:
+        # rows that are left say less of the side on which a weld closes: what follows starts on the right one
+        robot = replace(robot, q_reference=frozen(selection.q), all_closures=_with_redundant_rows(kept.closures, every))
+    if choose:
+        notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
+        robot = replace(robot, independent_joints=selection.independent)
+    if choose and drive_independent:
+        robot = replace(robot, actuated=selection.independent)
         notes.append(
+            "The file does not say what is driven: taken are the independent joints; actuated=... names others."
+        )
+    return replace(robot, notes=tuple(notes)), loose
+
+
+def _notes(selection: Selection) -> Iterator[str]:
+    """Yield what is to be said of a choice of closure rows."""
+    if selection.fixed_spins:
+        yield (
             f"The spin of {', '.join(selection.fixed_spins)} about the line between two balls, which moves nothing "
             "else, is held: one ball is a universal joint, the first where it has damping or armature; where both "
             "have, this is an approximation."
         )
     if selection.off_axis:
         listed = ", ".join(f"{name} by {away:.2g} m" for name, away in selection.off_axis.items())
-        notes.append(
+        yield (
             f"The centre of mass is off that line: {listed}. There a rod between two balls swings, which is left out: "
             "what holds its spin carries the moment."
         )
     if selection.left_out:
-        # rows that are left say less of the side on which a weld closes: what follows starts on the right one
-        every = _with_redundant_rows(kept.closures, provisional.closures)
-        robot = replace(robot, q_reference=frozen(selection.q), all_closures=every)
         rows, opened = ", ".join(selection.left_out), selection.opened
         nearby = (
             f" to {opened:.1g} (characteristic lengths or rad) nearby, as the file's numbers are rounded"
             if opened > STAYS_CLOSED
             else ""
         )
-        notes.append(f"Redundant closure rows left out, the loops stay closed in them{nearby}: {rows}.")
-    return robot, selection, notes
+        yield f"Redundant closure rows left out, the loops stay closed in them{nearby}: {rows}."
 
 
 def _with_redundant_rows(closures: tuple[Closure, ...], all_rows: tuple[Closure, ...]) -> tuple[Closure, ...]:

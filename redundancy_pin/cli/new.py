@@ -109,11 +109,11 @@ def _closed(data: Mapping[str, Any], mechanism: Mechanism, *, drive_independent:
     Raises:
         DeclarationError: as at zero, if no pose near it serves either.
     """
-    from redundancy_pin.loading import beside, made
+    from redundancy_pin.loading import beside, build_robot
 
     def at(own: Mechanism) -> Robot:
         own = replace(own, model=own.model.copy())  # it becomes the robot's
-        return made(data, own, loose=True, drive_independent=drive_independent)
+        return build_robot(data, own, loose=True, drive_independent=drive_independent)
 
     try:
         return at(mechanism), False

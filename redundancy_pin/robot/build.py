@@ -65,7 +65,7 @@ def read_robot(
         add_frames(model, (*file_joints, *declaration.loop_joints))
         _check_roles(declaration, closures, carriers, model)
         _check_couplings(couplings, declaration, carriers, model)
-    guess = _guess(model, declaration.reference.guess, mechanism.start)
+    guess = configuration(model, declaration.reference.guess, mechanism.start)
     robot = Robot(
         name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
@@ -246,8 +246,14 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
     return tuple(int(sign) for sign in mode)
 
 
-def _guess(model: pin.Model, positions: Mapping[str, float], start: Array | None = None) -> Array:
-    q: Array = pin.neutral(model) if start is None else start.copy()
+def configuration(model: pin.Model, positions: Mapping[str, float], start: Array) -> Array:
+    """Return a configuration (nq,) with joints at positions, rad or m, and the others where they start (nq,).
+
+    Raises:
+        InputError: the model has no such joint.
+        DeclarationError: a joint of several coordinates, but for a continuous one.
+    """
+    q: Array = start.copy()
     for name, value in positions.items():
         joint = find_joint(model, name)
         if joint.nq > 2:

@@ -12,7 +12,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.robot.formats.mechanism import NO_MOMENT
-from redundancy_pin.robot.lookup import find_joint_frame, has_link
+from redundancy_pin.robot.lookup import has_link
 from redundancy_pin.robot.rebuild import span
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform
 
@@ -47,9 +47,10 @@ def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> d
     _name_links(model)
     loops = [_closure(model, each, number, at) for number, each in enumerate(loops)]
     roles = _independent(arguments["independent"])
-    for frame in (*(name for loop in loops for name in loop["frames"]), roles.get("platform")):
-        if isinstance(frame, str) and (found := find_joint_frame(model, frame)):  # a missing one is reported later
-            _make_link(model, found)
+    named = [roles.get("platform"), *(name for loop in loops for name in loop["frames"])]
+    for frame in list(model.frames):
+        if frame.type in (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT) and frame.name in named:
+            _make_link(model, frame)
     return {
         "closures": loops,
         "couplings": [_coupling(each, number) for number, each in enumerate(couplings)],

@@ -14,7 +14,6 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen, read_only
-from redundancy_pin.robot.bodies import Body, moving_bodies
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
 from redundancy_pin.robot.lookup import find_joint
 
@@ -130,6 +129,27 @@ class WorkingModes:
 
     joints: tuple[str, ...]
     signs: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Body(Frozen):
+    """A rigid body that a joint carries, payloads included.
+
+    Attributes:
+        name: name of the link that the joint carries; of the joint where the model names no link there.
+        joint: name of the joint.
+        links: names of all links of the body, marks included.
+        mass: mass, kg.
+        centre: (3,) centre of mass in the frame of the body, which is that of the joint, m.
+        principal_moments: (3,) principal moments of inertia about the centre of mass, in ascending order, kg·m².
+    """
+
+    name: str
+    joint: str
+    links: tuple[str, ...]
+    mass: float
+    centre: Array
+    principal_moments: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -387,7 +407,22 @@ class Robot(Frozen):
     @property
     def bodies(self) -> tuple[Body, ...]:
         """The moving bodies, in the order of the joints: mass, centre of mass and principal moments of each."""
-        return moving_bodies(self.model)
+        model = self.model
+        links: dict[int, list[str]] = {index: [] for index in range(model.njoints)}
+        for frame in model.frames:
+            if frame.type == pin.FrameType.BODY:
+                links[int(frame.parentJoint)].append(str(frame.name))
+        return tuple(
+            Body(
+                name=(links[index] or [str(model.names[index])])[0],
+                joint=str(model.names[index]),
+                links=tuple(links[index]),
+                mass=float(model.inertias[index].mass),
+                centre=frozen(model.inertias[index].lever),
+                principal_moments=frozen(np.linalg.eigvalsh(model.inertias[index].inertia)),
+            )
+            for index in range(1, model.njoints)
+        )
 
     @property
     def moving_mass(self) -> float:
