@@ -162,10 +162,10 @@ def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mappi
         InputError: an unknown name, a track that ends before it begins, a limit that is not positive.
     """
     wanted: dict[str, dict[str, Any]] = {name: {} for name in robot.carriers}
-    for key, values in each.items():
-        if values is None:
+    for key, numbers in each.items():
+        if numbers is None:
             continue
-        given = np.asarray(values, dtype=object)  # rows of different lengths are objects, and no numbers: said below
+        given = np.asarray(numbers, dtype=object)  # rows of different lengths are objects, and no numbers: said below
         if given.shape not in ((), (robot.k,)):
             raise InputError(
                 f"{key} has shape {given.shape}; {robot.name} has {robot.k} carrier(s).",
