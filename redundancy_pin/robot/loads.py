@@ -43,7 +43,7 @@ def _number(value: float, name: str, *, least: float) -> float:
     return number
 
 
-class _Listed(Frozen):
+class _Listed:
     """Shows all that it is, arrays as lists."""
 
     def __repr__(self) -> str:
@@ -123,7 +123,7 @@ class Wrench(Frozen):
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Payload(_Listed):
+class Payload(_Listed, Frozen):
     """A mass that a link carries, rigidly.
 
     Attributes:
@@ -217,7 +217,7 @@ class JointForces:
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Spring(_Listed):
+class Spring(_Listed, Frozen):
     """A spring and a damper between points of two links, along the line between them.
 
     Attributes:

@@ -35,7 +35,6 @@ BENDS = 50 * DIFFERENCES  # the same of Jacobians along a velocity of order one
 ONE_OF_MANY = 1e-13  # sums of a dozen products of order one, in another order
 
 
-
 def two_free_bodies(axes: tuple[str, ...]) -> Robot:
     """Return two floating bodies joined by one closure, frames off both origins: every mask can be judged on it."""
     model = pin.Model()
