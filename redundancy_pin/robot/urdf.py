@@ -12,7 +12,8 @@ from pathlib import Path, PurePosixPath
 from redundancy_pin.arrays import decimal
 from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
-from redundancy_pin.robot.formats.xacro_engine import expand, is_within, own_folders
+from redundancy_pin.robot.formats.packages import is_within, own_folders
+from redundancy_pin.robot.formats.xacro_engine import expand
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES, parsed, read_model
 
 Argument = float | bool | str
@@ -214,7 +215,9 @@ def is_shipped(path: Path) -> bool:
     return path.resolve().parent.parent in (root := models_root().resolve(), root / _GALLERY)
 
 
-def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) -> tuple[str, dict[str, Argument]]:
+def render(
+    path: Path, arguments: Mapping[str, object], *, trust: bool = False, untrusted: bool = False
+) -> tuple[str, dict[str, Argument]]:
     """Return the URDF that a ``.urdf`` or ``.xacro`` file gives, and every xacro argument with the value that was used.
 
     What it includes is found relative to it. Arguments are checked by ``known_values``; those left out keep their
@@ -224,27 +227,24 @@ def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) 
         path: the file.
         arguments: of the xacro file.
         trust: let xacro evaluate its expressions as Python, with all that Python can do.
+        untrusted: let xacro expand it in a child process with limits of time and memory.
 
     Raises:
         ModelFileError: missing file, broken XML, a xacro expression that fails or that models may not use.
     """
-    if path.suffix == ".xacro":
-        parsed(path)
-        # as xacro reads them; whole numbers keep the form they were given in
-        texts = {
-            name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()
-        }
-        urdf, resolved = (_expanded if is_shipped(path) and not trust else _expanded.__wrapped__)(
-            path, tuple(texts.items()), trust
-        )
-        parameters = {name: from_text(value) for name, value in resolved}
-    else:
-        urdf, parameters = read_model(path), {}
-    return urdf, parameters
+    if path.suffix != ".xacro":
+        return read_model(path), {}
+    parsed(path)
+    # as xacro reads them; whole numbers keep the form they were given in
+    texts = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()}
+    # shipped files do not change, and sweeps and tests load the same ones time and again
+    kept = is_shipped(path) and not trust and not untrusted
+    urdf, resolved = (_expanded if kept else _expanded.__wrapped__)(path, tuple(texts.items()), trust, untrusted)
+    return urdf, {name: from_text(value) for name, value in resolved.items()}
 
 
-@functools.lru_cache(maxsize=256)  # of files that do not change: sweeps and tests load the same robots time and again
-def _expanded(path: Path, given: tuple[tuple[str, str], ...], trust: bool) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Return the URDF of a xacro file, checked, and its arguments."""
-    urdf, resolved = expand(path, dict(given), trust=trust)
-    return urdf, tuple(resolved.items())
+@functools.lru_cache(maxsize=256)
+def _expanded(
+    path: Path, given: tuple[tuple[str, str], ...], trust: bool, untrusted: bool
+) -> tuple[str, dict[str, str]]:
+    return expand(path, dict(given), trust=trust, untrusted=untrusted)
