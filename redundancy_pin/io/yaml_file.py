@@ -188,7 +188,7 @@ class _Reader:
             if not isinstance(name, str):
                 remedy = "Put it into quotes."
                 raise self.refused(event.start_mark, f"the key {shown(name)} is not text, but {_kind(name)}", remedy)
-            if name in first:
+            if name in first and values.get(name) is not None:  # an empty one says nothing
                 message = f"the key {shown(name)} was given in line {first[name]} already"
                 raise self.refused(event.start_mark, message, "Keep one of the two.", key=name)
             first[name] = line

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from redundancy_pin.arrays import decimal
 from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
-from redundancy_pin.robot.formats.packages import is_within, own_folders
+from redundancy_pin.robot.formats.packages import may_include, own_folders
 from redundancy_pin.robot.formats.xacro_engine import expand
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES, parsed, read_model
 
@@ -109,7 +109,7 @@ def _declared(path: Path) -> tuple[dict[str, str | None], bool]:
                 defaults[argument.attrib["name"]] = argument.attrib.get("default")
         for include in itertools.islice(root.iter(f"{_XACRO}include"), _MOST_INCLUDES + 1):
             target = current.parent / include.attrib.get("filename", "")
-            if "$" in include.attrib.get("filename", "$") or not is_file(target) or not is_within(target, folders):
+            if "$" in include.attrib.get("filename", "$") or not is_file(target) or not may_include(target, folders):
                 complete = False  # xacro alone knows what it will include
             else:
                 waiting.append(target)

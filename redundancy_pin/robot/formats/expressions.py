@@ -33,8 +33,8 @@ _MOST_WORK = 1_000_000
 _MOST_DIGITS = 400
 """Digits that ``round`` keeps: a float has 324 behind its point at most."""
 
-STEPS = 500_000
-"""Work of one model; a step is a few microseconds. The largest public models need a tenth."""
+STEPS = 300_000
+"""Work of one model; a step is a few microseconds. The largest public models tried need a third."""
 
 
 class ExpressionError(ValueError):
@@ -48,8 +48,8 @@ def _round(number: Any, ndigits: int | None = None) -> Any:
 
 
 _MATHEMATICS = (
-    "acos acosh asin asinh atan atan2 atanh ceil copysign cos cosh degrees e exp fabs floor fmod fsum hypot inf isclose "
-    "isfinite isinf isnan log log10 log2 nan pi pow radians sin sinh sqrt tan tanh tau trunc"
+    "acos acosh asin asinh atan atan2 atanh ceil copysign cos cosh degrees e exp fabs floor fmod fsum hypot inf "
+    "isclose isfinite isinf isnan log log10 log2 nan pi pow radians sin sinh sqrt tan tanh tau trunc"
 )
 FUNCTIONS: Mapping[str, Any] = {
     **{each.__name__: each for each in (abs, all, any, bool, dict, float, int, isinstance, len, list, max, min)},
@@ -123,8 +123,8 @@ class Evaluator:
             names: what its names stand for, looked up by ``names[name]``; ``self.names`` when left out.
 
         Raises:
-            ExpressionError: not an expression, or one that models may not use.
-            Exception: what Python raises for it (a division by zero, an unknown name, ...).
+            ExpressionError: not an expression, or one that models may not use, unknown names among them.
+            Exception: what Python raises for it (a division by zero, ...).
         """
         self.spend(1 + len(text) // 2)  # the parser
         if len(text) > LONGEST:
@@ -183,7 +183,7 @@ class Evaluator:
             case ast.Attribute():
                 owner = value(node.value)
                 if isinstance(owner, dict) and type(owner) is not dict and not node.attr.startswith("__"):
-                    return owner[node.attr]
+                    return _look_up(node.attr, owner)
             case ast.Call() if all(keyword.arg for keyword in node.keywords):
                 function = self._function(node.func, value)
                 arguments = [self.checked(value(each)) for each in node.args]
@@ -197,7 +197,7 @@ class Evaluator:
             owner = value(node.value)
             if any(isinstance(owner, kind) and node.attr in methods for kind, methods in _METHODS.items()):
                 return functools.partial(_call_method, self.checked(owner), node.attr)
-        function: Any = value(node)
+        function: Callable[..., Any] = value(node)
         if not callable(function):
             raise TypeError(f"`{shortened(ast.unparse(node), 60)}` is no function")
         return function
@@ -228,7 +228,7 @@ def _look_up(name: str, names: Any) -> Any:
     try:
         return names[name]
     except KeyError:
-        raise NameError(f"name {name!r} is not defined, or not for models") from None
+        raise ExpressionError(f"the name {name!r} is not defined, or not for models") from None
 
 
 def _element(owner: Any, index: Any) -> Any:

@@ -27,6 +27,15 @@ def is_within(path: Path, folders: Iterable[Path]) -> bool:
     return any(place.is_relative_to(folder) for folder in folders)
 
 
+def may_include(path: Path, folders: Iterable[Path]) -> bool:
+    """Return whether a model may include a file: any in its folders, and elsewhere what is a model by its name.
+
+    Models of robots hold no secrets, and many include ``../common.xacro`` without being part of a package. Symbolic
+    links are followed.
+    """
+    return is_within(path, folders) or path.resolve().suffix in (".xacro", ".urdf")
+
+
 def package_roots(name: str, folder: Path | None) -> Iterator[Path]:
     """Yield the folders that may be a package, the nearest first; none is opened but to read its ``package.xml``.
 

@@ -31,7 +31,7 @@ from redundancy_pin.io.limited import answer, run_limited
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot.formats.expressions import FUNCTIONS, Evaluator, ExpressionError, Namespace
-from redundancy_pin.robot.formats.packages import find_package, is_within, own_folders
+from redundancy_pin.robot.formats.packages import find_package, is_within, may_include, own_folders
 from redundancy_pin.robot.formats.xml_files import parsed_text, read_model
 
 _DEEPEST_INCLUDES = 30
@@ -131,6 +131,7 @@ class _Engine:
         return {
             "arg": lambda name: module.substitution_args_context["arg"][name],
             "dotify": module.YamlDictWrapper,
+            "tokenize": _tokenize,
             "print_location": lambda: "",
             "fatal": fatal,
         }
@@ -161,7 +162,8 @@ class _Engine:
         path, stack = Path(name), [Path(each) for each in self.xacro.filestack]
         if not is_file(path):
             raise FileNotFoundError(2, "There is no file", str(path))  # which an optional include may miss
-        self._require_own(path)
+        if not may_include(path, self._folders):
+            raise self._foreign(path)
         if len(stack) > _DEEPEST_INCLUDES:
             circle = " > ".join(each.name for each in stack[-3:])
             raise ModelFileError(
@@ -178,7 +180,8 @@ class _Engine:
         """Read YAML, with xacro's units, whose numbers may be expressions."""
         module = self.xacro
         path = Path(module.abs_filename_spec(str(filename)))
-        self._require_own(path)
+        if not is_within(path, self._folders):
+            raise self._foreign(path)
 
         def unit(factor: float) -> Callable[[str], float]:
             return lambda text: float(self._evaluate(text, module._global_symbols)) * factor
@@ -192,7 +195,8 @@ class _Engine:
         path = Path(pattern)
         if glob.has_magic(str(path.parent)):
             raise ExpressionError(f"models may use wildcards in the name of a file only, not in {path.parent}")
-        self._require_own(path.parent)
+        if not is_within(path.parent, self._folders):
+            raise self._foreign(path)
         return glob.glob(pattern)
 
     def _find(self, name: str) -> str:
@@ -200,36 +204,38 @@ class _Engine:
         self._folders += (folder.resolve(),)
         return str(folder)
 
-    def _require_own(self, path: Path) -> None:
-        """Refuse a file from elsewhere: what it holds could end up in a plan that is passed on."""
-        if not is_within(path, self._folders):
-            raise ModelFileError(
-                f"{self._path} reads {path}, which is neither in its folder or package nor in one that $(find) gives.",
-                remedy="Put the file there, or load the robot with trust=True (--trust) if you trust who wrote it.",
-                path=str(path),
-            )
+    def _foreign(self, path: Path) -> ModelFileError:
+        """Return the error for a file from elsewhere: what it holds could end up in a plan that is passed on."""
+        return ModelFileError(
+            f"{self._path} reads {path}, which is neither in its folder or package nor in one that $(find) gives.",
+            remedy="Put the file there, or load the robot with trust=True (--trust) if you trust who wrote it.",
+            path=str(path),
+        )
 
     def refusal(self, path: Path, error: Exception) -> ModelFileError:
         """Return the error for what went wrong in a file: the innermost expression, its file and line."""
         expression, cause = self._failure or ("", error)
-        inner: Any = cause
-        while inner is not None and not isinstance(inner, (ExpressionError, RedundancyPinError, RecursionError)):
-            inner = getattr(inner, "exc", None)  # errors of xacro hold others
-        if isinstance(inner, RedundancyPinError):
-            return ModelFileError(inner.message, remedy=inner.remedy, **inner.details)
-        if isinstance(inner, RecursionError):
-            inner = ExpressionError("its macros, properties or files are nested too deeply, or without end")
-        cause = inner or cause
-        reason = " ".join(f"{cause}".split())
-        if not isinstance(cause, (ExpressionError, NameError)) and getattr(cause, "exc", cause) is cause:
-            reason = f"{type(cause).__name__}: {reason}"
+        chain: list[Any] = [cause]
+        while (inner := getattr(chain[-1], "exc", None)) is not None:
+            chain.append(inner)  # errors of xacro hold others
         remedy = "Check the expression and the arguments it uses."
-        if isinstance(cause, ExpressionError):
-            remedy = "Change the model, or load it with trust=True (--trust) if you trust who wrote it."
+        match chain[-1]:
+            case RedundancyPinError() as own:
+                return ModelFileError(own.message, remedy=own.remedy, **own.details)
+            case RecursionError():
+                reason = "its macros, properties or files are nested too deeply, or without end"
+            case ExpressionError() as reason:
+                remedy = "Change the model, or load it with trust=True (--trust) if you trust who wrote it."
+            case OSError(strerror=what, filename=name):
+                reason = f"{what} {name}"
+            case self.xacro.substitution_args.SubstitutionException() | self.xacro.XacroException() as last:
+                reason = f"{cause}" if isinstance(last, self.xacro.substitution_args.ArgException) else f"{last}"
+            case other:
+                reason = f"{type(other).__name__}: {other}"
         file, line = self._place(f"${{{expression}}}" if expression else "")
         place = f"{path}{f', in {file}' if file != path.resolve() else ''}{f', line {line}' if line else ''}"
         shown = f"`{shortened(expression.strip(), 200)}`: " if expression else ""
-        message = f"xacro cannot expand {place}: {shown}{shortened(reason, 500)}"
+        message = f"xacro cannot render {place}: {shown}{shortened(' '.join(f'{reason}'.split()), 500)}"
         details = {"path": str(path), "file": str(file), "line": line, "expression": expression}
         return ModelFileError(message if message.endswith(".") else f"{message}.", remedy=remedy, **details)
 
@@ -265,7 +271,7 @@ def _copy_of_xacro(suffix: str) -> Any:
 def _cost_of_tree(node: Any) -> int:
     """Return the work that an element takes, with all in it where it was copied for this or read from a file."""
     copied = node.parentNode is None or node.parentNode.nodeType == minidom.Node.DOCUMENT_NODE
-    return 5 + (_tree_size(node) if copied else 0)
+    return 10 + (_tree_size(node) if copied else 0)
 
 
 def _tree_size(node: Any) -> int:
@@ -283,7 +289,7 @@ def _cost_of_replacing(node: Any, by: Any = None, content_only: bool = False) ->
 _COSTS: Mapping[str, Callable[..., int]] = {
     "eval_all": lambda node, *_: _cost_of_tree(node),
     # xacro cuts a text at each dollar, and copies the rest
-    "eval_text": lambda text, _: 1 + len(text) // 256 + text.count("$") * len(text) // 4096,
+    "eval_text": lambda text, symbols: 1 + len(text) // 256 + text.count("$") * len(text) // 4096,
     "parse_macro_arg": lambda text: 2 + len(text) // 64,
     "replace_node": _cost_of_replacing,
 }
@@ -304,6 +310,11 @@ class _Environment(dict[str, str]):
         raise ExpressionError(
             f"models may not read the environment ({name}), which may hold secrets: pass it as an argument of the robot"
         )
+
+
+def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
+    pieces = re.split(f"[{re.escape(sep)}]", text)
+    return [piece for piece in pieces if piece or not skip_empty]
 
 
 def _report(level: int, *values: object, **_: object) -> str:
