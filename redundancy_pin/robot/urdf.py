@@ -7,13 +7,14 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree
 
 from redundancy_pin.arrays import decimal
 from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.packages import may_include, own_folders
 from redundancy_pin.robot.formats.xacro_engine import expand
-from redundancy_pin.robot.formats.xml_files import MOST_BYTES, Element, parsed, read_model
+from redundancy_pin.robot.formats.xml_files import MOST_BYTES, parsed, read_model
 
 Argument = float | bool | str
 """A xacro argument: a number, a flag, or text (such as ``"auto"``)."""
@@ -110,7 +111,7 @@ def _declared(path: Path) -> tuple[dict[str, str | None], bool]:
     return defaults, complete
 
 
-def _elements(root: Element, name: str) -> Iterator[Element]:
+def _elements(root: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
     """Yield the elements of xacro with a name; the namespace has many spellings, of which xacro needs none."""
     return (element for element in root.iter() if element.tag.endswith(f"}}{name}") and "xacro" in element.tag)
 

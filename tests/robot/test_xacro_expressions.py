@@ -138,7 +138,8 @@ def test_elements_that_are_refused_at_once(tmp_path: Path, element: str, reason:
 
 
 def test_an_error_names_expression_file_and_line_of_macros_too(tmp_path: Path) -> None:
-    (tmp_path / "m.xacro").write_text(doc("\n\n<xacro:macro name='m'>\n<a n='${1 + nothing}'/></xacro:macro>"))
+    inner = "<xacro:property name='v' value='${1 + nothing}'/>\n<a n='${2 * v}'/>"
+    (tmp_path / "m.xacro").write_text(doc(f"\n\n<xacro:macro name='m'>\n{inner}</xacro:macro>"))
     message = refused(tmp_path, doc("<xacro:include filename='m.xacro'/>\n<xacro:m/>"))
     assert f"in {tmp_path / 'm.xacro'}, line 4: `1 + nothing`: the name 'nothing' is not defined" in message
 
@@ -253,7 +254,7 @@ def test_yaml_of_models_is_data(tmp_path: Path) -> None:
 # --- folders ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["../outside.{}", "{folder}/outside.{}", "linked.{}"])
+@pytest.mark.parametrize("name", ["../outside.{}", "{folder}/outside.{}", "linked.{}", "named.xacro"])
 @pytest.mark.parametrize("kind", ["xml", "yaml", "xacro"])
 def test_models_read_files_of_their_folder_or_package_and_other_models(tmp_path: Path, name: str, kind: str) -> None:
     """What else is on a machine could end up in the arguments of a plan that is passed on."""
@@ -261,7 +262,8 @@ def test_models_read_files_of_their_folder_or_package_and_other_models(tmp_path:
     inside.mkdir(parents=True)
     outside = tmp_path / "package" / f"outside.{kind}"
     outside.write_text("secret: 5\n" if kind == "yaml" else doc("<secret/>"))
-    (inside / f"linked.{kind}").symlink_to(outside)
+    for link in (f"linked.{kind}", "named.xacro"):
+        (inside / link).symlink_to(outside)
     name = name.format(kind, folder=outside.parent)
     text = doc(
         f"<a n=\"${{xacro.load_yaml('{name}').secret}}\"/>" if kind == "yaml" else f'<xacro:include filename="{name}"/>'
@@ -328,7 +330,10 @@ def test_trust_is_no_argument_that_a_file_could_name() -> None:
 
 def test_a_strangers_file_is_expanded_in_a_process_of_its_own(tmp_path: Path) -> None:
     path = written(tmp_path, doc('<xacro:arg name="n" default="${2 * 2}"/><a n="$(arg n)"/>'))
-    assert render(path, known_values(path, {}), untrusted=True) == render(path, {})
+    xacro_engine._engine.cache_clear()
+    result = render(path, known_values(path, {}), untrusted=True)
+    assert xacro_engine._engine.cache_info().misses == 0  # nothing was expanded here
+    assert result == render(path, {})
     path.write_text(doc('<a n="${().__class__}"/>'))
     with pytest.raises(ModelFileError, match="__class__"):
         render(path, {}, untrusted=True)

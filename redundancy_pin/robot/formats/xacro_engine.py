@@ -264,7 +264,7 @@ def _copy_of_xacro(suffix: str) -> Any:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # its functions import its other modules when they are called
     spec.loader.exec_module(module)
-    importlib.import_module(f"{name}.substitution_args")
+    module.__dict__["substitution_args"] = importlib.import_module(f"{name}.substitution_args")
     return module
 
 
