@@ -234,7 +234,6 @@ def render(
     """
     if path.suffix != ".xacro":
         return read_model(path), {}
-    parsed(path)
     # as xacro reads them; whole numbers keep the form they were given in
     texts = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()}
     # shipped files do not change, and sweeps and tests load the same ones time and again

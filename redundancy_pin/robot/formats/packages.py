@@ -61,7 +61,8 @@ def find_package(name: str, path: Path) -> Path:
     Raises:
         ModelFileError: there is none; names the folders that were looked at.
     """
-    roots = tuple(package_roots(name, path.resolve().parent)) if name.strip("./\\") and os.sep not in name else ()
+    # a name, not a way to other folders
+    roots = tuple(package_roots(name, path.resolve().parent)) if Path(name).name == name != ".." else ()
     for root in roots:
         if is_file(root / _MANIFEST):
             return root
@@ -75,7 +76,7 @@ def find_package(name: str, path: Path) -> Path:
 
 
 def _entries(variable: str) -> tuple[Path, ...]:
-    return tuple(Path(entry) for entry in os.environ.get(variable, "").split(os.pathsep) if entry)
+    return tuple(Path(entry).absolute() for entry in os.environ.get(variable, "").split(os.pathsep) if entry)
 
 
 def _package_name(folder: Path) -> str:
