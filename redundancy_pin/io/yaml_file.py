@@ -82,7 +82,7 @@ def read_yaml(
 
     Raises:
         RedundancyPinError: of the given kind, with the line: no file, too large, not UTF-8, broken YAML, a key twice in
-            one mapping, keys that are not text, nesting or aliases beyond the limits, or a value that is neither text
+            one mapping (unless the first is empty), keys that are not text, nesting or aliases beyond the limits, or a value that is neither text
             nor a number, truth value, list or mapping (such as a date).
     """
     return parse_yaml(read_text(path, error, what, largest=LARGEST_FILE), str(path), error, tags)

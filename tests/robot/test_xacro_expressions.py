@@ -214,7 +214,7 @@ def test_an_open_quote_in_the_parameters_of_a_macro_takes_no_time(tmp_path: Path
 def test_what_xacro_has_besides_expressions(tmp_path: Path) -> None:
     """Parameters of all forms, blocks, elements and attributes made, namespaces, escapes, optional files, $(eval)."""
     (tmp_path / "n.xacro").write_text(doc('<xacro:property name="z" value="7"/>'))
-    (tmp_path / "v.yaml").write_text("a:\n  b: [1, 2.5]\nangle: !degrees 90 * 2\nlength: !inches 1\n")
+    (tmp_path / "v.yaml").write_text("a:\na:\n  b: [1, 2.5]\nangle: !degrees 90 * 2\nlength: !inches 1\n")
     path = written(
         tmp_path,
         doc(

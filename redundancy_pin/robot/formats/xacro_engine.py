@@ -253,14 +253,13 @@ class _Engine:
 
 def _copy_of_xacro(suffix: str) -> Any:
     """Load the modules of xacro once more, under a name of our own."""
-    theirs = importlib.util.find_spec("xacro")
-    if theirs is None or theirs.origin is None:
-        raise ModelFileError("xacro is not installed.", remedy="Install it with `pip install xacro`.")
     name = f"redundancy_pin.robot.formats._xacro{suffix}"
-    spec = importlib.util.spec_from_file_location(
-        name, theirs.origin, submodule_search_locations=theirs.submodule_search_locations
-    )
-    assert spec is not None and spec.loader is not None  # noqa: PT018, S101
+    spec = None
+    if theirs := importlib.util.find_spec("xacro"):
+        folders = theirs.submodule_search_locations
+        spec = importlib.util.spec_from_file_location(name, theirs.origin, submodule_search_locations=folders)
+    if spec is None or spec.loader is None:
+        raise ModelFileError("xacro is not installed.", remedy="Install it with `pip install xacro`.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # its functions import its other modules when they are called
     spec.loader.exec_module(module)
