@@ -67,8 +67,8 @@ def load_robot(
         working_mode: ±1 a leg; as declared when left out.
         trust: let the expressions of a xacro file be any Python, which runs with your rights, and let MJCF read files
             of other folders: for files whose author you trust.
-        untrusted: let third-party compilers (MuJoCo's) read a stranger's file in a child process, which has limits of
-            time and memory.
+        untrusted: let third-party compilers (xacro, MuJoCo's) read a stranger's file in a child process, which has
+            limits of time and memory.
         **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``).
 
     Raises:

@@ -24,7 +24,7 @@ from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.io.reading import read_text
 from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, validated
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
-from redundancy_pin.robot.formats.expressions import MATHEMATICS, Budget, evaluate
+from redundancy_pin.robot.formats.expressions import FUNCTIONS, Evaluator
 from redundancy_pin.robot.formats.urdf import KINDS
 from redundancy_pin.robot.formats.xml_files import FORMATS, format_of
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
@@ -49,18 +49,6 @@ CLOSED_FORM_ROLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...], tuple[in
     "3rrr": (("base_1", "base_2", "base_3"), ("elbow_1", "elbow_2", "elbow_3"), (-1, -1, -1), ("x", "y", "rz")),
 }
 """Motors, joints of the modes and their signs, and independent axes of each; of others its numbers are not."""
-
-
-class Evaluator:
-    """Evaluates the expressions of one declaration."""
-
-    def __init__(self, names: Mapping[str, object]) -> None:
-        self.names = names
-        self._budget = Budget()
-
-    def eval(self, text: str) -> Any:
-        """Return the value of an expression; anything may be raised."""
-        return evaluate(text, self.names, self._budget)
 
 
 def _number(value: object, info: ValidationInfo[Evaluator]) -> float:
@@ -506,5 +494,4 @@ def parse(data: Mapping[str, Any], parameters: Mapping[str, Argument]) -> Declar
 
 
 def _evaluator(parameters: Mapping[str, Argument]) -> Evaluator:
-    functions = {name: MATHEMATICS[name] for name in ("sqrt", "sin", "cos", "tan", "atan2")}
-    return Evaluator({**functions, "pi": math.pi, **parameters})
+    return Evaluator({**FUNCTIONS, **parameters})
