@@ -245,9 +245,8 @@ class _Reader:
         part, name = frame.part, self.frames.name(full)
         self.frames.pass_over(part)
         if (kind := part.text_of("type")) not in _AXES:
-            part.refuse(
-                f"{part.owner} has the type {shown(kind)}, which is not covered", f"Covered: {', '.join(_AXES)}."
-            )
+            what = f"{part.owner} has the type {shown(kind)}, which is not covered"
+            part.refuse(what, f"Covered are {', '.join(_AXES)}.")
         parent, child = (self.frames.end(frame, role) for role in ("parent", "child"))
         if parent == child:
             part.refuse(f"{part.owner} joins {self.frames.name(parent)!r} to itself", "Name two links.")
@@ -357,16 +356,15 @@ class _Reader:
             if axis is None or (mimic := axis.one("mimic")) is None:
                 continue
             self.frames.pass_over(mimic)
-            leader = joints.get(scope.prefix + mimic.text_of("joint"))
-            which = (
-                ("axis", "axis2").index(word) if (word := mimic.text_of("axis") or "axis") in ("axis", "axis2") else 9
-            )
-            if leader is None or which >= len(leader.turns) or number >= len(joint.turns) or leader is joint:
-                what = f"{mimic.owner} mimics the {shown(word)} of {shown(mimic.text_of('joint'))}, which it cannot"
+            leader, which = joints.get(scope.prefix + mimic.text_of("joint")), mimic.text_of("axis") or "axis"
+            turns = dict(zip(("axis", "axis2"), leader.turns if leader and leader is not joint else (), strict=False))
+            if which not in turns or number >= len(joint.turns):
+                what = f"{mimic.owner} mimics the {shown(which)} of {shown(mimic.text_of('joint'))}, which it cannot"
                 mimic.refuse(what, "Name another joint of one or two axes.")
             slope, name = mimic.value("multiplier", 1.0), joint.turns[number]
             constant = mimic.value("offset", 0.0) - slope * mimic.value("reference", 0.0)
-            self.couplings.append(Coupling(f"mimic of {name}", name, leader.turns[which], (constant, slope)))
+            self.couplings.append(Coupling(f"mimic of {name}", name, turns[which], (constant, slope)))
+            self._led.add(name)
 
     def _gears(self, gear: _Joint, joints: Iterable[_Joint]) -> Coupling:
         """Return θ₂ = −ratio θ₁: angles from the reference body to parent (θ₁, about axis) and child (about axis2)."""
