@@ -510,7 +510,7 @@ class _Reader:
         place = pin.SE3(turn, joint.place[:3, 3])
         one, other = (self._where(end).actInv(place).homogeneous for end in ends)
         if limited := [step.name for step in joint.steps if step.limits != UNLIMITED]:
-            self._ignored.setdefault("limits", []).extend(limited)
+            self.notes.append(f"The limits of {', '.join(limited)}, which closes a loop, are left out.")
         return LoopJoint(joint.name, kind, (self.frames.name(ends[0]), self.frames.name(ends[1])), (one, other))
 
     def _candidates(self) -> tuple[str, ...]:
