@@ -35,7 +35,7 @@ start in sixteen falls to a given mode, which 16 miss with a chance of 36 %; of 
 2 %."""
 
 _EQUAL = 1e-9
-"""rad and characteristic lengths: distances that differ by less are equal. A closed configuration is accurate to 1e-11."""
+"""rad and characteristic lengths: distances that differ by less are equal. Closed configurations miss by 1e-11."""
 
 
 class PoseSolution(NamedTuple):
