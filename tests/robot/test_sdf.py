@@ -170,6 +170,8 @@ def test_frames_are_where_the_specification_puts_them(seed: int, tmp_path: Path)
 @pytest.mark.parametrize(
     ("version", "given", "expected"),
     [
+        ("1.4", "<xyz>1 0 0</xyz>", [1.0, 0.0, 0.0]),
+        ("1.5", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),
         ("1.6", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),
         ("1.6", "<xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame>", [1.0, 0.0, 0.0]),
         ("1.7", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),

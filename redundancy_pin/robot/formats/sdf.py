@@ -1,7 +1,7 @@
 """Read SDF, the models of Gazebo: links in frames of their own, and joints between them, loops included.
 
 A tree is taken out of the joints, each link by its first parent; a link that has no parent left is carried the other
-way round. Every other joint closes a loop. A gearbox, a screw and ``<mimic>`` couple joints. Versions from 1.5 on; what
+way round. Every other joint closes a loop. A gearbox, a screw and ``<mimic>`` couple joints. Versions from 1.3 on; what
 changes the mechanics and is not covered is refused by name, file and line.
 """
 
@@ -41,8 +41,8 @@ _SAME_DIRECTION = 1e-6
 _UNLIMITED = 1e15
 """SDF writes 1e16 where there is no limit, and −1 for speeds and efforts."""
 
-_AXES_IN_MODEL = 6
-"""Up to version 1.6 an axis may say that it is in the frame of the model."""
+_AXES_IN_MODEL, _ALWAYS_IN_MODEL = 6, 4
+"""Up to version 1.6 an axis may say that it is in the frame of the model; up to 1.4 it is."""
 
 _MOMENTS = ("ixx", "iyy", "izz")
 
@@ -291,7 +291,7 @@ class _Reader:
         turn = place[:3, :3]
         if given and (named := given.text_of("expressed_in")):
             turn = self.frames.place(self.frames.find(frame.scope, named, given), main)[:3, :3]
-        if axis.flag("use_parent_model_frame"):
+        if axis.flag("use_parent_model_frame", default=axis.version <= _ALWAYS_IN_MODEL):
             if axis.version > _AXES_IN_MODEL:
                 axis.refuse(f"{axis.owner} has use_parent_model_frame, no part of SDF 1.7", "Write expressed_in.")
             turn = self.frames.place(frame.scope.frame, main)[:3, :3]

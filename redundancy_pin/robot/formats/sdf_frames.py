@@ -27,8 +27,8 @@ from redundancy_pin.robot.loop_joints import placed
 WORLD = "world"
 """Name of the frame that does not move."""
 
-_OLDEST = 5
-"""Version 1.5: older files name frames and axes by other rules."""
+_OLDEST = 3
+"""Version 1.3: files of older ones have other elements."""
 
 _LEVELS = 4
 """Folders above a file in which models are looked for: deeper collections are not in use."""
@@ -260,7 +260,7 @@ class Frames:
             major, _, minor = version.partition(".")
             minor = minor.partition(".")[0]
             if major != "1" or not minor.isdecimal() or not _OLDEST <= int(minor) < 100:
-                root.refuse(f"{path.name} is SDF of version {shown(version)}", "Write it as version 1.5 or newer.")
+                root.refuse(f"{path.name} is SDF of version {shown(version)}", f"Write it as version 1.{_OLDEST} or newer.")
             tops = replace(root, version=int(minor)).parts()
             tops = [top for top in tops if top.tag in ("world", "model")] or tops
             if len(tops) != 1 or tops[0].tag not in ("world", "model", "light", "actor"):
