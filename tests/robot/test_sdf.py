@@ -489,6 +489,7 @@ def test_a_model_that_drives_nothing_is_told_how_to_say_it(tmp_path: Path) -> No
         ("<axis>", "<axis><initial_position>0.4</initial_position>", "initial position of 'drive' is not read"),
         ("</model>", '<plugin name="p" filename="f"/></model>', "The plugin 'p' does not run"),
         ("</model>", '<x:tag xmlns:x="y"/></model>', "Passed over: <tag> in line 1"),
+        ("</model>", "<model_state/></model>", "Not read: <model_state> in line"),
         ("<inertial>", '<collision name="c"/><inertial>', "Contacts are not modelled"),
         (
             "<inertial>",

@@ -152,7 +152,6 @@ class _Reader:
         links = {full: self._link(frame) for full, frame in frames.links.items()}
         self.notes += impossible_moments(links.values())
         joints = {full: self._joint(full, frame) for full, frame in frames.joints.items()}
-        self._require_few(joints.values(), driven)
         hinged = [joint for joint in joints.values() if joint.kind != "gearbox"]
         for joint in joints.values():
             if joint.kind == "gearbox":
@@ -169,6 +168,7 @@ class _Reader:
         counted = {*driven, *(name for coupling in self.couplings for name in coupling.joints)}
         loop_joints = tuple(self._loop_joint(joint, counted) for joint in loops)
         self._add_marks()
+        self._require_moving(driven)
         model, _ = rebuilt(self.model)
         loads = tuple(load for name, load in self.loads.items() if name in self.moving)
         if cut := [name for name in self.loads if name not in self.moving]:
@@ -189,22 +189,13 @@ class _Reader:
             tuple(self.notes),
         )
 
-    def _require_few(self, joints: Iterable[_Joint], driven: list[str]) -> None:
-        """Refuse too many joints, two of one name, and driven ones that are none."""
-        names = [(step.name, joint) for joint in joints for step in joint.steps]
-        moving = [step.name for joint in joints for step in joint.steps if step.kind != "ball"]
-        taken: set[str] = set()
-        for number, (name, joint) in enumerate(names):
-            part = joint.frame.part
-            if number >= MOST_FREEDOMS:
-                part.refuse(f"{part.owner} is one of {len(names)} joints, more than the {MOST_FREEDOMS} of a model")
-            if name in taken or name == "universe":
-                part.refuse(f"{part.owner} needs the name {name!r}, which is taken", "Choose another.")
-            taken.add(name)
+    def _require_moving(self, driven: list[str]) -> None:
+        """Refuse names of driven joints that are none."""
         for name in driven:
-            if name not in moving:
+            if name not in self.moving:
                 part = next(iter(self.frames.links.values())).part
-                remedy = f"{did_you_mean(name, moving)}Its joints of one degree of freedom: {', '.join(moving)}."
+                remedy = f"{did_you_mean(name, self.moving)}Its joints of one degree of freedom: "
+                remedy += f"{', '.join(self.moving)}."
                 part.refuse(f"actuated names {shown(name)}, which is no joint that moves", remedy)
 
     # --- links and joints ---------------------------------------------------------------------------------------------
@@ -459,8 +450,12 @@ class _Reader:
             The joint of the tree that carries what it moves, and where its origin is there.
         """
         index, place = self._carriers[carrier]
-        place = place * self._from(joint, carrier).inverse()
+        place, part = place * self._from(joint, carrier).inverse(), joint.frame.part
         for step in joint.steps[::-1] if turned_round else joint.steps:
+            if self.model.nv >= MOST_FREEDOMS:
+                part.refuse(f"{part.owner} is beyond the {MOST_FREEDOMS} degrees of freedom that a model may have")
+            if self.model.existJointName(step.name):
+                part.refuse(f"{part.owner} needs the name {step.name!r}, which is taken", "Choose another.")
             index = self._add_step(replace(step, axis=-step.axis) if turned_round else step, index, place)
             place = pin.SE3.Identity()
         return index, place

@@ -38,14 +38,14 @@ _MODELS_OF_GAZEBO = ("ground_plane", "sun")
 
 _IN_MODEL = (
     *("link", "joint", "frame", "model", "include", "pose", "static", "self_collide", "allow_auto_disable"),
-    *("enable_wind", "plugin", "gripper"),
+    *("enable_wind", "plugin", "gripper", "model_state"),
 )
 _DYNAMICS = ("damping", "friction", "spring_reference", "spring_stiffness")
 _AXIS = ("xyz", "limit", "dynamics", "mimic", "use_parent_model_frame", "initial_position")
 _PARTS = {
     "world": (
         *("joint", "frame", "model", "include", "gravity", "physics", "scene", "light", "gui", "plugin", "audio"),
-        *("wind", "magnetic_field", "atmosphere", "spherical_coordinates", "road", "actor"),
+        *("wind", "magnetic_field", "atmosphere", "spherical_coordinates", "road", "actor", "state", "population"),
     ),
     "model": _IN_MODEL,
     "include": ("uri", "name", "namespace", "static", "pose", "placement_frame", "plugin"),
@@ -260,7 +260,9 @@ class Frames:
             major, _, minor = version.partition(".")
             minor = minor.partition(".")[0]
             if major != "1" or not minor.isdecimal() or not _OLDEST <= int(minor) < 100:
-                root.refuse(f"{path.name} is SDF of version {shown(version)}", f"Write it as version 1.{_OLDEST} or newer.")
+                root.refuse(
+                    f"{path.name} is SDF of version {shown(version)}", f"Write it as version 1.{_OLDEST} or newer."
+                )
             tops = replace(root, version=int(minor)).parts()
             tops = [top for top in tops if top.tag in ("world", "model")] or tops
             if len(tops) != 1 or tops[0].tag not in ("world", "model", "light", "actor"):
@@ -336,6 +338,8 @@ class Frames:
     def _read(self, scope: Scope, whole: SdfPart) -> None:
         """Add what is in a world or model."""
         self.pass_over(whole)
+        if whole.tag == "model" and whole.flag("enable_wind"):
+            whole.refuse(f"{whole.owner} is in the wind, which is not covered")
         for part in whole.parts():
             if part.tag == "link":
                 full = scope.prefix + _checked_name(part)
@@ -354,6 +358,8 @@ class Frames:
                 self._include(scope, part)
             elif part.tag in ("plugin", "gripper"):
                 self.notes.append(f"The {part.tag} {part.text_of('name')!r} does not run.")
+            elif part.tag in ("state", "model_state", "population"):
+                self.notes.append(f"Not read: {part.place}. Links are where their own poses put them.")
         for part in whole.parts("joint"):
             full, child = scope.prefix + _checked_name(part), part.text("child")
             if full in self.joints:
