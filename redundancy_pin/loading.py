@@ -187,6 +187,7 @@ def robot_with(
             parameters=robot.parameters,
             source=robot.source,
             mode=mode,
+            rods={each.name: each.length for each in robot.closures},
         )
         new = replace(
             new,

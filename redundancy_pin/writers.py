@@ -25,7 +25,7 @@ from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, Coupling, JointForces, Payload, Robot
-from redundancy_pin.robot.lookup import find_joint_index, find_link
+from redundancy_pin.robot.lookup import find_joint_index, find_link, find_link_index
 from redundancy_pin.robot.scales import closure_tolerance, force_terms
 
 IMPEDANCE = 0.9999
@@ -120,7 +120,14 @@ def mjcf(
             names = [_free_name(f"{closure.name}:{number}{side}", sites) for side in "ab"]
             for name, frame in zip(names, (closure.frame_a, closure.frame_b), strict=True):
                 _site(bodies, model, name, frame, offset)
-            _add(equality, kind, site1=names[0], site2=names[1], **soft)
+            if closure.is_rod:
+                rod = _add(tendons, "spatial", name=closure.name)
+                for name in names:
+                    _add(rod, "site", site=name)
+                longer = closure.length - _distance(model, closure)
+                _add(equality, kind, name=closure.name, tendon1=closure.name, polycoef=(longer, *[0.0] * 4), **soft)
+            else:
+                _add(equality, kind, site1=names[0], site2=names[1], **soft)
     for coupling in robot.couplings:
         _couple(equality, tendons, coupling, soft)
     if robot.platform is not None:
@@ -141,6 +148,14 @@ def _free_name(name: str, taken: set[str]) -> str:
     free = next(each for number in itertools.count() if (each := f"{name}{number or ''}") not in taken)
     taken.add(free)
     return free
+
+
+def _distance(model: pin.Model, closure: Closure) -> float:
+    """Return how far the frames of a closure are apart at the initial configuration of the file, m."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    one, other = (data.oMf[find_link_index(model, frame)] for frame in (closure.frame_a, closure.frame_b))
+    return float(np.linalg.norm(other.translation - one.translation))
 
 
 def _couple(
@@ -216,6 +231,8 @@ def constraint_of(robot: Robot, closure: Closure) -> tuple[str, list[Array]]:
     Raises:
         UnsupportedRobotError: no constraint of MuJoCo's has this mask.
     """
+    if closure.is_rod:
+        return "tendon", [np.zeros(3)]
     if closure.frame_a.endswith(UNIVERSAL):
         return "connect", [np.zeros(3)] if "x" in closure.axes else []
     constrained = set(closure.axes) | _idle(robot, closure)

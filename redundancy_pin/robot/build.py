@@ -38,6 +38,7 @@ def read_robot(
     mode: Sequence[int] | None = None,
     of: str = "model",
     own_model: bool = False,
+    rods: Mapping[str, float] = MappingProxyType({}),
 ) -> Robot:
     """Return the robot that a declaration makes of a mechanism, its names and roles checked.
 
@@ -52,9 +53,11 @@ def read_robot(
         mode: ±1 a leg; as declared when left out.
         of: what the tree is called in messages.
         own_model: the tree is the user's, whose joints stay what they are.
+        rods: lengths of rods by name, m, where nothing else says them.
 
     Raises:
-        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
+        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose, a rod between
+            two points that coincide.
         InputError: a working mode of the wrong form.
     """
     if not own_model:
@@ -73,6 +76,12 @@ def read_robot(
     _check_roles(declaration, closures, carriers, model, of)
     _check_couplings(couplings, declaration, carriers, model, of)
     guess = _guess(model, declaration.reference.guess, mechanism.start)
+    if any(each.is_rod for each in closures):
+        q = guess
+        if declaration.platform is None and declaration.reference.joints is not None:
+            given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
+            q = _guess(model, dict(given), guess)
+        closures = tuple(_with_length(each, rods, model, q) if each.is_rod else each for each in closures)
     robot = Robot(
         name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
@@ -211,9 +220,24 @@ def _check_couplings(
                 raise _refused(name, what, "A carrier moves nothing else; declare it as actuated instead.")
         if coupling.joint == coupling.of:
             raise _refused(coupling.joint, f"The joint {coupling.joint!r} is coupled to itself.", "Name another.")
+    if rods := [each.name for each in declaration.loops if each.is_rod and declaration.closed_form]:
+        what = f"`closed_form: {declaration.closed_form}` knows no rods, as {rods[0]!r} is."
+        raise _refused(rods[0], what, "Leave `closed_form` out: RneaDynamics covers every robot.")
     if couplings and declaration.closed_form:
         what = f"`closed_form: {declaration.closed_form}` knows no couplings, as {couplings[0].name!r} is."
         raise _refused(couplings[0].joint, what, "Leave `closed_form` out: RneaDynamics covers every robot.")
+
+
+def _with_length(rod: Closure, known: Mapping[str, float], model: pin.Model, q: Array) -> Closure:
+    """Return a rod with its length: its own, the one that is known, or the distance of its ends at q (nq,)."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    one, other = (data.oMf[find_link_index(model, name)].translation for name in (rod.frame_a, rod.frame_b))
+    length = rod.length or known.get(rod.name) or float(np.linalg.norm(other - one))
+    if not length > 0.0:
+        remedy = "Give its `length`, or a `reference.guess` in which they are apart."
+        raise _refused(rod.name, f"The ends of the rod {rod.name!r} coincide at the reference.", remedy)
+    return replace(rod, length=length)
 
 
 def _refused(name: str, what: str, remedy: str) -> DeclarationError:

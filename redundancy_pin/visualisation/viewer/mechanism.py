@@ -71,7 +71,7 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
     """Return the ends (3,), (3,) m of the lines that make up the mechanism at a configuration (nq,).
 
     A link is a line or, with three hinges or more, a polygon between its hinges (its own joint, the joints that follow,
-    its closures). The origin of a platform that is a single line is its end.
+    its closures). The origin of a platform that is a single line is its end. Rods that close loops are lines.
     """
     model, data = robot.model, _placed(robot, q)
     pairs: list[tuple[Array, Array]] = []
@@ -82,6 +82,11 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
             if int(frame.parentJoint) == body:
                 points = _distinct(robot, [*points, (data.oMi[body] * frame.placement).translation])
         pairs += _outline(_ordered(points))
+    for closure in robot.closures:
+        if closure.is_rod:
+            ends = [find_link(model, name) for name in (closure.frame_a, closure.frame_b)]
+            start, end = ((data.oMi[frame.parentJoint] * frame.placement).translation for frame in ends)
+            pairs.append((start, end))
     return tuple(pairs)
 
 
