@@ -1,4 +1,4 @@
-"""Small closed chains that no shipped model covers: universal, hinge and cylindrical closures, rods, continuous joints."""
+"""Small closed chains that no shipped model covers: universal, hinge, cylindrical closures, rods, joints without end."""
 
 from __future__ import annotations
 
