@@ -1,4 +1,4 @@
-"""Small closed chains that no shipped model covers: universal, hinge, cylindrical closures, rods, joints without end."""
+"""Small closed chains that no shipped model covers: universal, hinge, cylindrical closures; rods; endless joints."""
 
 from __future__ import annotations
 
