@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled.parameters import topology_of
 from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -86,6 +88,8 @@ def test_where_couplings_come_from(robot: Robot) -> None:
     )
     assert robot.constraint_names == ("coupling slide of arm", "coupling gears", "coupling elbow of arm")
     np.testing.assert_allclose(robot.q_reference, by_hand(np.array([0.3, 0.2]))[0], atol=1e-13)
+    other = replace(robot.couplings[1], polynomial=(0.3, 7.0), also=(("elbow", -1.0),))
+    assert topology_of(replace(robot, couplings=(robot.couplings[0], other, robot.couplings[2]))) == topology_of(robot)
 
 
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
