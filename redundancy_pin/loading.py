@@ -377,7 +377,7 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
         characteristic_length=declaration.characteristic_length
         or characteristic_length(robot.model, q, robot.carriers),
     )
-    check_reference_rank(ConstraintSystem(robot), dropped=dropped)
+    robot = check_reference_rank(ConstraintSystem(robot), dropped=dropped)
     if robot.all_closures:
         system = ConstraintSystem(with_all_rows(robot))
         turned = float(system.misalignment(system.evaluate(np.array(robot.q_reference)[None]))[0])

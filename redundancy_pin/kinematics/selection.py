@@ -157,10 +157,8 @@ def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
     if len(ends) != 1 or (np.linalg.norm(ends[0].far - ends[0].near) <= RANK_TOLERANCE * robot.characteristic_length):
         return None
     rod = ends[0]
-    if rod.closure is None:
-        return rod if model.joints[joints[0]].nq == 4 else None
-    closure = robot.closures[rod.closure]
-    return rod if closure.is_rod or closure.axes == AXES[:3] else None
+    is_ball = model.joints[joints[0]].nq == 4 if rod.closure is None else robot.closures[rod.closure].axes == AXES[:3]
+    return rod if is_ball else None
 
 
 def _off_axis(robot: Robot, joint: str, rod: _Rod, q: Array) -> float:
@@ -184,7 +182,6 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> R
     z = (rod.far - rod.near) / np.linalg.norm(rod.far - rod.near)
     x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)
-    at_first = at_first or (rod.closure is not None and robot.closures[rod.closure].is_rod)
     place = pin.SE3(np.column_stack([x, np.cross(z, x), z]), rod.near if at_first else rod.far)
     index = find_joint_index(model, joint)
     ends = (int(model.parents[index]), int(index)) if at_first else rod.ends

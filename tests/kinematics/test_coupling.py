@@ -238,7 +238,8 @@ def test_a_coupled_continuous_joint_counts_its_turns(folder: Path, tmp_path: Pat
 
 def test_the_command_line_shows_and_proposes_them(folder: Path, tmp_path: Path) -> None:
     facts = json.loads(call("info", "--robot", folder / "robot.yaml", "--json").stdout)
-    assert facts["couplings"][1] == {"joint": "rotor", "of": "lid", "polynomial": [0.5, GEAR], "also": [["elbow", FURTHER]]}
+    gears = {"joint": "rotor", "of": "lid", "polynomial": [0.5, GEAR], "also": [["elbow", FURTHER]]}
+    assert facts["couplings"][1] == gears
     assert "0.5 40" in call("info", "--robot", folder / "robot.yaml").stdout
     out = tmp_path / "own.yaml"
     proposed = json.loads(call("new", folder / "robot.urdf", "--out", out, "--json").stdout)
