@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.kinematics.tree import motion_subspace
-from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot import CarrierLimits, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint_index, find_link
 from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
@@ -82,12 +82,19 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
             if int(frame.parentJoint) == body:
                 points = _distinct(robot, [*points, (data.oMi[body] * frame.placement).translation])
         pairs += _outline(_ordered(points))
-    for closure in robot.closures:
-        if closure.is_rod:
-            ends = [find_link(model, name) for name in (closure.frame_a, closure.frame_b)]
-            start, end = ((data.oMi[frame.parentJoint] * frame.placement).translation for frame in ends)
-            pairs.append((start, end))
-    return tuple(pairs)
+    return (*pairs, *(ends_of(rod, model, data) for rod in rods_of(robot)))
+
+
+def rods_of(robot: Robot) -> tuple[Closure, ...]:
+    """Return the rods that close loops. No joint carries them: their numbers are behind those of the joints."""
+    return tuple(closure for closure in robot.closures if closure.is_rod)
+
+
+def ends_of(rod: Closure, model: pin.Model, data: pin.Data) -> tuple[Array, Array]:
+    """Return both ends (3,) of a rod, m, world, where the joints are placed."""
+    frames = [find_link(model, name) for name in (rod.frame_a, rod.frame_b)]
+    start, end = ((data.oMi[frame.parentJoint] * frame.placement).translation for frame in frames)
+    return start, end
 
 
 def _placed(robot: Robot, q: Array) -> pin.Data:
@@ -214,10 +221,13 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
             parent, placement = body, axis
         solids.append(_solid(f"joint_{name}", parent, placement, shape, form, role))
     for closure in robot.closures:
-        frame = find_link(model, closure.frame_a)
-        ball = (1.3 * JOINT_RADIUS * size,)
-        placement = frame.placement.homogeneous.copy()
-        solids.append(_solid(f"closure_{closure.name}", int(frame.parentJoint), placement, "sphere", ball, "closure"))
+        for name, end in (("", closure.frame_a), *([("_b", closure.frame_b)] if closure.is_rod else [])):
+            frame, ball = find_link(model, end), (1.3 * JOINT_RADIUS * size,)
+            place_of, label = frame.placement.homogeneous.copy(), f"closure_{closure.name}{name}"
+            solids.append(_solid(label, int(frame.parentJoint), place_of, "sphere", ball, "closure"))
+    for body, rod in enumerate(rods_of(robot), start=model.njoints):
+        form = (BAR_RADIUS * size, rod.length)
+        solids.append(_solid(f"rod_{rod.name}", body, np.eye(4), "cylinder", form, "link"))
     return solids
 
 
