@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 from spatial_chains import RCCC_TWISTS, ball
 from written import J, urdf_of, write_robot
 
@@ -151,6 +152,19 @@ def test_efforts_are_those_of_the_joint_that_the_kind_names(kind: str, tmp_path:
         np.testing.assert_allclose(tau[k], expected, rtol=1e-6, atol=1e-6 * np.abs(tau).max())
 
 
+def test_a_length_that_is_left_out_is_measured_where_the_reference_puts_the_joints(tmp_path: Path) -> None:
+    """And stays as it is where other lengths change."""
+    robot = declared(tmp_path, "rod", length=None)
+    model, q = robot.model, pin.neutral(robot.model)
+    q[model.joints[model.getJointId("crank")].idx_q] = 0.6
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    (rod,) = robot.closures
+    one, other = (data.oMf[model.getFrameId(name)].translation for name in (rod.frame_a, rod.frame_b))
+    assert rod.length == pytest.approx(np.linalg.norm(other - one), rel=1e-14)
+    assert robot.with_parameters(lengths={"rocker": 0.6}).closures == robot.closures
+
+
 @pytest.mark.parametrize(
     ("kind", "change", "message"),
     [
@@ -166,3 +180,13 @@ def test_efforts_are_those_of_the_joint_that_the_kind_names(kind: str, tmp_path:
 def test_what_makes_no_joint_is_refused(kind: str, change: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(DeclarationError, match=message):
         declared(tmp_path, kind, **change)
+
+
+def test_a_closed_form_knows_no_rods(tmp_path: Path) -> None:
+    folder = Path(rp.load_robot("3rrr").urdf_folder)
+    data = yaml.safe_load((folder / "robot.yaml").read_text(encoding="utf-8"))
+    data["urdf"] = str(folder / data["urdf"])
+    data["closures"][0] = {"rod": data["closures"][0]["frames"], "length": 0.1}
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(DeclarationError, match="`closed_form: 3rrr` knows no rods"):
+        rp.load_robot(tmp_path)
