@@ -25,7 +25,8 @@ from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, Coupling, JointForces, Payload, Robot
-from redundancy_pin.robot.lookup import find_joint_index, find_link, find_link_index
+from redundancy_pin.robot.lookup import find_joint_index, find_link
+from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.scales import closure_tolerance, force_terms
 
 IMPEDANCE = 0.9999
@@ -124,7 +125,7 @@ def mjcf(
                 rod = _add(tendons, "spatial", name=closure.name)
                 for name in names:
                     _add(rod, "site", site=name)
-                longer = closure.length - _distance(model, closure)
+                longer = closure.length - float(np.linalg.norm(np.subtract(*ends_of(closure, model, data))))
                 _add(equality, kind, name=closure.name, tendon1=closure.name, polycoef=(longer, *[0.0] * 4), **soft)
             else:
                 _add(equality, kind, site1=names[0], site2=names[1], **soft)
@@ -148,14 +149,6 @@ def _free_name(name: str, taken: set[str]) -> str:
     free = next(each for number in itertools.count() if (each := f"{name}{number or ''}") not in taken)
     taken.add(free)
     return free
-
-
-def _distance(model: pin.Model, closure: Closure) -> float:
-    """Return how far the frames of a closure are apart at the initial configuration of the file, m."""
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    one, other = (data.oMf[find_link_index(model, frame)] for frame in (closure.frame_a, closure.frame_b))
-    return float(np.linalg.norm(other.translation - one.translation))
 
 
 def _couple(

@@ -24,7 +24,7 @@ from redundancy_pin.robot.lookup import (
     joint_names,
     link_names,
 )
-from redundancy_pin.robot.loop_joints import add_frames
+from redundancy_pin.robot.loop_joints import add_frames, ends_of
 from redundancy_pin.robot.types import CarrierLimits, Closure, Coupling, Platform, Robot, slides
 from redundancy_pin.robot.urdf import Argument
 
@@ -81,7 +81,9 @@ def read_robot(
         if declaration.platform is None and declaration.reference.joints is not None:
             given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
             q = _guess(model, dict(given), guess)
-        closures = tuple(_with_length(each, rods, model, q) if each.is_rod else each for each in closures)
+        data = model.createData()
+        pin.forwardKinematics(model, data, q)
+        closures = tuple(_with_length(each, rods, model, data) if each.is_rod else each for each in closures)
     robot = Robot(
         name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
@@ -228,12 +230,9 @@ def _check_couplings(
         raise _refused(couplings[0].joint, what, "Leave `closed_form` out: RneaDynamics covers every robot.")
 
 
-def _with_length(rod: Closure, known: Mapping[str, float], model: pin.Model, q: Array) -> Closure:
-    """Return a rod with its length: its own, the one that is known, or the distance of its ends at q (nq,)."""
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    one, other = (data.oMf[find_link_index(model, name)].translation for name in (rod.frame_a, rod.frame_b))
-    length = rod.length or known.get(rod.name) or float(np.linalg.norm(other - one))
+def _with_length(rod: Closure, known: Mapping[str, float], model: pin.Model, data: pin.Data) -> Closure:
+    """Return a rod with its length: its own, the one that is known, or the distance of its ends in the data."""
+    length = rod.length or known.get(rod.name) or float(np.linalg.norm(np.subtract(*ends_of(rod, model, data))))
     if not length > 0.0:
         remedy = "Give its `length`, or a `reference.guess` in which they are apart."
         raise _refused(rod.name, f"The ends of the rod {rod.name!r} coincide at the reference.", remedy)

@@ -124,6 +124,13 @@ def add_frames(model: pin.Model, joints: Sequence[LoopJoint]) -> None:
             model.addFrame(pin.Frame(name, carrier.parentJoint, place, pin.FrameType.BODY))
 
 
+def ends_of(closure: Closure, model: pin.Model, data: pin.Data) -> tuple[Array, Array]:
+    """Return the origins (3,) of both frames of a closure, m, world, where the joints are placed in the data."""
+    frames = [find_link(model, name) for name in (closure.frame_a, closure.frame_b)]
+    one, other = ((data.oMi[frame.parentJoint] * frame.placement).translation for frame in frames)
+    return one, other
+
+
 def turned_to(axis: Array, column: int = 2) -> Array:
     """Return a rotation (3, 3) whose column of that number is along an axis (3,), of any length but zero.
 

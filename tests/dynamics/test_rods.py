@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +14,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled.parameters import topology_of
-from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.simulation.state import closed_state
 from redundancy_pin.status import SampleStatus
 
@@ -85,7 +86,8 @@ def reference_of(name: str, model: pin.Model) -> Array:
 def robot_of(name: str, *, rods: bool, driven: str = "", left_out: bool = False) -> Robot:
     """Return a machine with rods, or with links of mass 0 between two balls, whose spin is held."""
     model, pairs = MACHINES[name]()
-    closures, data = [], model.createData()
+    closures: list[Any] = []
+    data = model.createData()
     pin.forwardKinematics(model, data, reference_of(name, model))
     for number, ((joint_a, point_a), (joint_b, point_b), length) in enumerate(pairs):
         a, b = (model.getJointId(joint) for joint in (joint_a, joint_b))
@@ -93,8 +95,9 @@ def robot_of(name: str, *, rods: bool, driven: str = "", left_out: bool = False)
         place = pin.SE3(np.eye(3), np.array(point_a, dtype=float))
         if rods:
             model.addBodyFrame(f"a_{number}", a, place, 0)
-            ends = {"name": f"rod_{number}", "rod": [f"a_{number}", f"b_{number}"]}
-            closures.append(ends if left_out else {**ends, "length": length})
+            ends = (f"a_{number}", f"b_{number}")
+            known = Closure(f"rod_{number}", *ends, ("distance",), length)
+            closures.append({"name": f"rod_{number}", "rod": list(ends)} if left_out else known)
         else:
             line = data.oMi[a].actInv(data.oMi[b].act(np.array(point_b, dtype=float))) - place.translation
             place.rotation = pin.Quaternion.FromTwoVectors(np.eye(3)[0], line).matrix()

@@ -17,6 +17,7 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import CarrierLimits, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint_index, find_link
+from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
 
@@ -88,13 +89,6 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
 def rods_of(robot: Robot) -> tuple[Closure, ...]:
     """Return the rods that close loops. No joint carries them: their numbers are behind those of the joints."""
     return tuple(closure for closure in robot.closures if closure.is_rod)
-
-
-def ends_of(rod: Closure, model: pin.Model, data: pin.Data) -> tuple[Array, Array]:
-    """Return both ends (3,) of a rod, m, world, where the joints are placed."""
-    frames = [find_link(model, name) for name in (rod.frame_a, rod.frame_b)]
-    start, end = ((data.oMi[frame.parentJoint] * frame.placement).translation for frame in frames)
-    return start, end
 
 
 def _placed(robot: Robot, q: Array) -> pin.Data:

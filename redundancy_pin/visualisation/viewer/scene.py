@@ -21,8 +21,9 @@ from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint_index
+from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.types import slides
-from redundancy_pin.visualisation.viewer.mechanism import along_z, ends_of, joint_axis, place, rods_of, solids_of
+from redundancy_pin.visualisation.viewer.mechanism import along_z, joint_axis, place, rods_of, solids_of
 from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, Role, Solid
 
 if TYPE_CHECKING:
