@@ -76,20 +76,12 @@ def read_robot(
     _check_roles(declaration, closures, carriers, model, of)
     _check_couplings(couplings, declaration, carriers, model, of)
     guess = _guess(model, declaration.reference.guess, mechanism.start)
-    if any(each.is_rod for each in closures):
-        q = guess
-        if declaration.platform is None and declaration.reference.joints is not None:
-            given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
-            q = _guess(model, dict(given), guess)
-        data = model.createData()
-        pin.forwardKinematics(model, data, q)
-        closures = tuple(_with_length(each, rods, model, data) if each.is_rod else each for each in closures)
     robot = Robot(
         name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
         urdf=mechanism.shapes,
         model=model,
-        closures=closures,
+        closures=_with_lengths(closures, declaration, parameters, model, guess, rods),
         couplings=couplings,
         platform=with_pointer(declaration.platform, model, guess),
         independent_joints=declaration.independent.joints,
@@ -230,13 +222,34 @@ def _check_couplings(
         raise _refused(couplings[0].joint, what, "Leave `closed_form` out: RneaDynamics covers every robot.")
 
 
-def _with_length(rod: Closure, known: Mapping[str, float], model: pin.Model, data: pin.Data) -> Closure:
-    """Return a rod with its length: its own, the one that is known, or the distance of its ends in the data."""
-    length = rod.length or known.get(rod.name) or float(np.linalg.norm(np.subtract(*ends_of(rod, model, data))))
-    if not length > 0.0:
-        remedy = "Give its `length`, or a `reference.guess` in which they are apart."
-        raise _refused(rod.name, f"The ends of the rod {rod.name!r} coincide at the reference.", remedy)
-    return replace(rod, length=length)
+def _with_lengths(
+    closures: Sequence[Closure],
+    declaration: Declaration,
+    parameters: Mapping[str, Argument],
+    model: pin.Model,
+    guess: Array,
+    known: Mapping[str, float],
+) -> tuple[Closure, ...]:
+    """Return closures whose rods have lengths: their own, those known by name, or the distances of their ends.
+
+    Ends are where the guess (nq,) and the reference of independent joints put them.
+    """
+    if not any(each.is_rod for each in closures):
+        return tuple(closures)
+    data, q = model.createData(), guess
+    if declaration.platform is None and declaration.reference.joints is not None:
+        given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
+        q = _guess(model, dict(given), guess)
+    pin.forwardKinematics(model, data, q)
+    measured = []
+    for each in closures:
+        apart = float(np.linalg.norm(np.subtract(*ends_of(each, model, data))))
+        length = each.length or known.get(each.name) or apart
+        if each.is_rod and not length > 0.0:
+            remedy = "Give its `length`, or a `reference.guess` in which they are apart."
+            raise _refused(each.name, f"The ends of the rod {each.name!r} coincide at the reference.", remedy)
+        measured.append(replace(each, length=length) if each.is_rod else each)
+    return tuple(measured)
 
 
 def _refused(name: str, what: str, remedy: str) -> DeclarationError:
