@@ -187,6 +187,7 @@ def robot_with(
             parameters=robot.parameters,
             source=robot.source,
             mode=mode,
+            rods={each.name: each.length for each in robot.closures},
         )
         new = replace(
             new,
@@ -377,7 +378,7 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
         characteristic_length=declaration.characteristic_length
         or characteristic_length(robot.model, q, robot.carriers),
     )
-    check_reference_rank(ConstraintSystem(robot), dropped=dropped)
+    robot = check_reference_rank(ConstraintSystem(robot), dropped=dropped)
     if robot.all_closures:
         system = ConstraintSystem(with_all_rows(robot))
         turned = float(system.misalignment(system.evaluate(np.array(robot.q_reference)[None]))[0])

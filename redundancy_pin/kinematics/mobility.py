@@ -79,10 +79,14 @@ def _left_free(system: ConstraintSystem) -> str:
     return f" With {fixed}, these joints still move: {', '.join(names)}." if names else ""
 
 
-def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> None:
+def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> Robot:
     """Check that the reference is no place where rows depend on one another, or a type I singularity.
 
     ``dropped``: as of ``check_mobility``.
+
+    Returns:
+        The robot. A platform with one rotation whose frame turns about the axis that tells its angle, which stays then,
+        has another axis tell it.
 
     Raises:
         DeclarationError: it is; names the rows.
@@ -103,11 +107,23 @@ def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> 
             rank=rank,
         )
     if project(system, system.evaluate(np.array(robot.q_reference)[None])).margin[0] == 0.0:
+        if robot.platform is not None and len(robot.platform.rotations) == 1:
+            platforms = [replace(robot.platform, pointer=axis) for axis in range(3)]
+            other = max((replace(robot, platform=each) for each in platforms), key=_margin)
+            if _margin(other) > RANK_TOLERANCE:
+                return other
         raise DeclarationError(
             f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
             "joint velocities.",
             remedy="Move the reference, or declare other independent velocities." + _fitting(robot, robot.n),
         )
+    return robot
+
+
+def _margin(robot: Robot) -> float:
+    """Return how far the reference is from a type I singularity, 0 at one."""
+    system = ConstraintSystem(robot)
+    return float(project(system, system.evaluate(np.array(robot.q_reference)[None])).margin[0])
 
 
 def fitting_axes(robot: Robot, count: int) -> tuple[str, ...] | None:

@@ -18,7 +18,7 @@ from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, Mechanism
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link, find_link_index
-from redundancy_pin.robot.loop_joints import add_frames
+from redundancy_pin.robot.loop_joints import add_frames, ends_of
 from redundancy_pin.robot.types import CarrierLimits, Closure, Coupling, Platform, Robot, slides
 from redundancy_pin.robot.urdf import Argument
 
@@ -31,6 +31,7 @@ def read_robot(
     source: str = "",
     mode: Sequence[int] | None = None,
     own_model: bool = False,
+    rods: Mapping[str, float] = MappingProxyType({}),
 ) -> Robot:
     """Return the robot that a declaration makes of a mechanism, its names and roles checked.
 
@@ -44,9 +45,11 @@ def read_robot(
         source: what finds the robot again.
         mode: ±1 a leg; as declared when left out.
         own_model: the tree is the user's, whose joints stay what they are.
+        rods: lengths of rods by name, m, where nothing else says them.
 
     Raises:
-        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
+        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose, a rod between
+            two points that coincide.
         InputError: a working mode of the wrong form.
     """
     if not own_model:
@@ -71,7 +74,7 @@ def read_robot(
         parameters=MappingProxyType(dict(parameters)),
         urdf=mechanism.shapes,
         model=model,
-        closures=closures,
+        closures=_with_lengths(closures, declaration, parameters, model, guess, rods),
         couplings=couplings,
         platform=with_pointer(declaration.platform, model, guess),
         independent_joints=declaration.independent.joints,
@@ -188,9 +191,42 @@ def _check_couplings(
                 raise _refused(name, what, "A carrier moves nothing else; declare it as actuated instead.")
         if coupling.joint == coupling.of:
             raise _refused(coupling.joint, f"The joint {coupling.joint!r} is coupled to itself.", "Name another.")
+    if rods := [each.name for each in declaration.loops if each.is_rod and declaration.closed_form]:
+        what = f"`closed_form: {declaration.closed_form}` knows no rods, as {rods[0]!r} is."
+        raise _refused(rods[0], what, "Leave `closed_form` out: RneaDynamics covers every robot.")
     if couplings and declaration.closed_form:
         what = f"`closed_form: {declaration.closed_form}` knows no couplings, as {couplings[0].name!r} is."
         raise _refused(couplings[0].joint, what, "Leave `closed_form` out: RneaDynamics covers every robot.")
+
+
+def _with_lengths(
+    closures: Sequence[Closure],
+    declaration: Declaration,
+    parameters: Mapping[str, Argument],
+    model: pin.Model,
+    guess: Array,
+    known: Mapping[str, float],
+) -> tuple[Closure, ...]:
+    """Return closures whose rods have lengths: their own, those known by name, or the distances of their ends.
+
+    Ends are where the guess (nq,) and the reference of independent joints put them.
+    """
+    if not any(each.is_rod for each in closures):
+        return tuple(closures)
+    data, q = model.createData(), guess
+    if declaration.platform is None and declaration.reference.joints is not None:
+        given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
+        q = configuration(model, dict(given), guess)
+    pin.forwardKinematics(model, data, q)
+    measured = []
+    for each in closures:
+        apart = float(np.linalg.norm(np.subtract(*ends_of(each, model, data))))
+        length = each.length or known.get(each.name) or apart
+        if each.is_rod and not length > 0.0:
+            remedy = "Give its `length`, or a `reference.guess` in which they are apart."
+            raise _refused(each.name, f"The ends of the rod {each.name!r} coincide at the reference.", remedy)
+        measured.append(replace(each, length=length) if each.is_rod else each)
+    return tuple(measured)
 
 
 def _refused(name: str, what: str, remedy: str) -> DeclarationError:

@@ -114,7 +114,8 @@ class ClosureEntry(Schema):
     """What closes a loop: a joint between points of two links, or two frames and the axes along which they coincide.
 
     A joint is named by its kind: ``{hinge: [rod, rocker], at: [[0.2, 0, 0], [0.15, 0, 0]], axis: z}``. Its frame is at
-    a point of each link, turned by ``rpy``; its axis is read in that frame, one for both or one in each.
+    a point of each link, turned by ``rpy``; its axis is read in that frame, one for both or one in each. A rod has no
+    mass and a ball at a point of each link: ``{rod: [crank, rocker], at: [[0.2, 0, 0], [0.15, 0, 0]], length: 0.3}``.
     """
 
     name: str | None = None
@@ -127,11 +128,13 @@ class ClosureEntry(Schema):
     universal: Pair | None = None
     planar: Pair | None = None
     weld: Pair | None = None
+    rod: Pair | None = None
     at: Points = (_ORIGIN, _ORIGIN)
     rpy: Points = (_ORIGIN, _ORIGIN)
     axis: Direction | tuple[Direction, Direction] | None = Field(
         None, description="x, y, z or a list of 3 numbers, or one of these for each link"
     )
+    length: Limit = None
 
     @model_validator(mode="after")
     def _has_what_its_kind_takes(self) -> ClosureEntry:
@@ -163,7 +166,8 @@ class ClosureEntry(Schema):
             return None
         links = getattr(self, kind)
         places = [placed(pin.rpy.rpyToMatrix(*rpy), at) for at, rpy in zip(self.at, self.rpy, strict=True)]
-        return joint_between(self.name or f"{kind} {' = '.join(links)}", kind, links, places, self._directions())
+        name = self.name or f"{kind} {' = '.join(links)}"
+        return joint_between(name, kind, links, places, self._directions(), self.length or 0.0)
 
     def closure(self) -> Closure:
         """Return the closure, with a name."""
@@ -182,6 +186,7 @@ _TAKES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "universal": (("axis",), ("at", "rpy")),
     "planar": ((), ("at", "axis", "rpy")),
     "weld": ((), ("at", "rpy")),
+    "rod": ((), ("at", "length")),
 }
 """Keys beside a kind: those that it needs, and those that may be left out."""
 

@@ -35,12 +35,20 @@ class Closure:
         frame_a, frame_b: names of the two frames (URDF links).
         axes: the constrained axes, a subset of ``AXES``, read in frame a. A planar pin joint is
             ``("x", "y")``, a hinge about z ``("x", "y", "z", "rx", "ry")``, a ball joint ``("x", "y", "z")``.
+            ``("distance",)`` is a rod without mass that holds the origins of both frames at a constant distance.
+        length: that distance, m; zero without a rod.
     """
 
     name: str
     frame_a: str
     frame_b: str
     axes: tuple[str, ...]
+    length: float = 0.0
+
+    @property
+    def is_rod(self) -> bool:
+        """Whether it is a rod of constant length."""
+        return self.axes == ("distance",)
 
 
 @dataclass(frozen=True)
