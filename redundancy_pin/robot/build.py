@@ -72,7 +72,7 @@ def read_robot(
     couplings = (*declaration.coupled, *(each for each in mechanism.couplings if each.joint not in own))
     _check_roles(declaration, closures, carriers, model, of)
     _check_couplings(couplings, declaration, carriers, model, of)
-    guess = _guess(model, declaration.reference.guess, mechanism.start)
+    guess = guessed(model, declaration.reference.guess, mechanism.start)
     robot = Robot(
         name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
@@ -269,7 +269,8 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
     return tuple(int(sign) for sign in mode)
 
 
-def _guess(model: pin.Model, positions: Mapping[str, float], start: Array | None = None) -> Array:
+def guessed(model: pin.Model, positions: Mapping[str, float], start: Array | None = None) -> Array:
+    """Return a configuration (nq,) with some joints elsewhere than at the start, rad or m."""
     q: Array = pin.neutral(model) if start is None else start.copy()
     for name, value in positions.items():
         joint = find_joint(model, name)
