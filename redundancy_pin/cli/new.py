@@ -45,11 +45,12 @@ def _positions(context: click.Context, option: click.Parameter, text: str | None
 @trust_option
 @json_option
 def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) -> int:
-    r"""Write a robot.yaml for a model: URDF, xacro, MJCF, SDF or a robot.yaml of example-parallel-robots.
+    r"""Write a robot.yaml for a model file.
 
-    Lists the loops and motors that the file states, and those that its names and places tell without doubt. Everything
-    else is a question, with the flags that answer it: the file that is written does not load before they are answered,
-    and the exit code is 2.
+    The file may be a URDF, xacro, MJCF, SDF, or a robot.yaml of example-parallel-robots. The loops and motors that it
+    states are listed, and those that names and places tell without doubt. Everything else is a question, with the flags
+    that answer it; the robot.yaml does not load before they are answered, and the exit code is 2. Without KIND, --close
+    is a ball where a hinge would be the same.
 
     \b
     Example:
