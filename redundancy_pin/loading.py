@@ -386,12 +386,8 @@ def _of_mechanism(
         given = {"independent": {"joints": list(mechanism.independent)}, **given}
     given = {"urdf": file.name, "actuated": list(mechanism.actuated), **given}
     if not given["actuated"]:
-        if is_urdf(file):
-            drive = 'Name what is driven (actuated="a,b"), give it a transmission or ros2_control'
-        elif file.suffix.lower() == ".sdf":  # which has no actuators
-            drive = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
-        else:
-            drive = "Give it actuators"
+        named = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
+        drive = named if file.suffix.lower() in (".urdf", ".sdf") else "Give it actuators"
         remedy = f"{drive}, or write a robot.yaml that names it under `urdf`, and joints under `actuated`."
         raise DeclarationError(f"{file.name} drives no joint.", remedy=remedy)
     # a URDF does not say it: a declaration of one that leaves it out has none

@@ -56,7 +56,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) 
     Example:
       redundancy-pin new machine.urdf --close left_tip,right_tip --actuate motor_1,motor_2
     """
-    from redundancy_pin.loading import load_robot, propose_robot
+    from redundancy_pin.loading import load_with, propose_robot
     from redundancy_pin.robot.model_files import is_model_file, is_urdf
     from redundancy_pin.robot.named import too_few_motors
 
@@ -71,7 +71,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) 
     write_text(target, _declaration(proposal, robot, place))
     mechanism, notes, outcome = proposal.mechanism, proposal.mechanism.notes, "it loads when all is decided"
     if robot and not proposal.questions:
-        loaded = load_robot(target, trust=trust)
+        loaded = load_with(target, {}, trust=trust)
         notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]))
         outcome = f"n = {loaded.n}, m = {loaded.m}"
     facts = {
@@ -87,14 +87,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) 
     }
     for question in proposal.questions:
         warning(f"undecided: {question}")
-    lines = [
-        f"loop: {each.kind} of {' and '.join(each.links)}, {proposal.found.get(each.name, 'stated by the file')}"
-        for each in mechanism.loop_joints
-    ]
-    lines = lines or ["loops: none"]
-    lines += [f"motors: {', '.join(mechanism.actuated)}, {proposal.motors}"] * bool(proposal.motors)
-    lines += [f"frames that close no loop: {', '.join(proposal.frames)}"] * bool(proposal.frames)
-    report(as_json, facts, *lines, *notes, f"{target}: {outcome}.")
+    report(as_json, facts, *proposal.listed(), *notes, f"{target}: {outcome}.")
     return BAD_INPUT if proposal.questions else 0
 
 

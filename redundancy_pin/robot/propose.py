@@ -104,25 +104,35 @@ class Proposal:
             robot: made of ``mechanism``, its reference closed.
             turning: names of the loop joints whose links turn against each other about several axes.
         """
-        asked = list[str]()
-        rows = {each.name: len(each.axes) for each in robot.closures}
-        for loop in self.mechanism.loop_joints:
-            ends, flag, held = ",".join(loop.links), _close(loop.links), rows.get(loop.name, 0)
-            if self.found.get(loop.name, _BY_FLAG) != _BY_FLAG and held < _FEWEST_ROWS:
-                asked.append(
-                    f"Is a loop cut at {flag[8:]}? Closing it holds {held} direction(s) only: {flag} or --open."
-                )
-            if loop.name in self.mechanism.presumed and loop.name in turning:
-                asked.append(
-                    f"Which joint closes the loop at {ends}? Its links turn about several axes, so a hinge about z "
-                    f"of these frames is not the same as a ball: {flag},ball or {flag},hinge."
-                )
         motors, how = self.mechanism.actuated, self.motors
         if how == BY_NAME and not (len(motors) == robot.n and set(motors) == set(robot.independent_joints)):
             how = ""
+        asked, rows = list[str](), {each.name: len(each.axes) for each in robot.closures}
+        for loop in self.mechanism.loop_joints:
+            ends, flag, held = ",".join(loop.links), _close(loop.links), rows.get(loop.name, 0)
+            if self.found.get(loop.name, _BY_FLAG) != _BY_FLAG and held < _FEWEST_ROWS:
+                asked.append(f"Is a loop cut at {ends}? Closing it holds {held} direction(s) only: {flag} or --open.")
+            elif loop.name in self.mechanism.presumed and (loop.name in turning or (how and len(motors) < robot.n)):
+                why = (
+                    "Its links turn about several axes, so a hinge about z of these frames is not the same as a ball"
+                    if loop.name in turning
+                    else f"With a ball or hinge the mechanism has {robot.n} DOF and {len(motors)} motor(s)"
+                )
+                ways = " or ".join(f"{flag},{kind}" for kind in ("ball", "hinge", "weld"))
+                asked.append(f"Which joint closes the loop at {ends}? {why}: {ways}.")
         if not how:
             asked.append(which_motors(self.mechanism, robot.n))
         return replace(self, motors=how).asking(*asked)
+
+    def listed(self) -> tuple[str, ...]:
+        """Return a line on each loop, the motors, and marks that close no loop."""
+        loops = [
+            f"loop: {each.kind} of {' and '.join(each.links)}, {self.found.get(each.name, 'stated by the file')}"
+            for each in self.mechanism.loop_joints
+        ]
+        motors = f"motors: {', '.join(self.mechanism.actuated)}, {self.motors}" if self.motors else "motors: not known"
+        frames = [f"links that close no loop: {', '.join(self.frames)}"] if self.frames else []
+        return (*(loops or ["loops: none"]), motors, *frames)
 
 
 def propose(

@@ -253,6 +253,15 @@ def test_a_ball_or_a_hinge_is_asked_where_they_differ(turn: float, kind: str, n:
     assert (decided.questions, robot.n) == ((), n)
 
 
+def test_a_link_that_is_cut_in_two_is_asked_about_where_motors_are_too_few(tmp_path: Path) -> None:
+    """The pins of a four-bar are all in the tree, and its coupler is cut: a ball would leave two degrees of freedom."""
+    path = written(tmp_path, *FIVE_BAR.joints)
+    proposal, _ = propose_robot(path, actuate=["motor_1"])
+    assert "2 DOF and 1 motor(s): --close left_tip,right_tip,ball or" in " ".join(proposal.questions)
+    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"])
+    assert (proposal.questions, robot.n) == ((), 1)
+
+
 @pytest.mark.parametrize("name", shipped_robots())
 def test_shipped_urdfs_are_closed_as_declared_or_asked(name: str, tmp_path: Path) -> None:
     """Of each robot's URDF alone: no loop is found that its declaration does not close."""
