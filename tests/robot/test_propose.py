@@ -186,6 +186,8 @@ def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
         (renamed({"left_tip": "arm_loop", "right_tip": "rod_loop"}, by=0.05), None),
         (renamed({}, J("t", "fixed", "link_l1", "tool0", (0.1, 0, 0))), None),
         (renamed({}, by=0.05), "--close left_tip,right_tip (the only two)"),
+        (renamed({}, by=0.00002), "--close left_tip,right_tip (the only two)"),
+        (renamed({}, by=0.000003), None),
         (
             renamed({"left_tip": "ltip", "right_tip": "rtip"}, J("s", "fixed", "link_l0", "spare")),
             "of the links spare",
