@@ -26,6 +26,7 @@ from redundancy_pin.kinematics.coordinates import (
     reference_coordinates,
     working_modes,
 )
+from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
@@ -40,6 +41,7 @@ from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
 from redundancy_pin.robot.named import too_few_motors
+from redundancy_pin.robot.propose import Proposal, propose, which_motors
 from redundancy_pin.robot.rebuild import rebuilt, span
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, source_of
@@ -179,7 +181,7 @@ def robot_with(
             None if file is None else declaration.joint_types,
         )
         if file is None:  # without a declaration the reference is the nearest closed configuration
-            mechanism = replace(mechanism, start=np.array(robot.q_reference))
+            mechanism = replace(propose(mechanism).mechanism, start=np.array(robot.q_reference))
         new, dropped = _joined(
             declaration,
             mechanism,
@@ -240,23 +242,102 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     if data.get("joint_types"):
         kinds = parse(_whole(data, request.path), parameters).joint_types
     mechanism = read(kinds)
+    proposal = propose(mechanism) if is_urdf(file) and not data else None
+    if proposal:
+        _require_decided(proposal, file)
+        mechanism = proposal.mechanism
+    robot = _robot_of(mechanism, request, file, data, parameters)
+    if proposal:
+        _require_decided(proposal.settled(robot, _turning(proposal, robot)), file)
+    _report(robot.notes, file)
+    return replace(robot, urdf_folder=str(file.resolve().parent))
+
+
+def _robot_of(
+    mechanism: Mechanism, request: _Request, file: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]
+) -> Robot:
+    """Return the robot of a mechanism, with hinges for balls that move freely, or a reference beside a flat start."""
 
     def at(own: Mechanism) -> Robot:
         return _of_mechanism(own, request, file, data, parameters)
 
     try:
-        robot = at(mechanism)
+        return at(mechanism)
     except DeclarationError as error:
         if "balls" in error.details:
-            robot = at(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
-        elif "rank" in error.details and mechanism.loop_joints and not data:
-            robot = beside(mechanism, at, error)
-            _warn_once(f"{file.name}: {FLAT}")
-            robot = replace(robot, notes=(*robot.notes, FLAT))
-        else:
+            return at(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
+        if "rank" not in error.details or not mechanism.loop_joints or data:
             raise
-    _report(robot.notes, file)
-    return replace(robot, urdf_folder=str(file.resolve().parent))
+        robot = beside(mechanism, at, error)
+    _warn_once(f"{file.name}: {FLAT}")
+    return replace(robot, notes=(*robot.notes, FLAT))
+
+
+# --- files that leave something open ----------------------------------------------------------------------------------
+
+
+def propose_robot(
+    path: Path,
+    *,
+    close: Sequence[str] = (),
+    actuate: Sequence[str] = (),
+    independent: Sequence[str] = (),
+    guess: Mapping[str, float] = MappingProxyType({}),
+    is_open: bool = False,
+    trust: bool = False,
+) -> tuple[Proposal, Robot | None]:
+    """Return what is certain of a model file and what is to be asked, and the robot, None where none can be made yet.
+
+    Args:
+        path: a file of ``load_robot`` that needs no declaration.
+        close: as of ``propose``.
+        actuate: as of ``propose``.
+        independent: names of independent joints; chosen where it is empty.
+        guess: positions of joints, rad or m; the loops are closed near them.
+        is_open: as of ``propose``.
+        trust: as of ``load_robot``.
+
+    Raises:
+        RedundancyPinError: files that cannot be read, unknown names.
+
+    Example:
+        >>> proposal, robot = propose_robot(Path("five_bar.urdf"), close=["ltip,rtip"], actuate=["a", "c"])
+    """
+    parameters, read = open_model(path, {}, trust=trust)
+    proposal = propose(read(None), close=close, actuate=actuate, is_open=is_open)
+    mechanism = proposal.mechanism
+    if proposal.questions:  # without its loops a mechanism has another number of degrees of freedom
+        return proposal.asking(*([] if proposal.motors else [which_motors(mechanism)])), None
+    start = configuration(mechanism.model, guess, mechanism.start)
+    mechanism = replace(mechanism, start=start, independent=tuple(independent) or mechanism.independent)
+    try:
+        robot = _robot_of(mechanism, _Request(path, "", {}, None, None, trust, untrusted=False), path, {}, parameters)
+    except DeclarationError as error:
+        return proposal.asking(str(error)), None
+    proposal = proposal.settled(robot, _turning(proposal, robot))
+    if not guess and len(start) == robot.model.nq and branches_meet(robot, start):
+        proposal = proposal.asking(
+            "Which branch? Where all joints start, loops lie in a line and branches meet: --guess JOINT=VALUE,... near "
+            "the reference of your machine; what is written here is one of them."
+        )
+    return proposal, robot
+
+
+def _turning(proposal: Proposal, robot: Robot) -> tuple[str, ...]:
+    """Return the loop joints of unknown kind whose links turn against each other about several axes."""
+    loops = proposal.mechanism.loop_joints
+    ends = {joint.name: joint.links for joint in loops if joint.name in proposal.mechanism.presumed}
+    return tuple(name for name, links in ends.items() if links in about_several_axes(robot, tuple(ends.values())))
+
+
+def _require_decided(proposal: Proposal, file: Path) -> None:
+    """Refuse a file that leaves something open."""
+    if proposal.questions:
+        raise DeclarationError(
+            f"{file.name} does not say it all. {' '.join(proposal.questions)}",
+            remedy=f"`redundancy-pin new {file.name}` with these flags writes a robot.yaml that does.",
+            questions=proposal.questions,
+        )
 
 
 def _whole(data: Mapping[str, Any], path: Path) -> dict[str, Any]:
@@ -306,12 +387,8 @@ def _of_mechanism(
         given = {"independent": {"joints": list(mechanism.independent)}, **given}
     given = {"urdf": file.name, "actuated": list(mechanism.actuated), **given}
     if not given["actuated"]:
-        if is_urdf(file):
-            drive = 'Name what is driven (actuated="a,b"), give it a transmission or ros2_control'
-        elif file.suffix.lower() == ".sdf":  # which has no actuators
-            drive = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
-        else:
-            drive = "Give it actuators"
+        named = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
+        drive = named if file.suffix.lower() in (".urdf", ".sdf") else "Give it actuators"
         remedy = f"{drive}, or write a robot.yaml that names it under `urdf`, and joints under `actuated`."
         raise DeclarationError(f"{file.name} drives no joint.", remedy=remedy)
     # a URDF does not say it: a declaration of one that leaves it out has none

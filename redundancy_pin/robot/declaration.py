@@ -425,6 +425,10 @@ def _require_radians(angles: Sequence[float], key: str, given: object) -> None:
         raise bad_value(key, given, "angles in radians, within a turn (degrees?)")
 
 
+UNDECIDED = "undecided"
+"""Key of what `redundancy-pin new` could not know: a declaration that has it is refused, with the questions."""
+
+
 def read_declaration(path: Path) -> YamlFile:
     """Read the mapping at the top of a declaration.
 
@@ -442,11 +446,15 @@ def read_declaration(path: Path) -> YamlFile:
         raise DeclarationError(f"{path} is {other}, not a declaration.", remedy=remedy, format=other)
     file = parse_yaml(text, str(path), ModelFileError)
     data = file.data
-    known = list(Declaration.model_fields)
+    known = [*Declaration.model_fields, UNDECIDED]
     if not isinstance(data, dict):
         raise DeclarationError(f"{path} holds no mapping of keys.", remedy=f"Its keys: {', '.join(known)}.")
     with file.naming():
         require_known_keys(data, known, "")
+        if questions := data.pop(UNDECIDED, None):
+            asked = questions if isinstance(questions, list) else [questions]
+            remedy = f"Decide it in the file, then delete the key `{UNDECIDED}`."
+            raise DeclarationError(" ".join(map(str, asked)), remedy=remedy, key=UNDECIDED)
         if not isinstance(data.get("urdf"), str):
             raise DeclarationError(
                 "The declaration names no `urdf`.",

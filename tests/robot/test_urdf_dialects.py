@@ -130,6 +130,7 @@ def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") ->
     for old, new in changes:
         assert old in text
         text = text.replace(old, new, 1)
+    folder.mkdir(exist_ok=True)
     path = folder / f"{name}.urdf"
     path.write_text(text)
     return path
@@ -228,8 +229,12 @@ def test_a_coupling_of_three_joints_shares_its_torque(backend: type, tmp_path: P
 def test_joints_of_a_plain_file_are_named_as_driven_and_its_base_may_move(tmp_path: Path) -> None:
     drive = '  <transmission name="drive"><joint name="motor"/><actuator name="m"/></transmission>\n'
     path = changed(tmp_path, (drive, ""))
-    with pytest.raises(RedundancyPinError, match=r"drives no joint.*actuated="):
-        rp.load_robot(path)
+    assert rp.load_robot(path).actuated == ("motor",)  # by its name
+    nameless = changed(tmp_path / "a", (drive, ""), ('"motor"', '"crank"'))
+    with pytest.raises(
+        RedundancyPinError, match=r"Which joints are driven, of crank, knee, foot\?.*redundancy-pin new"
+    ):
+        rp.load_robot(nameless)
     assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
     free = rp.load_robot(path, actuated="motor", base="free")
     assert (free.n, free.m) == (7, 1)
