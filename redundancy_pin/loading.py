@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray, checked, frozen, read_only
+from redundancy_pin.arrays import AGREEMENT_TOLERANCE, Array, IntArray, checked, frozen, read_only
 from redundancy_pin.errors import DeclarationError, InputError, millimetres
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
@@ -28,7 +28,7 @@ from redundancy_pin.kinematics.coordinates import (
 )
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.multistart import multistart
-from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
+from redundancy_pin.kinematics.selection import Selection, selected
 from redundancy_pin.robot import Closure, Robot
 from redundancy_pin.robot.build import characteristic_length, read_robot
 from redundancy_pin.robot.changes import changed_urdf, require_still_joined
@@ -579,20 +579,20 @@ def _joined(
     robot, selection, notes = _with_rows_that_count(
         robot,
         redundant=loose,
-        rounded=bool(of.get("source")),
+        declared=None if choose else robot.n,
         resisted=resisted | {str(model.names[index]) for index in turning},
     )
     return replace(robot, notes=(*robot.notes, *notes)), selection, loose
 
 
 def _with_rows_that_count(
-    robot: Robot, *, redundant: bool, rounded: bool, resisted: Collection[str] = ()
+    robot: Robot, *, redundant: bool, declared: int | None, resisted: Collection[str] = ()
 ) -> tuple[Robot, Selection, list[str]]:
     """Return a robot without its redundant closure rows, what else was chosen, and what is to be said of it."""
     notes: list[str] = []
     provisional = replace(robot, platform=None, independent_joints=())
     selection = selected(
-        provisional, np.array(robot.q_reference), redundant=redundant, rounded=rounded, resisted=resisted
+        provisional, np.array(robot.q_reference), redundant=redundant, declared=declared, resisted=resisted
     )
     kept = selection.robot
     robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
@@ -615,7 +615,7 @@ def _with_rows_that_count(
         rows, opened = ", ".join(selection.left_out), selection.opened
         nearby = (
             f" to {opened:.1g} (characteristic lengths or rad) nearby, as the file's numbers are rounded"
-            if opened > STAYS_CLOSED
+            if opened > AGREEMENT_TOLERANCE
             else ""
         )
         notes.append(f"Redundant closure rows left out, the loops stay closed in them{nearby}: {rows}.")

@@ -154,7 +154,8 @@ def independent_columns(
 
     Args:
         matrix: (r, c).
-        apart: smallest distance of a column from the span of the others, relative to the longest column.
+        apart: smallest distance of a column from the span of the others; relative to the longest column, where that is
+            shorter than 1.
         taken: columns that are chosen already; they come first.
         among: columns to choose from, all when left out.
         most: number of columns at which to stop.
@@ -180,7 +181,7 @@ def independent_columns(
         waiting = [index for index in waiting if index not in chosen]
         rest = matrix[:, waiting] - basis @ (basis.T @ matrix[:, waiting])
         lengths = np.linalg.norm(rest, axis=0)
-        if not lengths.max(initial=0.0) > apart * longest:
+        if not lengths.max(initial=0.0) > apart * min(longest, 1.0):
             break
         # the first of equals, whatever their rounding
         chosen.append(waiting[int(np.argmax(lengths > (1.0 - RANK_TOLERANCE) * lengths.max()))])
