@@ -18,14 +18,17 @@ _ITERATIONS = 100
 """Most steps of Newton's method: on redundant rows it converges linearly where they lose rank."""
 
 
-def closed_near(robot: Robot, q: Array, tolerance: float | None = None) -> Array:
+def closed_near(
+    robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE, rank_tolerance: float = RANK_TOLERANCE
+) -> Array:
     """Return the closed configuration (nq,) that the smallest changes of q lead to.
 
     Args:
         robot: its closure rows may be redundant.
         q: (nq,) where to begin.
-        tolerance: largest closure residual, characteristic lengths or rad, of redundant rows that contradict each
-            other, and largest singular value of rows that count as redundant; by default they agree.
+        tolerance: largest closure residual, characteristic lengths or rad; larger where redundant rows agree except for
+            rounding.
+        rank_tolerance: as of ``assemble``.
 
     Raises:
         DeclarationError: the loops do not close from there; carries the smallest residual, m.
@@ -37,8 +40,8 @@ def closed_near(robot: Robot, q: Array, tolerance: float | None = None) -> Array
     best = np.inf
     starts = (q, *(draw_starts(system, q, 1, rng, turn=spread, slide=spread)[0] for spread in _SPREADS))
     for start in starts:
-        closed, gap = close(system, start, tolerance or RANK_TOLERANCE)
-        if gap < (tolerance or CLOSURE_TOLERANCE) * robot.characteristic_length:
+        closed, gap = close(system, start, rank_tolerance)
+        if gap < tolerance * robot.characteristic_length:
             return closed
         best = min(best, gap)
     raise DeclarationError(

@@ -31,7 +31,7 @@ EXACT = 1e-6
 """``FILE_TOLERANCE`` of models whose rows are no more redundant than that: short levers make rows that are independent
 by 1e-4 only (Cassie's feet), and the loops open where they are left out."""
 
-_DOUBTFUL = 2e-2
+_DOUBTFUL = 3e-2
 """Rows that are independent by less, rad or characteristic lengths, may be redundant ones of wrong placements."""
 
 _WELL_APART = 1e-2
@@ -100,11 +100,16 @@ def selected(
     opened, start = 0.0, q
     if redundant and (robot.closures or robot.couplings):
         # numbers of a file are rounded; where the loops open in what would be redundant then, they mean what they say
+        every = robot
         try:
-            robot, left_out, opened, q = _without_redundant_rows(robot, start, FILE_TOLERANCE)
+            robot, left_out, opened, q = _without_redundant_rows(every, start, FILE_TOLERANCE, _DOUBTFUL)
         except DeclarationError:
-            robot, left_out, opened, q = _without_redundant_rows(robot, start, EXACT)
-        _require_plain_rank(robot, start, q, declared)
+            _refuse_wrong_placements(every, start, declared)
+            robot, left_out, opened, q = _without_redundant_rows(every, start, EXACT, EXACT)
+        else:
+            rows = ConstraintSystem(robot).closure_rows(q)
+            if len(independent_columns(rows.T, _DOUBTFUL)) < len(rows):
+                _refuse_wrong_placements(every, start, declared)
     else:
         q = closed_near(robot, start)
     rods, off_axis, near = list[str](), dict[str, float](), FILE_TOLERANCE * robot.characteristic_length
@@ -205,7 +210,7 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> R
 
 
 def _without_redundant_rows(
-    robot: Robot, start: Array, tolerance: float
+    robot: Robot, start: Array, tolerance: float, firm: float
 ) -> tuple[Robot, tuple[str, ...], float, Array]:
     """Return the robot with the rows that count, the names of the others, how far these open, and a configuration.
 
@@ -214,18 +219,19 @@ def _without_redundant_rows(
         start: (nq,) where the loops are closed from.
         tolerance: largest distance of redundant rows from the span of the others, and largest residual in them, rad or
             characteristic lengths.
+        firm: smallest singular value of combinations of rows that move the joints when the loops are closed.
     """
     system = ConstraintSystem(robot)
-    q = closed_near(robot, start, tolerance)
+    q = closed_near(robot, start, tolerance, firm)
     # at a singular reference the rank is lower than around it, and the choice is made where it is not
-    rows = [system.closure_rows(each) for each in _neighbours(system, q, tolerance)]
+    rows = [system.closure_rows(each) for each in _neighbours(system, q, tolerance, firm)]
     keep = np.zeros(len(system.rows), dtype=bool)
     keep[max((independent_columns(each.T, tolerance) for each in rows), key=len)] = True
     if keep.all():
-        return robot, (), 0.0, closed_near(robot, start, EXACT)
+        return robot, (), 0.0, closed_near(robot, q, EXACT, EXACT)
     fewer, left_out = _with_rows(robot, keep)
     # with these rows alone, do the others stay closed, and stay redundant, which shows earlier?
-    around = _neighbours(ConstraintSystem(fewer), q, EXACT)
+    around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
     opened = np.abs(system.evaluate(around).phi / system.closure_unit).max(axis=0)
     ranks = [len(independent_columns(system.closure_rows(each).T, tolerance)) for each in around]
     if opened.max() <= tolerance and max(ranks) == keep.sum():
@@ -241,44 +247,47 @@ def _without_redundant_rows(
     )
 
 
-def _require_plain_rank(robot: Robot, start: Array, q: Array, declared: int | None) -> None:
-    """Refuse rows that are redundant except for wrong placements, and name how far the loops open without them.
+def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -> None:
+    """Raise DeclarationError for rows that are redundant except for wrong placements; it names how far they open.
 
-    Such rows take a degree of freedom that is declared, or, where none are, the loops miss them at the start (nq,).
+    Short levers and loops in line make rows that are hardly independent, too: those hold more and more on the way from
+    there, or leave the number of degrees of freedom that is declared.
     """
-    system = ConstraintSystem(robot)
-    freedoms = len(system.pose_columns) - len(system.rows)
-    if declared is not None and freedoms >= declared:
+    system, near = ConstraintSystem(robot), 10.0 * _DOUBTFUL
+    try:
+        q = closed_near(robot, start, near, _DOUBTFUL)
+    except DeclarationError:
         return
-    for each in (q, *_neighbours(system, q, EXACT)):
-        plain = independent_columns(system.closure_rows(each).T, _DOUBTFUL)
-        if len(plain) == len(system.rows):
-            return
-    missed = close(system, start, _DOUBTFUL)[1]
-    if declared is None and freedoms > 0 and missed <= FILE_TOLERANCE * robot.characteristic_length:
-        return
+    rows = [system.closure_rows(each) for each in _neighbours(system, q, near, _DOUBTFUL)]
     keep = np.zeros(len(system.rows), dtype=bool)
-    keep[plain] = True
+    keep[max((independent_columns(each.T, _DOUBTFUL) for each in rows), key=len)] = True
+    rank = int(keep.sum())
+    if rank == min(rows[0].shape) or declared not in (None, len(system.pose_columns) - rank):
+        return
     fewer, doubtful = _with_rows(robot, keep)
-    around = _neighbours(ConstraintSystem(fewer), q, EXACT)
+    around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
     opened = float(np.abs(system.evaluate(around).phi / system.closure_unit).max())
-    raise DeclarationError(
-        f"{robot.name} has closure rows that are redundant except for {opened:.3g} (characteristic lengths or rad): "
-        f"{', '.join(doubtful)}. With them {max(freedoms, 0)} degree(s) of freedom are left.",
-        remedy=f"Correct the placements of joints and closures: up to {FILE_TOLERANCE:g} counts as rounding.",
-        gap=opened,
-    )
+    held = [float(np.linalg.svd(system.closure_rows(each), compute_uv=False)[rank]) for each in around]
+    wrong = max(held) <= _DOUBTFUL if opened > FILE_TOLERANCE else FILE_TOLERANCE < max(held) <= 2.0 * held[0]
+    if wrong:
+        raise DeclarationError(
+            f"{robot.name} has closure rows that are redundant except for {max(opened, held[0]):.3g} (characteristic "
+            f"lengths or rad): {', '.join(doubtful)}.",
+            remedy=f"Correct the placements of joints and closures, of which {FILE_TOLERANCE:g} counts as rounding; or "
+            "write a declaration with as many independent joints as these rows leave.",
+            gap=max(opened, held[0]),
+        )
 
 
-def _neighbours(system: ConstraintSystem, q: Array, tolerance: float) -> Array:
-    """Return configurations (N, nq) closed to a tolerance, that of ``close`` too, the first of them q itself.
+def _neighbours(system: ConstraintSystem, q: Array, tolerance: float, firm: float) -> Array:
+    """Return configurations (N, nq) closed to a tolerance, with ``firm`` of ``close``, the first of them q itself.
 
     They are displaced along the motions that the rows leave free: from anywhere else Newton's method may turn a short
     lever over.
     """
-    rng, free = np.random.default_rng(SEED), free_motions(system, q, tolerance)
+    rng, free = np.random.default_rng(SEED), free_motions(system, q, firm)
     starts = draw_starts(system, q, _NEIGHBOURS, rng, turn=_SPREAD, slide=_SPREAD, along=free)
-    reached = [close(system, each, tolerance) for each in (q, *starts)]
+    reached = [close(system, each, firm) for each in (q, *starts)]
     closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
     return np.array(closed) if closed else q[None]
 

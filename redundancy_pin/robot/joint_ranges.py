@@ -147,19 +147,20 @@ def range_table(robot: Robot) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _range_columns(robot: Robot) -> tuple[IntArray, Array, Array, Array]:
-    """Return of each range (r,): index in q, turns that count as none (0 or 2π), its middle, half of it with slack."""
+def _range_columns(robot: Robot) -> tuple[IntArray, Array, Array, Array, Array]:
+    """Return of each range (r,): index in q, turns that count as none (0 or 2π), its middle there, ends with slack."""
     at, repeats, lower, upper, slack = range_table(robot).T
-    middle = 0.5 * (lower + upper)
-    return at.astype(np.intp), 2.0 * np.pi * repeats, middle, upper - middle + slack
+    middle = np.zeros(len(at))
+    np.add(0.5 * lower, 0.5 * upper, out=middle, where=repeats > 0.0)  # other ranges may have no end
+    return at.astype(np.intp), 2.0 * np.pi * repeats, middle, lower - slack, upper + slack
 
 
 def is_in_range(robot: Robot, q: Array) -> bool:
     """Return whether all joints of one configuration (nq,) are in their ranges, carriers on their tracks."""
-    at, turns, middle, half = _range_columns(robot)
-    away = q[at] - middle
-    away -= turns * np.rint(away / (2.0 * np.pi))
-    return bool((np.abs(away) <= half).all())
+    at, turns, middle, lower, upper = _range_columns(robot)
+    value = q[at]
+    value -= turns * np.rint((value - middle) / (2.0 * np.pi))
+    return bool(((lower <= value) & (value <= upper)).all())
 
 
 @lru_cache(maxsize=64)
