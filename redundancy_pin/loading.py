@@ -36,6 +36,7 @@ from redundancy_pin.robot.declaration import Declaration, parse, read_declaratio
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
 from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
+from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
@@ -386,7 +387,7 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
                 remedy="Name a `reference.guess` nearer to the right one.",
                 angle=turned,
             )
-    return robot
+    return meet_limits(robot)
 
 
 def _prescribed(robot: Robot, guess: Array, goal: Array) -> Array:

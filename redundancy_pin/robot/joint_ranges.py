@@ -6,14 +6,15 @@ All comparisons of positions with limits allow the same slack, ``JointRange.slac
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import pinocchio as pin
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.arrays import FILE_TOLERANCE, Array, BoolArray, IntArray, frozen, read_only
 from redundancy_pin.robot.types import Robot, slides
 
 ROUNDING = 1e-9
@@ -134,6 +135,27 @@ def all_ranges(robot: Robot) -> tuple[JointRange, ...]:
 def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
     """Return the ranges of all joints that have one, but for carriers: their tracks are held against their motion."""
     return tuple(joint for joint in all_ranges(robot) if joint.name not in robot.carriers)
+
+
+def meet_limits(robot: Robot) -> Robot:
+    """Return the robot with limits moved to its reference where that is beyond them by the rounding of a file.
+
+    A note names the joints, and by how much: up to ``FILE_TOLERANCE``, rad or characteristic lengths.
+    """
+    q, moved, model = np.array(robot.q_reference), list[str](), pin.Model(robot.model)
+    ends = {"lower": model.lowerPositionLimit, "upper": model.upperPositionLimit}
+    for joint in joint_ranges(robot):
+        value = q[joint.at : joint.at + 1]
+        excess, at = float(joint.excess(value, False)[0]), float(joint.counted(value, False)[0])
+        if joint.slack < excess <= joint.slack * FILE_TOLERANCE / ROUNDING:
+            end = "lower" if at < joint.lower else "upper"
+            ends[end][joint.at] = at
+            moved.append(f"{end} of {joint.name!r} by {excess:.1g} {'rad' if joint.turns else 'm'}")
+    if not moved:
+        return robot
+    model.lowerPositionLimit, model.upperPositionLimit = ends["lower"], ends["upper"]
+    note = f"Limits that the reference misses by rounding are moved to it: {', '.join(moved)}."
+    return replace(robot, model=model, notes=(*robot.notes, note))
 
 
 @lru_cache(maxsize=64)
