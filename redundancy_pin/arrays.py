@@ -31,6 +31,10 @@ RANK_TOLERANCE = 1e-9
 """Scaled singular values below this fraction of the largest one count as zero. The square root of
 the rounding unit is 1.5e-8; poses found by root finding reach 1e-12."""
 
+FILE_TOLERANCE = 1e-3
+"""Largest contradiction between the numbers of a file, rad or characteristic lengths. Placements rounded to 1e-4 miss
+by up to 5e-4 in the loops of the shipped planar robots; placements that are wrong by 1e-2, by 3e-3 and more."""
+
 AGREEMENT_TOLERANCE = 1e-8
 """Largest contradiction between positions of redundant motors, characteristic lengths or rad: a thousand times the
 closure tolerance, for what margins of 1e-3 make of it. Of their velocities, as a fraction."""

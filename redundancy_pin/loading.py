@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, checked, frozen
+from redundancy_pin.arrays import AGREEMENT_TOLERANCE, Array, checked, frozen
 from redundancy_pin.errors import DeclarationError, InputError, millimetres
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
@@ -29,7 +29,7 @@ from redundancy_pin.kinematics.coordinates import (
 from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.multistart import multistart
-from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
+from redundancy_pin.kinematics.selection import Selection, selected
 from redundancy_pin.robot import Closure, Robot
 from redundancy_pin.robot.build import characteristic_length, configuration, read_robot
 from redundancy_pin.robot.changes import changed_urdf, require_still_joined
@@ -37,6 +37,7 @@ from redundancy_pin.robot.declaration import Declaration, parse, read_declaratio
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
 from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
+from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
@@ -465,7 +466,7 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
                 remedy="Name a `reference.guess` nearer to the right one.",
                 angle=turned,
             )
-    return robot
+    return meet_limits(robot)
 
 
 def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
@@ -633,7 +634,7 @@ def _joined(
         replace(robot, platform=None, independent_joints=()),
         np.array(robot.q_reference),
         redundant=loose,
-        rounded=bool(of.get("source")),
+        declared=None if choose else robot.n,
         resisted=resisted,
     )
     kept, notes, every = selection.robot, [*robot.notes, *_notes(selection)], robot.closures
@@ -670,7 +671,7 @@ def _notes(selection: Selection) -> Iterator[str]:
         rows, opened = ", ".join(selection.left_out), selection.opened
         nearby = (
             f" to {opened:.1g} (characteristic lengths or rad) nearby, as the file's numbers are rounded"
-            if opened > STAYS_CLOSED
+            if opened > AGREEMENT_TOLERANCE
             else ""
         )
         yield f"Redundant closure rows left out, the loops stay closed in them{nearby}: {rows}."

@@ -47,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, blocks
+from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray, blocks
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
@@ -55,10 +55,6 @@ from redundancy_pin.kinematics.tree import TreePlacement, frame_placement, is_co
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
-
-OPEN = 1e-4
-"""Largest residual of rows that were left out, in characteristic lengths or rad. Files are rounded to 2e-5; on a branch
-that does not belong to the machine the residual is 1e-3 and more."""
 
 _FULL = 1e3
 """Ratio of the smallest singular values of all rows and of those that count: at a loss of both they are alike, and the
@@ -585,17 +581,18 @@ def left_open(robot: Robot, q: Array) -> Array:
         return np.zeros(len(q))
     system = constraint_system(with_all_rows(robot))
     gap = system.gap(system.evaluate(q).phi)
-    return np.where(gap > OPEN * robot.characteristic_length, gap, 0.0)
+    return np.where(gap > FILE_TOLERANCE * robot.characteristic_length, gap, 0.0)
 
 
 def made_up(robot: Robot, q: Array) -> bool:
     """Return whether rows that were left out make up for those that count, which lose rank at q (nq,).
 
     Which rows say all changes along the motion of some mechanisms (Bennett's four hinges). The branch goes smoothly
-    through such a place, and it is no singularity.
+    through such a place, and it is no singularity. Rows that contradict each other by the rounding of a file make up
+    for nothing.
     """
     if not robot.all_closures:
         return False
     some, every = constraint_system(robot), constraint_system(with_all_rows(robot))
     least, least_of_all = (np.linalg.svd(each.closure_rows(q), compute_uv=False) for each in (some, every))
-    return bool(least_of_all[len(some.rows) - 1] > _FULL * least[-1])
+    return bool(least_of_all[len(some.rows) - 1] > max(_FULL * least[-1], FILE_TOLERANCE))

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -34,7 +34,7 @@ def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
     if freedoms == robot.n:
         return
     reference = assemble(system, np.array(robot.q_reference)[None])
-    rank, redundant = _rank(system, reference.q[0])
+    rank, redundant = _rank(system, reference.q[0], FILE_TOLERANCE)
     if freedoms < robot.n:
         kind, only = "over", ""
         where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
@@ -170,7 +170,8 @@ def independent_columns(
 
     Args:
         matrix: (r, c).
-        apart: smallest distance of a column from the span of the others, relative to the longest column.
+        apart: smallest distance of a column from the span of the others; relative to the longest column, where that is
+            shorter than 1.
         taken: columns that are chosen already; they come first.
         among: columns to choose from, all when left out.
         most: number of columns at which to stop.
@@ -196,7 +197,7 @@ def independent_columns(
         waiting = [index for index in waiting if index not in chosen]
         rest = matrix[:, waiting] - basis @ (basis.T @ matrix[:, waiting])
         lengths = np.linalg.norm(rest, axis=0)
-        if not lengths.max(initial=0.0) > apart * longest:
+        if not lengths.max(initial=0.0) > apart * min(longest, 1.0):
             break
         # the first of equals, whatever their rounding
         chosen.append(waiting[int(np.argmax(lengths > (1.0 - RANK_TOLERANCE) * lengths.max()))])
@@ -218,9 +219,9 @@ def free_motions(system: ConstraintSystem, q: Array, apart: float = RANK_TOLERAN
     return free
 
 
-def _rank(system: ConstraintSystem, q: Array) -> tuple[int, list[str]]:
+def _rank(system: ConstraintSystem, q: Array, apart: float = RANK_TOLERANCE) -> tuple[int, list[str]]:
     """Return the rank of the closure rows at q (nq,) and the names of those that depend on the others."""
-    kept = independent_columns(system.closure_rows(q).T)
+    kept = independent_columns(system.closure_rows(q).T, apart)
     return len(kept), [name for row, name in enumerate(row_names(system.robot)) if row not in kept]
 
 

@@ -5,13 +5,14 @@ All comparisons of positions with limits allow the same slack, ``JointRange.slac
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.arrays import FILE_TOLERANCE, Array, BoolArray, IntArray, frozen, read_only
 from redundancy_pin.robot.types import Robot, slides
 
 ROUNDING = 1e-9
@@ -116,6 +117,27 @@ def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
     return tuple(joint for joint in all_ranges(robot) if joint.name not in robot.carriers)
 
 
+def meet_limits(robot: Robot) -> Robot:
+    """Return the robot with limits moved to its reference where that is beyond them by the rounding of a file.
+
+    A note names the joints, and by how much: up to ``FILE_TOLERANCE``, rad or characteristic lengths.
+    """
+    q, moved, model = np.array(robot.q_reference), list[str](), pin.Model(robot.model)
+    ends = {"lower": model.lowerPositionLimit, "upper": model.upperPositionLimit}
+    for joint in joint_ranges(robot):
+        value = q[joint.at : joint.at + 1]
+        excess, at = float(joint.excess(value, False)[0]), float(joint.counted(value, False)[0])
+        if joint.slack < excess <= joint.slack * FILE_TOLERANCE / ROUNDING:
+            end = "lower" if at < joint.lower else "upper"
+            ends[end][joint.at] = at
+            moved.append(f"{end} of {joint.name!r} by {excess:.1g} {'rad' if joint.turns else 'm'}")
+    if not moved:
+        return robot
+    model.lowerPositionLimit, model.upperPositionLimit = ends["lower"], ends["upper"]
+    note = f"Limits that the reference misses by rounding are moved to it: {', '.join(moved)}."
+    return replace(robot, model=model, notes=(*robot.notes, note))
+
+
 @lru_cache(maxsize=64)
 def range_table(robot: Robot) -> Array:
     """Return (r, 5) of each range and track: index in q, whether turns count as none (0 or 1), ends and slack."""
@@ -127,19 +149,20 @@ def range_table(robot: Robot) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _range_columns(robot: Robot) -> tuple[IntArray, Array, Array, Array]:
-    """Return of each range (r,): index in q, turns that count as none (0 or 2π), its middle, half of it with slack."""
+def _range_columns(robot: Robot) -> tuple[IntArray, Array, Array, Array, Array]:
+    """Return of each range (r,): index in q, turns that count as none (0 or 2π), its middle there, ends with slack."""
     at, repeats, lower, upper, slack = range_table(robot).T
-    middle = 0.5 * (lower + upper)
-    return at.astype(np.intp), 2.0 * np.pi * repeats, middle, upper - middle + slack
+    middle = np.zeros(len(at))
+    np.add(0.5 * lower, 0.5 * upper, out=middle, where=repeats > 0.0)  # other ranges may have no end
+    return at.astype(np.intp), 2.0 * np.pi * repeats, middle, lower - slack, upper + slack
 
 
 def is_in_range(robot: Robot, q: Array) -> bool:
     """Return whether all joints of one configuration (nq,) are in their ranges, carriers on their tracks."""
-    at, turns, middle, half = _range_columns(robot)
-    away = q[at] - middle
-    away -= turns * np.rint(away / (2.0 * np.pi))
-    return bool((np.abs(away) <= half).all())
+    at, turns, middle, lower, upper = _range_columns(robot)
+    value = q[at]
+    value -= turns * np.rint((value - middle) / (2.0 * np.pi))
+    return bool(((lower <= value) & (value <= upper)).all())
 
 
 @lru_cache(maxsize=64)
