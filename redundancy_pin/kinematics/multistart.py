@@ -34,6 +34,9 @@ _STARTS = (16, 240)
 start in sixteen falls to a given mode, which 16 miss with a chance of 36 %; of six legs one in 64, which 240 miss with
 2 %."""
 
+_EQUAL = 1e-9
+"""rad and characteristic lengths: distances that differ by less are equal. Closed configurations miss by 1e-11."""
+
 
 class PoseSolution(NamedTuple):
     """What multistart reached.
@@ -124,7 +127,7 @@ def multistart(
                 continue
             solution, q, usable = _close(system, mixed[None], x, guess)
         if usable.any():
-            nearest = int(np.argmin(np.where(usable, _distance(robot, q, origin, known), np.inf)))
+            nearest = _nearest(robot, q, usable, origin, known)
             return PoseSolution(q[nearest], float(solution.gap[nearest]), True)
     return best
 
@@ -150,15 +153,18 @@ def _close(system: ConstraintSystem, starts: Array, x: Array, guess: Array) -> t
     return solution, q, solution.closed & in_working_mode(system.robot, q)
 
 
-def _distance(robot: Robot, q: Array, origin: Array, known: IntArray | None) -> Array:
-    """Return (N,) the distance of configurations from another: of the known joints, of all among equals."""
+def _nearest(robot: Robot, q: Array, usable: BoolArray, origin: Array, known: IntArray | None) -> int:
+    """Return which of the usable configurations (N, nq) is nearest to another.
+
+    The known joints decide, all joints among equals; neither the order of the starts nor rounding does.
+    """
     columns = np.arange(len(origin)) if known is None or not len(known) else known
     away = (q - origin) / position_unit(robot)
     short, turning = away.copy(), _free_turns(robot)
     short[:, turning] = (away[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
-    # equal to nine digits: the answer must not depend on the order of the starts
-    distance: Array = np.abs(short[:, columns]).sum(axis=1).round(9) + 1e-12 * np.abs(away).sum(axis=1)
-    return distance
+    distance = np.where(usable, np.abs(short[:, columns]).sum(axis=1), np.inf)
+    equal = distance <= distance.min() + _EQUAL
+    return int(np.argmin(np.where(equal, np.abs(away).sum(axis=1), np.inf)))
 
 
 def mixed_legs(robot: Robot, q: Array, guess: Array) -> Array | None:

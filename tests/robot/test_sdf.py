@@ -1,7 +1,9 @@
-"""Models of Gazebo: trees and loops out of links in one frame, judged by what the file itself says of places."""
+"""Models of Gazebo: places by the specification's own words, torques by Pinocchio's tree with the loop as KKT rows."""
 
 from __future__ import annotations
 
+import os
+import time
 import xml.etree.ElementTree as ElementTree
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,30 +11,184 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from test_urdf_dialects import FILES as URDFS
+from test_urdf_dialects import GRAVITY, MOTION, torque, torque_by_kkt
 from zoo import home_of
 
 import redundancy_pin as rp
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
 from redundancy_pin.robot.formats.sdf import read_sdf
 from redundancy_pin.robot.loads import JointForces
 
+FILES = Path(__file__).parent / "files" / "sdf"
+BAD = sorted(path.stem for path in (FILES / "bad").glob("*.sdf"))
 INERTIAL = """<inertial><pose>{centre} 0.1 0.2 0.3</pose><mass>{mass}</mass>
 <inertia><ixx>0.02</ixx><iyy>0.03</iyy><izz>0.04</izz><ixy>0.001</ixy></inertia></inertial>"""
 
 
-def link(name, pose, mass=1.0, centre="0.1 0.02 0.03", more=""):
-    return f'<link name="{name}"><pose>{pose}</pose>{INERTIAL.format(mass=mass, centre=centre)}{more}</link>\n'
+def link(name: str, pose: str, mass: float = 1.0, centre: str = "0.1 0.02 0.03") -> str:
+    return f'<link name="{name}"><pose>{pose}</pose>{INERTIAL.format(mass=mass, centre=centre)}</link>\n'
 
 
-def joint(name, kind, parent, child, xyz="0 0 1", pose="", more="", axis2=""):
-    axis = f"<axis><xyz>{xyz}</xyz>{more}</axis>" if xyz else ""
-    return f"""<joint name="{name}" type="{kind}">{f"<pose>{pose}</pose>" if pose else ""}
-<parent>{parent}</parent><child>{child}</child>{axis}{axis2}</joint>\n"""
+def joint(name: str, kind: str, parent: str, child: str, more: str = "", xyz: str = "0 0 1") -> str:
+    axis = more if "<axis>" in more else f"<axis><xyz>{xyz}</xyz>{more}</axis>"
+    return f'<joint name="{name}" type="{kind}"><parent>{parent}</parent><child>{child}</child>{axis}</joint>\n'
 
 
-def sdf(*parts, version="1.6", more=""):
-    return f'<sdf version="{version}"><model name="machine">{more}{"".join(parts)}</model></sdf>'
+def written(folder: Path, *parts: str, version: str = "1.9", more: str = "") -> Path:
+    path = folder / "machine.sdf"
+    path.write_text(f'<sdf version="{version}"><model name="machine"{more}>{"".join(parts)}</model></sdf>')
+    return path
 
+
+def placed(model: pin.Model, name: str, q: Array) -> Array:
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(q))
+    return data.oMf[model.getFrameId(name, pin.FrameType.BODY)].homogeneous
+
+
+def efforts(robot: rp.Robot, x: float, xd: float, xdd: float) -> Array:
+    motion = rp.PlatformMotion([0.0], [[x]], [[xd]], [[xdd]])
+    return rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
+
+
+# --- what each file means ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["plain", "frames", "nested", "world"])
+def test_torques_are_those_of_the_closed_loop(name: str) -> None:
+    """One four-bar, written in four ways; the file of its parts and that of its rocker are included by the world."""
+    robot = rp.load_robot(FILES / "good" / f"{name}.sdf", gravity=None if name == "world" else GRAVITY)
+    assert (robot.n, robot.actuated) == (1, ("motor",))
+    np.testing.assert_array_equal(robot.gravity, GRAVITY)
+    text = (URDFS / "good" / "gazebo.urdf").read_text()
+    model = pin.buildModelFromXML(text)
+    bar, arm = (placed(model, each, pin.neutral(model)) for each in ("bar", "arm"))
+    points = {"bar": (np.linalg.inv(bar) @ arm @ [0.2, 0.0, 0.0, 1.0])[:3], "arm": np.array([0.2, 0.0, 0.0])}
+    foot, knee = 0.1757, -0.3446  # near the pose where the motor has turned by 0.3
+    near = np.array([np.cos(foot), np.sin(foot), MOTION[0], np.cos(knee), np.sin(knee)])
+    assert torque(robot) == pytest.approx(torque_by_kkt(text, points, near), rel=1e-9)
+    if name == "world":
+        assert any("model://ground_plane, which comes with Gazebo" in note for note in robot.notes)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_file_that_cannot_be_meant_is_refused_by_name(name: str) -> None:
+    """The first line of each says what its error must contain."""
+    path = FILES / "bad" / f"{name}.sdf"
+    message = path.read_text().partition("\n")[0].removeprefix("<!-- ").removesuffix(" -->")
+    with pytest.raises(RedundancyPinError) as refusal:
+        rp.load_robot(path)
+    assert message in str(refusal.value)
+    assert f"{name}.sdf" in str(refusal.value)
+    assert "line " in str(refusal.value)
+
+
+def turned(roll: float, pitch: float, yaw: float) -> Array:
+    """Return R_z R_y R_x (3, 3), by its nine entries."""
+    (a, b, c), (d, e, f) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array([[c * b, c * e * d - f * a, c * e * a + f * d],
+                     [f * b, f * e * d + c * a, f * e * a - c * d],
+                     [-e, b * d, b * a]])  # fmt: skip
+
+
+def pose_text(place: Array, spelling: int, relative_to: str) -> str:
+    """Return the <pose> of a placement (4, 4): in radians, in degrees, or as a quaternion of another length."""
+    turn = place[:3, :3]
+    angles = np.array([np.arctan2(turn[2, 1], turn[2, 2]), np.arcsin(-turn[2, 0]), np.arctan2(turn[1, 0], turn[0, 0])])
+    words = [angles, np.degrees(angles), 3.0 * pin.Quaternion(turn).coeffs()][spelling]
+    form = ("", ' degrees="true"', ' rotation_format="quat_xyzw"')[spelling]
+    within = f' relative_to="{relative_to}"' if relative_to else ""
+    return f"<pose{within}{form}>{' '.join(repr(float(word)) for word in (*place[:3, 3], *words))}</pose>"
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_frames_are_where_the_specification_puts_them(seed: int, tmp_path: Path) -> None:
+    """Places in the model are chosen first; each pose is written in whatever frame comes before it in the list.
+
+    So nothing composes poses as the reader does. Every link turns about an axis of some frame, and what is attached to
+    it turns with it.
+    """
+    rng = np.random.default_rng(seed)
+    places: dict[str, Array] = {"": np.eye(4)}  # by full name; "a" and "a::b" are the models in the model
+    carriers: dict[str, str] = {}
+    text, joints = dict.fromkeys(("", "a::", "a::b::"), ""), ""
+    models: dict[str, tuple[str, str]] = {}
+    axes: dict[str, Array] = {}
+    for stage, scope in enumerate(("", "a::", "a::b::", "a::", "")):
+        items = [f"{kind}{stage}{number}" for kind in ("link", "frame") for number in range(2)]
+        items += ["ab"[stage]] if stage < 2 else []
+        for own in rng.permutation(items):
+            full = scope + str(own)
+            place = np.eye(4)
+            place[:3, :3], place[:3, 3] = turned(*rng.uniform(-3.0, 3.0, 3)), rng.uniform(-1.0, 1.0, 3)
+            near = [name.removeprefix(scope) for name in places if name.startswith(scope) and name != ""]
+            near = [name for name in near if not f"{scope}{name}::".startswith(f"{full}::")]
+            attached_to = str(rng.choice(near)) if near and str(own).startswith("frame") else ""
+            relative_to = str(rng.choice(near)) if near and rng.random() < 0.7 else ""
+            base = f"{scope}{relative_to or attached_to}" if relative_to or attached_to else scope.removesuffix("::")
+            places[full] = place
+            if len(own) == 1:
+                models[full] = base, relative_to
+                continue
+            tag, more = str(own)[:-2], f' attached_to="{attached_to}"' if attached_to else ""
+            carriers[full] = full if tag == "link" else f"{scope}{attached_to}" if attached_to else scope[:-2]
+            pose = pose_text(np.linalg.inv(places[base]) @ place, int(rng.integers(3)), relative_to)
+            inertial = INERTIAL.format(mass=1.0, centre="0 0 0") if tag == "link" else ""
+            text[scope] += f'<{tag} name="{own}"{more}>{pose}{inertial}</{tag}>'
+    for full, (base, relative_to) in reversed(models.items()):
+        marked = str(rng.choice([name for name in carriers if name.startswith(f"{full}::")]))
+        pose = pose_text(np.linalg.inv(places[base]) @ places[marked], int(rng.integers(3)), relative_to)
+        named = f'name="{full[-1]}" placement_frame="{marked.removeprefix(full + "::")}"'
+        text[full[:-1]] += f"<model {named}>{pose}{text[full + '::']}</model>"
+    links = [name for name, carrier in carriers.items() if name == carrier]
+    for scope in ("a::b", "a", ""):  # what is attached to a model moves with its first link
+        inside = [name for name in links if name.rpartition("::")[0] == scope]
+        carriers[scope] = min(inside, key=lambda name: text[f"{scope}::" if scope else ""].index(f'"{name[-6:]}"'))
+    for name in links:
+        axis = str(rng.choice(list(places)[1:]))
+        axes[name] = places[axis][:3, 0]
+        joints += joint(f"to_{name.replace('::', '_')}", "revolute", "world", name, xyz="X").replace(
+            "<xyz>X", f'<xyz expressed_in="{axis}">2 0 0'
+        )
+    model = read_sdf(written(tmp_path, text[""], joints)).model
+    q = rng.uniform(-1.0, 1.0, model.nq)
+    for full, place in list(places.items())[1:]:
+        if full in models:
+            continue
+        carrier = full
+        while carriers[carrier] != carrier:
+            carrier = carriers[carrier]
+        angle = q[model.joints[model.getJointId(f"to_{carrier.replace('::', '_')}")].idx_q]
+        expected, point = np.array(place), places[carrier][:3, 3]
+        turn = np.array(pin.exp3(angle * axes[carrier]))
+        expected[:3, :3], expected[:3, 3] = turn @ place[:3, :3], point + turn @ (place[:3, 3] - point)
+        np.testing.assert_allclose(placed(model, full, q), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("version", "given", "expected"),
+    [
+        ("1.4", "<xyz>1 0 0</xyz>", [1.0, 0.0, 0.0]),
+        ("1.5", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),
+        ("1.6", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),
+        ("1.6", "<xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame>", [1.0, 0.0, 0.0]),
+        ("1.7", "<xyz>1 0 0</xyz>", [np.cos(0.9), np.sin(0.9), 0.0]),
+        ("1.8", '<xyz expressed_in="__model__">3 0 0</xyz>', [1.0, 0.0, 0.0]),
+        ("1.8", "", [0.0, 0.0, 1.0]),
+    ],
+)
+def test_axes_of_every_version(version: str, given: str, expected: list[float], tmp_path: Path) -> None:
+    text = joint("turn", "revolute", "base", "crank", more=f"<axis>{given}</axis>")
+    parts = link("base", "0 0 0.1 0 0 0"), link("crank", "0 0 0.1 0 0 0.9")
+    model = read_sdf(written(tmp_path, *parts, text, version=version)).model
+    data = model.createData()
+    pin.computeJointJacobians(model, data, np.zeros(1))
+    np.testing.assert_allclose(np.ravel(data.J)[3:], expected, atol=1e-12)
+
+
+# --- loops ------------------------------------------------------------------------------------------------------------
 
 LINKS = [
     link("base", "0 0 0.1 0 0 0"),
@@ -41,221 +197,177 @@ LINKS = [
     link("rocker", "0.6 0 0.1 0 0 0.3", 0.7),
 ]
 LIMIT = "<limit><lower>-2</lower><upper>2</upper><effort>9</effort></limit><dynamics><damping>0.3</damping></dynamics>"
-FOUR_BAR = [
-    *LINKS,
-    joint("crank", "revolute", "base", "crank", more=LIMIT),
+SPRING = "<dynamics><damping>0.3</damping><friction>0.2</friction><spring_stiffness>5</spring_stiffness>"
+SPRING += "<spring_reference>0.1</spring_reference></dynamics>"
+TREE = [
+    joint("drive", "revolute", "base", "crank", LIMIT),
     joint("elbow", "revolute", "crank", "rod"),
     joint("foot", "revolute", "base", "rocker"),
 ]
 
 
-def in_rocker():
-    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
-    x, y = turn.T @ (np.array([0.2 * np.cos(0.9) + 0.5, 0.3]) - np.array([0.6, 0.0]))
-    return f"{float(x)!r} {float(y)!r} 0 0 0 0"
+def pin_joint(kind: str = "revolute", more: str = "") -> str:
+    """Return the joint that closes the four-bar, placed in the rocker."""
+    x, y = turned(0.0, 0.0, -0.3)[:2, :2] @ [0.2 * np.cos(0.9) + 0.5 - 0.6, 0.3]
+    pose = f"<pose>{float(x)!r} {float(y)!r} 0 0 0 0</pose>"
+    return joint("pin", kind, "rod", "rocker", more).replace("<parent>", f"{pose}<parent>")
 
 
-PIN = joint("pin", "revolute", "rod", "rocker", pose=in_rocker())
-
-
-def written(folder, text):
-    path = folder / "machine.sdf"
-    path.write_text(text)
-    return path
-
-
-def placed(robot, name, q):
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, np.array(q))
-    return data.oMf[robot.model.getFrameId(name, pin.FrameType.BODY)].homogeneous
+FOUR_BAR = [*LINKS, *TREE, pin_joint()]
 
 
 @pytest.mark.parametrize("kind", ["revolute", "ball"])
-def test_a_link_of_two_parents_closes_a_loop(kind, tmp_path):
-    text = sdf(*FOUR_BAR, PIN if kind == "revolute" else PIN.replace("revolute", "ball"))
-    robot = rp.load_robot(written(tmp_path, text))
-    assert (robot.n, robot.m, robot.actuated) == (1, 1, ("crank",))
-    assert list(robot.model.names)[1:] == ["crank", "elbow", "foot"]
+def test_a_link_of_two_parents_closes_a_loop(kind: str, tmp_path: Path) -> None:
+    robot = rp.load_robot(written(tmp_path, *LINKS, *TREE, pin_joint(kind)))
+    assert (robot.n, robot.m, robot.actuated) == (1, 1, ("drive",))
+    assert list(robot.model.names)[1:] == ["drive", "elbow", "foot"]
     np.testing.assert_array_equal(robot.gravity, [0.0, 0.0, -9.81])
-    np.testing.assert_allclose(robot.q_reference, 0.0, atol=1e-12)
-    # at the reference every link is where the file has it
-    np.testing.assert_allclose(
-        placed(robot, "rod", robot.q_reference)[:2, 3], 0.2 * np.array([np.cos(0.9), np.sin(0.9)])
-    )
-    # along a motion the pin of the rod stays on that of the rocker: lengths of a four-bar, by hand
-    x = np.linspace(0.0, 0.4, 9)[:, None]
-    lifted = rp.inverse_kinematics(robot, rp.PlatformMotion(np.arange(9.0), x, np.ones_like(x), np.zeros_like(x)))
-    for q in lifted.q:
-        rod, rocker = placed(robot, "rod", q), placed(robot, "rocker", q)
-        elbow = 0.2 * np.array([np.cos(0.9 + q[0]), np.sin(0.9 + q[0])])
-        np.testing.assert_allclose(rod[:2, 3], elbow, atol=1e-12)
-        start = np.linalg.inv(placed(robot, "rod", robot.q_reference))
-        point = rod @ start @ np.array([0.2 * np.cos(0.9) + 0.5, 0.3, 0.1, 1.0])
-        other = rocker @ np.linalg.inv(placed(robot, "rocker", robot.q_reference))
-        np.testing.assert_allclose(point, other @ np.array([0.2 * np.cos(0.9) + 0.5, 0.3, 0.1, 1.0]), atol=1e-9)
-    notes = " ".join(robot.notes)
-    assert "In force: damping, friction and springs of crank" in notes
-    assert robot.loads == (JointForces("crank", 0.3),)
-    assert "'base', which nothing joins to the world, is held" in notes
+    x = np.linspace(0.0, 0.4, 5)[:, None]
+    motion = rp.PlatformMotion(np.arange(5.0), x, np.ones_like(x), np.zeros_like(x))
+    start = [np.linalg.inv(placed(robot.model, name, robot.q_reference)) for name in ("rod", "rocker")]
+    for q in rp.inverse_kinematics(robot, motion).q:  # lengths of a four-bar, by hand
+        rod, rocker = placed(robot.model, "rod", q), placed(robot.model, "rocker", q)
+        np.testing.assert_allclose(rod[:2, 3], 0.2 * np.array([np.cos(0.9 + q[0]), np.sin(0.9 + q[0])]), atol=1e-12)
+        at = np.array([0.2 * np.cos(0.9) + 0.5, 0.3, 0.1, 1.0])
+        np.testing.assert_allclose(rod @ start[0] @ at, rocker @ start[1] @ at, atol=1e-9)
+    assert robot.loads == (JointForces("drive", 0.3),)
+    assert "'base', which nothing joins to the world, is held" in " ".join(robot.notes)
 
 
-def test_masses_and_limits(tmp_path):
-    robot = rp.load_robot(written(tmp_path, sdf(*FOUR_BAR, PIN)))
-    model = robot.model
-    own = model.inertias[model.getJointId("elbow")]
-    assert own.mass == 0.5
-    # the joint's axes are those of the model
-    turn = pin.rpy.rpyToMatrix(0.0, 0.0, -0.2)
-    np.testing.assert_allclose(own.lever, turn @ [0.1, 0.02, 0.03], atol=1e-12)
-    about = turn @ pin.rpy.rpyToMatrix(0.1, 0.2, 0.3)
-    tensor = np.array([[0.02, 0.001, 0.0], [0.001, 0.03, 0.0], [0.0, 0.0, 0.04]])
-    np.testing.assert_allclose(own.inertia, about @ tensor @ about.T, atol=1e-12)
-    crank = model.joints[model.getJointId("crank")]
-    assert (model.lowerPositionLimit[crank.idx_q], model.upperPositionLimit[crank.idx_q]) == (-2.0, 2.0)
-    assert model.upperEffortLimit[crank.idx_v] == 9.0
-
-
-def test_a_link_without_a_parent_is_carried_the_other_way_round(tmp_path):
+def test_a_link_without_a_parent_is_carried_the_other_way_round(tmp_path: Path) -> None:
     """The rod as the parent of crank and rocker alike: the same machine, the elbow counted from the other side."""
-    turned = [*FOUR_BAR[:5], joint("elbow", "revolute", "rod", "crank", pose="0.2 0 0 0 0 0"), FOUR_BAR[6], PIN]
-    one, other = (rp.load_robot(written(tmp_path, sdf(*parts))) for parts in ([*FOUR_BAR, PIN], turned))
-    x = np.array([[0.1], [0.3]])
-    motion = rp.PlatformMotion([0.0, 1.0], x, np.full_like(x, 0.7), np.full_like(x, -0.4))
-    efforts = [rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau for robot in (one, other)]
-    np.testing.assert_allclose(efforts[1], efforts[0], rtol=1e-10)
-    q = [rp.inverse_kinematics(robot, motion).q[0] for robot in (one, other)]
-    np.testing.assert_allclose(placed(other, "rod", q[1]), placed(one, "rod", q[0]), atol=1e-9)
-    # child's motion relative to its parent is positive about the axis, whichever of the two carries the other
-    columns = [robot.model.joints[robot.model.getJointId("elbow")].idx_q for robot in (one, other)]
-    assert q[1][columns[1]] == pytest.approx(-q[0][columns[0]], abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("version", "xyz", "more", "expected"),
-    [
-        ("1.6", "1 0 0", "", [np.cos(0.9), np.sin(0.9), 0.0]),
-        ("1.6", "1 0 0", "<use_parent_model_frame>1</use_parent_model_frame>", [1.0, 0.0, 0.0]),
-        ("1.7", "1 0 0", "", [np.cos(0.9), np.sin(0.9), 0.0]),
-        ("1.8", '1 0 0" expressed_in="__model__', "", [1.0, 0.0, 0.0]),
-    ],
-)
-def test_axes_of_every_version(version, xyz, more, expected, tmp_path):
-    text = joint("crank", "revolute", "base", "crank", xyz="@", more=more)
-    given = xyz.partition('"')
-    attribute = f' {given[2].strip()}"' if given[2] else ""
-    text = text.replace("<xyz>@</xyz>", f"<xyz{attribute}>{given[0]}</xyz>")
-    path = written(tmp_path, sdf(LINKS[0], LINKS[1], text, version=version))
-    model = read_sdf(path).model
-    data = model.createData()
-    pin.computeJointJacobians(model, data, np.zeros(1))
-    np.testing.assert_allclose(np.ravel(data.J)[3:], expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(("version", "taken"), [("1.5", True), ("1.6", True), ("1.7", False), ("1.10", False)])
-def test_the_frame_of_the_model_is_asked_for_up_to_version_1_6(version, taken, tmp_path):
-    more = "<use_parent_model_frame>true</use_parent_model_frame>"
-    path = written(tmp_path, sdf(LINKS[0], LINKS[1], joint("crank", "revolute", "base", "crank", more=more)))
-    path.write_text(path.read_text().replace('version="1.6"', f'version="{version}"'))
-    if taken:
-        assert read_sdf(path).model.nv == 1
-    else:
-        with pytest.raises(ModelFileError, match=r"use_parent_model_frame is no part of SDF 1\.7"):
-            read_sdf(path)
-
-
-@pytest.mark.parametrize("kind", ["revolute", "prismatic", "continuous"])
-@pytest.mark.parametrize(
-    ("text", "end", "most"),
-    [
-        ("1.5", 1.5, 1.5),
-        ("-1.5", -1.5, np.inf),  # a speed or effort below zero is none
-        ("0", 0.0, 0.0),
-        ("9.9e14", 9.9e14, 9.9e14),
-        ("-9.9e14", -9.9e14, np.inf),
-        ("1e15", None, np.inf),
-        ("-1e15", None, np.inf),
-        ("inf", None, np.inf),
-        ("-Infinity", None, np.inf),
-    ],
-)
-def test_limits_hold_up_to_1e15(kind, text, end, most, tmp_path):
-    """Each by itself; what is beyond is none, and a joint that turns for ever ends nowhere."""
-    none = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
-    for key in none:
-        more = f"<limit><{key}>{text}</{key}></limit>"
-        path = written(tmp_path, sdf(LINKS[0], LINKS[1], joint("crank", kind, "base", "crank", more=more)))
-        model = read_sdf(path).model
-        limits = model.lowerPositionLimit, model.upperPositionLimit, model.upperEffortLimit, model.upperVelocityLimit
-        found = dict(zip(none, (float(limit[0]) for limit in limits), strict=True))
-        is_end = key in ("lower", "upper")
-        without = kind == "continuous" or end is None
-        expected = (none[key] if without else end) if is_end else most
-        assert found == none | {key: expected}
-
-
-def test_poses_relative_to_others(tmp_path):
-    """The crank in the frame of the base, the joint in that of the model."""
-    crank = LINKS[1].replace("<pose>0 0 0.1 0 0 0.9</pose>", '<pose relative_to="base">1 0 0 0 0 0.5</pose>')
-    text = joint("crank", "revolute", "base", "crank", pose="0 0 5 0 0 0").replace(
-        "<pose>", '<pose relative_to="__model__">'
+    elbow = joint("elbow", "revolute", "rod", "crank").replace("<parent>", "<pose>0.2 0 0 0 0 0</pose><parent>")
+    one, other = (
+        rp.load_robot(written(tmp_path, *parts)) for parts in (FOUR_BAR, [*LINKS, TREE[0], elbow, TREE[2], pin_joint()])
     )
-    base = LINKS[0].replace("0 0 0.1 0 0 0", "0 2 0 0 0 1.5707963267948966")
-    model = read_sdf(written(tmp_path, sdf(base, crank, text, version="1.9"))).model
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, np.zeros(1))
-    np.testing.assert_allclose(data.oMi[1].translation, [0.0, 0.0, 5.0], atol=1e-12)
-    place = data.oMf[model.getFrameId("crank", pin.FrameType.BODY)]
-    np.testing.assert_allclose(place.translation, [0.0, 3.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(place.rotation, pin.rpy.rpyToMatrix(0.0, 0.0, 0.5 + np.pi / 2), atol=1e-12)
+    np.testing.assert_allclose(efforts(other, 0.3, 0.7, -0.4), efforts(one, 0.3, 0.7, -0.4), rtol=1e-10)
+    q = [
+        rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.3]], [[0.0]], [[0.0]])).q[0] for robot in (one, other)
+    ]
+    np.testing.assert_allclose(placed(other.model, "rod", q[1]), placed(one.model, "rod", q[0]), atol=1e-9)
+    assert q[1][1] == pytest.approx(-q[0][1], abs=1e-9)  # about the axis, whichever of the two carries the other
 
 
-def test_universal_joints_in_tree_and_loop(tmp_path):
-    """A shaft with two universal joints: the speed ratio of a single one is Hooke's formula."""
-    bend = 0.4
-    out = link("out", f"0.2 0 0.1 0 0 {bend}")
-    shaft_in = joint("in", "revolute", "base", "crank", xyz="1 0 0")
-    shaft_out = joint("exit", "revolute", "base", "out", xyz="1 0 0")
-    # the first arm of the cross along z in the input, the second one along y of the output
-    axis2 = "<axis2><xyz>0 1 0</xyz></axis2>"
-    hooke = joint("cross", "universal", "crank", "out", xyz="0 0 1", axis2=axis2)
-    crank = link("crank", "0 0 0.1 0 0 0")
-    robot = rp.load_robot(written(tmp_path, sdf(LINKS[0], crank, out, shaft_in, shaft_out, hooke)), actuated="in")
+def test_forces_and_limits_of_a_joint_that_is_cut_are_named(tmp_path: Path) -> None:
+    springs = joint("elbow", "revolute", "crank", "rod", SPRING)
+    robot = rp.load_robot(written(tmp_path, *LINKS, TREE[0], springs, TREE[2], pin_joint(more=LIMIT)))
+    assert robot.loads == (JointForces("drive", 0.3), JointForces("elbow", 0.3, 0.2, stiffness=5.0, rest=0.1))
+    assert {
+        "Not in force, though the file says it: dynamics of pin.",
+        "The limits of pin, which closes a loop, are left out.",
+    } < set(robot.notes)
+
+
+def test_a_joint_that_is_driven_closes_the_loop_too(tmp_path: Path) -> None:
+    """Power by power: the torque at the pin does the work of that at the crank; its own angle is the motion."""
+    path = written(tmp_path, *FOUR_BAR)
+    crank, pinned = rp.load_robot(path, actuated="drive"), rp.load_robot(path, actuated="pin")
+    assert pinned.actuated == ("pin",)
+    given = rp.PlatformMotion([0.0], [[home_of(pinned)[0] + 0.1]], [[0.7]], [[-0.4]])
+    lifted = rp.inverse_kinematics(pinned, given)
+    at = {name: pinned.model.joints[pinned.model.getJointId(name)].idx_v for name in ("drive", "pin")}
+    x, xd, xdd = (float(values[0, at["drive"]]) for values in (lifted.q, lifted.v, lifted.a))
+    other = efforts(
+        pinned, *(float(values[0, at[pinned.independent_joints[0]]]) for values in (lifted.q, lifted.v, lifted.a))
+    )
+    speed = float(lifted.v[0, at["pin"]])
+    assert other[0] * speed == pytest.approx(efforts(crank, x, xd, xdd)[0] * xd, rel=1e-9)
+
+
+def hooke(axis2: str) -> list[str]:
+    """Two shafts that meet at 0.4 rad, and a cross between them."""
+    arms = f"<axis><xyz>0 0 1</xyz></axis><axis2><xyz>{axis2}</xyz></axis2>"
+    return [
+        link("base", "0 0 0 0 0 0"),
+        link("in", "0 0 0.1 0 0 0"),
+        link("out", "0.2 0 0.1 0 0 0.4"),
+        joint("shaft_in", "revolute", "base", "in", xyz="1 0 0"),
+        joint("shaft_out", "revolute", "base", "out", xyz="1 0 0"),
+        joint("cross", "universal", "in", "out", more=arms),
+    ]
+
+
+@pytest.mark.parametrize("kind", ["universal", "revolute2"])
+@pytest.mark.parametrize("lean", [0.0, 0.3])
+def test_a_cross_between_shafts(kind: str, lean: float, tmp_path: Path) -> None:
+    """With arms at right angles the ratio of the speeds is Hooke's; any other cross is a link between two hinges."""
+    axis2 = f"0 {float(np.cos(lean))!r} {float(np.sin(lean))!r}"
+    parts = hooke(axis2)
+    robot = rp.load_robot(written(tmp_path, *(part.replace("universal", kind) for part in parts)), actuated="shaft_in")
     assert robot.n == 1
     x = np.array([[0.0], [0.3], [0.8], [1.2]])
-    lifted = rp.inverse_kinematics(robot, rp.PlatformMotion(np.arange(4.0), x, np.ones_like(x), np.zeros_like(x)))
-    column = robot.model.joints[robot.model.getJointId("exit")].idx_v
-    # at zero the arm of the input is normal to the plane of both shafts
-    ratio = np.cos(bend) / (1.0 - np.sin(bend) ** 2 * np.sin(x[:, 0]) ** 2)
-    np.testing.assert_allclose(np.abs(lifted.v[:, column]), ratio, atol=1e-9)
+    motion = rp.PlatformMotion(np.arange(4.0), x, np.ones_like(x), np.zeros_like(x))
+    v = rp.inverse_kinematics(robot, motion).v[:, robot.model.joints[robot.model.getJointId("shaft_out")].idx_v]
+    if not lean:
+        np.testing.assert_allclose(np.abs(v), np.cos(0.4) / (1.0 - np.sin(0.4) ** 2 * np.sin(x[:, 0]) ** 2), atol=1e-9)
+    light = '<link name="cross"><pose relative_to="out"/><inertial><mass>0</mass>'
+    light += "<inertia><ixx>0</ixx><iyy>0</iyy><izz>0</izz></inertia></inertial></link>"
+    turn = f'<axis><xyz expressed_in="out">{axis2}</xyz></axis>'
+    arms = [joint("one", "revolute", "in", "cross"), joint("two", "revolute", "cross", "out", more=turn)]
+    other = rp.load_robot(written(tmp_path, *parts[:5], light, *arms), actuated="shaft_in")
+    np.testing.assert_allclose(efforts(robot, 0.8, 1.0, 0.5), efforts(other, 0.8, 1.0, 0.5), rtol=1e-9)
 
 
-def test_springs_and_dampers(tmp_path):
-    law = "<dynamics><damping>0.3</damping><friction>0.2</friction><spring_stiffness>5</spring_stiffness>"
-    law += "<spring_reference>0.1</spring_reference></dynamics>"
-    parts = [*FOUR_BAR[:5], joint("elbow", "revolute", "crank", "rod", more=law), FOUR_BAR[6], PIN]
-    cut = joint("pin", "revolute", "rod", "rocker", pose=in_rocker(), more=law)
-    robot = rp.load_robot(written(tmp_path, sdf(*parts)))
-    assert robot.loads == (JointForces("crank", 0.3), JointForces("elbow", 0.3, 0.2, stiffness=5.0, rest=0.1))
-    other = rp.load_robot(written(tmp_path, sdf(*parts[:-1], cut)))
-    assert other.loads == robot.loads
-    assert any("Not in force" in note and "dynamics of pin" in note for note in other.notes)
+# --- couplings --------------------------------------------------------------------------------------------------------
+
+UPRIGHT = "<inertial><mass>2</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>0.03</izz></inertia></inertial>"
 
 
-def test_base_and_driven_joints(tmp_path):
-    path = written(tmp_path, sdf(*FOUR_BAR, PIN, more="<pose>0 0 1 0 0 0</pose>"))
-    assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
-    free = rp.load_robot(path, base="free", actuated="crank")
-    assert (free.n, free.m) == (7, 1)
-    np.testing.assert_allclose(placed(free, "base", free.q_reference)[:3, 3], [0.0, 0.0, 1.1], atol=1e-12)
-    with pytest.raises(ModelFileError, match=r"actuated names 'krank'.*mean 'crank'"):
-        rp.load_robot(path, actuated="krank")
-    with pytest.raises(InputError, match="no argument 'keyframe'"):
-        rp.load_robot(path, keyframe="home")
-    still = LIMIT.replace("-2", "0").replace(">2<", ">0<")
-    lid = [link("lid", "0 0 0.2 0 0 0"), joint("latch", "revolute", "rocker", "lid", more=still)]
-    fixed = rp.load_robot(written(tmp_path, sdf(*FOUR_BAR, *lid, PIN)))
-    assert "latch" not in fixed.model.names
-    assert any("'latch' has the limits 0 and 0" in note for note in fixed.notes)
+@pytest.mark.parametrize(
+    ("given", "lead"),
+    [
+        ("<screw_thread_pitch>0.01</screw_thread_pitch>", 0.01 / (2.0 * np.pi)),
+        ("<screw_thread_pitch>-0.02</screw_thread_pitch><thread_pitch>3</thread_pitch>", -0.02 / (2.0 * np.pi)),
+        ("<thread_pitch>-628</thread_pitch>", 1.0 / 628.0),
+    ],
+)
+@pytest.mark.parametrize("in_loop", [False, True])
+def test_a_screw(given: str, lead: float, in_loop: bool, tmp_path: Path) -> None:
+    """By hand: z = lead θ, τ = I θ̈ + m lead (g + lead θ̈); in a jack the nut does not turn, and goes the other way."""
+    body, axis = f'<link name="body">{UPRIGHT}</link>', joint("screw", "screw", "world", "body")
+    parts = [body, axis.replace("<parent>", f"{given}<parent>")]
+    if in_loop:
+        parts = [
+            f'<link name="spindle">{UPRIGHT}</link>',
+            body,
+            joint("turn", "revolute", "world", "spindle"),
+            joint("rail", "prismatic", "world", "body"),
+            joint("screw", "screw", "spindle", "body").replace("<parent>", f"{given}<parent>"),
+        ]
+    robot = rp.load_robot(written(tmp_path, *parts), actuated="turn" if in_loop else "screw")
+    assert robot.n == 1
+    if in_loop:
+        lead = -lead
+    motion = rp.PlatformMotion([0.0], [[0.7]], [[0.0]], [[0.0]])
+    place = placed(robot.model, "body", rp.inverse_kinematics(robot, motion).q[0])
+    np.testing.assert_allclose(place[:3, 3], [0.0, 0.0, 0.7 * lead], atol=1e-12)
+    np.testing.assert_allclose(place[:3, :3], turned(0.0, 0.0, 0.0 if in_loop else 0.7), atol=1e-9)
+    assert efforts(robot, 0.7, 2.0, 5.0)[0] == pytest.approx(0.03 * 5.0 + 2.0 * lead * (9.81 + lead * 5.0), rel=1e-9)
+
+
+def test_mimic(tmp_path: Path) -> None:
+    """The follower, rad or m, is multiplier · (leader − reference) + offset, by the axis that is named."""
+    follow = '<mimic joint="cross" axis="axis2"><multiplier>0.5</multiplier><offset>0.1</offset>{}</mimic>'
+    two = "<axis><xyz>1 0 0</xyz></axis><axis2><xyz>0 1 0</xyz></axis2>"
+    parts = [
+        *(link(name, "0 0 0 0 0 0") for name in ("base", "a", "b", "c")),
+        joint("cross", "universal", "base", "a", more=two),
+        joint("slide", "prismatic", "base", "b", follow.format("<reference>0.4</reference>")),
+        joint("back", "revolute", "c", "base", '<mimic joint="slide"><multiplier>-3</multiplier></mimic>'),
+    ]
+    robot = rp.load_robot(written(tmp_path, *parts, version="1.11"), actuated="cross_1,cross_2")
+    assert {(each.joint, each.of, each.polynomial) for each in robot.couplings} == {
+        ("slide", "cross_2", (0.1 - 0.5 * 0.4, 0.5)),
+        ("back", "slide", (0.0, -3.0)),
+    }
+    model, q = robot.model, robot.q_reference
+    at = {name: q[model.joints[model.getJointId(name)].idx_q] for name in list(model.names)[1:]}
+    assert at["slide"] == pytest.approx(0.5 * (at["cross_2"] - 0.4) + 0.1)
+    assert at["back"] == pytest.approx(-3.0 * at["slide"])
+    np.testing.assert_allclose(placed(model, "b", q)[:3, 3], [0.0, 0.0, at["slide"]], atol=1e-12)
+    between = np.linalg.inv(placed(model, "c", q)) @ placed(model, "base", q)
+    np.testing.assert_allclose(between[:3, :3], turned(0.0, 0.0, at["back"]), atol=1e-9)
+    assert read_sdf(written(tmp_path, *parts, version="1.11")).actuated == ("cross_1", "cross_2")  # no followers
 
 
 GEARBOX = """<joint name="gears" type="gearbox"><parent>{parent}</parent><child>{child}</child>
@@ -263,66 +375,182 @@ GEARBOX = """<joint name="gears" type="gearbox"><parent>{parent}</parent><child>
 <axis><xyz>0 0 {one}</xyz></axis><axis2><xyz>0 0 {two}</xyz></axis2></joint>"""
 
 
-@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("turned_round", [False, True])
 @pytest.mark.parametrize(("one", "two"), [(1, 1), (1, -1)])
-def test_a_gearbox_couples_angles_from_its_reference_body(one, two, turned, tmp_path):
+def test_a_gearbox_couples_angles_from_its_reference_body(
+    one: int, two: int, turned_round: bool, tmp_path: Path
+) -> None:
     """θ₂ = −ratio θ₁ by the places of the links: the file's own words, whichever way round its joints are written."""
-    rotor = [
-        link("rotor", "0 0.3 0 0 0 0.4", 0.1),
-        joint("spin", "revolute", *(["base", "rotor"][:: -1 if turned else 1])),
-    ]
+    ends = ("rotor", "base") if turned_round else ("base", "rotor")
+    rotor = [link("rotor", "0 0.3 0 0 0 0.4", 0.1), joint("spin", "revolute", *ends)]
     gears = GEARBOX.format(parent="rotor", child="crank", one=one, two=two)
-    robot = rp.load_robot(written(tmp_path, sdf(*FOUR_BAR, *rotor, PIN, gears)), actuated="crank")
+    robot = rp.load_robot(written(tmp_path, *FOUR_BAR, *rotor, gears), actuated="drive")
     assert (robot.n, len(robot.couplings)) == (1, 1)
-    model = robot.model
-    spin = model.joints[model.getJointId("spin")]
+    spin = robot.model.joints[robot.model.getJointId("spin")]
     x = home_of(robot) + np.array([[0.0], [0.01]])
     q = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0, 1.0], x, 0 * x, 0 * x)).q
-    turns = [[np.arctan2(*(placed(robot, name, each)[[1, 0], 0])) for each in q] for name in ("base", "rotor", "crank")]
+    turns = [
+        [np.arctan2(*(placed(robot.model, name, each)[[1, 0], 0])) for each in q] for name in ("base", "rotor", "crank")
+    ]
     base, first, second = np.diff(turns)[:, 0]
     first, second = (np.angle(np.exp(1j * (angle - base))) for angle in (first, second))
     assert abs(q[1, spin.idx_q] - q[0, spin.idx_q]) == pytest.approx(0.25)
     assert two * second == pytest.approx(-0.04 * one * first)
-    with pytest.raises(ModelFileError, match="needs a hinge of the tree about its axis from 'base' to 'rod'"):
-        rp.load_robot(written(tmp_path, sdf(*FOUR_BAR, *rotor, PIN, gears.replace(">crank<", ">rod<"))))
+    with pytest.raises(ModelFileError, match="needs a hinge about its axis from 'base' to 'rod'"):
+        rp.load_robot(written(tmp_path, *FOUR_BAR, *rotor, gears.replace(">crank<", ">rod<")))
 
 
-REFUSED = {
-    "version": ('version="1.6"', 'version="1.4"', "version '1.4'"),
-    "screw": ('"elbow" type="revolute"', '"elbow" type="screw"', "type 'screw', which is not covered"),
-    "unknown": ("<parent>base</parent>", "<parents>base</parents>", "has <parents>, which is not covered"),
-    "no link": ("<child>rod</child>", "<child>rot</child>", "child 'rot', which is no link"),
-    "no inertial": ("<inertial>", "<inertia/><inertial>", "has <inertia>"),
-    "gravity": ('<link name="crank">', '<link name="crank"><gravity>0</gravity>', "has no gravity"),
-    "nested": ("</model>", '<model name="inner"/></model>', "has <model>, which is not covered"),
-    "include": ("</model>", "<include/></model>", "has <include>, which is not covered"),
-    "number": ("<mass>0.5</mass>", "<mass>half</mass>", "'half' is not 1 finite"),
-    "moments": ("<ixx>0.02</ixx>", "<ixx>-0.02</ixx>", "the moments"),
-    "axis": ("<xyz>0 0 1</xyz>", "<xyz>0 0 0</xyz>", "axis of length zero"),
-    "circle": ("<pose>0 0 0.1 0 0 0.9</pose>", '<pose relative_to="crank">0 0 0.1 0 0 0.9</pose>', "back to itself"),
-    "twice": ('name="rocker"', 'name="rod"', "the name 'rod', which is taken"),
-    "degrees": ("<pose>0 0 0.1 0 0 0.9</pose>", '<pose degrees="true">0 0 0.1 0 0 50</pose>', "another form"),
-    "static": ("<link", "<static>1</static><link", "is static"),
-    "placed": ('name="machine"', 'name="machine" placement_frame="rod"', "placement_frame"),
-    "posed": ("<link", '<pose relative_to="crank">1 0 0 1 0 0</pose><link', "a pose relative to a frame"),
-    "flag": ('<link name="crank">', '<link name="crank"><gravity>no</gravity>', "<gravity> is 'no'"),
-    "limits": ("<lower>-2<", "<lower>3<", "the limits 3 and 2, the lower above the upper"),
-    "loose": ("</model>", link("loose", "0 0 0 0 0 0") + "</model>", "'loose' is joined to nothing"),
-}
+# --- numbers ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_is_not_covered_is_refused_by_name(case, tmp_path):
-    old, new, message = REFUSED[case]
-    text = sdf(*FOUR_BAR, PIN)
-    assert old in text
-    with pytest.raises(RedundancyPinError, match=r"machine\.sdf, line \d+: .*" + message):
-        rp.load_robot(written(tmp_path, text.replace(old, new, 1)))
+@pytest.mark.parametrize(
+    ("kind", "text", "end", "most"),
+    [
+        ("revolute", "1.5", 1.5, 1.5),
+        ("prismatic", "-1.5", -1.5, np.inf),  # a speed or effort below zero is none
+        ("revolute", "0", 0.0, 0.0),
+        ("prismatic", "9.9e14", 9.9e14, 9.9e14),
+        ("revolute", "-1e15", None, np.inf),
+        ("revolute", "1.79769e+308", None, np.inf),
+        ("prismatic", "-Infinity", None, np.inf),
+        ("continuous", "1.5", None, 1.5),  # it turns for ever
+    ],
+)
+def test_limits_hold_up_to_1e15(kind: str, text: str, end: float | None, most: float, tmp_path: Path) -> None:
+    none = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
+    for key in none:
+        turn = joint("turn", kind, "base", "crank", f"<limit><{key}>{text}</{key}></limit>")
+        model = read_sdf(written(tmp_path, *LINKS[:2], turn)).model
+        limits = model.lowerPositionLimit, model.upperPositionLimit, model.upperEffortLimit, model.upperVelocityLimit
+        found = dict(zip(none, (float(limit[0]) for limit in limits), strict=True))
+        assert found == none | {key: (none[key] if end is None else end) if key in ("lower", "upper") else most}
+        np.testing.assert_array_equal(model.lowerEffortLimit, -model.upperEffortLimit)
 
 
-def test_an_initial_position_is_named(tmp_path):
-    text = sdf(*FOUR_BAR, PIN).replace("</axis>", "<initial_position>0.4</initial_position></axis>", 1)
-    assert "initial position of 'crank' is not read" in str(rp.load_robot(written(tmp_path, text)).notes)
+def test_masses_are_placed_by_the_pose_of_the_inertial(tmp_path: Path) -> None:
+    model = read_sdf(written(tmp_path, *FOUR_BAR)).model
+    own, turn = model.inertias[model.getJointId("elbow")], turned(0.0, 0.0, -0.2)
+    assert own.mass == 0.5
+    np.testing.assert_allclose(own.lever, turn @ [0.1, 0.02, 0.03], atol=1e-12)
+    about = turn @ turned(0.1, 0.2, 0.3)
+    tensor = np.array([[0.02, 0.001, 0.0], [0.001, 0.03, 0.0], [0.0, 0.0, 0.04]])
+    np.testing.assert_allclose(own.inertia, about @ tensor @ about.T, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("inertial", "mass", "moments"),
+    [
+        ("", 1.0, [1.0, 1.0, 1.0]),
+        ("<inertial><mass>3</mass></inertial>", 3.0, [1.0, 1.0, 1.0]),
+        ("<inertial><inertia><iyy>0.5</iyy></inertia></inertial>", 1.0, [1.0, 0.5, 1.0]),
+    ],
+)
+def test_masses_that_the_file_leaves_out_are_those_of_the_specification(
+    inertial: str, mass: float, moments: list[float], tmp_path: Path
+) -> None:
+    mechanism = read_sdf(written(tmp_path, f'<link name="a">{inertial}</link>', joint("j", "revolute", "world", "a")))
+    body = mechanism.model.inertias[1]
+    assert body.mass == mass
+    np.testing.assert_allclose(np.diag(body.inertia), moments)
+    assert any("SDF's own 1 kg and 1 kg·m²: a." in note for note in mechanism.notes)
+
+
+def test_base_and_driven_joints(tmp_path: Path) -> None:
+    path = written(tmp_path, *FOUR_BAR, "<pose>0 0 1 0.1 0.2 0.3</pose>")
+    assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
+    free = rp.load_robot(path, base="free", actuated="drive")
+    assert (free.n, free.m) == (7, 1)
+    expected = np.eye(4)
+    expected[:3, :3] = turned(0.1, 0.2, 0.3)
+    expected[:3, 3] = expected[:3, :3] @ [0.0, 0.0, 0.1] + [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(placed(free.model, "base", free.q_reference), expected, atol=1e-12)
+    with pytest.raises(ModelFileError, match=r"actuated names 'krank'"):
+        rp.load_robot(path, actuated="krank")
+    with pytest.raises(InputError, match="no argument 'keyframe'"):
+        rp.load_robot(path, keyframe="home")
+    still = joint("latch", "revolute", "rocker", "lid", LIMIT.replace("-2", "0").replace(">2<", ">0<"))
+    fixed = rp.load_robot(written(tmp_path, *FOUR_BAR, link("lid", "0 0 0.2 0 0 0"), still))
+    assert "latch" not in fixed.model.names
+    assert any("'latch' has the limits 0 and 0" in note for note in fixed.notes)
+
+
+def test_a_model_that_drives_nothing_is_told_how_to_say_it(tmp_path: Path) -> None:
+    """An SDF has no actuators to add: joints are named. One with a spring is not taken to be driven unasked."""
+    path = written(tmp_path, *LINKS[:2], joint("hinge", "revolute", "base", "crank", SPRING))
+    with pytest.raises(RedundancyPinError, match='actuated="a,b"') as caught:
+        rp.load_robot(path)
+    assert "actuators" not in str(caught.value)
+    assert rp.load_robot(path, actuated="hinge").actuated == ("hinge",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "note"),
+    [
+        ("<axis>", "<axis><initial_position>0.4</initial_position>", "initial position of 'drive' is not read"),
+        ("</model>", '<plugin name="p" filename="f"/></model>', "The plugin 'p' does not run"),
+        ("</model>", '<x:tag xmlns:x="y"/></model>', "Passed over: <tag> in line 1"),
+        ("</model>", "<model_state/></model>", "Not read: <model_state> in line"),
+        ("<inertial>", '<collision name="c"/><inertial>', "Contacts are not modelled"),
+        (
+            "<inertial>",
+            "<velocity_decay><linear>1</linear></velocity_decay><inertial>",
+            "Not in force, though the file says it: velocity decay of base",
+        ),
+    ],
+)
+def test_what_is_left_out_is_noted(old: str, new: str, note: str, tmp_path: Path) -> None:
+    path = written(tmp_path, *FOUR_BAR)
+    path.write_text(path.read_text().replace(old, new, 1))
+    assert note in " ".join(rp.load_robot(path).notes)
+
+
+# --- other files ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("uri", "message"),
+    [
+        ("https://fuel.gazebosim.org/1.0/x/models/arm", "which is not beside it"),
+        ("file:///etc/passwd", "which is not beside it"),
+        ("/etc/passwd", "which is not beside it"),
+        ("../part.sdf", "which is not beside it"),
+        ("model://arm/../../part.sdf", "which is not beside it"),
+        ("model://part.sdf", "which is not there"),  # only what is in a folder with a model.config, above
+        ("model://arm", "which leads out of"),
+        ("linked.sdf", "which leads out of"),
+        ("machine.sdf", "includes itself"),
+        ("other.sdf", "holds <light>"),
+        ("robot.urdf", "is <robot>, not <sdf>"),
+    ],
+)
+def test_no_file_is_read_outside_its_folders(uri: str, message: str, tmp_path: Path) -> None:
+    folder = tmp_path / "robots"
+    (tmp_path / "models" / "arm").mkdir(parents=True)
+    folder.mkdir()
+    (tmp_path / "part.sdf").write_text((FILES / "good" / "parts.sdf").read_text())
+    (tmp_path / "models" / "arm" / "model.config").write_text("<model><sdf>../../part.sdf</sdf></model>")
+    (folder / "other.sdf").write_text('<sdf version="1.9"><light name="sun"/></sdf>')
+    (folder / "robot.urdf").write_text("<robot name='a'/>")
+    os.symlink(tmp_path / "part.sdf", folder / "linked.sdf")
+    path = written(folder, f"<include><uri>{uri}</uri></include>")
+    with pytest.raises(ModelFileError, match=message) as caught:
+        read_sdf(path)
+    assert caught.value.details["line"] == 1
+
+
+def test_includes_that_multiply_end_soon(tmp_path: Path) -> None:
+    """Twenty files, each with the next one twice."""
+    for number in range(20):
+        inner = f"<include><uri>part{number + 1}.sdf</uri><name>{{}}</name></include>"
+        body = "".join(inner.format(name) for name in "ab") if number < 19 else '<link name="a"/>'
+        (tmp_path / f"part{number}.sdf").write_text(f'<sdf version="1.9"><model name="m">{body}</model></sdf>')
+    began = time.process_time()
+    with pytest.raises(ModelFileError, match="more than 6000 frames"):
+        read_sdf(tmp_path / "part0.sdf")
+    assert time.process_time() - began < 2.0
+
+
+# --- Cassie -----------------------------------------------------------------------------------------------------------
 
 
 def _cassie():
@@ -350,75 +578,3 @@ def test_cassie_loads_and_moves(name, freedoms):
     x = home_of(robot) + 0.03 * np.sin(np.arange(robot.n))
     motion = rp.PlatformMotion([0.0], x[None], 0.1 * np.ones((1, robot.n)), np.zeros((1, robot.n)))
     assert np.isfinite(rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau).all()
-
-
-def test_a_model_that_drives_nothing_is_told_how_to_say_it(tmp_path: Path) -> None:
-    """An SDF has no actuators to add: joints are named. One with a spring is not taken to be driven unasked."""
-    spring = "<dynamics><spring_stiffness>5</spring_stiffness><spring_reference>0</spring_reference></dynamics>"
-    arm = joint("hinge", "revolute", "base", "arm", more=spring)
-    path = written(tmp_path, sdf(link("base", "0 0 0 0 0 0"), link("arm", "0 0 0 0 0 0"), arm))
-    with pytest.raises(RedundancyPinError, match='actuated="a,b"') as caught:
-        rp.load_robot(path)
-    assert "actuators" not in str(caught.value)
-    assert rp.load_robot(path, actuated="hinge").actuated == ("hinge",)
-
-
-@pytest.mark.parametrize(("aside", "right"), [(0.0, True), (0.5e-6, True), (2e-6, False), (0.3, False), (1.0, False)])
-def test_arms_of_a_cross_that_closes_a_loop_are_at_right_angles(aside, right, tmp_path):
-    """But for a millionth, which files round; along one another they are none."""
-    arms = f"<axis2><xyz>0 {float(np.sqrt(1.0 - aside**2))!r} {aside!r}</xyz></axis2>"
-    parts = [
-        LINKS[0],
-        link("crank", "0 0 0.1 0 0 0"),
-        link("out", "0.2 0 0.1 0 0 0.4"),
-        joint("in", "revolute", "base", "crank", xyz="1 0 0"),
-        joint("exit", "revolute", "base", "out", xyz="1 0 0"),
-        joint("cross", "universal", "crank", "out", xyz="0 0 1", axis2=arms),
-    ]
-    path = written(tmp_path, sdf(*parts))
-    if right:
-        (closure,) = read_sdf(path).loop_joints
-        assert closure.name == "cross"
-    else:
-        with pytest.raises(ModelFileError, match="'cross' has axes that are not at right angles"):
-            read_sdf(path)
-
-
-@pytest.mark.parametrize(("count", "taken"), [(100, True), (101, False)])
-def test_poses_follow_one_another_a_hundred_times(count, taken, tmp_path):
-    """The last is that of a joint, in the last of the links."""
-    parts = [link("link_0", "0 0 0.01 0 0 0")]
-    for i in range(1, count):
-        place = f'<pose relative_to="link_{i - 1}">0 0 0.01 0 0 0</pose>'
-        parts.append(link(f"link_{i}", "0 0 0 0 0 0").replace("<pose>0 0 0 0 0 0</pose>", place))
-        parts.append(joint(f"joint_{i}", "fixed" if i > 1 else "revolute", f"link_{i - 1}", f"link_{i}"))
-    path = written(tmp_path, sdf(*parts, version="1.9"))
-    if taken:
-        model = read_sdf(path).model
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, np.zeros(1))
-        last = data.oMf[model.getFrameId(f"link_{count - 1}", pin.FrameType.BODY)].translation
-        np.testing.assert_allclose(last, [0.0, 0.0, 0.01 * count], atol=1e-12)
-    else:
-        with pytest.raises(ModelFileError, match="a pose is relative to"):
-            read_sdf(path)
-
-
-def test_joints_along_an_axis_are_pinocchios_own(tmp_path):
-    """Which compute faster; along no axis, or against one, they are those of any direction."""
-    parts = [link("base", "0 0 0 0 0 0")]
-    wanted = {
-        "1 0 0": ("RX", "PX"),
-        "0 2 0": ("RY", "PY"),
-        "0 0 1": ("RZ", "PZ"),
-        "0 0 -1": ("RevoluteUnaligned", "PrismaticUnaligned"),
-        "1 1 0": ("RevoluteUnaligned", "PrismaticUnaligned"),
-    }
-    names = []
-    for xyz, kinds in wanted.items():
-        for kind, name in zip(("revolute", "prismatic"), kinds, strict=True):
-            child = f"body_{len(names)}"
-            parts += [link(child, "0 0 0 0 0 0"), joint(f"to_{child}", kind, "base", child, xyz=xyz)]
-            names.append(f"JointModel{name}")
-    model = read_sdf(written(tmp_path, sdf(*parts))).model
-    assert [str(each.shortname()) for each in list(model.joints)[1:]] == names

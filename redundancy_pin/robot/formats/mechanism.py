@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,9 +13,9 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, joint_names
-from redundancy_pin.robot.loop_joints import ROWS, LoopJoint
+from redundancy_pin.robot.loop_joints import LoopJoint
 from redundancy_pin.robot.rebuild import axis_of, joint_along, rebuilt, span
-from redundancy_pin.robot.types import AXES, Closure, Coupling
+from redundancy_pin.robot.types import Coupling
 
 MOST_LINKS = 2000
 """Links of a robot: urdfdom looks each up among all."""
@@ -52,6 +51,9 @@ class Mechanism:
         notes: what is not in force though the file says it, and what is taken in one of several ways.
         shapes: a URDF with the shapes of the bodies, for drawing.
         independent: names of the joints that the file marks as independent; empty where it marks none.
+        marks: links that are fixed to another one and carry none that moves, with their masses, kg: frames, parts, or
+            ends of loops.
+        presumed: names of those ``loop_joints`` whose ends the file names, but not their kind: balls stand for them.
     """
 
     name: str
@@ -65,6 +67,8 @@ class Mechanism:
     notes: tuple[str, ...] = ()
     shapes: str = ""
     independent: tuple[str, ...] = ()
+    marks: Mapping[str, float] = field(default_factory=dict)
+    presumed: tuple[str, ...] = ()
 
     def with_joints(
         self, replaced: Mapping[str, Sequence[tuple[str, pin.JointModel]]], start: Mapping[str, float] | None = None
@@ -133,7 +137,7 @@ def in_a_row(name: str, axes: Sequence[str]) -> list[tuple[str, pin.JointModel]]
     ]
 
 
-# --- trees that a reader puts together by itself ----------------------------------------------------------------------
+# --- links and joints of a file ----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -174,117 +178,6 @@ class JointEntry:
     limits: Mapping[str, float]
     dynamics: Mapping[str, float] = field(default_factory=dict)
     mimic: Coupling | None = None
-
-
-FREEDOMS = {"fixed": 0, "revolute": 1, "prismatic": 1, "ball": 3}
-"""Kinds of joints in a tree, and the freedoms of each; what has others is made of these."""
-
-
-def mechanism_of_tree(
-    name: str,
-    links: Mapping[str, LinkEntry],
-    joints: Sequence[JointEntry],
-    closures: Sequence[Closure],
-    actuated: tuple[str, ...],
-    gravity: Array,
-    start: Mapping[str, float | Array] | None = None,
-    *,
-    armature: Mapping[str, float] | None = None,
-    path: str = "",
-    **more: Any,
-) -> Mechanism:
-    """Return the mechanism of a tree that is put together of links and joints.
-
-    Args:
-        name: of the model.
-        links: the bodies and frames by name, the first of them the world.
-        joints: each after those that carry it.
-        closures: between frames that are links.
-        actuated: names of the joints that are driven.
-        gravity: (3,) m/s².
-        start: positions of joints at the file's own configuration, rad or m; (4,) of a ball, x, y, z, w.
-        armature: inertia of rotors by joint, kg·m² or kg.
-        path: the file, for messages.
-        more: what else a ``Mechanism`` has.
-
-    Raises:
-        ModelFileError: more links or freedoms than a model may have.
-    """
-    freedoms = sum(FREEDOMS[joint.kind] for joint in joints)
-    for count, most, what in ((freedoms, MOST_FREEDOMS, "freedoms"), (len(links), MOST_LINKS, "bodies")):
-        if count > most:
-            raise ModelFileError(
-                f"{path}: the model has {count} {what}, more than the {most} that one may have.",
-                remedy="Take out what is no part of the mechanism.",
-                path=path,
-            )
-    model = pin.Model()
-    model.name, model.gravity.linear = name, gravity
-    root = next(iter(links))
-    places = {root: (0, pin.SE3.Identity())}
-    model.addBodyFrame(root, 0, pin.SE3.Identity(), 0)
-    inertias = model.armature
-    for joint in joints:
-        carrier, place = places[joint.parent]
-        place = place * pin.SE3(joint.placement)
-        if joint.kind != "fixed":
-            carrier, place = _added(model, joint, carrier, place), pin.SE3.Identity()
-            inertias = np.concatenate(
-                [inertias, np.full(model.nv - len(inertias), (armature or {}).get(joint.name, 0.0))]
-            )
-        places[joint.child] = carrier, place
-        link = links[joint.child]
-        if link.mass or link.inertia.any():
-            model.appendBodyToJoint(carrier, pin.Inertia(link.mass, link.centre, link.inertia), place)
-        model.addBodyFrame(joint.child, carrier, place, 0)
-    model.armature = inertias
-    model, _ = rebuilt(model)
-    q: Array = pin.neutral(model)
-    for moved, value in (start or {}).items():
-        at = find_joint(model, moved)
-        q[at.idx_q : at.idx_q + at.nq] = value
-    kinds = {rows: kind for kind, rows in ROWS.items()}
-    loops = tuple(
-        LoopJoint(each.name, kinds[each.axes], (each.frame_a, each.frame_b), (np.eye(4), np.eye(4)))
-        for each in closures
-    )
-    return Mechanism(name, model, q, loops, actuated=actuated, **more)
-
-
-def _added(model: pin.Model, joint: JointEntry, carrier: int, place: pin.SE3) -> int:
-    if joint.kind == "ball":
-        return int(model.addJoint(carrier, pin.JointModelSpherical(), place, joint.name))
-    limits = [np.array([joint.limits[key]]) for key in ("velocity", "lower", "upper")]
-    number = int(
-        model.addJoint(carrier, joint_along(joint.kind, joint.axis), place, joint.name, np.array([np.inf]), *limits)
-    )
-    column, effort = model.joints[number].idx_v, joint.limits["effort"]
-    # efforts may all be of one sign, and addJoint takes the least for minus the most
-    for name, bound in (("lower", joint.limits.get("effort_lower", -effort)), ("upper", effort)):
-        bounds = getattr(model, f"{name}EffortLimit")
-        bounds[column] = bound
-        setattr(model, f"{name}EffortLimit", bounds)
-    return number
-
-
-def six_joints(name: str, parent: str, child: str, place: Array) -> tuple[list[JointEntry], dict[str, float]]:
-    """Return the joints of a free body, three slides and three hinges, as independent joints have one freedom each.
-
-    Args:
-        name: of the body or its joint; the joints are NAME_x to NAME_rx.
-        parent: the link that does not move.
-        child: the link of the body.
-        place: (4, 4) where it is; the positions of the joints that put it there are returned too, x to rz.
-    """
-    yaw, pitch, roll = angles(place[:3, :3])
-    values = dict(zip(AXES, (*place[:3, 3].tolist(), roll, pitch, yaw), strict=True))
-    joints = []
-    for axis in SIX:
-        joint, direction = f"{name}_{axis}", np.eye(3)["xyz".index(axis[-1])]
-        kind, link = "revolute" if len(axis) == 2 else "prismatic", child if axis == "rx" else f"{name}_{axis}::link"
-        joints.append(JointEntry(joint, kind, parent, link, np.eye(4), direction, UNLIMITED))
-        parent = link
-    return joints, {f"{name}_{axis}": value for axis, value in values.items()}
 
 
 def angles(turn: Array) -> tuple[float, float, float]:

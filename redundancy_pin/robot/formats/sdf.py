@@ -1,71 +1,77 @@
-"""Read SDF, the models of Gazebo: links in the frame of the model, and joints between them, loops included.
+"""Read SDF, the models of Gazebo: links in frames of their own, and joints between them, loops included.
 
 A tree is taken out of the joints, each link by its first parent; a link that has no parent left is carried the other
-way round. Every other joint closes a loop, by the rows of its own type; a gearbox couples two joints. A subset of the
-format, from version 1.5 on; what else changes the mechanics is refused by name, file and line.
+way round. Every other joint closes a loop. A gearbox, a screw and ``<mimic>`` couple joints. Versions from 1.3 on; what
+changes the mechanics and is not covered is refused by name, file and line.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
+import pinocchio as pin
 
-from redundancy_pin.arrays import LARGEST, Array, decimal
-from redundancy_pin.errors import ModelFileError, did_you_mean, shown
+from redundancy_pin.arrays import Array, decimal
+from redundancy_pin.errors import did_you_mean, shown
 from redundancy_pin.robot.formats.mechanism import (
+    MOST_FREEDOMS,
+    NO_MOMENT,
     NOT_IN_FORCE,
+    SIX,
     UNLIMITED,
-    JointEntry,
     LinkEntry,
     Mechanism,
+    angles,
     impossible_moments,
-    mechanism_of_tree,
-    six_joints,
 )
-from redundancy_pin.robot.formats.xml_files import Element, parsed
+from redundancy_pin.robot.formats.sdf_frames import WORLD, Frame, Frames, SdfPart
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.loop_joints import placed
-from redundancy_pin.robot.types import Closure, Coupling
+from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.loop_joints import LoopJoint, turned_to
+from redundancy_pin.robot.rebuild import joint_along, rebuilt
+from redundancy_pin.robot.types import Coupling
 
 _SAME_DIRECTION = 1e-6
+"""Largest difference of two unit vectors that are one: files carry six digits."""
+
 _UNLIMITED = 1e15
 """SDF writes 1e16 where there is no limit, and −1 for speeds and efforts."""
 
-_PARTS = {
-    "model": ("link", "joint", "pose", "self_collide", "static", "allow_auto_disable", "enable_wind", "plugin"),
-    "link": (
-        *("pose", "inertial", "visual", "collision", "self_collide", "kinematic", "gravity", "enable_wind", "sensor"),
-        *("velocity_decay", "light", "must_be_base_link", "audio_sink", "audio_source", "projector"),
-    ),
-    "inertial": ("pose", "mass", "inertia"),
-    "joint": (
-        *("pose", "parent", "child", "axis", "axis2", "physics", "sensor"),
-        *("gearbox_ratio", "gearbox_reference_body"),
-    ),
-    "axis": ("xyz", "limit", "dynamics", "use_parent_model_frame", "initial_position"),
-    "limit": ("lower", "upper", "effort", "velocity", "stiffness", "dissipation"),
-    "dynamics": ("damping", "friction", "spring_reference", "spring_stiffness"),
+_AXES_IN_MODEL, _ALWAYS_IN_MODEL = 6, 4
+"""Up to version 1.6 an axis may say that it is in the frame of the model; up to 1.4 it is."""
+
+_MOMENTS = ("ixx", "iyy", "izz")
+
+_AXES = {
+    "revolute": 1,
+    "continuous": 1,
+    "prismatic": 1,
+    "screw": 1,
+    "universal": 2,
+    "revolute2": 2,
+    "gearbox": 2,
+    "ball": 0,
+    "fixed": 0,
 }
-_KINDS = ("revolute", "continuous", "prismatic", "ball", "fixed", "universal", "gearbox")
-_ROWS = {
-    "revolute": ("x", "y", "z", "rx", "ry"),
-    "continuous": ("x", "y", "z", "rx", "ry"),
-    "prismatic": ("x", "y", "rx", "ry", "rz"),
-    "ball": ("x", "y", "z"),
-    "fixed": ("x", "y", "z", "rx", "ry", "rz"),
-    "universal": ("x", "y", "z", "rz"),
+"""Types of joints, and the number of their axes."""
+
+_LOOP_KINDS = {
+    "revolute": "hinge",
+    "continuous": "hinge",
+    "prismatic": "slider",
+    "ball": "ball",
+    "fixed": "weld",
+    "universal": "universal",
 }
-"""Rows of a joint that closes a loop, in a frame with its z axis along the joint's."""
+"""Joints that close loops by rows of their own."""
 
 
 def read_sdf(path: Path, *, actuated: str = "", base: str = "fixed") -> Mechanism:
-    """Read a model of Gazebo.
+    """Read a model of Gazebo, or a world with one model that moves.
 
     Args:
         path: the file.
@@ -75,365 +81,317 @@ def read_sdf(path: Path, *, actuated: str = "", base: str = "fixed") -> Mechanis
     Raises:
         ModelFileError: naming file and line: a file that is none, or what this reader does not know.
     """
-    return _Reader(path, base).mechanism([name.strip() for name in actuated.split(",") if name.strip()])
+    return _Reader(Frames(path), base).mechanism([name.strip() for name in actuated.split(",") if name.strip()])
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A joint of one degree of freedom, or a ball, of which a joint of the file consists.
+
+    Attributes:
+        name: what to call it.
+        kind: "revolute", "prismatic" or "ball".
+        axis: (3,) of length 1, in the axes of the model that moves.
+        limits: as ``UNLIMITED``.
+    """
+
+    name: str
+    kind: str
+    axis: Array
+    limits: Mapping[str, float] = field(default_factory=lambda: UNLIMITED)
 
 
 @dataclass(frozen=True)
 class _Joint:
-    """A joint of the file, its frame and axes in that of the model."""
+    """A joint of the file.
 
-    element: Element
+    Attributes:
+        frame: its element and the scope of its names.
+        name: what to call it.
+        kind: its type.
+        parent, child: full names of the links that it joins, or "world".
+        place: (4, 4) in the model that moves.
+        axes: (3,) of length 1, in the axes of that model.
+        steps: what it consists of, from its parent to its child.
+        turns: names of the steps of its axes.
+    """
+
+    frame: Frame
     name: str
     kind: str
     parent: str
     child: str
-    frame: Array
-    axes: tuple[Array, ...]
-    limits: tuple[dict[str, float], ...]
+    place: Array
+    axes: tuple[Array, ...] = ()
+    steps: tuple[_Step, ...] = ()
+    turns: tuple[str, ...] = ()
 
 
 class _Reader:
     """What is gathered on the way through a file."""
 
-    def __init__(self, path: Path, base: str) -> None:
-        self.path, self._base = path, base
+    def __init__(self, frames: Frames, base: str) -> None:
+        self.frames, self._base = frames, base
         self.notes: list[str] = []
-        self._forces: dict[str, list[str]] = {}
         self.loads: dict[str, JointForces] = {}
-        root = parsed(path)
-        if root.tag != "sdf":
-            self.refuse(root, f"the top element is <{root.tag}>, not <sdf>", "Pass a model of Gazebo.")
-        version = root.get("version", "")
-        if not re.fullmatch(r"1\.(\d+)(\..*)?", version) or int(version.split(".")[1]) < 5:
-            self.refuse(root, f"it is SDF of version {shown(version)}", "Write it as version 1.5 or newer.")
-        self._in_model = int(version.split(".")[1]) <= 6
-        """Whether an axis may say that it is in the frame of the model."""
-        models = [child for child in root if isinstance(child, Element)]
-        if len(models) != 1 or models[0].tag != "model":
-            names = ", ".join(str(each.tag) for each in models[:5])
-            self.refuse(root, f"it holds {names or 'nothing'}", "Pass a file with one <model>.")
-        self.model = models[0]
-        self._require_known(self.model)
-        self.elements = {kind: self._named(kind) for kind in ("link", "joint")}
-        if not self.elements["link"]:
-            self.refuse(self.model, "the model has no links")
-        self._resolving: list[str] = []
-        if self.model.get("placement_frame") or self._relative_to(self.model, "world") != "world":
-            # either puts the model elsewhere than its pose says, and turns it in gravity
-            self.refuse(self.model, "the model has placement_frame, or a pose relative to a frame", "Say its own pose.")
-        self.world = self._own_pose(self.model)
-        self.places = {name: self._place(name) for name in self.elements["link"]}
-        """Placement (4, 4) of each link in the model."""
+        self.couplings: list[Coupling] = []
+        self.moving: dict[str, _Step] = {}
+        """Joints of the tree of one degree of freedom."""
+        self._led: set[str] = set()
+        self._ignored: dict[str, list[str]] = {}
+        self._assumed: list[str] = []
+        self.model = pin.Model()
+        self.model.name, self.model.gravity.linear = frames.main, frames.gravity
+        self.model.addBodyFrame(WORLD, 0, pin.SE3.Identity(), 0)
+        self._carriers: dict[str, tuple[int, pin.SE3]] = {WORLD: (0, pin.SE3.Identity())}
+        """By full name of a link, the joint of the tree that carries it, and its place there."""
 
-    def refuse(self, element: Element, what: str, remedy: str = "") -> NoReturn:
-        """Refuse the file, at the line of an element."""
-        raise ModelFileError(
-            f"{self.path.name}, line {element.line}: {what}.",
-            remedy=remedy or "Take it out, or write the model without it.",
-            path=str(self.path),
-            line=element.line,
+    def mechanism(self, driven: list[str]) -> Mechanism:
+        """Return what the file describes."""
+        frames = self.frames
+        links = {full: self._link(frame) for full, frame in frames.links.items()}
+        self.notes += impossible_moments(links.values())
+        joints = {full: self._joint(full, frame) for full, frame in frames.joints.items()}
+        hinged = [joint for joint in joints.values() if joint.kind != "gearbox"]
+        for joint in joints.values():
+            if joint.kind == "gearbox":
+                self.couplings.append(self._gears(joint, hinged))
+            self._couple_axes(joint, joints)
+        tree, loops = self._spanning(hinged)
+        start: dict[str, float] = {}
+        for above, turned_round, carrier, carried in tree:
+            if above is None:
+                start = self._root(links[carried], carried)
+            else:
+                index, place = self._add_joint(above, carrier, turned_round=turned_round)
+                self._add_link(links[carried], carried, index, place * self._from(above, carried))
+        counted = {*driven, *(name for coupling in self.couplings for name in coupling.joints)}
+        loop_joints = tuple(self._loop_joint(joint, counted) for joint in loops)
+        self._add_marks()
+        self._require_moving(driven)
+        model, _ = rebuilt(self.model)
+        loads = tuple(load for name, load in self.loads.items() if name in self.moving)
+        if cut := [name for name in self.loads if name not in self.moving]:
+            self._ignored.setdefault("dynamics", []).extend(cut)
+        self._report(loads)
+        q: Array = pin.neutral(model)
+        for name, value in start.items():
+            q[find_joint(model, name).idx_q] = value
+        return Mechanism(
+            frames.main,
+            model,
+            q,
+            loop_joints,
+            tuple(self.couplings),
+            tuple(driven) or self._candidates(),
+            bool(driven),
+            loads,
+            tuple(self.notes),
         )
 
-    # --- elements -----------------------------------------------------------------------------------------------------
-
-    def _require_known(self, element: Element, what: str = "") -> None:
-        known = _PARTS["axis" if element.tag == "axis2" else str(element.tag)]
-        for child in element:
-            if child.tag not in known and isinstance(child, Element):
-                name = what or f"the {element.tag}"
-                self.refuse(child, f"{name} has <{child.tag}>, which is not covered", did_you_mean(child.tag, known))
-
-    def _children(self, element: Element, tag: str) -> Iterator[Element]:
-        return (child for child in element if child.tag == tag and isinstance(child, Element))
-
-    def _one(self, element: Element, tag: str) -> Element | None:
-        children = list(self._children(element, tag))
-        if len(children) > 1:
-            self.refuse(children[1], f"<{element.tag}> has <{tag}> {len(children)} times", "Leave one.")
-        return children[0] if children else None
-
-    def _named(self, kind: str) -> dict[str, Element]:
-        result: dict[str, Element] = {}
-        for element in self._children(self.model, kind):
-            name = element.get("name", "")
-            if not name or not name.isprintable() or name != name.strip() or len(name) > 255 or "::" in name:
-                self.refuse(element, f"a {kind} has the name {shown(name)}", "Choose another.")
-            if name in result or name in ("world", "universe", "__model__"):
-                self.refuse(element, f"a {kind} has the name {name!r}, which is taken", "Choose another.")
-            result[name] = element
-        return result
-
-    def _text(self, element: Element, tag: str, default: str | None = None) -> str:
-        child = self._one(element, tag)
-        text = default if child is None else (child.text or "").strip()
-        if text is None or (child is not None and len(child)):
-            self.refuse(element if child is None else child, f"<{element.tag}> has no {tag}", "Add it.")
-        return text
-
-    def _numbers(self, element: Element, text: str, count: int) -> Array:
-        try:
-            values = [decimal(part) for part in text.split()]
-        except ValueError:
-            values = []
-        if len(values) != count or not all(abs(value) < LARGEST for value in values):
-            self.refuse(element, f"{shown(text)} is not {count} finite number(s)", "Correct it.")
-        return np.array(values)
-
-    def _number(self, element: Element, tag: str, default: str | None = None) -> float:
-        return float(self._numbers(self._one(element, tag) or element, self._text(element, tag, default), 1)[0])
-
-    def _flag(self, element: Element, tag: str, default: str = "0") -> bool:
-        text = self._text(element, tag, default) or default
-        if text.lower() not in ("0", "1", "false", "true"):
-            self.refuse(self._one(element, tag) or element, f"<{tag}> is {shown(text)}", "Write true or false.")
-        return text.lower() in ("1", "true")
-
-    # --- poses --------------------------------------------------------------------------------------------------------
-
-    def _own_pose(self, element: Element) -> Array:
-        """Return the (4, 4) placement that <pose> says, whatever it is relative to: R_z R_y R_x."""
-        pose = self._one(element, "pose")
-        if pose is None:
-            return np.eye(4)
-        if pose.get("rotation_format", "euler_rpy") != "euler_rpy" or pose.get("degrees", "false") != "false":
-            self.refuse(pose, "a pose of another form than xyz and roll, pitch, yaw in radians", "Write it so.")
-        if set(pose.attrib) - {"frame", "relative_to", "rotation_format", "degrees"}:
-            self.refuse(pose, f"a pose with {', '.join(sorted(pose.attrib))}")
-        x, y, z, roll, pitch, yaw = self._numbers(pose, (pose.text or "").strip() or "0 0 0 0 0 0", 6).tolist()
-        (a, b, c), (sa, sb, sc) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-        about_x = np.array([[1.0, 0.0, 0.0], [0.0, a, -sa], [0.0, sa, a]])
-        about_y = np.array([[b, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, b]])
-        about_z = np.array([[c, -sc, 0.0], [sc, c, 0.0], [0.0, 0.0, 1.0]])
-        return placed(about_z @ about_y @ about_x, np.array([x, y, z]))
-
-    def _relative_to(self, element: Element, default: str) -> str:
-        pose = self._one(element, "pose")
-        given = "" if pose is None else pose.get("relative_to", pose.get("frame", ""))
-        return given or default
-
-    def _place(self, name: str, kinds: tuple[str, ...] = ("link", "joint")) -> Array:
-        """Return the (4, 4) placement of a link or joint in the model; before SDF 1.7 both may have one name."""
-        if name == "__model__":
-            return np.eye(4)
-        element = next((self.elements[kind][name] for kind in kinds if name in self.elements[kind]), None)
-        if element is None or (key := f"{element.tag} {name}") in self._resolving or len(self._resolving) > 100:
-            self.refuse(self.model, f"a pose is relative to {name!r}: no link or joint, or back to itself")
-        default = "__model__" if element.tag == "link" else self._text(element, "child")
-        self._resolving.append(key)
-        within = self._relative_to(element, default)
-        result: Array = self._place("__model__" if within == "world" else within) @ self._own_pose(element)
-        self._resolving.pop()
-        return result
+    def _require_moving(self, driven: list[str]) -> None:
+        """Refuse names of driven joints that are none."""
+        for name in driven:
+            if name not in self.moving:
+                part = next(iter(self.frames.links.values())).part
+                remedy = f"{did_you_mean(name, self.moving)}Its joints of one degree of freedom: "
+                remedy += f"{', '.join(self.moving)}."
+                part.refuse(f"actuated names {shown(name)}, which is no joint that moves", remedy)
 
     # --- links and joints ---------------------------------------------------------------------------------------------
 
-    def _link(self, name: str) -> LinkEntry:
-        element = self.elements["link"][name]
-        self._require_known(element, f"the link {name!r}")
-        if not self._flag(element, "gravity", "1"):
-            self.refuse(element, f"the link {name!r} has no gravity, which is not covered")
-        if self._flag(element, "kinematic") or self._flag(element, "enable_wind"):
-            self.refuse(element, f"the link {name!r} is kinematic or in the wind, which is not covered")
-        decay = self._one(element, "velocity_decay")
-        if decay is not None and any(float(self._number(decay, key, "0")) for key in ("linear", "angular")):
-            self._forces.setdefault("velocity decay", []).append(name)
-        inertial = self._one(element, "inertial")
-        if inertial is None or self._one(inertial, "mass") is None or self._one(inertial, "inertia") is None:
-            remedy = "Say it: without, SDF takes 1 kg and 1 kg·m²."
-            self.refuse(element, f"the link {name!r} has no inertial with mass and inertia", remedy)
-        self._require_known(inertial, f"the inertial of {name!r}")
-        if set(inertial.attrib) or self._relative_to(inertial, ""):
-            self.refuse(inertial, f"the inertial of {name!r} has attributes, or a pose relative to another frame")
-        tensor = self._one(inertial, "inertia")
-        mass = self._number(inertial, "mass")
-        inertia = np.zeros((3, 3))
-        for i, first in enumerate("xyz"):
-            for j, second in enumerate("xyz"):
-                key = "i" + "".join(sorted(first + second))
-                inertia[i, j] = self._number(tensor, key, "0" if i != j else None) if tensor is not None else 0.0
+    def _link(self, frame: Frame) -> LinkEntry:
+        part, name = frame.part, self.frames.name(frame.full)
+        self.frames.pass_over(part)
+        if not part.flag("gravity", default=True):
+            part.refuse(f"{part.owner} has no gravity, which is not covered")
+        if part.flag("kinematic") or part.flag("enable_wind"):
+            part.refuse(f"{part.owner} is kinematic or in the wind, which is not covered")
+        decay = part.one("velocity_decay")
+        if decay and any(decay.value(key, 0.0) for key in ("linear", "angular")):
+            self._ignored.setdefault("velocity decay", []).append(name)
+        inertial = part.one("inertial")
+        tensor = inertial.one("inertia") if inertial else None
+        mass, inertia, place = 1.0, np.eye(3), np.eye(4)
+        if inertial:
+            self.frames.pass_over(inertial)
+            if inertial.text_of("auto") not in ("", "0", "false") or inertial.relative_to():
+                remedy = "Write mass and inertia, in the frame of the link."
+                inertial.refuse(f"{part.owner} has an inertial by its shapes, or in another frame", remedy)
+            place, mass = inertial.pose(), inertial.value("mass", 1.0)
+        if tensor:
+            keys = ["i" + "".join(sorted(one + other)) for one in "xyz" for other in "xyz"]
+            values = [tensor.value(key, 1.0 if key in _MOMENTS else 0.0) for key in keys]
+            inertia = np.array(values).reshape(3, 3)
+        missing = [key for key in _MOMENTS if tensor is None or tensor.one(key) is None]
+        if missing or inertial is None or inertial.one("mass") is None:
+            self._assumed.append(name)
         moments = np.linalg.eigvalsh(inertia)
-        if mass < 0.0 or moments[0] < -1e-12:
-            self.refuse(inertial, f"the link {name!r} has the mass {mass:g} and the moments {moments}", "Correct it.")
-        place = self._own_pose(inertial)
+        if mass < 0.0 or moments[0] < -NO_MOMENT:
+            part.refuse(f"{part.owner} has the mass {mass:g} and the moments {moments}", "Correct it.")
         turn = place[:3, :3]
-        link = LinkEntry(name, mass, place[:3, 3], turn @ inertia @ turn.T)
-        self.notes += impossible_moments([link])
-        return link
+        return LinkEntry(name, mass, place[:3, 3], turn @ inertia @ turn.T)
 
-    def _joint(self, name: str) -> _Joint:
-        element = self.elements["joint"][name]
-        kind = element.get("type", "")
-        if kind not in _KINDS:
-            remedy = f"Covered are {', '.join(_KINDS)}."
-            self.refuse(element, f"the joint {name!r} has the type {shown(kind)}, which is not covered", remedy)
-        self._require_known(element, f"the joint {name!r}")
-        ends = []
-        for role in ("parent", "child"):
-            link = self._text(element, role)
-            if link not in self.elements["link"] and link != "world":
-                remedy = did_you_mean(link, self.elements["link"]).strip()
-                self.refuse(element, f"the joint {name!r} has the {role} {shown(link)}, which is no link", remedy)
-            ends.append(link)
-        if ends[0] == ends[1]:
-            self.refuse(element, f"the joint {name!r} has one link at both ends")
-        frame, axes, limits = self._place(name, ("joint",)), [], []
-        wanted = {"revolute": 1, "continuous": 1, "prismatic": 1, "universal": 2, "gearbox": 2}.get(kind, 0)
+    def _joint(self, full: str, frame: Frame) -> _Joint:
+        part, name = frame.part, self.frames.name(full)
+        self.frames.pass_over(part)
+        if (kind := part.text_of("type")) not in _AXES:
+            what = f"{part.owner} has the type {shown(kind)}, which is not covered"
+            part.refuse(what, f"Covered are {', '.join(_AXES)}.")
+        parent, child = (self.frames.end(frame, role) for role in ("parent", "child"))
+        if parent == child:
+            part.refuse(f"{part.owner} joins {self.frames.name(parent)!r} to itself", "Name two links.")
+        joint = _Joint(frame, name, kind, parent, child, self.frames.place(frame.full, self.frames.main))
+        names = {1: (name,), 2: (f"{name}_1", f"{name}_2")}.get(_AXES[kind], ())
+        axes, steps = [], []
         for number, tag in enumerate(("axis", "axis2")):
-            axis = self._one(element, tag)
-            if axis is None and number < wanted:
-                self.refuse(element, f"the joint {name!r} has no {tag}", "Add it.")
+            axis = part.one(tag)
             if axis is None:
+                if number < _AXES[kind]:
+                    part.refuse(f"{part.owner} has no {tag}", "Add it.")
                 continue
-            self._require_known(axis, f"the joint {name!r}")
-            self._read_forces(axis, name, kind)
-            if self._number(axis, "initial_position", "0"):
+            self.frames.pass_over(axis)
+            self._read_forces(axis, name, names[number] if number < len(names) and kind != "gearbox" else "")
+            if axis.value("initial_position", 0.0):
                 self.notes.append(f"The initial position of {name!r} is not read: joints are at zero where links are.")
-            if number >= wanted:  # damping of a ball is said there; a direction means nothing
-                continue
-            axes.append(self._direction(axis, name, frame))
-            limits.append(self._limits(axis, kind))
-        if len(limits) == 1 and limits[0]["lower"] == limits[0]["upper"]:
-            if limits[0]["lower"] != 0.0:
-                self.refuse(
-                    element, f"the joint {name!r} is held at {limits[0]['lower']:g}, not where the model has it"
-                )
+            if number < _AXES[kind]:  # a ball may have axes, which say its damping
+                axes.append(self._direction(axis, frame, joint.place))
+                limits = self._limits(axis, kind)
+                steps.append(_Step(names[number], "prismatic" if kind == "prismatic" else "revolute", axes[-1], limits))
+        if len(steps) == 1 and (end := steps[0].limits["lower"]) == steps[0].limits["upper"]:
+            if end:
+                part.refuse(f"{part.owner} is held at {end:g}, not where the model has it", "Move the links there.")
             self.notes.append(f"The joint {name!r} has the limits 0 and 0: it is fixed.")
-            kind, axes, limits = "fixed", [], []
-        return _Joint(element, name, kind, ends[0], ends[1], frame, tuple(axes), tuple(limits))
+            return replace(joint, kind="fixed")
+        if kind == "screw":
+            steps.insert(0, _Step(f"{name}_slide", "prismatic", axes[0]))
+            self.couplings.append(Coupling(f"thread of {name}", f"{name}_slide", name, (0.0, self._lead(part))))
+            self._led.add(f"{name}_slide")
+        if kind == "ball":
+            steps.append(_Step(name, "ball", np.zeros(3)))
+        if kind == "gearbox":
+            return replace(joint, axes=tuple(axes))
+        return replace(joint, axes=tuple(axes), steps=tuple(steps), turns=names)
 
-    def _direction(self, axis: Element, name: str, frame: Array) -> Array:
-        given = self._one(axis, "xyz")
-        vector = np.array([0.0, 0.0, 1.0]) if given is None else self._numbers(given, (given.text or "").strip(), 3)
-        length = float(np.linalg.norm(vector))
-        if not length > 1e-12:
-            self.refuse(axis, f"the joint {name!r} has an axis of length zero", "Correct it.")
-        turn = frame[:3, :3]
-        if given is not None and given.get("expressed_in"):
-            turn = self._place(given.get("expressed_in", ""))[:3, :3]
-        if self._flag(axis, "use_parent_model_frame"):
-            if not self._in_model:
-                self.refuse(axis, "use_parent_model_frame is no part of SDF 1.7 and newer", "Say expressed_in.")
-            turn = np.eye(3)
+    def _direction(self, axis: SdfPart, frame: Frame, place: Array) -> Array:
+        """Return (3,) an axis in the axes of the model that moves."""
+        given, main = axis.one("xyz"), self.frames.main
+        vector = given.numbers(given.content(), 3, "an axis") if given else np.array([0.0, 0.0, 1.0])
+        if not (length := float(np.linalg.norm(vector))):
+            axis.refuse(f"{axis.owner} has an axis of length zero", "Correct it.")
+        turn = place[:3, :3]
+        if given and (named := given.text_of("expressed_in")):
+            turn = self.frames.place(self.frames.find(frame.scope, named, given), main)[:3, :3]
+        if axis.flag("use_parent_model_frame", default=axis.version <= _ALWAYS_IN_MODEL):
+            if axis.version > _AXES_IN_MODEL:
+                axis.refuse(f"{axis.owner} has use_parent_model_frame, no part of SDF 1.7", "Write expressed_in.")
+            turn = self.frames.place(frame.scope.frame, main)[:3, :3]
         direction: Array = turn @ vector / length
         return direction
 
-    def _limits(self, axis: Element, kind: str) -> dict[str, float]:
+    def _limits(self, axis: SdfPart, kind: str) -> dict[str, float]:
         result = dict(UNLIMITED)
-        limit = self._one(axis, "limit")
+        limit = axis.one("limit")
         if limit is None:
             return result
-        self._require_known(limit)
+        self.frames.pass_over(limit)
         for key in UNLIMITED:
-            if self._one(limit, key) is None:
-                continue
-            text = self._text(limit, key)
-            value = math.inf if text.lower().lstrip("+-") in ("inf", "infinity") else self._number(limit, key)
+            try:
+                value = decimal(limit.text(key, "inf"))
+            except ValueError:
+                value = math.nan
+            if math.isnan(value):
+                limit.refuse(f"{axis.owner} has the {key} {shown(limit.text(key))}, which is no number", "Correct it.")
             is_end = key in ("lower", "upper")
             if abs(value) < _UNLIMITED and (kind != "continuous" if is_end else value >= 0.0):
                 result[key] = value
         if result["lower"] > result["upper"]:
-            what = f"the limits {result['lower']:g} and {result['upper']:g}, the lower above the upper"
-            self.refuse(limit, what, "Correct them.")
+            what = f"{axis.owner} has the limits {result['lower']:g} and {result['upper']:g}"
+            limit.refuse(f"{what}, the lower above the upper", "Correct them.")
         return result
 
-    def _read_forces(self, axis: Element, name: str, kind: str) -> None:
-        dynamics = self._one(axis, "dynamics")
+    def _read_forces(self, axis: SdfPart, joint: str, step: str) -> None:
+        """Read damping, friction and spring of an axis; they act on a step, or are ignored if its name is empty."""
+        dynamics = axis.one("dynamics")
         if dynamics is None:
             return
-        self._require_known(dynamics)
-        damping, friction, stiffness = (
-            self._number(dynamics, key, "0") for key in ("damping", "friction", "spring_stiffness")
-        )
-        if not (damping or friction or stiffness):
-            return
-        if kind not in ("revolute", "continuous", "prismatic"):
-            self._forces.setdefault("dynamics", []).append(name)
-            return
+        self.frames.pass_over(dynamics)
+        damping, friction, stiffness = (dynamics.value(key, 0.0) for key in ("damping", "friction", "spring_stiffness"))
         if min(damping, friction, stiffness) < 0.0:
-            self.refuse(dynamics, f"the joint {name!r} has negative friction or stiffness", "Correct it.")
-        rest = self._number(dynamics, "spring_reference", "0")
-        self.loads[name] = JointForces(name, damping, friction, stiffness=stiffness, rest=rest)
+            dynamics.refuse(f"{axis.owner} has negative friction or stiffness", "Correct it.")
+        if step and (damping or friction or stiffness):
+            rest = dynamics.value("spring_reference", 0.0)
+            self.loads[step] = JointForces(step, damping, friction, stiffness=stiffness, rest=rest)
+        elif damping or friction or stiffness:
+            self._ignored.setdefault("dynamics", []).append(joint)
 
-    # --- the mechanism ------------------------------------------------------------------------------------------------
+    # --- couplings ----------------------------------------------------------------------------------------------------
 
-    def mechanism(self, driven: list[str]) -> Mechanism:
-        """Return what the file describes."""
-        links = {name: self._link(name) for name in self.elements["link"]}
-        joints = [self._joint(name) for name in self.elements["joint"]]
-        gears = [joint for joint in joints if joint.kind == "gearbox"]
-        tree, loops = self._spanning([joint for joint in joints if joint not in gears])
-        self.links = {"world": LinkEntry("world", 0.0, np.zeros(3), np.zeros((3, 3)))}
-        self.entries: list[JointEntry] = []
-        start: dict[str, float | Array] = {}
-        for joint, reversed_, carrier, carried in tree:
-            if joint is None:
-                start.update(self._root(carried, links[carried]))
-            else:
-                self._add(joint, reversed_, carrier, links[carried])
-        closures = tuple(self._closure(joint) for joint in loops)
-        moving = {entry.name: entry for entry in self.entries if entry.kind in ("revolute", "prismatic")}
-        for name in driven:
-            if name not in moving:
-                remedy = f"{did_you_mean(name, moving)}Its joints of one freedom: {', '.join(moving)}."
-                self.refuse(
-                    self.model, f"actuated names {shown(name)}, which is no joint that moves in the tree", remedy
-                )
-        loads = tuple(load for load in self.loads.values() if load.joint in moving)
-        cut = [name for name in self.loads if name not in moving]  # joints that close loops, or that are held
-        if cut:
-            self._forces.setdefault("dynamics", []).extend(cut)
-        if loads:
-            names = ", ".join(load.joint for load in loads)
-            self.notes.append(f"In force: damping, friction and springs of {names}.")
-        self._say()
-        return mechanism_of_tree(
-            self.model.get("name") or self.path.stem,
-            self.links,
-            tuple(self.entries),
-            closures,
-            tuple(driven) or self._candidates(moving.values()),
-            np.array([0.0, 0.0, -9.81]),
-            start,
-            path=str(self.path),
-            forces=loads,
-            notes=tuple(self.notes),
-            drives_declared=bool(driven),
-            couplings=tuple(self._gears(gear, [joint for joint, *_ in tree if joint]) for gear in gears),
-        )
+    def _lead(self, part: SdfPart) -> float:
+        """Return how far a screw moves along its axis as it turns about it, m/rad.
 
-    def _gears(self, gear: _Joint, joints: list[_Joint]) -> Coupling:
+        ``screw_thread_pitch`` is in m per turn of a right-handed thread, the older ``thread_pitch`` in rad/m of a
+        left-handed one.
+        """
+        if part.one("screw_thread_pitch") or not part.one("thread_pitch"):
+            return part.value("screw_thread_pitch") / (2.0 * math.pi)
+        if not (pitch := part.value("thread_pitch")):
+            part.refuse(f"{part.owner} has a thread_pitch of zero", "Correct it.")
+        return -1.0 / pitch
+
+    def _couple_axes(self, joint: _Joint, joints: Mapping[str, _Joint]) -> None:
+        """Add what <mimic> says: follower = multiplier · (leader − reference) + offset."""
+        scope = joint.frame.scope
+        for number, tag in enumerate(("axis", "axis2")):
+            axis = joint.frame.part.one(tag)
+            if axis is None or (mimic := axis.one("mimic")) is None:
+                continue
+            self.frames.pass_over(mimic)
+            leader, which = joints.get(scope.prefix + mimic.text_of("joint")), mimic.text_of("axis") or "axis"
+            turns = dict(zip(("axis", "axis2"), leader.turns if leader and leader is not joint else (), strict=False))
+            if which not in turns or number >= len(joint.turns):
+                what = f"{mimic.owner} mimics the {shown(which)} of {shown(mimic.text_of('joint'))}, which it cannot"
+                mimic.refuse(what, "Name another joint of one or two axes.")
+            slope, name = mimic.value("multiplier", 1.0), joint.turns[number]
+            constant = mimic.value("offset", 0.0) - slope * mimic.value("reference", 0.0)
+            self.couplings.append(Coupling(f"mimic of {name}", name, turns[which], (constant, slope)))
+            self._led.add(name)
+
+    def _gears(self, gear: _Joint, joints: Iterable[_Joint]) -> Coupling:
         """Return θ₂ = −ratio θ₁: angles from the reference body to parent (θ₁, about axis) and child (about axis2)."""
-        reference, ratio = (
-            self._text(gear.element, "gearbox_reference_body"),
-            self._number(gear.element, "gearbox_ratio"),
-        )
-        ends = []
+        part, frames = gear.frame.part, self.frames
+        reference = frames.body(frames.find(gear.frame.scope, part.text("gearbox_reference_body"), part))
+        ratio, ends = part.value("gearbox_ratio", 1.0), []
         for link, axis in zip((gear.parent, gear.child), gear.axes, strict=True):
-            between = [joint for joint in joints if {joint.parent, joint.child} == {reference, link}]
-            along = (
-                float(between[0].axes[0] @ axis) if between and between[0].kind in ("revolute", "continuous") else 0.0
-            )
+            between = [
+                joint
+                for joint in joints
+                if {joint.parent, joint.child} == {reference, link} and joint.kind in ("revolute", "continuous")
+            ]
+            along = float(between[0].axes[0] @ axis) if between else 0.0
             if abs(abs(along) - 1.0) > _SAME_DIRECTION:
-                what = (
-                    f"the gearbox {gear.name!r} needs a hinge of the tree about its axis from {reference!r} to {link!r}"
+                ends_named = f"from {frames.name(reference)!r} to {frames.name(link)!r}"
+                part.refuse(
+                    f"{part.owner} needs a hinge about its axis {ends_named}", "Add it, or correct the gearbox."
                 )
-                self.refuse(gear.element, what, "Add it, or correct the gearbox.")
-            ends.append(
-                (between[0].name, math.copysign(1.0, along) * (1.0 if between[0].parent == reference else -1.0))
-            )
+            sense = 1.0 if between[0].parent == reference else -1.0
+            ends.append((between[0].name, math.copysign(1.0, along) * sense))
         (of, first), (name, second) = ends
         return Coupling(gear.name, name, of, (0.0, -ratio * first * second))
+
+    # --- the tree -----------------------------------------------------------------------------------------------------
 
     def _spanning(self, joints: list[_Joint]) -> tuple[list[tuple[_Joint | None, bool, str, str]], list[_Joint]]:
         """Return the tree, each joint with whether it is turned round, its carrier and what it carries; and the rest.
 
         A root without a joint to the world is carried by it, by no joint.
         """
+        links = self.frames.links
         first: dict[str, _Joint] = {}
         for joint in joints:
             first.setdefault(joint.child, joint)
         tree: list[tuple[_Joint | None, bool, str, str]] = []
-        reached, rest = {"world"}, list(joints)
+        reached, rest = {WORLD}, list(joints)
 
         def grow() -> None:
             while True:
@@ -450,96 +408,126 @@ class _Reader:
                 rest.remove(joint)
 
         grow()
-        while len(reached) <= len(self.elements["link"]):
-            left = [name for name in self.elements["link"] if name not in reached]
+        while len(reached) <= len(links):
+            left = [full for full in links if full not in reached]
             if tree:
-                element = self.elements["link"][left[0]]
-                self.refuse(element, f"the link {left[0]!r} is joined to nothing that is joined to the base")
-            root = next((name for name in left if name not in first), left[0])
-            tree.append((None, False, "world", root))
+                part = links[left[0]].part
+                part.refuse(f"{part.owner} is joined to nothing that is joined to the base", "Add a joint.")
+            root = next((full for full in left if full not in first), left[0])
+            tree.append((None, False, WORLD, root))
             reached.add(root)
             grow()
         return tree, rest
 
-    def _root(self, name: str, link: LinkEntry) -> dict[str, float | Array]:
-        """Put the root where the model has it, held or free."""
-        self.links[name] = link
-        place = self.world @ self.places[name]
+    def _where(self, full: str) -> pin.SE3:
+        """Return the placement of a link, or the world, in the model that moves."""
+        return pin.SE3(self.frames.place(full, self.frames.main))
+
+    def _from(self, joint: _Joint, full: str) -> pin.SE3:
+        """Return the placement of a link at the origin of a joint, in axes along those of the model that moves."""
+        return pin.SE3(np.eye(3), joint.place[:3, 3]).actInv(self._where(full))
+
+    def _root(self, link: LinkEntry, full: str) -> dict[str, float]:
+        """Put the root where the model has it, held or free; return the positions of the joints that carry it."""
+        place = self._where(WORLD).actInv(self._where(full))
         if self._base == "fixed":
-            self.entries.append(JointEntry(f"{name}::fixed", "fixed", "world", name, place, np.zeros(3), {}))
-            self.notes.append(f"The link {name!r}, which nothing joins to the world, is held; base=free lets it move.")
+            self.notes.append(
+                f"The link {link.name!r}, which nothing joins to the world, is held; base=free lets it move."
+            )
+            self._add_link(link, full, 0, place)
             return {}
-        made, start = six_joints(name, "world", name, place)
-        self.entries += made
-        for entry in made[:-1]:
-            self.links[entry.child] = LinkEntry(entry.child, 0.0, np.zeros(3), np.zeros((3, 3)))
-        return dict(start)
+        index, names = 0, [f"{link.name}_{axis}" for axis in SIX]
+        for name, axis in zip(names, SIX, strict=True):
+            kind = "revolute" if len(axis) == 2 else "prismatic"
+            index = self._add_step(_Step(name, kind, np.eye(3)["xyz".index(axis[-1])]), index, pin.SE3.Identity())
+        self._add_link(link, full, index, pin.SE3.Identity())
+        return dict(zip(names, (*place.translation.tolist(), *angles(place.rotation)), strict=True))
 
-    def _where(self, link: str) -> Array:
-        """Return the (4, 4) placement of a link, or the world, in the model."""
-        return np.asarray(np.linalg.inv(self.world) if link == "world" else self.places[link])
+    def _add_joint(self, joint: _Joint, carrier: str, *, turned_round: bool) -> tuple[int, pin.SE3]:
+        """Add a joint to the tree; turned round, it moves the same way about the opposite axis.
 
-    def _add(self, joint: _Joint, back: bool, carrier: str, link: LinkEntry) -> None:
-        """Add a joint to the tree; turned round, it moves the same way about the opposite axis."""
-        parent = carrier
-        at = np.linalg.inv(self._where(carrier)) @ placed(np.eye(3), joint.frame[:3, 3])
-        behind = placed(np.eye(3), joint.frame[:3, 3])  # axes of the model, at the joint
-        kind = {"continuous": "revolute"}.get(joint.kind, joint.kind)
-        axes, limits = (joint.axes[::-1], joint.limits[::-1]) if back else (joint.axes, joint.limits)
+        Returns:
+            The joint of the tree that carries what it moves, and where its origin is there.
+        """
+        index, place = self._carriers[carrier]
+        place, part = place * self._from(joint, carrier).inverse(), joint.frame.part
+        for step in joint.steps[::-1] if turned_round else joint.steps:
+            if self.model.nv >= MOST_FREEDOMS:
+                part.refuse(f"{part.owner} is beyond the {MOST_FREEDOMS} degrees of freedom that a model may have")
+            if self.model.existJointName(step.name):
+                part.refuse(f"{part.owner} needs the name {step.name!r}, which is taken", "Choose another.")
+            index = self._add_step(replace(step, axis=-step.axis) if turned_round else step, index, place)
+            place = pin.SE3.Identity()
+        return index, place
+
+    def _add_step(self, step: _Step, carrier: int, place: pin.SE3) -> int:
+        if step.kind == "ball":
+            return int(self.model.addJoint(carrier, pin.JointModelSpherical(), place, step.name))
+        self.moving[step.name] = step
+        bounds = [np.array([step.limits[key]]) for key in ("effort", "velocity", "lower", "upper")]
+        # without a sign of zero: joints along an axis of their frame are Pinocchio's own kinds
+        return int(self.model.addJoint(carrier, joint_along(step.kind, step.axis + 0.0), place, step.name, *bounds))
+
+    def _add_link(self, link: LinkEntry, full: str, index: int, place: pin.SE3) -> None:
+        self._carriers[full] = index, place
+        if link.mass or link.inertia.any():
+            self.model.appendBodyToJoint(index, pin.Inertia(link.mass, link.centre, link.inertia), place)
+        self.model.addBodyFrame(link.name, index, place, 0)
+
+    def _add_marks(self) -> None:
+        """Add the frames that the file names, those of the world left out."""
+        for full in self.frames.marks:
+            if full.startswith(f"{self.frames.main}::"):
+                body = self.frames.body(full)
+                index, place = self._carriers[body]
+                place = place * self._where(body).actInv(self._where(full))
+                self.model.addBodyFrame(self.frames.name(full), index, place, 0)
+
+    def _loop_joint(self, joint: _Joint, counted: set[str]) -> LoopJoint:
+        """Return a joint that closes a loop, in a frame with its z axis along the joint's.
+
+        One whose position counts, or that is of no kind that closes loops, is added to the tree; its end, which weighs
+        nothing, is welded to the child.
+        """
+        kind, ends, axes = _LOOP_KINDS.get(joint.kind, ""), (joint.parent, joint.child), joint.axes
+        is_skew = kind == "universal" and abs(axes[0] @ axes[1]) > _SAME_DIRECTION
+        if not kind or is_skew or not counted.isdisjoint(step.name for step in joint.steps):
+            index, place = self._add_joint(joint, joint.parent, turned_round=False)
+            end = f"{joint.name}::end"
+            self.model.addBodyFrame(end, index, place * self._from(joint, joint.child), 0)
+            return LoopJoint(joint.name, "weld", (end, self.frames.name(joint.child)), (np.eye(4), np.eye(4)))
+        turn = joint.place[:3, :3]
         if kind == "universal":
-            steps = [(f"{joint.name}_{i + 1}", "revolute") for i in ((1, 0) if back else (0, 1))]
-        else:
-            steps = [(joint.name, kind)] if kind != "fixed" else []
-        for number, (name, step) in enumerate(steps):
-            axis = np.zeros(3) if step == "ball" else axes[number] * (-1.0 if back else 1.0)
-            child = f"{name}::link"
-            self.links[child] = LinkEntry(child, 0.0, np.zeros(3), np.zeros((3, 3)))
-            bounds = UNLIMITED if step == "ball" else limits[number]
-            self.entries.append(JointEntry(name, step, parent, child, at, axis, bounds))
-            parent, at = child, np.eye(4)
-        rest = at @ np.linalg.inv(behind) @ self._where(link.name)
-        self.links[link.name] = link
-        self.entries.append(JointEntry(f"{link.name}::fixed", "fixed", parent, link.name, rest, np.zeros(3), {}))
+            normal = np.cross(axes[1], axes[0])
+            turn = np.column_stack([axes[1], axes[0], normal / np.linalg.norm(normal)])
+        elif axes:
+            turn = turned_to(axes[0])
+        place = pin.SE3(turn, joint.place[:3, 3])
+        one, other = (self._where(end).actInv(place).homogeneous for end in ends)
+        if limited := [step.name for step in joint.steps if step.limits != UNLIMITED]:
+            self.notes.append(f"The limits of {', '.join(limited)}, which closes a loop, are left out.")
+        return LoopJoint(joint.name, kind, (self.frames.name(ends[0]), self.frames.name(ends[1])), (one, other))
 
-    def _closure(self, joint: _Joint) -> Closure:
-        if joint.kind == "universal":
-            first, second = joint.axes
-            normal = np.cross(second, first)
-            if not np.linalg.norm(normal) > 1e-6 or abs(first @ second) > 1e-6:
-                self.refuse(joint.element, f"the joint {joint.name!r} has axes that are not at right angles")
-            turn = np.column_stack([second, first, normal])
-        elif joint.axes:
-            z = joint.axes[0]
-            x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-            x = x / np.linalg.norm(x)
-            turn = np.column_stack([x, np.cross(z, x), z])
-        else:
-            turn = joint.frame[:3, :3]
-        place, names = placed(turn, joint.frame[:3, 3]), []
-        for number, link in enumerate((joint.parent, joint.child)):
-            names.append(f"{joint.name}::{number + 1}")
-            self.links[names[-1]] = LinkEntry(names[-1], 0.0, np.zeros(3), np.zeros((3, 3)))
-            at = np.linalg.inv(self._where(link)) @ place
-            self.entries.append(JointEntry(f"{names[-1]}::fixed", "fixed", link, names[-1], at, np.zeros(3), {}))
-        return Closure(joint.name, names[0], names[1], _ROWS[joint.kind])
+    def _candidates(self) -> tuple[str, ...]:
+        """Return the joints that may be meant to be driven: with a limit of effort, else with bounds.
 
-    def _candidates(self, joints: Iterable[JointEntry]) -> tuple[str, ...]:
-        """Return the joints that may be meant to be driven: with a limit of effort, else with bounds; no springs."""
-        free = [joint for joint in joints if not (load := self.loads.get(joint.name)) or not load.stiffness]
-        strong = [joint.name for joint in free if 0.0 < joint.limits["effort"] < math.inf]
-        bounded = [joint.name for joint in free if math.isfinite(joint.limits["upper"])]
-        return tuple(strong or bounded or [joint.name for joint in free])
+        Joints with springs are left out, as are those that mimic others and the slides of screws.
+        """
+        free = [step for step in self.moving.values() if step.name not in self._led]
+        free = [step for step in free if not (load := self.loads.get(step.name)) or not load.stiffness]
+        strong = [step.name for step in free if 0.0 < step.limits["effort"] < math.inf]
+        bounded = [step.name for step in free if math.isfinite(step.limits["upper"])]
+        return tuple(strong or bounded or [step.name for step in free])
 
-    def _say(self) -> None:
-        if self._flag(self.model, "static"):
-            self.refuse(self.model, "the model is static: nothing of it moves")
-        for plugin in self._children(self.model, "plugin"):
-            self.notes.append(f"The plugin {plugin.get('name', '')!r} does not run.")
-        listed = "; ".join(f"{what} of {', '.join(names)}" for what, names in self._forces.items())
-        if listed:
+    def _report(self, loads: Iterable[JointForces]) -> None:
+        """Add notes on the forces of the file that are active, and on what is ignored."""
+        if names := ", ".join(load.joint for load in loads):
+            self.notes.append(f"In force: damping, friction and springs of {names}.")
+        if self._assumed:
+            what = "Of mass and moments of inertia the file leaves something out, which are SDF's own 1 kg and 1 kg·m²:"
+            self.notes.append(f"{what} {', '.join(self._assumed)}.")
+        if listed := "; ".join(f"{what} of {', '.join(names)}" for what, names in self._ignored.items()):
             self.notes.append(f"{NOT_IN_FORCE} {listed}.")
-        collisions = any(
-            next(self._children(link, "collision"), None) is not None for link in self.elements["link"].values()
-        )
-        if collisions:
+        if any(frame.part.parts("collision") for frame in self.frames.links.values()):
             self.notes.append("Contacts are not modelled.")
+        self.notes += self.frames.notes

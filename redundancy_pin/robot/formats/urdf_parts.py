@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import ClassVar, NoReturn, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +18,8 @@ from redundancy_pin.errors import ModelFileError, did_you_mean
 from redundancy_pin.robot.formats.mechanism import MOST_LINKS
 from redundancy_pin.robot.formats.xml_files import Element
 from redundancy_pin.robot.loop_joints import placed
+
+_P = TypeVar("_P", bound="Part")
 
 _POSE = ("xyz", "rpy")
 
@@ -58,6 +60,7 @@ class Part:
     path: Path
     owner: str
     details: Mapping[str, str] = field(default_factory=dict)
+    remedy: ClassVar[str] = "Correct the URDF, or the xacro arguments it is made from."
 
     def refuse(self, message: str, remedy: str = "", **details: object) -> NoReturn:
         """Refuse the file, at the line of the element."""
@@ -65,7 +68,7 @@ class Part:
         place = f"line {line}" + (" of what xacro makes of it" if self.path.suffix == ".xacro" else "")
         raise ModelFileError(
             f"{message} ({place if self.path.name in message else f'{self.path.name}, {place}'}).",
-            remedy=remedy or "Correct the URDF, or the xacro arguments it is made from.",
+            remedy=remedy or self.remedy,
             path=str(self.path),
             line=line,
             **self.details,
@@ -112,19 +115,19 @@ class Part:
         """Give the elements of that name in the element."""
         return (part for part in self.element if part.tag == tag and isinstance(part, Element))
 
-    def parts(self, tag: str = "") -> list[Part]:
+    def parts(self: _P, tag: str = "") -> list[_P]:
         """Return the elements in the element, those of one name or all, each named by itself in messages."""
         found = [each for each in self.element if isinstance(each, Element) and tag in ("", each.tag)]
         return [self._named_by_itself(each) for each in found]
 
-    def deep(self, tag: str) -> list[Part]:
+    def deep(self: _P, tag: str) -> list[_P]:
         """Return the elements of that name in the element and in what is in it."""
         return [self._named_by_itself(each) for each in self.element.iter(tag) if isinstance(each, Element)]
 
-    def _named_by_itself(self, element: Element) -> Part:
+    def _named_by_itself(self: _P, element: Element) -> _P:
         label = str(element.tag).rpartition("}")[2]
         name = f" {element.get('name', '')!r}" if element.get("name") else ""
-        return Part(element, self.path, f"The <{label}>{name} of {self.path.name}", {})
+        return replace(self, element=element, owner=f"The <{label}>{name} of {self.path.name}", details={})
 
     def name(self) -> str:
         """Return the name of the element.
@@ -145,9 +148,9 @@ class Part:
         """Return the text in the element."""
         return (self.element.text or "").strip()
 
-    def one(self, tag: str) -> Part | None:
+    def one(self: _P, tag: str) -> _P | None:
         """Return a part of which there is at most one, its attributes known."""
-        parts = [Part(element, self.path, self.owner, self.details) for element in self.children(tag)]
+        parts = [replace(self, element=element) for element in self.children(tag)]
         if len(parts) > 1:
             parts[1].refuse(f"{self.owner} has <{tag}> {len(parts)} times")
         known = _ATTRIBUTES.get(tag, ())
@@ -156,7 +159,7 @@ class Part:
                 parts[0].refuse(f"{self.owner} has <{tag}> with the attribute {short(key)!r}", hint.strip())
         return parts[0] if parts else None
 
-    def required(self, tag: str) -> Part:
+    def required(self: _P, tag: str) -> _P:
         """Return a part that has to be there."""
         return self.one(tag) or self.refuse(f"{self.owner} has no {tag}")
 
@@ -191,9 +194,9 @@ class Part:
         """Return the (count,) numbers of a text."""
         numbers = [_as_number(part, LARGEST) for part in text.split()]
         if len(numbers) != count or None in numbers:
-            wanted = {3: "three", 6: "six"}[count]
-            remedy = f"Write {wanted} numbers with blanks between them."
-            self.refuse(f"{self.owner} has {what} {short(text)!r}, which is not {wanted} finite numbers", remedy)
+            wanted = {1: "one finite number", 3: "three finite numbers"}.get(count, f"{count} finite numbers")
+            remedy = "Write numbers with blanks between them."
+            self.refuse(f"{self.owner} has {what} {short(text)!r}, which is not {wanted}", remedy)
         return np.array(numbers, dtype=float)
 
     def triple(self, key: str, what: str) -> Array:
