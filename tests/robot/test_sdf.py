@@ -313,6 +313,20 @@ def test_a_cross_between_shafts(kind: str, lean: float, tmp_path: Path) -> None:
     np.testing.assert_allclose(efforts(robot, 0.8, 1.0, 0.5), efforts(other, 0.8, 1.0, 0.5), rtol=1e-9)
 
 
+@pytest.mark.parametrize("root", ["parent", "child"])
+def test_the_first_axis_of_two_is_the_parents(root: str, tmp_path: Path) -> None:
+    """By hand, whichever of both links the other one hangs from: the child is turned by R_x(q₁) R_y(q₂)."""
+    two = "<axis><xyz>1 0 0</xyz></axis><axis2><xyz>0 1 0</xyz></axis2>"
+    links = [link(name, "0 0 0 0 0 0") for name in ("parent", "child")]
+    held = joint("held", "fixed", "world", root)
+    model = read_sdf(written(tmp_path, *links, held, joint("cross", "universal", "parent", "child", two))).model
+    q = np.zeros(2)
+    for name, value in (("cross_1", 0.4), ("cross_2", -0.7)):
+        q[model.joints[model.getJointId(name)].idx_q] = value
+    between = np.linalg.inv(placed(model, "parent", q)) @ placed(model, "child", q)
+    np.testing.assert_allclose(between[:3, :3], turned(0.4, 0.0, 0.0) @ turned(0.0, -0.7, 0.0), atol=1e-12)
+
+
 # --- couplings --------------------------------------------------------------------------------------------------------
 
 UPRIGHT = "<inertial><mass>2</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>0.03</izz></inertia></inertial>"
