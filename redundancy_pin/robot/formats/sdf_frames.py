@@ -7,7 +7,6 @@ and ``<frame>`` elements are frames. Each is placed relative to another one (``r
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import ClassVar
@@ -36,18 +35,16 @@ _LEVELS = 4
 _MODELS_OF_GAZEBO = ("ground_plane", "sun")
 """Models that come with Gazebo and that do not move: worlds include them from its own folders."""
 
-_IN_MODEL = (
-    *("link", "joint", "frame", "model", "include", "pose", "static", "self_collide", "allow_auto_disable"),
-    *("enable_wind", "plugin", "gripper", "model_state"),
-)
-_DYNAMICS = ("damping", "friction", "spring_reference", "spring_stiffness")
 _AXIS = ("xyz", "limit", "dynamics", "mimic", "use_parent_model_frame", "initial_position")
 _PARTS = {
     "world": (
         *("joint", "frame", "model", "include", "gravity", "physics", "scene", "light", "gui", "plugin", "audio"),
         *("wind", "magnetic_field", "atmosphere", "spherical_coordinates", "road", "actor", "state", "population"),
     ),
-    "model": _IN_MODEL,
+    "model": (
+        *("link", "joint", "frame", "model", "include", "pose", "static", "self_collide", "allow_auto_disable"),
+        *("enable_wind", "plugin", "gripper", "model_state"),
+    ),
     "include": ("uri", "name", "namespace", "static", "pose", "placement_frame", "plugin"),
     "frame": ("pose",),
     "link": (
@@ -63,7 +60,7 @@ _PARTS = {
     "axis": _AXIS,
     "axis2": _AXIS,
     "limit": ("lower", "upper", "effort", "velocity", "stiffness", "dissipation"),
-    "dynamics": _DYNAMICS,
+    "dynamics": ("damping", "friction", "spring_reference", "spring_stiffness"),
     "mimic": ("multiplier", "offset", "reference"),
 }
 """Elements in elements; others are errors, or passed over with a note where they are of another namespace."""
@@ -256,14 +253,11 @@ class Frames:
             root = SdfPart(parsed(path), path, path.name)
             if root.tag != "sdf":
                 root.refuse(f"The top element of {path.name} is <{short(root.tag)}>, not <sdf>", "Pass an SDF model.")
-            version = root.text_of("version")
-            major, _, minor = version.partition(".")
-            minor = minor.partition(".")[0]
-            if major != "1" or not minor.isdecimal() or not _OLDEST <= int(minor) < 100:
-                root.refuse(
-                    f"{path.name} is SDF of version {shown(version)}", f"Write it as version 1.{_OLDEST} or newer."
-                )
-            tops = replace(root, version=int(minor)).parts()
+            major, minor, *_ = (*_version(root.text_of("version")), 0, 0)
+            if major != 1 or not _OLDEST <= minor < 100:
+                what = f"{path.name} is SDF of version {shown(root.text_of('version'))}"
+                root.refuse(what, f"Write it as version 1.{_OLDEST} or newer.")
+            tops = replace(root, version=minor).parts()
             tops = [top for top in tops if top.tag in ("world", "model")] or tops
             if len(tops) != 1 or tops[0].tag not in ("world", "model", "light", "actor"):
                 names = ", ".join(f"<{short(top.tag)}>" for top in tops[:5]) or "nothing"
@@ -328,7 +322,7 @@ class Frames:
     def _file_of_model(self, part: SdfPart, folder: Path) -> Path:
         """Return the file of the newest version that the model.config of a folder names."""
         config = Part(parsed(folder / "model.config"), folder / "model.config", "The model.config")
-        files = {tuple(_version(each.text_of("version"))): each.content() for each in config.parts("sdf")}
+        files = {_version(each.text_of("version")): each.content() for each in config.parts("sdf")}
         if not files:
             part.refuse(f"{folder / 'model.config'} names no <sdf>", "Add it.")
         return folder / files[max(files)]
@@ -513,6 +507,6 @@ def _gravity_of(world: SdfPart) -> Array:
     return np.array([0.0, 0.0, -9.8])
 
 
-def _version(text: str) -> Iterator[int]:
-    """Give the numbers of a version such as 1.10."""
-    return (int(number) if number.isdecimal() else 0 for number in text.split("."))
+def _version(text: str) -> tuple[int, ...]:
+    """Return the numbers of a version such as 1.10."""
+    return tuple(int(number) if number.isdecimal() else 0 for number in text.split("."))
