@@ -188,6 +188,16 @@ def test_axes_of_every_version(version: str, given: str, expected: list[float], 
     np.testing.assert_allclose(np.ravel(data.J)[3:], expected, atol=1e-12)
 
 
+def test_the_model_of_an_axis_is_the_one_that_it_is_in(tmp_path: Path) -> None:
+    axis = "<axis><xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame></axis>"
+    parts = link("base", "0 0 0 0 0 0.4"), link("crank", "0 0 0 0 0 0.9"), joint("j", "revolute", "base", "crank", axis)
+    inner = f'<model name="inner"><pose>0 0 0 0 0 1.2</pose>{"".join(parts)}</model>'
+    model = read_sdf(written(tmp_path, inner, version="1.6")).model
+    data = model.createData()
+    pin.computeJointJacobians(model, data, np.zeros(1))
+    np.testing.assert_allclose(np.ravel(data.J)[3:], [np.cos(1.2), np.sin(1.2), 0.0], atol=1e-12)
+
+
 # --- loops ------------------------------------------------------------------------------------------------------------
 
 LINKS = [
