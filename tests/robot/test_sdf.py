@@ -73,6 +73,18 @@ def test_torques_are_those_of_the_closed_loop(name: str) -> None:
         assert any("model://ground_plane, which comes with Gazebo" in note for note in robot.notes)
 
 
+def test_objects_beside_the_machine_are_passed_over(tmp_path: Path) -> None:
+    """A world has its own gravity, 9.8 m/s² where it says none."""
+    path = written(tmp_path, link("base", "0 0 0 0 0 0"), link("arm", "0 0 0 0 0 0"), joint("j", "ball", "base", "arm"))
+    boxes = "".join(f'<model name="{name}"><link name="l"/></model>' for name in ("box", "can"))
+    text = path.read_text().replace("<model", f'<world name="w">{boxes}<model', 1)
+    path.write_text(text.replace("</sdf>", "</world></sdf>"))
+    mechanism = read_sdf(path)
+    assert [str(name) for name in mechanism.model.names] == ["universe", "j"]
+    assert "Passed over: the models without joints, box, can." in mechanism.notes
+    np.testing.assert_array_equal(mechanism.model.gravity.linear, [0.0, 0.0, -9.8])
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_a_file_that_cannot_be_meant_is_refused_by_name(name: str) -> None:
     """The first line of each says what its error must contain."""
