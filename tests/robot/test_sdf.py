@@ -73,6 +73,18 @@ def test_torques_are_those_of_the_closed_loop(name: str) -> None:
         assert any("model://ground_plane, which comes with Gazebo" in note for note in robot.notes)
 
 
+def test_objects_beside_the_machine_are_passed_over(tmp_path: Path) -> None:
+    """A world has its own gravity, 9.8 m/s² where it says none."""
+    path = written(tmp_path, link("base", "0 0 0 0 0 0"), link("arm", "0 0 0 0 0 0"), joint("j", "ball", "base", "arm"))
+    boxes = "".join(f'<model name="{name}"><link name="l"/></model>' for name in ("box", "can"))
+    text = path.read_text().replace("<model", f'<world name="w">{boxes}<model', 1)
+    path.write_text(text.replace("</sdf>", "</world></sdf>"))
+    mechanism = read_sdf(path)
+    assert [str(name) for name in mechanism.model.names] == ["universe", "j"]
+    assert "Passed over: the models without joints, box, can." in mechanism.notes
+    np.testing.assert_array_equal(mechanism.model.gravity.linear, [0.0, 0.0, -9.8])
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_a_file_that_cannot_be_meant_is_refused_by_name(name: str) -> None:
     """The first line of each says what its error must contain."""
@@ -188,6 +200,16 @@ def test_axes_of_every_version(version: str, given: str, expected: list[float], 
     np.testing.assert_allclose(np.ravel(data.J)[3:], expected, atol=1e-12)
 
 
+def test_the_model_of_an_axis_is_the_one_that_it_is_in(tmp_path: Path) -> None:
+    axis = "<axis><xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame></axis>"
+    parts = link("base", "0 0 0 0 0 0.4"), link("crank", "0 0 0 0 0 0.9"), joint("j", "revolute", "base", "crank", axis)
+    inner = f'<model name="inner"><pose>0 0 0 0 0 1.2</pose>{"".join(parts)}</model>'
+    model = read_sdf(written(tmp_path, inner, version="1.6")).model
+    data = model.createData()
+    pin.computeJointJacobians(model, data, np.zeros(1))
+    np.testing.assert_allclose(np.ravel(data.J)[3:], [np.cos(1.2), np.sin(1.2), 0.0], atol=1e-12)
+
+
 # --- loops ------------------------------------------------------------------------------------------------------------
 
 LINKS = [
@@ -248,14 +270,19 @@ def test_a_link_without_a_parent_is_carried_the_other_way_round(tmp_path: Path) 
     assert q[1][1] == pytest.approx(-q[0][1], abs=1e-9)  # about the axis, whichever of the two carries the other
 
 
-def test_forces_and_limits_of_a_joint_that_is_cut_are_named(tmp_path: Path) -> None:
-    springs = joint("elbow", "revolute", "crank", "rod", SPRING)
-    robot = rp.load_robot(written(tmp_path, *LINKS, TREE[0], springs, TREE[2], pin_joint(more=LIMIT)))
-    assert robot.loads == (JointForces("drive", 0.3), JointForces("elbow", 0.3, 0.2, stiffness=5.0, rest=0.1))
-    assert {
-        "Not in force, though the file says it: dynamics of pin.",
-        "The limits of pin, which closes a loop, are left out.",
-    } < set(robot.notes)
+def test_forces_of_a_joint_that_closes_the_loop_do_their_work(tmp_path: Path) -> None:
+    """Power by power: spring, damper and friction of a pin at the torque of the crank, at the pin's own speed."""
+    plain = rp.load_robot(written(tmp_path, *FOUR_BAR))
+    robot = rp.load_robot(written(tmp_path, *LINKS, *TREE, pin_joint(more=SPRING)))
+    assert robot.loads == (JointForces("drive", 0.3), JointForces("pin", 0.3, 0.2, stiffness=5.0, rest=0.1))
+    lifted = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.3]], [[0.7]], [[-0.4]]))
+    at = robot.model.joints[robot.model.getJointId("pin")]
+    angle, speed = float(lifted.q[0, at.idx_q]), float(lifted.v[0, at.idx_v])
+    power = (5.0 * (angle - 0.1) + 0.3 * speed + 0.2 * np.sign(speed)) * speed
+    more = efforts(robot, 0.3, 0.7, -0.4) - efforts(plain, 0.3, 0.7, -0.4)
+    assert more[0] * 0.7 == pytest.approx(power, rel=1e-9)
+    ranged = rp.load_robot(written(tmp_path, *LINKS, *TREE, pin_joint(more="<limit><lower>-1</lower></limit>")))
+    assert "The limits of pin, which closes a loop, are left out." in ranged.notes
 
 
 def test_a_joint_that_is_driven_closes_the_loop_too(tmp_path: Path) -> None:
@@ -306,6 +333,20 @@ def test_a_cross_between_shafts(kind: str, lean: float, tmp_path: Path) -> None:
     arms = [joint("one", "revolute", "in", "cross"), joint("two", "revolute", "cross", "out", more=turn)]
     other = rp.load_robot(written(tmp_path, *parts[:5], light, *arms), actuated="shaft_in")
     np.testing.assert_allclose(efforts(robot, 0.8, 1.0, 0.5), efforts(other, 0.8, 1.0, 0.5), rtol=1e-9)
+
+
+@pytest.mark.parametrize("root", ["parent", "child"])
+def test_the_first_axis_of_two_is_the_parents(root: str, tmp_path: Path) -> None:
+    """By hand, whichever of both links the other one hangs from: the child is turned by R_x(q₁) R_y(q₂)."""
+    two = "<axis><xyz>1 0 0</xyz></axis><axis2><xyz>0 1 0</xyz></axis2>"
+    links = [link(name, "0 0 0 0 0 0") for name in ("parent", "child")]
+    held = joint("held", "fixed", "world", root)
+    model = read_sdf(written(tmp_path, *links, held, joint("cross", "universal", "parent", "child", two))).model
+    q = np.zeros(2)
+    for name, value in (("cross_1", 0.4), ("cross_2", -0.7)):
+        q[model.joints[model.getJointId(name)].idx_q] = value
+    between = np.linalg.inv(placed(model, "parent", q)) @ placed(model, "child", q)
+    np.testing.assert_allclose(between[:3, :3], turned(0.4, 0.0, 0.0) @ turned(0.0, -0.7, 0.0), atol=1e-12)
 
 
 # --- couplings --------------------------------------------------------------------------------------------------------

@@ -165,15 +165,12 @@ class _Reader:
             else:
                 index, place = self._add_joint(above, carrier, turned_round=turned_round)
                 self._add_link(links[carried], carried, index, place * self._from(above, carried))
-        counted = {*driven, *(name for coupling in self.couplings for name in coupling.joints)}
+        counted = {*driven, *self.loads, *(name for coupling in self.couplings for name in coupling.joints)}
         loop_joints = tuple(self._loop_joint(joint, counted) for joint in loops)
         self._add_marks()
         self._require_moving(driven)
         model, _ = rebuilt(self.model)
-        loads = tuple(load for name, load in self.loads.items() if name in self.moving)
-        if cut := [name for name in self.loads if name not in self.moving]:
-            self._ignored.setdefault("dynamics", []).extend(cut)
-        self._report(loads)
+        self._report()
         q: Array = pin.neutral(model)
         for name, value in start.items():
             q[find_joint(model, name).idx_q] = value
@@ -185,7 +182,7 @@ class _Reader:
             tuple(self.couplings),
             tuple(driven) or self._candidates(),
             bool(driven),
-            loads,
+            tuple(self.loads.values()),
             tuple(self.notes),
         )
 
@@ -262,6 +259,7 @@ class _Reader:
             if end:
                 part.refuse(f"{part.owner} is held at {end:g}, not where the model has it", "Move the links there.")
             self.notes.append(f"The joint {name!r} has the limits 0 and 0: it is fixed.")
+            self.loads.pop(name, None)  # a joint that does not move bears its own spring
             return replace(joint, kind="fixed")
         if kind == "screw":
             steps.insert(0, _Step(f"{name}_slide", "prismatic", axes[0]))
@@ -519,9 +517,9 @@ class _Reader:
         bounded = [step.name for step in free if math.isfinite(step.limits["upper"])]
         return tuple(strong or bounded or [step.name for step in free])
 
-    def _report(self, loads: Iterable[JointForces]) -> None:
+    def _report(self) -> None:
         """Add notes on the forces of the file that are active, and on what is ignored."""
-        if names := ", ".join(load.joint for load in loads):
+        if names := ", ".join(self.loads):
             self.notes.append(f"In force: damping, friction and springs of {names}.")
         if self._assumed:
             what = "Of mass and moments of inertia the file leaves something out, which are SDF's own 1 kg and 1 kg·m²:"

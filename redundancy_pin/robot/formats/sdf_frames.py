@@ -7,7 +7,6 @@ and ``<frame>`` elements are frames. Each is placed relative to another one (``r
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import ClassVar
@@ -36,18 +35,16 @@ _LEVELS = 4
 _MODELS_OF_GAZEBO = ("ground_plane", "sun")
 """Models that come with Gazebo and that do not move: worlds include them from its own folders."""
 
-_IN_MODEL = (
-    *("link", "joint", "frame", "model", "include", "pose", "static", "self_collide", "allow_auto_disable"),
-    *("enable_wind", "plugin", "gripper", "model_state"),
-)
-_DYNAMICS = ("damping", "friction", "spring_reference", "spring_stiffness")
 _AXIS = ("xyz", "limit", "dynamics", "mimic", "use_parent_model_frame", "initial_position")
 _PARTS = {
     "world": (
         *("joint", "frame", "model", "include", "gravity", "physics", "scene", "light", "gui", "plugin", "audio"),
         *("wind", "magnetic_field", "atmosphere", "spherical_coordinates", "road", "actor", "state", "population"),
     ),
-    "model": _IN_MODEL,
+    "model": (
+        *("link", "joint", "frame", "model", "include", "pose", "static", "self_collide", "allow_auto_disable"),
+        *("enable_wind", "plugin", "gripper", "model_state"),
+    ),
     "include": ("uri", "name", "namespace", "static", "pose", "placement_frame", "plugin"),
     "frame": ("pose",),
     "link": (
@@ -63,7 +60,7 @@ _PARTS = {
     "axis": _AXIS,
     "axis2": _AXIS,
     "limit": ("lower", "upper", "effort", "velocity", "stiffness", "dissipation"),
-    "dynamics": _DYNAMICS,
+    "dynamics": ("damping", "friction", "spring_reference", "spring_stiffness"),
     "mimic": ("multiplier", "offset", "reference"),
 }
 """Elements in elements; others are errors, or passed over with a note where they are of another namespace."""
@@ -236,13 +233,23 @@ class Frames:
             top.refuse(f"{path.name} holds a <{top.tag}>", "Pass a file with one <model> or one <world>.")
         if world.links:
             top.refuse(f"{top.owner} has links beside its models", "Put them in a model.")
-        moving = [name for name in world.models if self.body(name) != WORLD]
+        moving = self._leave_out_objects([name for name in world.models if self.body(name) != WORLD])
         if len(moving) != 1:
             what = f"{len(moving)} models that move, {', '.join(moving[:5])}" if moving else "no model that moves"
             top.refuse(f"{top.owner} has {what}" + ("" if moving else ": it is static"), "Leave one that moves.")
         self.main = moving[0]
         in_world = self.place(self.main, WORLD)
         self._places[self.main] = {self.main: np.eye(4), WORLD: np.asarray(np.linalg.inv(in_world))}
+
+    def _leave_out_objects(self, moving: list[str]) -> list[str]:
+        """Return the models that move, without those that have no joints if one has: they are no mechanisms."""
+        jointed = [name for name in moving if any(full.startswith(f"{name}::") for full in self.joints)]
+        if len(jointed) != 1 or jointed == moving or any("::" not in full for full in self.joints):
+            return moving
+        others = ", ".join(name for name in moving if name not in jointed)
+        self.notes.append(f"Passed over: the models without joints, {others}.")
+        self.links = {full: frame for full, frame in self.links.items() if full.startswith(f"{jointed[0]}::")}
+        return jointed
 
     def name(self, full: str) -> str:
         """Return what to call a frame: its name in the model that moves."""
@@ -256,14 +263,11 @@ class Frames:
             root = SdfPart(parsed(path), path, path.name)
             if root.tag != "sdf":
                 root.refuse(f"The top element of {path.name} is <{short(root.tag)}>, not <sdf>", "Pass an SDF model.")
-            version = root.text_of("version")
-            major, _, minor = version.partition(".")
-            minor = minor.partition(".")[0]
-            if major != "1" or not minor.isdecimal() or not _OLDEST <= int(minor) < 100:
-                root.refuse(
-                    f"{path.name} is SDF of version {shown(version)}", f"Write it as version 1.{_OLDEST} or newer."
-                )
-            tops = replace(root, version=int(minor)).parts()
+            major, minor, *_ = (*_version(root.text_of("version")), 0, 0)
+            if major != 1 or not _OLDEST <= minor < 100:
+                what = f"{path.name} is SDF of version {shown(root.text_of('version'))}"
+                root.refuse(what, f"Write it as version 1.{_OLDEST} or newer.")
+            tops = replace(root, version=minor).parts()
             tops = [top for top in tops if top.tag in ("world", "model")] or tops
             if len(tops) != 1 or tops[0].tag not in ("world", "model", "light", "actor"):
                 names = ", ".join(f"<{short(top.tag)}>" for top in tops[:5]) or "nothing"
@@ -328,7 +332,7 @@ class Frames:
     def _file_of_model(self, part: SdfPart, folder: Path) -> Path:
         """Return the file of the newest version that the model.config of a folder names."""
         config = Part(parsed(folder / "model.config"), folder / "model.config", "The model.config")
-        files = {tuple(_version(each.text_of("version"))): each.content() for each in config.parts("sdf")}
+        files = {_version(each.text_of("version")): each.content() for each in config.parts("sdf")}
         if not files:
             part.refuse(f"{folder / 'model.config'} names no <sdf>", "Add it.")
         return folder / files[max(files)]
@@ -366,8 +370,9 @@ class Frames:
                 part.refuse(f"{part.owner} has a name that is taken", "Choose another.")
             # before 1.7 a link and a joint may have one name; it is that of the link where frames are named
             own = f"{full} (joint)" if part.version <= 6 and full in self._frames else full
-            self.joints[full] = Frame(own, part, scope, child, part.relative_to() or child)
-            self._add(self.joints[full])
+            self._add(frame := Frame(own, part, scope, child, part.relative_to() or child))
+            if not scope.is_static:
+                self.joints[full] = frame
 
     def _add_model(self, outer: Scope, model: SdfPart, include: SdfPart | None = None) -> None:
         """Add a model and what is in it, with the name, pose and flags of the include that it comes from."""
@@ -513,6 +518,6 @@ def _gravity_of(world: SdfPart) -> Array:
     return np.array([0.0, 0.0, -9.8])
 
 
-def _version(text: str) -> Iterator[int]:
-    """Give the numbers of a version such as 1.10."""
-    return (int(number) if number.isdecimal() else 0 for number in text.split("."))
+def _version(text: str) -> tuple[int, ...]:
+    """Return the numbers of a version such as 1.10."""
+    return tuple(int(number) if number.isdecimal() else 0 for number in text.split("."))
