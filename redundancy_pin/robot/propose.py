@@ -105,7 +105,7 @@ class Proposal:
             turning: names of the loop joints whose links turn against each other about several axes.
         """
         motors, how = self.mechanism.actuated, self.motors
-        if how == BY_NAME and not (len(motors) == robot.n and set(motors) == set(robot.independent_joints)):
+        if how == BY_NAME and set(motors) != set(robot.independent_joints):
             how = ""
         asked, rows = list[str](), {each.name: len(each.axes) for each in robot.closures}
         for loop in self.mechanism.loop_joints:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -168,6 +169,13 @@ def test_linkages_with_marks_are_right_or_undecided(tmp_path_factory, ends, moto
 FIVE_BAR = loop(("left_tip", "right_tip"), ("motor_1", "motor_2"))
 
 
+CLOSING = {"left_tip": "closing_a_1", "right_tip": "closing_a_2"}
+
+
+LOOP_1 = {"left_tip": "loop_1_1", "right_tip": "loop_1_2"}
+LOOP_2 = (J("s", "fixed", "link_l0", "loop_2_1"), J("t", "fixed", "link_r0", "loop_2_2"))
+
+
 def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
     """Return the joints of the five-bar with other names of joints and links, and more joints."""
     joints = displaced(FIVE_BAR.joints, by)
@@ -182,9 +190,13 @@ def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
     ("joints", "question"),
     [
         (renamed({}), None),
-        (renamed({"left_tip": "closing_a_1", "right_tip": "closing_a_2"}, by=0.05), None),
+        (renamed(CLOSING, by=0.05), None),
         (renamed({"left_tip": "arm_loop", "right_tip": "rod_loop"}, by=0.05), None),
         (renamed({}, J("t", "fixed", "link_l1", "tool0", (0.1, 0, 0))), None),
+        (renamed({"left_tip": "loop_of_arm", "right_tip": "rod_loop"}, by=0.05), None),
+        (renamed(CLOSING, J("s", "fixed", "link_l0", "spare")), None),
+        (renamed(CLOSING, J("s", "fixed", "link_l0", "hand_loop")), "of the links hand_loop"),
+        (renamed({"pin_l1": "passive_motor"}), None),
         (renamed({}, by=0.05), "--close left_tip,right_tip (the only two)"),
         (renamed({}, by=0.00002), "--close left_tip,right_tip (the only two)"),
         (renamed({}, by=0.000003), None),
@@ -198,6 +210,7 @@ def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
             "Is a loop cut at left_finger,right_finger",
         ),
         (renamed({"right_tip": "arm_loop"}, by=0.05), "of the links left_tip, arm_loop"),
+        (renamed(LOOP_1, *LOOP_2, by=0.05), "of the links loop_2_1, loop_2_2, loop_1_1, loop_1_2"),
         (renamed({"motor_1": "a"}), "The mechanism has 2 DOF. --actuate a,motor_2 (on the ground)"),
         (renamed({"pin_l1": "motor_3"}), "2 DOF"),
         (renamed({"motor_1": "passive_a", "motor_2": "passive_b"}), None),
@@ -214,8 +227,69 @@ def test_names_and_places_are_certain_or_asked(joints: tuple[J, ...], question: 
         assert robot.actuated == proposal.mechanism.actuated
     else:
         assert question in " ".join(proposal.questions)
+        if "of the links" in question:  # what may be wrong is not written either
+            assert set(proposal.found) <= {"closing_a_1 = closing_a_2"}
         with pytest.raises(DeclarationError, match=r"does not say it all.*`redundancy-pin new robot.urdf`"):
             rp.load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("ends", "motors", "by", "question"),
+    [
+        (("p{}_1", "p{}_2"), ("motor_{}", "b{}"), 0.0003, None),
+        (("p{}_1", "p{}_2"), ("motor_{}", "b{}"), 0.05, "Is a loop cut at p2_1,p2_2? Others named so meet"),
+        (("closing_{}_1", "closing_{}_2"), ("j{}", "b{}"), 0.0, "Which joints are driven"),
+        (("closing_{}_1", "closing_{}_2"), ("motor_{}", "motor_b{}"), 0.0, "Which joints are driven"),
+    ],
+)
+def test_two_loops_of_which_one_is_open_at_zero(ends, motors, by: float, question: str | None, tmp_path: Path) -> None:
+    """Marks that are named as others that meet are ends; motors by name must move different loops."""
+    loops = [
+        loop(tuple(end.format(k) for end in ends), tuple(each.format(k) for each in motors), links=(1, 2), tag=str(k))
+        for k in (1, 2)
+    ]
+    joints = (*loops[0].joints, *displaced(loops[1].joints, by))
+    if motors[1] == "motor_b{}":  # as many as there are degrees of freedom, both in the first loop
+        joints = tuple(replace(j, name=j.name.replace("motor_2", "c").replace("motor_b2", "d")) for j in joints)
+    proposal, robot = propose_robot(written(tmp_path, *joints))
+    if question:
+        assert question in " ".join(proposal.questions)
+    else:
+        assert (proposal.questions, robot.n, len(robot.closures)) == ((), 2, 2)
+
+
+def test_marks_of_a_loop_that_the_file_states_close_no_other(tmp_path: Path) -> None:
+    path = written(tmp_path, *FIVE_BAR.joints)
+    sides = "".join(
+        f'<{tag} link="{joint.parent}"><origin xyz="{float(joint.xyz[0])} 0 0"/></{tag}>'
+        for tag, end in (("predecessor", "left_tip"), ("successor", "right_tip"))
+        for joint in FIVE_BAR.joints
+        if joint.child == end
+    )
+    stated = f'<loop name="top" type="revolute">{sides}<axis xyz="0 0 1"/></loop></robot>'
+    path.write_text(path.read_text().replace("</robot>", stated))
+    proposal, robot = propose_robot(path)
+    assert (proposal.questions, proposal.found, robot.n) == ((), {}, 2)
+    assert [each.name for each in robot.closures] == ["top"]
+
+
+@pytest.mark.parametrize("names", [("left_tip", "right_tip"), ("left_plate", "right_plate"), ("plate", "right_pin")])
+@pytest.mark.parametrize("by", [0.0, 0.05])
+def test_ends_that_weigh_something(names: tuple[str, str], by: float, tmp_path: Path) -> None:
+    """They are ends where they meet or are named so; heavy plates that do not meet are parts."""
+    path = written(tmp_path, *renamed(dict(zip(("left_tip", "right_tip"), names, strict=True)), by=by))
+    heavy = '<inertial><mass value="0.1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    path.write_text(
+        re.sub(r'<link name="(\w*(tip|plate|pin))"></link>', rf'<link name="\1">{heavy}</link>', path.read_text())
+    )
+    proposal, _ = propose_robot(path)
+    if by == 0.0:
+        assert len(proposal.found) == 1
+    elif names == ("left_plate", "right_plate"):
+        assert proposal.found == {}
+        assert "Which joints are driven" in " ".join(proposal.questions)
+    else:
+        assert "Where are loops cut?" in " ".join(proposal.questions)
 
 
 def test_fingers_on_slides_that_touch_close_no_loop(tmp_path: Path) -> None:
@@ -245,8 +319,8 @@ def test_a_ball_or_a_hinge_is_asked_where_they_differ(turn: float, kind: str, n:
     foot = J("f", "fixed", "base", "closing_x_2", place.translation, pin.rpy.matrixToRpy(place.rotation))
     path = written(tmp_path, *joints, J("e", "fixed", parent, "closing_x_1", (0.3, 0, 0)), foot)
     drives = ["j0"] if n == 1 else ["j0", "j1", "j2"]
-    if kind:
-        asked, _ = propose_robot(path, actuate=drives)
+    for close in [[], ["closing_x_1,closing_x_2"]] if kind else []:
+        asked, _ = propose_robot(path, close=close, actuate=drives)
         assert "--close closing_x_1,closing_x_2,ball or --close closing_x_1,closing_x_2,hinge" in " ".join(
             asked.questions
         )
