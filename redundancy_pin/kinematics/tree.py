@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, BoolArray
 
 _FRAME = 12
 """Numbers of a frame: three axes, then its origin."""
@@ -71,15 +71,18 @@ def frame_placement(vectors: Array, frame: int) -> tuple[Array, Array]:
     return block[:3].swapaxes(0, 1), block[3]
 
 
-def is_covered(model: pin.Model, index: int) -> bool:
-    """Return whether a joint has constant axes and a known order of q: no helical, composite or Euler-angle joint."""
-    joint = model.joints[index]
-    kind, data = str(joint.shortname()), model.createData()
-    if not kind.startswith(_COVERED) or kind == "JointModelSphericalZYX":
-        return False
+def covered_joints(model: pin.Model) -> BoolArray:
+    """Return (njoints,) which joints have constant axes and a known order of q: no helical, composite or Euler ones."""
+    data, covered = model.createData(), np.ones(model.njoints, dtype=bool)
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    sliding, turning = (np.abs(part).max(axis=0) > 0.0 for part in np.split(motion_subspace(model, data, index), 2))
-    return not (sliding & turning).any()
+    for index in range(1, model.njoints):
+        kind = str(model.joints[index].shortname())
+        if not kind.startswith(_COVERED) or kind == "JointModelSphericalZYX":
+            covered[index] = False
+            continue
+        sliding, turning = np.any(motion_subspace(model, data, index).reshape(2, 3, -1), axis=1)
+        covered[index] = not (sliding & turning).any()
+    return covered
 
 
 def motion_subspace(model: pin.Model, data: pin.Data, index: int) -> Array:
