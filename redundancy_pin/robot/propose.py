@@ -29,7 +29,14 @@ import pinocchio as pin
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.robot.build import characteristic_length
 from redundancy_pin.robot.formats.mechanism import Mechanism
-from redundancy_pin.robot.lookup import find_joint, find_link, find_link_index, joint_names, link_names
+from redundancy_pin.robot.lookup import (
+    find_joint,
+    find_joint_index,
+    find_link,
+    find_link_index,
+    joint_names,
+    link_names,
+)
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
 from redundancy_pin.robot.types import Robot
 
@@ -378,7 +385,7 @@ def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
 def which_motors(mechanism: Mechanism, count: int | None = None) -> str:
     """Return the question which joints are driven, with what suggests itself for a number of degrees of freedom."""
     model, joints = mechanism.model, _could_be_driven(mechanism)
-    indices = {name: model.getJointId(name) for name in joints}
+    indices = {name: find_joint_index(model, name) for name in joints}
     likely = {
         "by name": [name for name in joints if _MOTORS.intersection(_words(name))],
         "on the ground": [name for name in joints if model.parents[indices[name]] == 0],

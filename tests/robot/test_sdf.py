@@ -73,6 +73,18 @@ def test_torques_are_those_of_the_closed_loop(name: str) -> None:
         assert any("model://ground_plane, which comes with Gazebo" in note for note in robot.notes)
 
 
+def test_objects_beside_the_machine_are_passed_over(tmp_path: Path) -> None:
+    """A world has its own gravity, 9.8 m/s² where it says none."""
+    path = written(tmp_path, link("base", "0 0 0 0 0 0"), link("arm", "0 0 0 0 0 0"), joint("j", "ball", "base", "arm"))
+    boxes = "".join(f'<model name="{name}"><link name="l"/></model>' for name in ("box", "can"))
+    text = path.read_text().replace("<model", f'<world name="w">{boxes}<model', 1)
+    path.write_text(text.replace("</sdf>", "</world></sdf>"))
+    mechanism = read_sdf(path)
+    assert [str(name) for name in mechanism.model.names] == ["universe", "j"]
+    assert "Passed over: the models without joints, box, can." in mechanism.notes
+    np.testing.assert_array_equal(mechanism.model.gravity.linear, [0.0, 0.0, -9.8])
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_a_file_that_cannot_be_meant_is_refused_by_name(name: str) -> None:
     """The first line of each says what its error must contain."""
@@ -186,6 +198,16 @@ def test_axes_of_every_version(version: str, given: str, expected: list[float], 
     data = model.createData()
     pin.computeJointJacobians(model, data, np.zeros(1))
     np.testing.assert_allclose(np.ravel(data.J)[3:], expected, atol=1e-12)
+
+
+def test_the_model_of_an_axis_is_the_one_that_it_is_in(tmp_path: Path) -> None:
+    axis = "<axis><xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame></axis>"
+    parts = link("base", "0 0 0 0 0 0.4"), link("crank", "0 0 0 0 0 0.9"), joint("j", "revolute", "base", "crank", axis)
+    inner = f'<model name="inner"><pose>0 0 0 0 0 1.2</pose>{"".join(parts)}</model>'
+    model = read_sdf(written(tmp_path, inner, version="1.6")).model
+    data = model.createData()
+    pin.computeJointJacobians(model, data, np.zeros(1))
+    np.testing.assert_allclose(np.ravel(data.J)[3:], [np.cos(1.2), np.sin(1.2), 0.0], atol=1e-12)
 
 
 # --- loops ------------------------------------------------------------------------------------------------------------

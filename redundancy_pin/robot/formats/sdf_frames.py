@@ -233,13 +233,23 @@ class Frames:
             top.refuse(f"{path.name} holds a <{top.tag}>", "Pass a file with one <model> or one <world>.")
         if world.links:
             top.refuse(f"{top.owner} has links beside its models", "Put them in a model.")
-        moving = [name for name in world.models if self.body(name) != WORLD]
+        moving = self._leave_out_objects([name for name in world.models if self.body(name) != WORLD])
         if len(moving) != 1:
             what = f"{len(moving)} models that move, {', '.join(moving[:5])}" if moving else "no model that moves"
             top.refuse(f"{top.owner} has {what}" + ("" if moving else ": it is static"), "Leave one that moves.")
         self.main = moving[0]
         in_world = self.place(self.main, WORLD)
         self._places[self.main] = {self.main: np.eye(4), WORLD: np.asarray(np.linalg.inv(in_world))}
+
+    def _leave_out_objects(self, moving: list[str]) -> list[str]:
+        """Return the models that move, without those that have no joints if one has: they are no mechanisms."""
+        jointed = [name for name in moving if any(full.startswith(f"{name}::") for full in self.joints)]
+        if len(jointed) != 1 or jointed == moving or any("::" not in full for full in self.joints):
+            return moving
+        others = ", ".join(name for name in moving if name not in jointed)
+        self.notes.append(f"Passed over: the models without joints, {others}.")
+        self.links = {full: frame for full, frame in self.links.items() if full.startswith(f"{jointed[0]}::")}
+        return jointed
 
     def name(self, full: str) -> str:
         """Return what to call a frame: its name in the model that moves."""
@@ -360,8 +370,9 @@ class Frames:
                 part.refuse(f"{part.owner} has a name that is taken", "Choose another.")
             # before 1.7 a link and a joint may have one name; it is that of the link where frames are named
             own = f"{full} (joint)" if part.version <= 6 and full in self._frames else full
-            self.joints[full] = Frame(own, part, scope, child, part.relative_to() or child)
-            self._add(self.joints[full])
+            self._add(frame := Frame(own, part, scope, child, part.relative_to() or child))
+            if not scope.is_static:
+                self.joints[full] = frame
 
     def _add_model(self, outer: Scope, model: SdfPart, include: SdfPart | None = None) -> None:
         """Add a model and what is in it, with the name, pose and flags of the include that it comes from."""
