@@ -17,6 +17,7 @@ PROGRAMS = {
     "import redundancy_pin": "import redundancy_pin",
     "load_robot": "import redundancy_pin; redundancy_pin.load_robot",
     "load_robot('3rrr')": "import redundancy_pin; redundancy_pin.load_robot('3rrr')",
+    "load_robot('gough')": "import redundancy_pin; redundancy_pin.load_robot('gough')",
     "redundancy-pin --version": COMMAND.format(["--version"]),
     "redundancy-pin --help": COMMAND.format(["--help"]),
     "redundancy-pin info": COMMAND.format(["info"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from functools import cached_property, lru_cache
@@ -29,6 +30,10 @@ closed: a hundred roundings above what Newton reaches."""
 RANK_TOLERANCE = 1e-9
 """Scaled singular values below this fraction of the largest one count as zero. The square root of
 the rounding unit is 1.5e-8; poses found by root finding reach 1e-12."""
+
+FILE_TOLERANCE = 1e-3
+"""Largest contradiction between the numbers of a file, rad or characteristic lengths. Placements rounded to 1e-4 miss
+by up to 5e-4 in the loops of the shipped planar robots; placements that are wrong by 1e-2, by 3e-3 and more."""
 
 AGREEMENT_TOLERANCE = 1e-8
 """Largest contradiction between positions of redundant motors, characteristic lengths or rad: a thousand times the
@@ -136,7 +141,9 @@ def numbers(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     try:
         array = np.asarray(values)
         kind = array.dtype.kind
-        if kind in "cSU" or np.ma.is_masked(values) or (kind == "O" and None in array.ravel().tolist()):
+        # naming numpy.ma imports it, which takes 8 ms: no array is masked before somebody has imported it
+        masked = "numpy.ma" in sys.modules and np.ma.is_masked(values)
+        if kind in "cSU" or masked or (kind == "O" and None in array.ravel().tolist()):
             # numpy makes numbers of text, of what is masked, a real part of complex numbers, and NaN of None
             kinds = {"c": "complex numbers", "S": "text", "U": "text", "O": "None"}
             raise TypeError(f"it holds {kinds.get(kind, 'masked values')}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray, checked, frozen, read_only
+from redundancy_pin.arrays import AGREEMENT_TOLERANCE, Array, checked, frozen
 from redundancy_pin.errors import DeclarationError, InputError, millimetres
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
@@ -26,20 +26,23 @@ from redundancy_pin.kinematics.coordinates import (
     reference_coordinates,
     working_modes,
 )
+from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.multistart import multistart
-from redundancy_pin.kinematics.selection import STAYS_CLOSED, Selection, selected
+from redundancy_pin.kinematics.selection import Selection, selected
 from redundancy_pin.robot import Closure, Robot
-from redundancy_pin.robot.build import characteristic_length, read_robot
+from redundancy_pin.robot.build import characteristic_length, configuration, read_robot
 from redundancy_pin.robot.changes import changed_urdf, require_still_joined
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
 from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
+from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
 from redundancy_pin.robot.named import too_few_motors
+from redundancy_pin.robot.propose import Proposal, propose, which_motors
 from redundancy_pin.robot.rebuild import rebuilt, span
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, source_of
@@ -67,8 +70,8 @@ def load_robot(
         working_mode: ±1 a leg; as declared when left out.
         trust: let the expressions of a xacro file be any Python, which runs with your rights, and let MJCF read files
             of other folders: for files whose author you trust.
-        untrusted: let third-party compilers (MuJoCo's) read a stranger's file in a child process, which has limits of
-            time and memory.
+        untrusted: let third-party compilers (xacro, MuJoCo's) read a stranger's file in a child process, which has
+            limits of time and memory.
         **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``).
 
     Raises:
@@ -179,14 +182,15 @@ def robot_with(
             None if file is None else declaration.joint_types,
         )
         if file is None:  # without a declaration the reference is the nearest closed configuration
-            mechanism = replace(mechanism, start=np.array(robot.q_reference))
-        new, _, dropped = _joined(
+            mechanism = replace(propose(mechanism).mechanism, start=np.array(robot.q_reference))
+        new, dropped = _joined(
             declaration,
             mechanism,
             gravity=robot.gravity.tolist(),
             parameters=robot.parameters,
             source=robot.source,
             mode=mode,
+            rods={each.name: each.length for each in robot.closures},
         )
         new = replace(
             new,
@@ -239,23 +243,102 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     if data.get("joint_types"):
         kinds = parse(_whole(data, request.path), parameters).joint_types
     mechanism = read(kinds)
+    proposal = propose(mechanism) if is_urdf(file) and not data else None
+    if proposal:
+        _require_decided(proposal, file)
+        mechanism = proposal.mechanism
+    robot = _robot_of(mechanism, request, file, data, parameters)
+    if proposal:
+        _require_decided(proposal.settled(robot, _turning(proposal, robot)), file)
+    _report(robot.notes, file)
+    return replace(robot, urdf_folder=str(file.resolve().parent))
+
+
+def _robot_of(
+    mechanism: Mechanism, request: _Request, file: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]
+) -> Robot:
+    """Return the robot of a mechanism, with hinges for balls that move freely, or a reference beside a flat start."""
 
     def at(own: Mechanism) -> Robot:
         return _of_mechanism(own, request, file, data, parameters)
 
     try:
-        robot = at(mechanism)
+        return at(mechanism)
     except DeclarationError as error:
         if "balls" in error.details:
-            robot = at(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
-        elif "rank" in error.details and mechanism.loop_joints and not data:
-            robot = beside(mechanism, at, error)
-            _warn_once(f"{file.name}: {FLAT}")
-            robot = replace(robot, notes=(*robot.notes, FLAT))
-        else:
+            return at(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
+        if "rank" not in error.details or not mechanism.loop_joints or data:
             raise
-    _report(robot.notes, file)
-    return replace(robot, urdf_folder=str(file.resolve().parent))
+        robot = beside(mechanism, at, error)
+    _warn_once(f"{file.name}: {FLAT}")
+    return replace(robot, notes=(*robot.notes, FLAT))
+
+
+# --- files that leave something open ----------------------------------------------------------------------------------
+
+
+def propose_robot(
+    path: Path,
+    *,
+    close: Sequence[str] = (),
+    actuate: Sequence[str] = (),
+    independent: Sequence[str] = (),
+    guess: Mapping[str, float] = MappingProxyType({}),
+    is_open: bool = False,
+    trust: bool = False,
+) -> tuple[Proposal, Robot | None]:
+    """Return what is certain of a model file and what is to be asked, and the robot, None where none can be made yet.
+
+    Args:
+        path: a file of ``load_robot`` that needs no declaration.
+        close: as of ``propose``.
+        actuate: as of ``propose``.
+        independent: names of independent joints; chosen where it is empty.
+        guess: positions of joints, rad or m; the loops are closed near them.
+        is_open: as of ``propose``.
+        trust: as of ``load_robot``.
+
+    Raises:
+        RedundancyPinError: files that cannot be read, unknown names.
+
+    Example:
+        >>> proposal, robot = propose_robot(Path("five_bar.urdf"), close=["ltip,rtip"], actuate=["a", "c"])
+    """
+    parameters, read = open_model(path, {}, trust=trust)
+    proposal = propose(read(None), close=close, actuate=actuate, is_open=is_open)
+    mechanism = proposal.mechanism
+    if proposal.questions:  # without its loops a mechanism has another number of degrees of freedom
+        return proposal.asking(*([] if proposal.motors else [which_motors(mechanism)])), None
+    start = configuration(mechanism.model, guess, mechanism.start)
+    mechanism = replace(mechanism, start=start, independent=tuple(independent) or mechanism.independent)
+    try:
+        robot = _robot_of(mechanism, _Request(path, "", {}, None, None, trust, untrusted=False), path, {}, parameters)
+    except DeclarationError as error:
+        return proposal.asking(str(error)), None
+    proposal = proposal.settled(robot, _turning(proposal, robot))
+    if not guess and len(start) == robot.model.nq and branches_meet(robot, start):
+        proposal = proposal.asking(
+            "Which branch? Where all joints start, loops lie in a line and branches meet: --guess JOINT=VALUE,... near "
+            "the reference of your machine; what is written here is one of them."
+        )
+    return proposal, robot
+
+
+def _turning(proposal: Proposal, robot: Robot) -> tuple[str, ...]:
+    """Return the loop joints of unknown kind whose links turn against each other about several axes."""
+    loops = proposal.mechanism.loop_joints
+    ends = {joint.name: joint.links for joint in loops if joint.name in proposal.mechanism.presumed}
+    return tuple(name for name, links in ends.items() if links in about_several_axes(robot, tuple(ends.values())))
+
+
+def _require_decided(proposal: Proposal, file: Path) -> None:
+    """Refuse a file that leaves something open."""
+    if proposal.questions:
+        raise DeclarationError(
+            f"{file.name} does not say it all. {' '.join(proposal.questions)}",
+            remedy=f"`redundancy-pin new {file.name}` with these flags writes a robot.yaml that does.",
+            questions=proposal.questions,
+        )
 
 
 def _whole(data: Mapping[str, Any], path: Path) -> dict[str, Any]:
@@ -305,18 +388,14 @@ def _of_mechanism(
         given = {"independent": {"joints": list(mechanism.independent)}, **given}
     given = {"urdf": file.name, "actuated": list(mechanism.actuated), **given}
     if not given["actuated"]:
-        if is_urdf(file):
-            drive = 'Name what is driven (actuated="a,b"), give it a transmission or ros2_control'
-        elif file.suffix.lower() == ".sdf":  # which has no actuators
-            drive = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
-        else:
-            drive = "Give it actuators"
+        named = 'Name what is driven (actuated="a,b", or --set actuated=a,b)'
+        drive = named if file.suffix.lower() in (".urdf", ".sdf") else "Give it actuators"
         remedy = f"{drive}, or write a robot.yaml that names it under `urdf`, and joints under `actuated`."
         raise DeclarationError(f"{file.name} drives no joint.", remedy=remedy)
     # a URDF does not say it: a declaration of one that leaves it out has none
     unsaid = [0.0, 0.0, 0.0] if data and is_urdf(file) else mechanism.model.gravity.linear.tolist()
     own = data.get("gravity", unsaid)
-    return made(
+    return build_robot(
         given,
         replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again
         gravity=own if request.gravity is None else request.gravity,
@@ -352,18 +431,19 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
     system = ConstraintSystem(robot)
     check_mobility(system, dropped=dropped)
     _require_radians(robot, declaration.reference.guess, "reference.guess")
-    guess = np.array(robot.q_reference)
-    columns = _columns(robot.model, declaration.reference.guess)
-    given = declaration.reference
+    model, guess, given = robot.model, np.array(robot.q_reference), declaration.reference
     if given.platform is None and given.joints is None:
         # no pose is prescribed: the nearest closed configuration of all joints is kept
         q = closed_near(robot, guess)
         gap, closed = 0.0, bool(in_working_mode(robot, q[None])[0])
     else:
         goal = reference_coordinates(robot, declaration.coordinates(parameters))[0]
-        _require_radians(robot, dict(zip(robot.independent_joints, goal.tolist(), strict=False)), "reference.joints")
-        prescribed = _prescribed(robot, guess, goal)
-        q, gap, closed = multistart(system, guess, goal, known=columns, prescribed=prescribed)
+        positions = {} if robot.platform else dict(zip(robot.independent_joints, goal.tolist(), strict=True))
+        _require_radians(robot, positions, "reference.joints")
+        guessed = [find_joint(model, name) for name in given.guess]
+        known = np.array([c for joint in guessed for c in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp)
+        prescribed = configuration(model, positions, guess)
+        q, gap, closed = multistart(system, guess, goal, known=known, prescribed=prescribed)
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),
@@ -376,7 +456,7 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
         characteristic_length=declaration.characteristic_length
         or characteristic_length(robot.model, q, robot.carriers),
     )
-    check_reference_rank(ConstraintSystem(robot), dropped=dropped)
+    robot = check_reference_rank(ConstraintSystem(robot), dropped=dropped)
     if robot.all_closures:
         system = ConstraintSystem(with_all_rows(robot))
         turned = float(system.misalignment(system.evaluate(np.array(robot.q_reference)[None]))[0])
@@ -386,23 +466,7 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
                 remedy="Name a `reference.guess` nearer to the right one.",
                 angle=turned,
             )
-    return robot
-
-
-def _prescribed(robot: Robot, guess: Array, goal: Array) -> Array:
-    """Return a guess (nq,) with the joints whose positions are prescribed where they end."""
-    start = guess.copy()
-    for name, value in () if robot.platform else zip(robot.independent_joints, goal.tolist(), strict=True):
-        joint = find_joint(robot.model, name)
-        at = (value,) if joint.nq == 1 else (np.cos(value), np.sin(value))
-        start[joint.idx_q : joint.idx_q + joint.nq] = at
-    return start
-
-
-def _columns(model: pin.Model, names: Iterable[str]) -> IntArray:
-    """Return the indices in q of joints."""
-    listed = [find_joint(model, name) for name in names]
-    return np.array([c for joint in listed for c in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp)
+    return meet_limits(robot)
 
 
 def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
@@ -494,14 +558,14 @@ def robot_from_model(
     start = in_order_of(model, given, at, checked(reference, "reference", (model.nq,))) if near else None
     loose = any(hasattr(each, "joint1_placement") for each in closures)
     mechanism = Mechanism(data["name"], model, pin.neutral(model) if start is None else start, shapes=urdf)
-    robot = made(data, mechanism, loose=loose, mode=working_mode, own_model=True)
+    robot = build_robot(data, mechanism, loose=loose, mode=working_mode, own_model=True)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
     if note := too_few_motors(robot):
         _warn_once(note)
     return replace(robot, urdf_folder=urdf_folder, notes=(*robot.notes, *moved, *not_in_force(given)))
 
 
-def made(
+def build_robot(
     data: Mapping[str, Any],
     mechanism: Mechanism,
     *,
@@ -526,31 +590,20 @@ def made(
         drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
         own_model: the tree is the user's, whose joints stay what they are.
     """
-    chosen = dict(data)
-    chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
-    declaration = parse(chosen, parameters)
-    robot, selection, dropped = _joined(
+    choose = not data.get("independent")
+    declaration = parse({**data, "independent": {"joints": list(data["actuated"])}} if choose else data, parameters)
+    robot, dropped = _joined(
         declaration,
         mechanism,
         gravity=gravity,
+        loose=loose,
+        choose=choose,
+        drive_independent=drive_independent,
         parameters=parameters,
         source=source,
         mode=mode,
         own_model=own_model,
-        loose=loose,
-        choose=not data.get("independent"),
     )
-    if selection and not data.get("independent"):
-        notes = [*robot.notes, f"Independent joints, chosen: {', '.join(selection.independent)}."]
-        robot = replace(robot, independent_joints=selection.independent)
-        if drive_independent:
-            columns = [find_joint(robot.model, name).idx_v for name in selection.independent]
-            driven = read_only(np.array(columns, dtype=np.intp))
-            robot = replace(robot, actuated=selection.independent, actuated_velocity=driven)
-            notes.append(
-                "The file does not say what is driven: taken are the independent joints; actuated=... names others."
-            )
-        robot = replace(robot, notes=tuple(notes))
     return _closed(robot, declaration, parameters, dropped)
 
 
@@ -561,9 +614,10 @@ def _joined(
     gravity: Sequence[float] | None = None,
     loose: bool = False,
     choose: bool = False,
+    drive_independent: bool = False,
     **of: Any,
-) -> tuple[Robot, Selection | None, bool]:
-    """Return the robot, not closed yet; what was chosen; and whether redundant closure rows were left out.
+) -> tuple[Robot, bool]:
+    """Return the robot, not closed yet, and whether its redundant closure rows were left out.
 
     They are where ``loose``, where the declaration says that there are some, and where joints close the loops: those of
     a mechanism that moves in a plane constrain more than it needs.
@@ -573,53 +627,54 @@ def _joined(
     robot = read_robot(declaration, mechanism, **of)
     loose = loose or declaration.redundant_rows or bool(declaration.loop_joints or mechanism.loop_joints)
     if not (loose or choose):
-        return robot, None, False
+        return robot, False
     model, resisted = robot.model, {load.joint for load in mechanism.forces}
-    turning = [index for index in range(1, model.njoints) if np.any(model.armature[span(model, index, "v")])]
-    robot, selection, notes = _with_rows_that_count(
-        robot,
-        redundant=loose,
-        rounded=bool(of.get("source")),
-        resisted=resisted | {str(model.names[index]) for index in turning},
-    )
-    return replace(robot, notes=(*robot.notes, *notes)), selection, loose
-
-
-def _with_rows_that_count(
-    robot: Robot, *, redundant: bool, rounded: bool, resisted: Collection[str] = ()
-) -> tuple[Robot, Selection, list[str]]:
-    """Return a robot without its redundant closure rows, what else was chosen, and what is to be said of it."""
-    notes: list[str] = []
-    provisional = replace(robot, platform=None, independent_joints=())
+    resisted |= {str(model.names[i]) for i in range(1, model.njoints) if np.any(model.armature[span(model, i, "v")])}
     selection = selected(
-        provisional, np.array(robot.q_reference), redundant=redundant, rounded=rounded, resisted=resisted
+        replace(robot, platform=None, independent_joints=()),
+        np.array(robot.q_reference),
+        redundant=loose,
+        declared=None if choose else robot.n,
+        resisted=resisted,
     )
-    kept = selection.robot
+    kept, notes, every = selection.robot, [*robot.notes, *_notes(selection)], robot.closures
     robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
-    if selection.fixed_spins:
+    if selection.left_out:
+        # rows that are left say less of the side on which a weld closes: what follows starts on the right one
+        robot = replace(robot, q_reference=frozen(selection.q), all_closures=_with_redundant_rows(kept.closures, every))
+    if choose:
+        notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
+        robot = replace(robot, independent_joints=selection.independent)
+    if choose and drive_independent:
+        robot = replace(robot, actuated=selection.independent)
         notes.append(
+            "The file does not say what is driven: taken are the independent joints; actuated=... names others."
+        )
+    return replace(robot, notes=tuple(notes)), loose
+
+
+def _notes(selection: Selection) -> Iterator[str]:
+    """Yield what is to be said of a choice of closure rows."""
+    if selection.fixed_spins:
+        yield (
             f"The spin of {', '.join(selection.fixed_spins)} about the line between two balls, which moves nothing "
             "else, is held: one ball is a universal joint, the first where it has damping or armature; where both "
             "have, this is an approximation."
         )
     if selection.off_axis:
         listed = ", ".join(f"{name} by {away:.2g} m" for name, away in selection.off_axis.items())
-        notes.append(
+        yield (
             f"The centre of mass is off that line: {listed}. There a rod between two balls swings, which is left out: "
             "what holds its spin carries the moment."
         )
     if selection.left_out:
-        # rows that are left say less of the side on which a weld closes: what follows starts on the right one
-        every = _with_redundant_rows(kept.closures, provisional.closures)
-        robot = replace(robot, q_reference=frozen(selection.q), all_closures=every)
         rows, opened = ", ".join(selection.left_out), selection.opened
         nearby = (
             f" to {opened:.1g} (characteristic lengths or rad) nearby, as the file's numbers are rounded"
-            if opened > STAYS_CLOSED
+            if opened > AGREEMENT_TOLERANCE
             else ""
         )
-        notes.append(f"Redundant closure rows left out, the loops stay closed in them{nearby}: {rows}.")
-    return robot, selection, notes
+        yield f"Redundant closure rows left out, the loops stay closed in them{nearby}: {rows}."
 
 
 def _with_redundant_rows(closures: tuple[Closure, ...], all_rows: tuple[Closure, ...]) -> tuple[Closure, ...]:

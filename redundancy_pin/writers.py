@@ -26,6 +26,7 @@ from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, Coupling, JointForces, Payload, Robot
 from redundancy_pin.robot.lookup import find_joint_index, find_link
+from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.scales import closure_tolerance, force_terms
 
 IMPEDANCE = 0.9999
@@ -120,7 +121,14 @@ def mjcf(
             names = [_free_name(f"{closure.name}:{number}{side}", sites) for side in "ab"]
             for name, frame in zip(names, (closure.frame_a, closure.frame_b), strict=True):
                 _site(bodies, model, name, frame, offset)
-            _add(equality, kind, site1=names[0], site2=names[1], **soft)
+            if closure.is_rod:
+                rod = _add(tendons, "spatial", name=closure.name)
+                for name in names:
+                    _add(rod, "site", site=name)
+                longer = closure.length - float(np.linalg.norm(np.subtract(*ends_of(closure, model, data))))
+                _add(equality, kind, name=closure.name, tendon1=closure.name, polycoef=(longer, *[0.0] * 4), **soft)
+            else:
+                _add(equality, kind, site1=names[0], site2=names[1], **soft)
     for coupling in robot.couplings:
         _couple(equality, tendons, coupling, soft)
     if robot.platform is not None:
@@ -216,6 +224,8 @@ def constraint_of(robot: Robot, closure: Closure) -> tuple[str, list[Array]]:
     Raises:
         UnsupportedRobotError: no constraint of MuJoCo's has this mask.
     """
+    if closure.is_rod:
+        return "tendon", [np.zeros(3)]
     if closure.frame_a.endswith(UNIVERSAL):
         return "connect", [np.zeros(3)] if "x" in closure.axes else []
     constrained = set(closure.axes) | _idle(robot, closure)

@@ -29,7 +29,6 @@ from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.planners.switch_off.crossing import LostDirection
-from redundancy_pin.robot.scales import sample_scales
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.studies.cases import SINGULAR
@@ -70,7 +69,6 @@ def objects() -> dict[str, Any]:
         "trajectory": trajectory,
         "circle": circle,
         "motion": motion,
-        "scales": sample_scales(robot, motion.xd, motion.xdd, carriers.sd, carriers.sdd),
         "carriers": carriers,
         "dynamics": dynamics,
         "virtual work": manual,

@@ -18,7 +18,7 @@ from redundancy_pin.cli import COMMANDS, file_of, main
 
 HEAVY = (
     *("numpy", "pinocchio", "scipy", "pydantic", "joblib", "xacro", "casadi", "matplotlib", "meshcat", "rich"),
-    *("yaml", "click", "jinja2", "markdown_it", "daqp", "contourpy", "sqlite3", "http.server"),
+    *("yaml", "click", "jinja2", "markdown_it", "daqp", "contourpy", "sqlite3", "http.server", "numpy.ma"),
 )
 """Libraries that take long to import, or that few need."""
 
@@ -41,7 +41,7 @@ COMMANDS_RUN = {
     COMMAND.format(["info", "--json"]): {"click", "numpy", "pinocchio", "yaml"},
     COMMAND.format(["info"]): {"click", "numpy", "pinocchio", "yaml", "rich"},
     # efforts that hold the reference: one sample of inverse kinematics, whose equations LAPACK solves
-    COMMAND.format(["info", "--robot", "3rrr"]): {*KINEMATICS, "click", "rich", "scipy"},
+    COMMAND.format(["info", "--robot", "3rrr"]): {*KINEMATICS, "click", "rich", "scipy", "numpy.ma"},
 }
 """Of those, the ones that programs may load, one after another in the same process."""
 

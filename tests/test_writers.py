@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mjcf_models import GEARED, RSSR, SPATIAL, Engine, write
+from spatial_chains import chain_of
 from zoo import home_of, robot_of, shipped_robots
 
 import redundancy_pin as rp
@@ -101,10 +102,12 @@ def written(name: str, folder: Path) -> Robot:
         "rssr": RSSR,
         "undamped": SPATIAL.replace(' armature="0.02" damping="0.3"', ""),
     }
+    if name == "rod":
+        return chain_of("rod")
     return rp.load_robot(write(folder, texts[name])) if name in texts else robot_of(name, **MASSES.get(name, {}))
 
 
-@pytest.mark.parametrize("name", [*shipped_robots(), "geared", "spatial", "rssr", "undamped"])
+@pytest.mark.parametrize("name", [*shipped_robots(), "geared", "spatial", "rssr", "undamped", "rod"])
 def test_efforts_of_a_written_robot_are_mujocos_and_those_of_the_robot_that_is_read_again(
     name: str, tmp_path: Path
 ) -> None:
@@ -133,6 +136,8 @@ def test_efforts_of_a_written_robot_are_mujocos_and_those_of_the_robot_that_is_r
     np.testing.assert_allclose(again.q_reference, robot.q_reference, atol=1e-9)
     assert again.loads == robot.loads
     assert [each.axes for each in again.closures] == [each.axes for each in robot.closures]
+    lengths = [[each.length for each in one.closures] for one in (again, robot)]
+    assert lengths[0] == pytest.approx(lengths[1], rel=1e-12)
     assert [each.polynomial for each in again.couplings] == [each.polynomial for each in robot.couplings]
     joints = [(robot.model.joints[robot.model.getJointId(name)]) for name in again.independent_joints]
     at = [joint.idx_q for joint in joints], [joint.idx_v for joint in joints]

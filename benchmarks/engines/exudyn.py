@@ -125,6 +125,10 @@ class ExudynSystem:
 
         self.markers = [(marker(closure.a), marker(closure.b)) for closure in tree.closures]
         for (first, second), closure in zip(self.markers, tree.closures, strict=True):
+            if closure.length:
+                rod = items.ObjectConnectorDistance(markerNumbers=[first, second], distance=closure.length)
+                self.mbs.AddObject(rod)
+                continue
             for pair, axes in _joints(first, second, closure.axes):
                 mask = [int(axis in axes) for axis in AXES]
                 self.mbs.AddObject(items.ObjectJointGeneric(markerNumbers=pair, constrainedAxes=mask))

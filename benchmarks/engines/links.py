@@ -74,13 +74,14 @@ class LinkClosure:
     Attributes:
         name: name of the closure.
         a, b: its frames.
-        axes: constrained axes, as in ``robot.Closure``.
+        axes, length: as in ``robot.Closure``.
     """
 
     name: str
     a: FrameOnLink
     b: FrameOnLink
     axes: tuple[str, ...]
+    length: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +172,7 @@ def link_tree(robot: Robot) -> LinkTree:
             read_only(turn.T @ entry.placement.translation),
         )
 
-    closures = tuple(LinkClosure(c.name, frame(c.frame_a), frame(c.frame_b), c.axes) for c in robot.closures)
+    closures = tuple(LinkClosure(c.name, frame(c.frame_a), frame(c.frame_b), c.axes, c.length) for c in robot.closures)
     return LinkTree(robot, tuple(links), closures, robot.gravity)
 
 

@@ -24,7 +24,7 @@ COMMANDS: Mapping[str, str] = {
     "info": "Show a robot, or which there are.",
     "inverse-dynamics": "Compute the efforts along a motion.",
     "map": "What a machine can do: two parameters swept.",
-    "new": "Propose a robot.yaml for a URDF.",
+    "new": "Write a robot.yaml for a model file.",
     "online": "Plan a motion as if on line.",
     "plan": "Plan the motion of the carriers.",
     "reproduce": "Run the experiments of the thesis.",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -68,9 +68,12 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
         "moving_mass": robot.moving_mass,
         "moving_weight": robot.moving_mass * float(np.linalg.norm(robot.gravity)),
         "joints": [_joint(robot, index) for index in range(1, robot.model.njoints)],
-        "closures": [{name: getattr(one, name) for name in ("frame_a", "frame_b", "axes")} for one in robot.closures],
+        "closures": [
+            {name: getattr(one, name) for name in ("frame_a", "frame_b", "axes", "length")} for one in robot.closures
+        ],
         "couplings": [
-            {"joint": each.joint, "of": each.of or None, "polynomial": each.polynomial} for each in robot.couplings
+            {"joint": each.joint, "of": each.of or None, "polynomial": each.polynomial, "also": each.also}
+            for each in robot.couplings
         ],
         "parameters": {
             name: {"value": value, "default": defaults.get(name)} for name, value in robot.parameters.items()
@@ -196,14 +199,20 @@ def _tables(facts: dict[str, Any]) -> Iterator[TextTable]:
     yield TextTable("efforts that hold the reference", ("joint", "effort at rest"), rows, numbers=True)
     joints = [(joint["name"], joint["type"], joint["role"], *_range(joint)) for joint in facts["joints"]]
     yield TextTable("joints of the tree", ("joint", "type", "role", "limits", "reference"), joints)
-    closures = [(each["frame_a"], each["frame_b"], ", ".join(each["axes"])) for each in facts["closures"]]
+    closures = [(each["frame_a"], each["frame_b"], _held(each)) for each in facts["closures"]]
     yield TextTable("closures", ("frame a", "frame b", "axes"), closures)
     couplings = [
-        (each["joint"], each["of"] or "held", " ".join(f"{c:g}" for c in each["polynomial"]))
+        (
+            each["joint"],
+            each["of"] or "held",
+            " ".join(f"{c:g}" for c in each["polynomial"]),
+            " ".join(f"{factor:+g} {name}" for name, factor in each["also"]),
+        )
         for each in facts["couplings"]
     ]
     if couplings:
-        yield TextTable("couplings, q = c0 + c1 p + ...", ("joint q", "of p", "polynomial"), couplings)
+        headings = ("joint q", "of p", "polynomial", "further terms")
+        yield TextTable("couplings, q = c0 + c1 p + ...", headings, couplings)
     values = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
     if values:
         headings = ("parameter", "value", "default")
@@ -291,6 +300,11 @@ def _coordinates(values: list[Any]) -> str:
 def _rounded(values: Any) -> Any:
     """Return numbers without the rounding of a closure: nine digits behind the point."""
     return np.round(np.asarray(values, dtype=float), 9) + 0.0
+
+
+def _held(closure: Mapping[str, Any]) -> str:
+    """Return what a closure constrains."""
+    return f"distance {closure['length']:.6g} m" if closure["length"] else ", ".join(closure["axes"])
 
 
 def _text(value: object) -> str:

@@ -1,229 +1,115 @@
-"""``redundancy-pin new``: a declaration proposed for a URDF."""
+"""``redundancy-pin new``: a declaration of a model file, with a question for all that the file leaves open."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, replace
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
-from redundancy_pin.cli.errors import printable
+from redundancy_pin.arrays import decimal
+from redundancy_pin.cli.errors import BAD_INPUT, printable
 from redundancy_pin.cli.options import json_option, trust_option
 from redundancy_pin.cli.output import report, warning
-from redundancy_pin.errors import DeclarationError, InputError
+from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import require_writable, write_text
-from redundancy_pin.robot.joint_ranges import joint_ranges
-from redundancy_pin.robot.lookup import find_link_index
 
 if TYPE_CHECKING:
     from redundancy_pin.robot import Robot
-    from redundancy_pin.robot.formats.mechanism import JointEntry, Mechanism
-    from redundancy_pin.robot.formats.urdf import Urdf
+    from redundancy_pin.robot.propose import Proposal
 
-_SINGLE = ("revolute", "continuous", "prismatic")
 
-_COINCIDE = 1e-5
-"""m: frames that are nearer at the zero configuration are taken to be one point, cut in two; files are rounded."""
+def _names(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
-_NO_MASS = 1e-6
-"""Of the mass of all: exporters give frames a gram in a tonne, as some readers refuse links that weigh nothing."""
+
+def _positions(context: click.Context, option: click.Parameter, text: str | None) -> dict[str, float]:
+    pairs = [each.rpartition("=") for each in _names(context, option, text)]
+    try:
+        return {name.strip(): decimal(value) for name, _, value in pairs}
+    except ValueError:
+        raise InputError(f"--guess {shown(text)} is not JOINT=VALUE,...", remedy="Write numbers, rad or m.") from None
 
 
 @click.command()
-@click.argument("path", metavar="URDF")
-@click.option("--out", metavar="FILE", help="What to write.  [default: robot.yaml beside the URDF]")
+@click.argument("path", metavar="FILE")
+@click.option(
+    "--close", multiple=True, metavar="A,B[,KIND]", help="Links that meet in a ball or KIND; may be repeated."
+)
+@click.option("--open", "is_open", is_flag=True, help="Close no loops but those that are stated or named here.")
+@click.option("--actuate", metavar="A,B,...", callback=_names, help="Joints that are driven.")
+@click.option("--independent", metavar="A,B,...", callback=_names, help="Independent joints.  [default: chosen]")
+@click.option("--guess", metavar="A=VALUE,...", callback=_positions, help="Where joints are near the reference.")
+@click.option("--out", metavar="FILE", help="What to write.  [default: robot.yaml beside the model]")
 @trust_option
 @json_option
-def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
-    r"""Propose a robot.yaml for a URDF.
+def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) -> int:
+    r"""Write a robot.yaml for a model file.
 
-    Nothing is asked. It looks at the tree: a frame that carries nothing and weighs nothing, and coincides with another
-    such one or with another chain's link when all joints are at zero, is where a loop was cut, and so are the only two
-    such frames; loops that the URDF states itself are kept; joints with transmissions are driven, else as many as
-    there are freedoms, those with limits of effort and position first; joints that mimic others are coupled to them;
-    the reference is a closed configuration. What is written loads; read it, and correct it.
+    The file may be a URDF, xacro, MJCF, SDF, or a robot.yaml of example-parallel-robots. The loops and motors that it
+    states are listed, and those that names and places tell without doubt. Everything else is a question, with the flags
+    that answer it; the robot.yaml does not load before they are answered, and the exit code is 2. Without KIND, --close
+    is a ball where a hinge would be the same.
 
     \b
     Example:
-      redundancy-pin new machine.urdf
+      redundancy-pin new machine.urdf --close left_tip,right_tip --actuate motor_1,motor_2
     """
-    from redundancy_pin.loading import FLAT, load_robot
-    from redundancy_pin.robot.formats.urdf import read_urdf, urdf_mechanism
-    from redundancy_pin.robot.urdf import render
+    from redundancy_pin.loading import load_with, propose_robot
+    from redundancy_pin.robot.model_files import is_model_file, is_urdf
+    from redundancy_pin.robot.named import too_few_motors
 
     source = Path(path)
-    if source.suffix.lower() not in (".urdf", ".xacro"):
-        raise InputError(
-            f"{path} is no URDF.", remedy="Pass a .urdf or .xacro; models of MuJoCo and Gazebo need no declaration."
-        )
     target = require_writable(out or source.parent / "robot.yaml")
     if target.exists():
         raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
-    urdf, _ = render(source, {}, trust=trust)
-    tree = read_urdf(urdf, source)
-    name = source.name.partition(".")[0]
-    mechanism = urdf_mechanism(tree, name)
-    mechanism.model.gravity.linear = np.array([0.0, 0.0, -9.81])
-    pairs, how, doubts = _proposed_closures(tree, mechanism)
-    declared = mechanism.actuated if mechanism.drives_declared else ()
-    single = [joint for joint in tree.joints if joint.kind in _SINGLE and not joint.mimic]
-    driven = [*declared] or [joint.name for joint in single if _is_limited(joint)] or [joint.name for joint in single]
-    if not driven:
-        raise InputError(f"{source.name} has no joint of one freedom to drive.", remedy="Add one.")
-    data = {
-        "name": name,
-        "urdf": source.name,
-        "closures": [{"frames": pair, "axes": ["x", "y", "z"]} for pair in pairs],
-        "actuated": driven,
-        "reference": {},
-    }
-    robot, flat = _closed(data, mechanism, drive_independent=not declared)
-    doubts += [FLAT] if flat else []
-    beside = target.resolve().parent == source.resolve().parent
-    doubts += _out_of_range(robot)
-    place = source.name if beside else str(source.resolve())
-    write_text(target, _text(robot, place, how, bool(declared), doubts, {each.name for each in mechanism.loop_joints}))
-    loaded = load_robot(target, trust=trust)
+    if not is_urdf(source) and source.exists() and not is_model_file(source):
+        raise InputError(f"{path} is no model of a robot.", remedy="Pass a URDF, xacro, MJCF or SDF file.")
+    proposal, robot = propose_robot(source, trust=trust, **decided)
+    place = source.name if target.resolve().parent == source.resolve().parent else str(source.resolve())
+    write_text(target, _declaration(proposal, robot, place))
+    mechanism, notes, outcome = proposal.mechanism, proposal.mechanism.notes, "it loads when all is decided"
+    if robot and not proposal.questions:
+        loaded = load_with(target, {}, trust=trust)
+        notes = (*loaded.notes, *filter(None, [too_few_motors(loaded)]))
+        outcome = f"n = {loaded.n}, m = {loaded.m}"
     facts = {
         "out": str(target),
-        "closures": [{"frames": [c.frame_a, c.frame_b], "axes": c.axes} for c in loaded.closures],
-        "couplings": [asdict(coupling) for coupling in loaded.couplings],
-        "actuated": loaded.actuated,
-        "independent": loaded.independent_joints,
-        "doubts": doubts,
+        "loops": [{"name": each.name, "kind": each.kind, "links": each.links} for each in mechanism.loop_joints],
+        "found": dict(proposal.found),
+        "frames": proposal.frames,
+        "actuated": mechanism.actuated if proposal.motors else [],
+        "motors": proposal.motors,
+        "independent": robot.independent_joints if robot else [],
+        "notes": notes,
+        "undecided": proposal.questions,
     }
-    for doubt in () if as_json else doubts:
-        warning(doubt)
-    closures = f"{len(loaded.closures)} closure(s)" if loaded.closures else f"no closure: {how}"
-    counts = f"n = {loaded.n}, m = {loaded.m}, {closures}"
-    report(as_json, facts, f"{target}: {counts}. Read it, and correct it.")
+    for question in proposal.questions:
+        warning(f"undecided: {question}")
+    report(as_json, facts, *proposal.listed(), *notes, f"{target}: {outcome}.")
+    return BAD_INPUT if proposal.questions else 0
 
 
-def _closed(data: Mapping[str, Any], mechanism: Mechanism, *, drive_independent: bool) -> tuple[Robot, bool]:
-    """Return the robot, and whether it is that of a pose beside zero.
-
-    Raises:
-        DeclarationError: as at zero, if no pose near it serves either.
-    """
-    from redundancy_pin.loading import beside, made
-
-    def at(own: Mechanism) -> Robot:
-        own = replace(own, model=own.model.copy())  # it becomes the robot's
-        return made(data, own, loose=True, drive_independent=drive_independent)
-
-    try:
-        return at(mechanism), False
-    except DeclarationError as error:
-        return beside(mechanism, at, error), True
-
-
-def _proposed_closures(tree: Urdf, mechanism: Mechanism) -> tuple[list[list[str]], str, list[str]]:
-    """Return pairs of frames that close loops, how they were found, and what could be otherwise."""
-    import pinocchio as pin
-
-    if mechanism.loop_joints:  # all loops of a file are read, or none
-        named = ", ".join(each.name for each in mechanism.loop_joints)
-        return [], f"the URDF says it, at {named}", []
-    model = mechanism.model
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
-    at = {str(frame.name): data.oMf[find_link_index(model, frame.name)].translation for frame in frames}
-    carrier = {str(frame.name): int(frame.parentJoint) for frame in frames}
-    parents = {joint.parent for joint in tree.joints}
-    weight = _NO_MASS * sum(link.mass for link in tree.links.values())
-    ends = [
-        joint.child
-        for joint in tree.joints
-        if joint.kind == "fixed" and joint.child not in parents and tree.links[joint.child].mass <= weight
-    ]
-    pairs: list[list[str]] = []
-    for one, other in itertools.combinations(ends, 2):
-        apart = carrier[one] != carrier[other] and not {one, other} & {name for pair in pairs for name in pair}
-        if apart and np.linalg.norm(at[one] - at[other]) < _COINCIDE:
-            pairs.append([one, other])
-    paired = {name for pair in pairs for name in pair}
-    marked: list[list[str]] = []
-    for end in ends:
-        # a pin marked on one of its links alone: it is where another chain's link begins
-        chain = set(model.supports[carrier[end]])
-        on = {
-            carrier[name]: name
-            for name in reversed(at)
-            if name not in ends and carrier[name] not in chain and np.linalg.norm(at[name] - at[end]) < _COINCIDE
-        }
-        on = {joint: name for joint, name in on.items() if carrier[end] not in set(model.supports[joint])}
-        if end not in paired and len(on) == 1:
-            marked.append([end, *on.values()])
-    loose = [end for end in ends if end not in paired and all(end != mark for mark, _ in marked)]
-    pairs += marked
-    if pairs:
-        doubts = [
-            f"{end!r} is where {link!r} is at zero, by chance perhaps: {', '.join(loose)} carry and weigh nothing too."
-            for end, link in marked
-            if loose
-        ]
-        doubts += [
-            f"{end!r} is where {one!r} and {other!r} are: a pin of three links takes one closure more, a mark none."
-            for one, other in pairs
-            for end in ends
-            if carrier[end] not in (carrier[one], carrier[other]) and np.linalg.norm(at[end] - at[one]) < _COINCIDE
-        ]
-        return pairs, "they coincide when all joints are at zero", doubts
-    if len(ends) == 2 and carrier[ends[0]] != carrier[ends[1]]:
-        return [ends], "the only two links that carry nothing and weigh nothing", []
-    which = f" (say under closures which are one point: {', '.join(ends)})" if len(ends) > 1 else ""
-    return [], f"no two frames coincide when all joints are at zero{which}", []
-
-
-def _out_of_range(robot: Robot) -> list[str]:
-    """Return a line on joints that the reference has beyond their limits."""
-    q = robot.q_reference[None]
-    beyond = [joint.name for joint in joint_ranges(robot) if joint.is_left(q[:, joint.at], False)[0]]
-    return [f"The reference is out of the range of {', '.join(beyond)}: guess another."] if beyond else []
-
-
-def _is_limited(joint: JointEntry) -> bool:
-    """Return whether a joint has a motor's limits: an effort, and bounds short of a full turn."""
-    limits = joint.limits
-    bounds = limits.get("upper", np.inf) - limits.get("lower", -np.inf)
-    return limits.get("effort", 0.0) > 0.0 and bounds < (np.inf if joint.kind == "prismatic" else 2.0 * np.pi - 0.01)
-
-
-def _text(robot: Robot, urdf: str, how: str, is_declared: bool, doubts: list[str], stated: Collection[str]) -> str:
-    """Return the declaration, with a comment on each thing that was guessed."""
-    import json
-
+def _declaration(proposal: Proposal, robot: Robot | None, path: str) -> str:
+    """Return the text of the declaration; what is not certain is left out, or a question under ``undecided``."""
     import jinja2
 
-    q, model = robot.q_reference, robot.model
-    positions = {}
-    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
-        if joint.nv == 1:
-            angle = q[joint.idx_q] if joint.nq == 1 else np.arctan2(q[joint.idx_q + 1], q[joint.idx_q])
-            positions[str(name)] = round(float(angle), 6)
-    guessed = "as many joints as freedoms, those with limits first; choose."
-    driven = "the joints with transmissions or ros2_control." if is_declared else guessed
-    free = {name: positions[name] for name in robot.independent_joints}
-    rest = {name: value for name, value in positions.items() if name not in free}
-    made = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.cli", ""), trim_blocks=True)
-    made.filters["quoted"] = lambda value: json.dumps(value, ensure_ascii=False)
-    template = made.get_template("robot.yaml.j2")
-    said = [printable(doubt) for doubt in doubts]
-    return (
-        template.render(
-            robot=robot,
-            closures=[each for each in robot.closures if each.name not in stated],
-            urdf=urdf,
-            how=how,
-            driven=driven,
-            free=free,
-            rest=rest,
-            doubts=said,
-        )
-        + "\n"
-    )
+    from redundancy_pin.kinematics.coordinates import joint_position
+    from redundancy_pin.robot.lookup import find_joint, joint_names
+    from redundancy_pin.robot.model_files import is_urdf
+
+    positions, independent = {}, list[str]()
+    if robot:
+        single = [name for name in joint_names(robot.model) if find_joint(robot.model, name).nv == 1]
+        at = {name: joint_position(robot, name, robot.q_reference[None]) for name in single}
+        positions = {name: round(float(value[0]), 9) for name, value in at.items()}
+        independent = list(robot.independent_joints)
+    if proposal.questions or not set(independent) <= {*joint_names(proposal.mechanism.model)}:
+        independent = []  # not known, or of hinges that stand for a ball of the file
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.cli", ""), trim_blocks=True)
+    environment.filters["quoted"] = lambda value: json.dumps(value, ensure_ascii=False)
+    environment.filters["printable"] = printable
+    given = {"path": path, "is_urdf": is_urdf(Path(path)), "positions": positions, "independent": independent}
+    text: str = environment.get_template("robot.yaml.j2").render(proposal=proposal, **given)
+    return text + "\n"

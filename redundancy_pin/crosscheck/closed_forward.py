@@ -8,8 +8,8 @@ along its axis e holds e·r = 0, so that with ė = ω × e
 
 and one about it e·(ω_b − ω) = 0, so that e·(α_b − α) + ė·(ω_b − ω) = 0, which is what two or three such rows say (what
 is left free is a turn about one fixed axis, or none). A single one, of axes e, f, g in cyclic order, is a universal
-joint, whose axes stay normal to one another: g of frame a and f of frame b, and f × g takes the place of e. Nothing of
-``kinematics`` is used.
+joint, whose axes stay normal to one another: g of frame a and f of frame b, and f × g takes the place of e. A rod
+holds r·r = L², so that (r·r̈ + ṙ·ṙ)/L = 0. Nothing of ``kinematics`` is used.
 """
 
 from __future__ import annotations
@@ -90,6 +90,8 @@ class ClosedForward:
                 other = find_joint(model, each.of)
                 row[other.idx_v] -= powers.deriv()(q[other.idx_q])
                 bend = -float(powers.deriv(2)(q[other.idx_q])) * v[other.idx_v] ** 2
+            for name, factor in each.also:
+                row[find_joint(model, name).idx_v] -= factor
             rows.append((row, bend))
         J = np.array([row for row, _ in rows]).reshape(-1, model.nv)  # an open chain has no row
         return J, np.array([bias for _, bias in rows])
@@ -133,6 +135,10 @@ class ClosedForward:
         seconds = [pin.getFrameClassicalAcceleration(model, data, each, world) for each in ids]
         (first, second), (Ja, Jb) = places, jacobians
         r = second.translation - first.translation
+        if closure.is_rod:
+            apart = speeds[1].linear - speeds[0].linear
+            bias = r @ (seconds[1].linear - seconds[0].linear) + apart @ apart
+            return [(r @ (Jb - Ja)[:3] / closure.length, float(bias) / closure.length)]
         omega, alpha = speeds[0].angular, seconds[0].angular
         rows = []
         for axis in closure.axes:

@@ -124,15 +124,15 @@ def solve_sample(
 
 
 def _force_size(robot: Robot, given: SampleArrays, t: float) -> float:
-    """Return the size of the forces of one sample before they cancel, N: ``Scales.force``."""
+    """Return the size of the forces of one sample before they cancel, N: ``scales.force_sizes``."""
     x, xd, xdd, _, sd, sdd = given
-    unit, terms = coordinate_unit(robot), force_terms(robot)
+    unit = coordinate_unit(robot)
     rate, acceleration = float(np.abs(xd / unit).max()), float(np.abs(xdd / unit).max())
     if robot.k and sd.size:
         carrier_unit = velocity_unit(robot)[robot.carrier_velocity]
         rate = max(rate, float(np.abs(sd / carrier_unit).max()))
         acceleration = max(acceleration, float(np.abs(sdd / carrier_unit).max(initial=0.0)))
-    force = terms.mass * (terms.gravity + terms.length * (rate**2 + acceleration)) + terms.viscous * rate + terms.static
+    force = force_terms(robot).force(rate, acceleration)
     wrenches = wrench_values(robot.loads, np.array([t]), x[None], xd[None])
     return force + float(np.max(wrench_size(robot, wrenches))) if wrenches else force
 

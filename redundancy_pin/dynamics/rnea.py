@@ -45,7 +45,7 @@ from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, invers
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales, velocity_unit
+from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale, velocity_unit
 from redundancy_pin.robot.whole_turns import TURN, counted_turns
 from redundancy_pin.status import SampleStatus
 
@@ -274,7 +274,7 @@ class RneaAlongMotion(Frozen):
             row_scale=frozen(row_scale(self.robot)),
             column_scale=frozen(column_scale(self.robot)),
             out_of_range=self.tree.out_of_range,
-            force_size=sample_scales(self.robot, *moving, self._wrenches).force,
+            force_size=force_sizes(self.robot, *moving, self._wrenches),
         )
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:

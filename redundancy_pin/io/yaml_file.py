@@ -82,8 +82,8 @@ def read_yaml(
 
     Raises:
         RedundancyPinError: of the given kind, with the line: no file, too large, not UTF-8, broken YAML, a key twice in
-            one mapping, keys that are not text, nesting or aliases beyond the limits, or a value that is neither text
-            nor a number, truth value, list or mapping (such as a date).
+            one mapping (unless the first is empty), keys that are not text, nesting or aliases beyond the limits,
+            or a value that is neither text nor a number, truth value, list or mapping (such as a date).
     """
     return parse_yaml(read_text(path, error, what, largest=LARGEST_FILE), str(path), error, tags)
 
@@ -188,7 +188,7 @@ class _Reader:
             if not isinstance(name, str):
                 remedy = "Put it into quotes."
                 raise self.refused(event.start_mark, f"the key {shown(name)} is not text, but {_kind(name)}", remedy)
-            if name in first:
+            if name in first and (is_merge or values.get(name, name) is not None):  # an empty one says nothing
                 message = f"the key {shown(name)} was given in line {first[name]} already"
                 raise self.refused(event.start_mark, message, "Keep one of the two.", key=name)
             first[name] = line

@@ -114,7 +114,7 @@ def assemble(
     guess: Array,
     target: Array | None = None,
     *,
-    redundant: bool = False,
+    rank_tolerance: float | None = None,
     max_iterations: int = 50,
     shortest_step: float = 2.0**-12,
 ) -> Assembly:
@@ -132,7 +132,9 @@ def assemble(
         system: closures and platform rows of the robot.
         guess: (N, nq) starting configurations; carriers keep their positions.
         target: (N, n) coordinates or (N, 4, 4) poses, base frame, m and rad.
-        redundant: of loops alone: rows may depend on one another, and frames may be turned far away from each other.
+        rank_tolerance: of loops alone: rows may depend on one another, and frames may be turned far away from each
+            other. Combinations of rows with smaller singular values, without unit, count as redundant. The
+            configuration closes all others, and the residual says how far it misses these.
         max_iterations: bound on Newton iterations.
         shortest_step: fraction of a Newton step below which the line search gives up on a sample.
 
@@ -142,29 +144,31 @@ def assemble(
     """
     q, robot = np.array(guess, dtype=float), system.robot
     active, taken = np.arange(len(q)), np.zeros(len(q), dtype=np.intp)
-    residual, matrix, state = _linearise(system, q, target, redundant)
-    end = residual.copy()
+    far = rank_tolerance is not None
+    residual, matrix, state = _linearise(system, q, target, far)
+    reduced = residual.shape[1] if far else 0
+    end, span = residual.copy(), np.zeros((len(q), reduced, reduced))
     finished = np.full(len(q), max_iterations == 0)
     step, longest, scale, size = np.zeros((len(q), robot.model.nv)), *np.ones((3, len(q)))
     begins = ~finished
     while True:
         if begins.any():
-            step[begins] = _newton_step(system, matrix[begins], residual[begins], redundant)
+            step[begins], span[begins] = _newton_step(system, matrix[begins], residual[begins], rank_tolerance)
             before = longest[begins]
             longest[begins] = np.abs(step[begins] / velocity_unit(robot)).max(axis=1, initial=0.0)
             # steps that halve lead to a double root, a leg at full stretch, which is twice as far (Rall 1966)
             double = np.abs(longest[begins] - 0.5 * before) < _HALVED * before
             # beyond 1 rad or characteristic length the linear model of a turn is useless
             scale[begins] = np.where(double, 2.0, 1.0) / np.maximum(longest[begins], 1.0)
-            size[begins] = np.linalg.norm(residual[begins], axis=1)
-        active, taken, step, longest, scale, size = (
-            part[~finished] for part in (active, taken, step, longest, scale, size)
+            size[begins] = _size(residual[begins], span[begins])
+        active, taken, step, longest, scale, size, span = (
+            part[~finished] for part in (active, taken, step, longest, scale, size, span)
         )
         if not len(active):
             break
         tried = integrate(robot.model, q[active], step * scale[:, None])
-        residual, matrix, new = _linearise(system, tried, None if target is None else target[active], redundant)
-        decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
+        residual, matrix, new = _linearise(system, tried, None if target is None else target[active], far)
+        decrease = _size(residual, span) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
         decrease |= longest < SETTLED_STEP  # a step at rounding level is taken whole
         stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
         accepted = decrease | stalled
@@ -176,7 +180,7 @@ def assemble(
         scale = np.where(accepted, scale, 0.5 * scale)
         if finished.any():
             if (stalled & finished).any():  # the configuration before the step is where it ends
-                residual, _, new = _linearise(system, q[active], None if target is None else target[active], redundant)
+                residual, _, new = _linearise(system, q[active], None if target is None else target[active], far)
             state.overwrite(active[finished], new, finished)
             end[active[finished]] = residual[finished]
     gap = np.abs(end).max(axis=1, initial=0.0)
@@ -216,34 +220,54 @@ def configuration_difference(model: pin.Model, q0: Array, q1: Array) -> Array:
 
 
 def _linearise(
-    system: ConstraintSystem, q: Array, target: Array | None, redundant: bool
+    system: ConstraintSystem, q: Array, target: Array | None, far: bool
 ) -> tuple[Array, Array, ConstraintState]:
     """Return what Newton's method solves at configurations (N, nq), and the configurations evaluated.
 
     The residuals (N, e) are what is missing to the goal, the matrix (N, e, p) their negative derivatives by the pose
-    columns, both without units.
+    columns, both without units; ``far``: angles in place of sines, where frames are turned far away from each other.
     """
     state, unit = system.evaluate(q), system.equation_unit
     if target is not None:
         off = difference(system.robot, target, coordinates(system.robot, state))
         residual, rows = np.concatenate([-state.phi, off], axis=1), state.K
     else:
-        phi, jacobian = system.rotation_rows(state) if redundant else (state.phi, state.Jc)
+        phi, jacobian = system.rotation_rows(state) if far else (state.phi, state.Jc)
         residual, rows, unit = -phi, jacobian[:, :, system.pose_columns], system.closure_unit
     return residual / unit, rows * (system.step_unit / unit[:, None]), state
 
 
-def _newton_step(system: ConstraintSystem, matrix: Array, residual: Array, redundant: bool) -> Array:
-    """Return (N, nv) steps, rad and m; carriers stay."""
-    step = np.zeros((len(residual), system.robot.model.nv))
-    step[:, system.pose_columns] = _solve(matrix, residual, regular=not redundant) * system.step_unit
-    return step
+def _newton_step(
+    system: ConstraintSystem, matrix: Array, residual: Array, rank_tolerance: float | None
+) -> tuple[Array, Array]:
+    """Return (N, nv) steps, rad and m, carriers stay; and the projector (N, e, e) on the residuals that they reduce.
+
+    Without a tolerance that is all of them, and the projector is empty.
+    """
+    step, span = np.zeros((len(residual), system.robot.model.nv)), np.zeros((len(residual), 0, 0))
+    if rank_tolerance is None:
+        solution = _solve(matrix, residual)
+    else:
+        left, values, right = np.linalg.svd(matrix, full_matrices=False)
+        count = values > rank_tolerance * np.minimum(values.max(axis=1, initial=0.0, keepdims=True), 1.0)
+        left = left * count[:, None]
+        span = left @ left.transpose(0, 2, 1)
+        parts = np.einsum("ner,ne->nr", left, residual) / np.where(count, values, 1.0)
+        solution = np.einsum("nrp,nr->np", right, parts)
+    step[:, system.pose_columns] = solution * system.step_unit
+    return step, span
 
 
-def _solve(matrix: Array, rhs: Array, *, regular: bool) -> Array:
+def _size(residual: Array, span: Array) -> Array:
+    """Return (N,) the norms of residuals (N, e), of their projections where ``span`` (N, e, e) is not empty."""
+    size: Array = np.linalg.norm(np.einsum("nij,nj->ni", span, residual) if span.size else residual, axis=1)
+    return size
+
+
+def _solve(matrix: Array, rhs: Array) -> Array:
     """Return (N, p) the solutions of square regular systems, and those of least norm of all others."""
     solution = np.full((len(rhs), matrix.shape[2]), np.nan)
-    if regular and matrix.shape[1] == matrix.shape[2]:
+    if matrix.shape[1] == matrix.shape[2]:
         solution = _unless_singular(np.linalg.solve, matrix, rhs[:, :, None])[:, :, 0]
     rest = ~np.isfinite(solution).all(axis=1)
     if rest.any():

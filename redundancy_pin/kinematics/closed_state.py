@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, FILE_TOLERANCE, Array, Frozen, IntArray, checked, lapack, read_only
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import OPEN, constraint_system, with_all_rows
+from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
@@ -185,7 +185,10 @@ class LoopSolver:
         if size * self._ample < 1.0:
             return None, plain
         self.chain.place(q)
-        own = np.linalg.svd(self._every_row(q)[0], full_matrices=False)[0][:, : self.rank]
+        left, values, _ = np.linalg.svd(self._every_row(q)[0], full_matrices=False)
+        if not values[self.rank - 1] > FILE_TOLERANCE:  # contradictions of rounded numbers restore no rank
+            return None, plain
+        own = left[:, : self.rank]
         other = inverses(self.matrix(q, own)[0][None])[0]
         if not float(np.linalg.norm(other)) < size / _HELPED:
             return None, plain
@@ -249,7 +252,7 @@ class LoopSolver:
         vectors = self.chain.vectors  # axes that must coincide do, and are not turned over
         if not all(float(vectors[a : a + 3].dot(vectors[b : b + 3])) > _COS_TURNED_OVER for a, b in self._aligned):
             return None
-        if not (residual < CLOSURE_TOLERANCE and open_row < OPEN):
+        if not (residual < CLOSURE_TOLERANCE and open_row < FILE_TOLERANCE):
             return None
         size = math.sqrt(inverse.ravel().dot(inverse.ravel()))
         gamma = np.zeros((self._nv, self.robot.n))

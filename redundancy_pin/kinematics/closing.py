@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -18,14 +18,17 @@ _ITERATIONS = 100
 """Most steps of Newton's method: on redundant rows it converges linearly where they lose rank."""
 
 
-def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) -> Array:
+def closed_near(
+    robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE, rank_tolerance: float = RANK_TOLERANCE
+) -> Array:
     """Return the closed configuration (nq,) that the smallest changes of q lead to.
 
     Args:
         robot: its closure rows may be redundant.
         q: (nq,) where to begin.
-        tolerance: largest closure residual, in characteristic lengths; larger where redundant rows agree except for
+        tolerance: largest closure residual, characteristic lengths or rad; larger where redundant rows agree except for
             rounding.
+        rank_tolerance: as of ``assemble``.
 
     Raises:
         DeclarationError: the loops do not close from there; carries the smallest residual, m.
@@ -37,7 +40,7 @@ def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) ->
     best = np.inf
     starts = (q, *(draw_starts(system, q, 1, rng, turn=spread, slide=spread)[0] for spread in _SPREADS))
     for start in starts:
-        closed, gap = close(system, start)
+        closed, gap = close(system, start, rank_tolerance)
         if gap < tolerance * robot.characteristic_length:
             return closed
         best = min(best, gap)
@@ -48,8 +51,11 @@ def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) ->
     )
 
 
-def close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
-    """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the closure residual, m."""
-    reached = assemble(system, q[None], redundant=True, max_iterations=_ITERATIONS)
+def close(system: ConstraintSystem, q: Array, rank_tolerance: float = RANK_TOLERANCE) -> tuple[Array, float]:
+    """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the closure residual, m.
+
+    ``rank_tolerance``: as of ``assemble``.
+    """
+    reached = assemble(system, q[None], rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS)
     closed: Array = reached.q[0]
     return closed, float(reached.gap[0])

@@ -13,6 +13,12 @@ the two bodies and A_A, A_B their accelerations at v̇ = 0, J the joint Jacobian
     ẇ = (σ ȧ, ċ × a + c × ȧ),  J̇_c v = ẇ · (V_B − V_A) + w · (A_B − A_A),   ȧ = ω_A × a,  ċ = ω_B × c + σ v_B,
     ẅ = (σ ä, c̈ × a + 2 ċ × ȧ + c × ä),   J̇_c = mask ∘ (ẇ J + w J̇),   J̈_c = mask ∘ (ẅ J + 2 ẇ J̇ + w J̈).
 
+A rod of constant length L between the origins of both frames is a translation along an axis that no frame carries:
+
+    d = p_B − p_A,   a = d / L,   Φ = (d · a − L) / 2,   ȧ = ω_A × a + (Δω × p_B + Δv) / L,   Δ = V_B − V_A.
+
+Φ̇ = d · ḋ / L = w · Δ with the w above, and so is all that follows from it.
+
 Rows of a platform's twist are such rows too. Their axis is one of the world; the partner of a translation is the
 platform's origin, that of a rotation about a third axis of the world. The row of an angle whose rate is no component of
 the twist has an axis of the platform, and w = (0, g) in place of c × a, with the rates of g (``kinematics.angles``).
@@ -41,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray, blocks
+from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray, blocks
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
@@ -49,10 +55,6 @@ from redundancy_pin.kinematics.tree import TreePlacement, frame_placement, is_co
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
-
-OPEN = 1e-4
-"""Largest residual of rows that were left out, in characteristic lengths or rad. Files are rounded to 2e-5; on a branch
-that does not belong to the machine the residual is 1e-3 and more."""
 
 _FULL = 1e3
 """Ratio of the smallest singular values of all rows and of those that count: at a loss of both they are alike, and the
@@ -82,7 +84,8 @@ def _cross(a: Array, b: Array) -> Array:
 class Row(NamedTuple):
     """One row: its axis and partner as (frame, column), and the frames between which it acts.
 
-    ``angle`` is the kind and the base axis of one that is the rate of an angle.
+    ``angle`` is the kind and the base axis of one that is the rate of an angle. ``length`` is that of a rod, m, whose
+    axis is the line between both origins in place of the one that is named.
     """
 
     axis: tuple[int, int]
@@ -91,6 +94,7 @@ class Row(NamedTuple):
     second: int
     sign: float
     angle: tuple[str, int] | None = None
+    length: float = 0.0
 
     @property
     def rotation(self) -> bool:
@@ -117,6 +121,9 @@ class RowSet:
         """Which rows are rates of angles: kind and base axis, or None."""
         self._at_angles = [i for i, angle in enumerate(self.angles) if angle]
         self._kinds = [angle for angle in self.angles if angle]
+        self.rods = [i for i, row in enumerate(rows) if row.length]
+        """Which rows are rods."""
+        self.lengths = np.array([row.length for row in rows if row.length])
         # axes of all rows, then their partners
         pairs = np.array([[row.axis for row in rows], [row.partner for row in rows]], dtype=np.intp).reshape(2, size, 2)
         frames, columns = pairs[:, :, 0], pairs[:, :, 1]
@@ -148,6 +155,9 @@ class RowSet:
         taken, one = vectors.take(self._taken, 0), vectors.ndim == 1
         if self._signs is not None:
             taken *= self._taken_signs if one else self._taken_signs[..., None]
+        if self.rods:
+            along = self.per_length(taken[1:6:2, self.rods] - taken[18:, self.rods])
+            taken[0:6:2, self.rods], taken[12:18, self.rods] = along, along[_AFTER]
         moving = self._moving if one else self._moving[..., None]
         pairs = taken[:6].reshape(3, 2, *taken.shape[1:])
         products = taken[6:12] * taken[12:18]
@@ -156,6 +166,11 @@ class RowSet:
         np.subtract(products[:3], products[3:], out=wrench[3:])
         self.set_angles(wrench, 0, pairs[:, 0])
         return PlacedRows(self, pairs, taken[18:], moving, wrench, q)
+
+    def per_length(self, vectors: Array) -> Array:
+        """Return a vector of each rod, (3, rods) or (3, rods, N), over the rod's length."""
+        result: Array = vectors / (self.lengths if vectors.ndim == 2 else self.lengths[:, None])
+        return result
 
     def set_angles(self, moments: Array, order: int, *axis: Array) -> None:
         """Set the last three components (3, R) or (3, R, N) of rows of angles to g or a time derivative of it.
@@ -183,6 +198,8 @@ class RowSet:
         moved = (self._moved * v).T
         twists = J.dot(moved).reshape(6, 4, self.size)
         parts = _cross(twists[3:], placed.pairs.take(_PAIRED, 1)) + twists[:3] * self._slides
+        if self.rods:
+            parts[:, 0, self.rods] += self.per_length(parts[:, 2, self.rods])
         products = (parts[:, :2] * parts[:, 2:]).reshape(6, self.size)
         if self._at_angles:
             products[:, self._at_angles] = 0.0
@@ -232,14 +249,20 @@ class PlacedRows(NamedTuple):
         axis, partner = self.pairs[:, 0], self.pairs[:, 1]
         origins = self.origins if self.rows.sliding else self.origins * self.moving[1]
         phi: Array = np.add.reduce(axis * (partner - origins))
-        couplings = self.rows.couplings
+        rods, couplings = self.rows.rods, self.rows.couplings
+        if rods:
+            phi[rods] = 0.5 * (phi[rods].T - self.rows.lengths).T
         if couplings is not None:
             phi[couplings.at] = couplings.residual(self.q).T
         return phi
 
     def rates(self, twists: Array) -> tuple[Array, Array]:
         """Return ȧ and ċ, and ẇ, for the twists (6, 2, R) of the bodies that carry a and c."""
+        rods = self.rows.rods
         first = _cross(twists[3:], self.pairs) + twists[:3] * self.moving
+        if rods:
+            apart = twists[:, 1, rods] - twists[:, 0, rods]
+            first[:, 0, rods] += self.rows.per_length(_cross(apart[3:], self.pairs[:, 1, rods]) + apart[:3])
         # ċ × a + c × ȧ = ċ × a − ȧ × c: one call for both
         parts = _cross(first[:, ::-1], self.pairs)
         rate = np.empty(self.wrench.shape)
@@ -263,6 +286,10 @@ class PlacedRows(NamedTuple):
         first, rate = self.rates(twists)
         # the spatial acceleration at the world origin is the rate of the velocity there
         second = _cross(second_twists[3:], self.pairs) + _cross(twists[3:], first) + second_twists[:3] * self.moving
+        if rows.rods:
+            apart, further = (each[:, 1, rows.rods] - each[:, 0, rows.rods] for each in (twists, second_twists))
+            away = _cross(further[3:], self.pairs[:, 1, rows.rods]) + _cross(apart[3:], first[:, 1, rows.rods])
+            second[:, 0, rows.rods] += rows.per_length(away + further[:3])
         (axis, partner), (da, dc), (dda, ddc) = (np.swapaxes(part, 0, 1) for part in (self.pairs, first, second))
         curve = _cross(ddc, axis) + 2.0 * _cross(dc, da) + _cross(partner, dda)
         bend = np.concatenate((dda * self.moving[1], curve))
@@ -505,8 +532,10 @@ def _aligned(closure: Closure) -> list[int]:
 
 
 def _row(closure: Closure, axis: str, at: dict[str, int]) -> Row:
-    rotation, k = divmod(AXES.index(axis), 3)
     a, b = at[closure.frame_a], at[closure.frame_b]
+    if closure.is_rod:
+        return Row((a, 0), (b, _ORIGIN), a, b, 1.0, length=closure.length)
+    rotation, k = divmod(AXES.index(axis), 3)
     if not rotation:
         return Row((a, k), (b, _ORIGIN), a, b, 1.0)
     i, j = (k + 1) % 3, (k + 2) % 3
@@ -552,17 +581,18 @@ def left_open(robot: Robot, q: Array) -> Array:
         return np.zeros(len(q))
     system = constraint_system(with_all_rows(robot))
     gap = system.gap(system.evaluate(q).phi)
-    return np.where(gap > OPEN * robot.characteristic_length, gap, 0.0)
+    return np.where(gap > FILE_TOLERANCE * robot.characteristic_length, gap, 0.0)
 
 
 def made_up(robot: Robot, q: Array) -> bool:
     """Return whether rows that were left out make up for those that count, which lose rank at q (nq,).
 
     Which rows say all changes along the motion of some mechanisms (Bennett's four hinges). The branch goes smoothly
-    through such a place, and it is no singularity.
+    through such a place, and it is no singularity. Rows that contradict each other by the rounding of a file make up
+    for nothing.
     """
     if not robot.all_closures:
         return False
     some, every = constraint_system(robot), constraint_system(with_all_rows(robot))
     least, least_of_all = (np.linalg.svd(each.closure_rows(q), compute_uv=False) for each in (some, every))
-    return bool(least_of_all[len(some.rows) - 1] > _FULL * least[-1])
+    return bool(least_of_all[len(some.rows) - 1] > max(_FULL * least[-1], FILE_TOLERANCE))

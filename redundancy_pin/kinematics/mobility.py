@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -34,7 +34,7 @@ def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
     if freedoms == robot.n:
         return
     reference = assemble(system, np.array(robot.q_reference)[None])
-    rank, redundant = _rank(system, reference.q[0])
+    rank, redundant = _rank(system, reference.q[0], FILE_TOLERANCE)
     if freedoms < robot.n:
         kind, only = "over", ""
         where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
@@ -79,10 +79,14 @@ def _left_free(system: ConstraintSystem) -> str:
     return f" With {fixed}, these joints still move: {', '.join(names)}." if names else ""
 
 
-def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> None:
+def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> Robot:
     """Check that the reference is no place where rows depend on one another, or a type I singularity.
 
     ``dropped``: as of ``check_mobility``.
+
+    Returns:
+        The robot. A platform with one rotation whose frame turns about the axis that tells its angle, which stays then,
+        has another axis tell it.
 
     Raises:
         DeclarationError: it is; names the rows.
@@ -103,11 +107,23 @@ def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> 
             rank=rank,
         )
     if project(system, system.evaluate(np.array(robot.q_reference)[None])).margin[0] == 0.0:
+        if robot.platform is not None and len(robot.platform.rotations) == 1:
+            platforms = [replace(robot.platform, pointer=axis) for axis in range(3)]
+            other = max((replace(robot, platform=each) for each in platforms), key=_margin)
+            if _margin(other) > RANK_TOLERANCE:
+                return other
         raise DeclarationError(
             f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
             "joint velocities.",
             remedy="Move the reference, or declare other independent velocities." + _fitting(robot, robot.n),
         )
+    return robot
+
+
+def _margin(robot: Robot) -> float:
+    """Return how far the reference is from a type I singularity, 0 at one."""
+    system = ConstraintSystem(robot)
+    return float(project(system, system.evaluate(np.array(robot.q_reference)[None])).margin[0])
 
 
 def fitting_axes(robot: Robot, count: int) -> tuple[str, ...] | None:
@@ -154,7 +170,8 @@ def independent_columns(
 
     Args:
         matrix: (r, c).
-        apart: smallest distance of a column from the span of the others, relative to the longest column.
+        apart: smallest distance of a column from the span of the others; relative to the longest column, where that is
+            shorter than 1.
         taken: columns that are chosen already; they come first.
         among: columns to choose from, all when left out.
         most: number of columns at which to stop.
@@ -180,7 +197,7 @@ def independent_columns(
         waiting = [index for index in waiting if index not in chosen]
         rest = matrix[:, waiting] - basis @ (basis.T @ matrix[:, waiting])
         lengths = np.linalg.norm(rest, axis=0)
-        if not lengths.max(initial=0.0) > apart * longest:
+        if not lengths.max(initial=0.0) > apart * min(longest, 1.0):
             break
         # the first of equals, whatever their rounding
         chosen.append(waiting[int(np.argmax(lengths > (1.0 - RANK_TOLERANCE) * lengths.max()))])
@@ -202,9 +219,9 @@ def free_motions(system: ConstraintSystem, q: Array, apart: float = RANK_TOLERAN
     return free
 
 
-def _rank(system: ConstraintSystem, q: Array) -> tuple[int, list[str]]:
+def _rank(system: ConstraintSystem, q: Array, apart: float = RANK_TOLERANCE) -> tuple[int, list[str]]:
     """Return the rank of the closure rows at q (nq,) and the names of those that depend on the others."""
-    kept = independent_columns(system.closure_rows(q).T)
+    kept = independent_columns(system.closure_rows(q).T, apart)
     return len(kept), [name for row, name in enumerate(row_names(system.robot)) if row not in kept]
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
+from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
@@ -27,25 +27,16 @@ from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_
 _NEIGHBOURS, _SPREAD = 6, 0.1
 """Configurations around the reference, and how far the joints are from it, rad, or in characteristic lengths."""
 
-STAYS_CLOSED = 1e-8
-"""Largest residual of rows that are left out, characteristic lengths or rad. Newton leaves 1e-11; false ones open by
-1e-3 and more."""
+EXACT = 1e-6
+"""``FILE_TOLERANCE`` of models whose rows are no more redundant than that: short levers make rows that are independent
+by 1e-4 only (Cassie's feet), and the loops open where they are left out."""
 
-_ROUNDED = 2e-5
-"""The same where a file's numbers are rounded, with a note: axes that are parallel except for five digits of π/2
-(1.5708) open by 5e-6."""
-
-_REDUNDANT = 1e-6
-"""Scaled singular values, relative to the largest, of rows that are redundant."""
+_DOUBTFUL = 3e-2
+"""Rows that are independent by less, rad or characteristic lengths, may be redundant ones of wrong placements."""
 
 _WELL_APART = 1e-2
 """A velocity whose column is nearer to the others, in its own length, is taken as dependent only where there is no
 other: it would make a reference next to a singularity of type I."""
-
-_SHORT = 1e-3
-"""Of the longest column: shorter ones count as this long there. What spins a rod between two balls is 2e-5 and less
-where the file is rounded."""
-
 
 UNIVERSAL = "::universal"
 """How names of frames end between which a row holds the spin of a rod."""
@@ -89,34 +80,46 @@ class _Rod(NamedTuple):
     far: Array
 
 
-def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted: Collection[str] = ()) -> Selection:
+def selected(
+    robot: Robot, q: Array, *, redundant: bool, declared: int | None, resisted: Collection[str] = ()
+) -> Selection:
     """Choose closure rows and independent joints near a configuration.
 
     Args:
         robot: a robot without independent velocities.
         q: (nq,) a configuration from which the loops can be closed.
         redundant: let rows be redundant and leave them out; else they stay, and the loader refuses them by name.
-        rounded: the robot's numbers are those of a file of another program, which may have rounded them.
+        declared: number of degrees of freedom, where it is declared.
         resisted: balls with damping or armature: of two on a rod its spin is held there, where it is held by these too.
 
     Raises:
-        DeclarationError: the loops do not close; rows that depend on the others at the reference only; or a joint of
-            several freedoms that the loops leave free.
+        DeclarationError: the loops do not close; rows that depend on the others at the reference only, or except for
+            more than the rounding of a file; or a joint of several freedoms that the loops leave free.
     """
-    opens = _ROUNDED if rounded else STAYS_CLOSED
-    q = closed_near(robot, q, opens if redundant else CLOSURE_TOLERANCE)
     left_out: tuple[str, ...] = ()
-    opened = 0.0
+    opened, start = 0.0, q
     if redundant and (robot.closures or robot.couplings):
-        robot, left_out, opened = _without_redundant_rows(robot, q, opens)
+        # numbers of a file are rounded; where the loops open in what would be redundant then, they mean what they say
+        every = robot
+        try:
+            robot, left_out, opened, q = _without_redundant_rows(every, start, FILE_TOLERANCE, _DOUBTFUL)
+        except DeclarationError:
+            _refuse_wrong_placements(every, start, declared)
+            robot, left_out, opened, q = _without_redundant_rows(every, start, EXACT, EXACT)
+        else:
+            rows = ConstraintSystem(robot).closure_rows(q)
+            if len(independent_columns(rows.T, _DOUBTFUL)) < len(rows):
+                _refuse_wrong_placements(every, start, declared)
+    else:
+        q = closed_near(robot, start)
+    rods, off_axis, near = list[str](), dict[str, float](), FILE_TOLERANCE * robot.characteristic_length
     independent, loose = _independent(robot, q)
-    rods = {name: rod for name in loose if redundant and (rod := _spins(robot, name, q)) is not None}
-    fixed_spins = tuple(rods)
-    near = _ROUNDED * robot.characteristic_length
-    off_axis = {name: away for name, rod in rods.items() if (away := _off_axis(robot, name, rod, q)) > near}
-    for name in fixed_spins:
+    while redundant and (name := _spinning(robot, loose, rods, q)):
+        rods.append(name)
+        rod = _spins(robot, name, q)
+        if rod is not None and (away := _off_axis(robot, name, rod, q)) > near:
+            off_axis[name] = away
         robot = _with_spin_fixed(robot, name, q, at_first=name in resisted)
-    if fixed_spins:
         independent, loose = _independent(robot, q)
     if loose:
         balls = tuple(name for name in loose if find_joint(robot.model, name).nq == 4)
@@ -127,7 +130,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool, resisted
             joints=loose,
             **({"balls": balls} if balls == loose else {}),
         )
-    return Selection(robot, left_out, opened, fixed_spins, off_axis, independent, q)
+    return Selection(robot, left_out, opened, tuple(rods), off_axis, independent, q)
 
 
 def rows_at(robot: Robot, q: Array) -> Robot:
@@ -137,6 +140,16 @@ def rows_at(robot: Robot, q: Array) -> Robot:
     keep = np.zeros(len(rows), dtype=bool)
     keep[independent_columns(rows.T, most=len(constraint_system(robot).rows))] = True
     return replace(_with_rows(full, keep)[0], all_closures=robot.all_closures)
+
+
+def _spinning(robot: Robot, loose: Collection[str], held: Collection[str], q: Array) -> str | None:
+    """Return a ball with a rod whose spin moves nothing else; its other ball may be the joint that is left loose."""
+    model = robot.model
+    for name in loose:
+        for ball in (name, str(model.names[model.parents[find_joint_index(model, name)]])):
+            if ball not in ("universe", *held) and _spins(robot, ball, q) is not None:
+                return ball
+    return None
 
 
 def _spins(robot: Robot, joint: str, q: Array) -> _Rod | None:
@@ -196,42 +209,85 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> R
     return replace(robot, model=model, closures=tuple(closures))
 
 
-def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot, tuple[str, ...], float]:
-    """Return the robot with the rows that count, the names of the others, and how far these open (at ``most``)."""
+def _without_redundant_rows(
+    robot: Robot, start: Array, tolerance: float, firm: float
+) -> tuple[Robot, tuple[str, ...], float, Array]:
+    """Return the robot with the rows that count, the names of the others, how far these open, and a configuration.
+
+    Args:
+        robot: with all rows.
+        start: (nq,) where the loops are closed from.
+        tolerance: largest distance of redundant rows from the span of the others, and largest residual in them, rad or
+            characteristic lengths.
+        firm: smallest singular value of combinations of rows that move the joints when the loops are closed.
+    """
     system = ConstraintSystem(robot)
+    q = closed_near(robot, start, tolerance, firm)
     # at a singular reference the rank is lower than around it, and the choice is made where it is not
-    rows = [system.closure_rows(each) for each in _neighbours(system, q, most)]
-    chosen = max((independent_columns(each.T, _REDUNDANT) for each in rows), key=len)
+    rows = [system.closure_rows(each) for each in _neighbours(system, q, tolerance, firm)]
     keep = np.zeros(len(system.rows), dtype=bool)
-    keep[chosen] = True
+    keep[max((independent_columns(each.T, tolerance) for each in rows), key=len)] = True
     if keep.all():
-        return robot, (), 0.0
+        return robot, (), 0.0, closed_near(robot, q, EXACT, EXACT)
     fewer, left_out = _with_rows(robot, keep)
-    # with these rows alone, do the others stay closed?
-    again = _neighbours(ConstraintSystem(fewer), q)
-    opened = np.abs(system.evaluate(again).phi / system.closure_unit).max(axis=0)
-    if opened.max() <= most:
-        return fewer, left_out, float(opened.max())
-    wide = [name for name, gap in zip(row_names(robot), opened, strict=True) if gap > most]
+    # with these rows alone, do the others stay closed, and stay redundant, which shows earlier?
+    around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
+    opened = np.abs(system.evaluate(around).phi / system.closure_unit).max(axis=0)
+    ranks = [len(independent_columns(system.closure_rows(each).T, tolerance)) for each in around]
+    if opened.max() <= tolerance and max(ranks) == keep.sum():
+        return fewer, left_out, float(opened.max()), q
+    wide = [name for name, gap in zip(row_names(robot), opened, strict=True) if gap > min(tolerance, opened.max() / 2)]
     raise DeclarationError(
-        f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {len(chosen)}, but where "
+        f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {int(keep.sum())}, but where "
         f"{', '.join(left_out)} are left out the loops open, by {opened.max():.3g} in {', '.join(wide)}.",
         remedy="It moves against Grübler's count. Give a joint of the loop the freedom that it needs, such as a "
         "ball in place of a hinge.",
-        rank=len(chosen),
+        rank=int(keep.sum()),
         gap=float(opened.max()),
     )
 
 
-def _neighbours(system: ConstraintSystem, q: Array, tolerance: float = CLOSURE_TOLERANCE) -> Array:
-    """Return configurations (N, nq) closed to a relative tolerance, the first of them q itself.
+def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -> None:
+    """Raise DeclarationError for rows that are redundant except for wrong placements; it names how far they open.
+
+    Short levers and loops in line make rows that are hardly independent, too: those hold more and more on the way from
+    there, or leave the number of degrees of freedom that is declared.
+    """
+    system, near = ConstraintSystem(robot), 10.0 * _DOUBTFUL
+    try:
+        q = closed_near(robot, start, near, _DOUBTFUL)
+    except DeclarationError:
+        return
+    rows = [system.closure_rows(each) for each in _neighbours(system, q, near, _DOUBTFUL)]
+    keep = np.zeros(len(system.rows), dtype=bool)
+    keep[max((independent_columns(each.T, _DOUBTFUL) for each in rows), key=len)] = True
+    rank = int(keep.sum())
+    if rank == min(rows[0].shape) or declared not in (None, len(system.pose_columns) - rank):
+        return
+    fewer, doubtful = _with_rows(robot, keep)
+    around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
+    opened = float(np.abs(system.evaluate(around).phi / system.closure_unit).max())
+    held = [float(np.linalg.svd(system.closure_rows(each), compute_uv=False)[rank]) for each in around]
+    wrong = max(held) <= _DOUBTFUL if opened > FILE_TOLERANCE else FILE_TOLERANCE < max(held) <= 2.0 * held[0]
+    if wrong:
+        raise DeclarationError(
+            f"{robot.name} has closure rows that are redundant except for {max(opened, held[0]):.3g} (characteristic "
+            f"lengths or rad): {', '.join(doubtful)}.",
+            remedy=f"Correct the placements of joints and closures, of which {FILE_TOLERANCE:g} counts as rounding; or "
+            "write a declaration with as many independent joints as these rows leave.",
+            gap=max(opened, held[0]),
+        )
+
+
+def _neighbours(system: ConstraintSystem, q: Array, tolerance: float, firm: float) -> Array:
+    """Return configurations (N, nq) closed to a tolerance, with ``firm`` of ``close``, the first of them q itself.
 
     They are displaced along the motions that the rows leave free: from anywhere else Newton's method may turn a short
     lever over.
     """
-    rng, free = np.random.default_rng(SEED), free_motions(system, q, _REDUNDANT)
+    rng, free = np.random.default_rng(SEED), free_motions(system, q, firm)
     starts = draw_starts(system, q, _NEIGHBOURS, rng, turn=_SPREAD, slide=_SPREAD, along=free)
-    reached = [close(system, each) for each in (q, *starts)]
+    reached = [close(system, each, firm) for each in (q, *starts)]
     closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
     return np.array(closed) if closed else q[None]
 
@@ -282,12 +338,12 @@ def _dependent(rows: Array, classes: Sequence[Sequence[int]]) -> set[int]:
     """Return as many columns as the rows have rank, independent of one another, from the first classes where possible.
 
     Each column counts in its own length. Columns that are nearly dependent on the ones taken already wait until all
-    classes were asked.
+    classes were asked, and so do those that move the loops by no more than the rounding of a file (the spin of a rod).
     """
     size = np.linalg.norm(rows, axis=0)
-    own = np.where(size < RANK_TOLERANCE, np.inf, np.maximum(size, _SHORT * size.max(initial=0.0)))
-    rank, taken = len(independent_columns(rows.T, _REDUNDANT)), list[int]()
-    for apart in (_WELL_APART, RANK_TOLERANCE):
+    rank, taken = len(independent_columns(rows.T, EXACT)), list[int]()
+    for apart, short in ((_WELL_APART, FILE_TOLERANCE), (RANK_TOLERANCE, RANK_TOLERANCE)):
+        own = np.where(size > short, size, np.inf)
         for group in classes:
             taken = independent_columns(rows / own, apart, taken=taken, among=group, most=rank)
     return set(taken)

@@ -26,7 +26,7 @@ from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunct
 from redundancy_pin.planners.robot_record import robot_of_record
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales
+from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import SHIFT, PiecewisePolynomial, chebyshev_times
 
@@ -56,14 +56,14 @@ def inverse_dynamics(
         row_scale=row_scale(robot),
         column_scale=column_scale(robot),
         out_of_range=tree.out_of_range,
-        force_size=sample_scales(
+        force_size=force_sizes(
             robot,
             motion.xd,
             motion.xdd,
             carriers.sd,
             carriers.sdd,
             wrench_values(robot.loads, motion.t, motion.x, motion.xd),
-        ).force,
+        ),
     )
     return tree, reduced
 

@@ -1,9 +1,8 @@
 """Robots: URDF or xacro plus a declaration, read into a frozen description."""
 
-from redundancy_pin.robot.bodies import Body
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.named import RobotLike, as_robot
-from redundancy_pin.robot.types import AXES, CarrierLimits, Closure, Coupling, Platform, Robot, WorkingModes
+from redundancy_pin.robot.types import AXES, Body, CarrierLimits, Closure, Coupling, Platform, Robot, WorkingModes
 
 __all__ = [
     "AXES",

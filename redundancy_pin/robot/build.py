@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Literal
@@ -11,20 +12,13 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.errors import DeclarationError, InputError, did_you_mean, shown
+from redundancy_pin.errors import DeclarationError, InputError, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, Mechanism
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.lookup import (
-    find_joint,
-    find_joint_index,
-    find_link,
-    find_link_index,
-    joint_names,
-    link_names,
-)
-from redundancy_pin.robot.loop_joints import add_frames
+from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link, find_link_index
+from redundancy_pin.robot.loop_joints import add_frames, ends_of
 from redundancy_pin.robot.types import CarrierLimits, Closure, Coupling, Platform, Robot, slides
 from redundancy_pin.robot.urdf import Argument
 
@@ -36,8 +30,8 @@ def read_robot(
     parameters: Mapping[str, Argument] = MappingProxyType({}),
     source: str = "",
     mode: Sequence[int] | None = None,
-    of: str = "model",
     own_model: bool = False,
+    rods: Mapping[str, float] = MappingProxyType({}),
 ) -> Robot:
     """Return the robot that a declaration makes of a mechanism, its names and roles checked.
 
@@ -50,11 +44,12 @@ def read_robot(
         parameters: arguments of the file, with their values.
         source: what finds the robot again.
         mode: ±1 a leg; as declared when left out.
-        of: what the tree is called in messages.
         own_model: the tree is the user's, whose joints stay what they are.
+        rods: lengths of rods by name, m, where nothing else says them.
 
     Raises:
-        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
+        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose, a rod between
+            two points that coincide.
         InputError: a working mode of the wrong form.
     """
     if not own_model:
@@ -64,32 +59,28 @@ def read_robot(
     _require_closed_form(declaration, parameters)
     joined = {frozenset((loop.frame_a, loop.frame_b)) for loop in declaration.loops}
     file_joints = [joint for joint in mechanism.loop_joints if frozenset(joint.frames()) not in joined]
-    add_frames(model, (*file_joints, *declaration.loop_joints))
     closures = (*(joint.closure() for joint in file_joints), *declaration.loops)
     entries = tuple(entry for entry in declaration.carriers if entry.when)
     carriers = tuple(entry.joint for entry in entries)
     own = {each.joint for each in declaration.coupled}
     couplings = (*declaration.coupled, *(each for each in mechanism.couplings if each.joint not in own))
-    _check_roles(declaration, closures, carriers, model, of)
-    _check_couplings(couplings, declaration, carriers, model, of)
-    guess = _guess(model, declaration.reference.guess, mechanism.start)
+    with _names_of_declaration():
+        add_frames(model, (*file_joints, *declaration.loop_joints))
+        _check_roles(declaration, closures, carriers, model)
+        _check_couplings(couplings, declaration, carriers, model)
+    guess = configuration(model, declaration.reference.guess, mechanism.start)
     robot = Robot(
         name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
         urdf=mechanism.shapes,
         model=model,
-        closures=closures,
+        closures=_with_lengths(closures, declaration, parameters, model, guess, rods),
         couplings=couplings,
         platform=with_pointer(declaration.platform, model, guess),
         independent_joints=declaration.independent.joints,
         actuated=declaration.actuated,
         carriers=carriers,
         carrier_limits=tuple(_limits(model, entry) for entry in entries),
-        actuated_velocity=read_only(
-            np.array([find_joint(model, j).idx_v for j in declaration.actuated], dtype=np.intp)
-        ),
-        carrier_velocity=read_only(np.array([find_joint(model, j).idx_v for j in carriers], dtype=np.intp)),
-        carrier_position=read_only(np.array([find_joint(model, j).idx_q for j in carriers], dtype=np.intp)),
         q_reference=read_only(guess),
         working_modes=declaration.modes,
         working_mode=_mode(declaration, mode),
@@ -99,11 +90,18 @@ def read_robot(
     )
     _check_carriers_carry(robot)
     forces, notes = _forces(declaration, mechanism)
+    with _names_of_declaration():
+        robot = robot.loaded(*declaration.loads, *forces)
+    return replace(robot, notes=(*notes, *mechanism.notes))
+
+
+@contextmanager
+def _names_of_declaration() -> Iterator[None]:
+    """Make an error about a name one of the declaration, which is where to correct it."""
     try:
-        loaded = robot.loaded(*declaration.loads, *forces)
-    except InputError as error:  # of a name; the declaration is where to correct it
+        yield
+    except InputError as error:
         raise DeclarationError(error.message, remedy=error.remedy, **error.details) from error
-    return replace(loaded, notes=(*notes, *mechanism.notes))
 
 
 def _forces(declaration: Declaration, mechanism: Mechanism) -> tuple[list[JointForces], tuple[str, ...]]:
@@ -145,49 +143,33 @@ def _closed_form(
     return declaration.closed_form if own and all(slides(find_joint(model, name)) for name in carriers) else None
 
 
-def _body_of(model: pin.Model, frame: str) -> int:
-    # a joint may have the name of a link: ask for the link
-    return int(find_link(model, frame).parentJoint)
-
-
-def _require_name(name: str, known: Sequence[str], what: str, of: str) -> None:
-    if name not in known:
-        remedy = f"{did_you_mean(name, known)}It has: {', '.join(known)}."
-        raise _refused(name, f"The {of} has no {what} {name!r}.", remedy)
-
-
 def _check_roles(
-    declaration: Declaration, closures: Sequence[Closure], carriers: Sequence[str], model: pin.Model, of: str
+    declaration: Declaration, closures: Sequence[Closure], carriers: Sequence[str], model: pin.Model
 ) -> None:
     count = len(closures)
     if count > MOST_FREEDOMS:  # each of them takes a freedom at least
         raise DeclarationError(
-            f"The {of} has {count} closures, more than the {MOST_FREEDOMS} freedoms that one may have.",
+            f"The model has {count} closures, more than the {MOST_FREEDOMS} freedoms that one may have.",
             remedy="Take out those that say again what others say.",
             closures=count,
         )
-    joints = joint_names(model)
-    links = link_names(model)
     driven = (*declaration.actuated, *carriers, *declaration.independent.joints)
     modes, guess = declaration.modes, declaration.reference.guess
     for name in (*driven, *guess, *(modes.joints if modes else ())):
-        _require_name(name, joints, "moving joint", of)
-    for name in driven:
-        if find_joint(model, name).nv != 1:
-            what = f"Joint {name!r} has {find_joint(model, name).nv} freedoms."
+        count = find_joint(model, name).nv
+        if name in driven and count != 1:
+            what = f"Joint {name!r} has {count} freedoms."
             raise _refused(name, what, "Actuated, carrier and independent joints must have one.")
     twice = [name for name in carriers if driven.count(name) > 1]
     if twice:
         remedy = "A carrier is neither a main actuator nor independent, and is listed once."
         raise _refused(twice[0], f"Joint {twice[0]!r} is declared in two roles.", remedy)
     for closure in closures:
-        for name in (closure.frame_a, closure.frame_b):
-            _require_name(name, links, "link", of)
-        if _body_of(model, closure.frame_a) == _body_of(model, closure.frame_b):
+        if find_link(model, closure.frame_a).parentJoint == find_link(model, closure.frame_b).parentJoint:
             what = f"The closure {closure.name!r} joins two frames of one rigid body."
             raise _refused(closure.name, what, "Name frames on the two bodies that meet there.")
     if declaration.platform:
-        _require_name(declaration.platform.frame, links, "link", of)
+        find_link(model, declaration.platform.frame)
     for name in carriers:
         if name in guess:
             what = f"`reference.guess` sets the carrier {name!r}."
@@ -195,12 +177,10 @@ def _check_roles(
 
 
 def _check_couplings(
-    couplings: Sequence[Coupling], declaration: Declaration, carriers: Sequence[str], model: pin.Model, of: str
+    couplings: Sequence[Coupling], declaration: Declaration, carriers: Sequence[str], model: pin.Model
 ) -> None:
-    joints = joint_names(model)
     for coupling in couplings:
         for name in coupling.joints:
-            _require_name(name, joints, "moving joint", of)
             joint = find_joint(model, name)
             if (joint.nq, joint.nv) != (1, 1):
                 kind = "continuous: its turns are not counted" if joint.nv == 1 else "of several freedoms"
@@ -211,9 +191,42 @@ def _check_couplings(
                 raise _refused(name, what, "A carrier moves nothing else; declare it as actuated instead.")
         if coupling.joint == coupling.of:
             raise _refused(coupling.joint, f"The joint {coupling.joint!r} is coupled to itself.", "Name another.")
+    if rods := [each.name for each in declaration.loops if each.is_rod and declaration.closed_form]:
+        what = f"`closed_form: {declaration.closed_form}` knows no rods, as {rods[0]!r} is."
+        raise _refused(rods[0], what, "Leave `closed_form` out: RneaDynamics covers every robot.")
     if couplings and declaration.closed_form:
         what = f"`closed_form: {declaration.closed_form}` knows no couplings, as {couplings[0].name!r} is."
         raise _refused(couplings[0].joint, what, "Leave `closed_form` out: RneaDynamics covers every robot.")
+
+
+def _with_lengths(
+    closures: Sequence[Closure],
+    declaration: Declaration,
+    parameters: Mapping[str, Argument],
+    model: pin.Model,
+    guess: Array,
+    known: Mapping[str, float],
+) -> tuple[Closure, ...]:
+    """Return closures whose rods have lengths: their own, those known by name, or the distances of their ends.
+
+    Ends are where the guess (nq,) and the reference of independent joints put them.
+    """
+    if not any(each.is_rod for each in closures):
+        return tuple(closures)
+    data, q = model.createData(), guess
+    if declaration.platform is None and declaration.reference.joints is not None:
+        given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
+        q = configuration(model, dict(given), guess)
+    pin.forwardKinematics(model, data, q)
+    measured = []
+    for each in closures:
+        apart = float(np.linalg.norm(np.subtract(*ends_of(each, model, data))))
+        length = each.length or known.get(each.name) or apart
+        if each.is_rod and not length > 0.0:
+            remedy = "Give its `length`, or a `reference.guess` in which they are apart."
+            raise _refused(each.name, f"The ends of the rod {each.name!r} coincide at the reference.", remedy)
+        measured.append(replace(each, length=length) if each.is_rod else each)
+    return tuple(measured)
 
 
 def _refused(name: str, what: str, remedy: str) -> DeclarationError:
@@ -269,8 +282,14 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
     return tuple(int(sign) for sign in mode)
 
 
-def _guess(model: pin.Model, positions: Mapping[str, float], start: Array | None = None) -> Array:
-    q: Array = pin.neutral(model) if start is None else start.copy()
+def configuration(model: pin.Model, positions: Mapping[str, float], start: Array) -> Array:
+    """Return a configuration (nq,) with joints at positions, rad or m, and the others where they start (nq,).
+
+    Raises:
+        InputError: the model has no such joint.
+        DeclarationError: a joint of several coordinates, but for a continuous one.
+    """
+    q: Array = start.copy()
     for name, value in positions.items():
         joint = find_joint(model, name)
         if joint.nq > 2:
@@ -322,7 +341,7 @@ def _check_carriers_carry(robot: Robot) -> None:
     model = robot.model
     frames = {name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)}
     for frame in sorted(frames | ({robot.platform.frame} if robot.platform else set())):
-        support = list(model.supports[_body_of(model, frame)])
+        support = list(model.supports[find_link(model, frame).parentJoint])
         for carrier in robot.carriers:
             if find_joint_index(model, carrier) in support:
                 what = f"The carrier {carrier!r} moves the frame {frame!r}, which closes a loop or is the platform."

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, checked
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.robot.joint_ranges import ROUNDING
-from redundancy_pin.robot.lookup import find_link, link_names
-from redundancy_pin.robot.types import CarrierLimits, Robot
+from redundancy_pin.robot.lookup import find_joint, find_link
+from redundancy_pin.robot.types import Robot
 
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _CARRIER_LIMITS = ("lower", "upper", "speed", "acceleration", "force")
@@ -121,11 +121,7 @@ def require_still_joined(before: Robot, after: Robot) -> None:
     """
     closures = (name for each in before.closures for name in (each.frame_a, each.frame_b))
     frames = dict.fromkeys((*closures, *((before.platform.frame,) if before.platform else ())))
-    joint_of = {
-        joint.find("child").get("link", ""): joint.get("name", "")  # type: ignore[union-attr]
-        for joint in ElementTree.fromstring(after.urdf).findall("joint")
-    }
-    places = [_places(robot.model, joint_of) for robot in (before, after)]
+    places = [_places(robot.model) for robot in (before, after)]
     slack = ROUNDING * before.characteristic_length
     for frame in frames:
         own = [find_link(robot.model, frame) for robot in (before, after)]
@@ -134,25 +130,23 @@ def require_still_joined(before: Robot, after: Robot) -> None:
                 continue
             apart = float(np.linalg.norm(places[1][name][1] - own[1].placement.translation))
             if apart > slack:
+                mount = after.model.frames[own[1].parentFrame].name
                 raise InputError(
                     f"The frame {frame!r} and the joint {name!r} were at one place, and are {apart:.4g} m apart now.",
-                    remedy=f"Pass the lengths of both: {joint_of[frame]!r} and {name!r}.",
+                    remedy=f"Pass the lengths of both: {mount!r} and {name!r}.",
                     name=frame,
                     distance=apart,
                 )
 
 
-def _places(model: pin.Model, joint_of: Mapping[str, str]) -> dict[str, tuple[int, Array]]:
+def _places(model: pin.Model) -> dict[str, tuple[int, Array]]:
     """Return by joint, fixed ones too, the index of the body that it is on, and its place (3,) on that body, m."""
     places = {
-        str(model.names[index]): (int(model.parents[index]), model.jointPlacements[index].translation.copy())
+        str(model.names[index]): (int(model.parents[index]), model.jointPlacements[index].translation)
         for index in range(1, model.njoints)
     }
-    for link in link_names(model):
-        frame, name = find_link(model, link), joint_of.get(link, "")
-        if name and name not in places:
-            places[name] = int(frame.parentJoint), frame.placement.translation.copy()
-    return places
+    fixed = (frame for frame in model.frames if frame.type == pin.FrameType.FIXED_JOINT)
+    return {**places, **{frame.name: (int(frame.parentJoint), frame.placement.translation) for frame in fixed}}
 
 
 def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mapping[str, ArrayLike | None]) -> Robot:
@@ -167,91 +161,68 @@ def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mappi
     Raises:
         InputError: an unknown name, a track that ends before it begins, a limit that is not positive.
     """
-    own = [vars(entry).copy() for entry in robot.carrier_limits]
-    for key, values in each.items():
-        if values is None:
+    wanted: dict[str, dict[str, Any]] = {name: {} for name in robot.carriers}
+    for key, numbers in each.items():
+        if numbers is None:
             continue
-        given = np.asarray(values, dtype=object)  # rows of different lengths are objects, and no numbers: said below
+        given = np.asarray(numbers, dtype=object)  # rows of different lengths are objects, and no numbers: said below
         if given.shape not in ((), (robot.k,)):
             raise InputError(
                 f"{key} has shape {given.shape}; {robot.name} has {robot.k} carrier(s).",
                 remedy="Pass one number, or one for each carrier.",
                 name=key,
             )
-        for entry, value in zip(own, np.broadcast_to(given, (robot.k,)), strict=True):
-            entry[key] = value
-    model = robot.model.copy()
-    joints = {str(name): number for number, name in enumerate(model.names) if number}
+        for name, value in zip(robot.carriers, np.broadcast_to(given, (robot.k,)), strict=True):
+            wanted[name][key] = value
     for name, entries in _items(limits, "limits"):
-        number = _named(name, joints, "moving joint")
-        known = _CARRIER_LIMITS if name in robot.carriers else _JOINT_LIMITS
-        ends: dict[str, float] = {}
-        for key, value in _items(entries, f"The limits of {name}"):
-            if key not in known:
-                raise InputError(
-                    f"The joint {name!r} has no limit {shown(key)}.",
-                    remedy=f"{did_you_mean(key, known)}It has: {', '.join(known)}.",
-                    name=key,
-                )
-            if name in robot.carriers:
-                own[robot.carriers.index(name)][key] = value
-            else:
-                _require_limit(model, number, name, key)
-                if key in ("lower", "upper"):
-                    ends[key] = _number(value, f"{key} of {name}", lambda place: not math.isnan(place), "a number")
-                else:
-                    _bound(model, number, name, key, value)
-        if ends:
-            _range(model, number, name, ends)
-    tracks = tuple(_checked(name, entry) for name, entry in zip(robot.carriers, own, strict=True))
-    for name, track in zip(robot.carriers, tracks, strict=True):  # what else reads the model sees the same
-        joint = model.joints[joints[name]]
-        model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q] = track.lower, track.upper
-    return replace(robot, model=model, carrier_limits=tracks)
+        wanted.setdefault(name, {}).update(_items(entries, f"The limits of {name}"))
+    model, tracks = robot.model.copy(), dict(zip(robot.carriers, robot.carrier_limits, strict=True))
+    for name, entries in wanted.items():
+        joint = find_joint(model, name)
+        values = {key: _limit(joint, name, key, value, carries=name in tracks) for key, value in entries.items()}
+        if name in tracks:
+            tracks[name] = track = replace(tracks[name], **values)
+            values = {"lower": track.lower, "upper": track.upper}  # what else reads the model sees the same
+        _set_limits(model, joint, name, values)
+    return replace(robot, model=model, carrier_limits=tuple(tracks.values()))
 
 
-def _checked(name: str, entry: Mapping[str, Any]) -> CarrierLimits:
-    values = {
-        key: _number(value, f"{key} of {name}", math.isfinite, "a finite number")
-        if key in ("lower", "upper")
-        else _number(value, f"{key} of {name}", lambda limit: limit > 0.0, "a positive number, or infinity for none")
-        for key, value in entry.items()
-    }
-    limits = CarrierLimits(**values)
-    if not limits.lower < limits.upper:
+def _limit(joint: pin.JointModel, name: str, key: str, value: Any, *, carries: bool) -> float:
+    """Return one limit of a joint as a number that it may have."""
+    known = _CARRIER_LIMITS if carries else _JOINT_LIMITS
+    if key not in known:
         raise InputError(
-            f"The track of the carrier {name!r} runs from {limits.lower:g} to {limits.upper:g}.",
-            remedy="Pass lower < upper.",
-            name=name,
+            f"The joint {name!r} has no limit {shown(key)}.",
+            remedy=f"{did_you_mean(key, known)}It has: {', '.join(known)}.",
+            name=key,
         )
-    return limits
-
-
-def _require_limit(model: Any, number: int, name: str, key: str) -> None:
-    joint = model.joints[number]
     if joint.nv != 1 or (joint.nq != 1 and key in ("lower", "upper")):
         raise InputError(
             f"The joint {name!r} has no {key} limit: it is {'continuous' if joint.nv == 1 else 'of several freedoms'}.",
             remedy="Leave it out.",
             name=key,
         )
+    if key not in ("lower", "upper"):
+        return _number(value, f"{key} of {name}", lambda most: most > 0.0, "a positive number, or infinity for none")
+    if carries:
+        return _number(value, f"{key} of {name}", math.isfinite, "a finite number")
+    return _number(value, f"{key} of {name}", lambda place: not math.isnan(place), "a number")
 
 
-def _range(model: Any, number: int, name: str, ends: Mapping[str, float]) -> None:
-    """Set where a joint ends, by "lower", "upper" or both: together, so that it does not matter which comes first."""
-    at = model.joints[number].idx_q
+def _set_limits(model: pin.Model, joint: pin.JointModel, name: str, values: Mapping[str, float]) -> None:
+    """Set limits of a joint in a model: of position both at once, of speed and effort both ways."""
+    for key in ("speed", "effort"):
+        if key in values:
+            what = "Velocity" if key == "speed" else "Effort"
+            getattr(model, f"upper{what}Limit")[joint.idx_v] = values[key]
+            getattr(model, f"lower{what}Limit")[joint.idx_v] = -values[key]
+    if not {"lower", "upper"} & set(values):
+        return
+    at = joint.idx_q
     low, high = model.lowerPositionLimit[at], model.upperPositionLimit[at]
     if not low < high:  # a URDF says so where it knows no limits: one that is set does not put the other in force
         low, high = -math.inf, math.inf
-    low, high = ends.get("lower", low), ends.get("upper", high)
+    low, high = values.get("lower", low), values.get("upper", high)
     if not low < high:
         raise InputError(f"The joint {name!r} runs from {low:g} to {high:g}.", remedy="Pass lower < upper.", name=name)
     model.lowerPositionLimit[at], model.upperPositionLimit[at] = low, high
-
-
-def _bound(model: Any, number: int, name: str, key: str, value: Any) -> None:
-    """Set the largest speed or effort of a joint, both ways."""
-    limit = _number(value, f"{key} of {name}", lambda most: most > 0.0, "a positive number, or infinity for none")
-    for bound, sign in (("upper", 1.0), ("lower", -1.0)):
-        vector = getattr(model, f"{bound}{'Velocity' if key == 'speed' else 'Effort'}Limit")
-        vector[model.joints[number].idx_v] = sign * limit

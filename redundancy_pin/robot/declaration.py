@@ -24,7 +24,7 @@ from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.io.reading import read_text
 from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, validated
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
-from redundancy_pin.robot.formats.expressions import MATHEMATICS, Budget, evaluate
+from redundancy_pin.robot.formats.expressions import FUNCTIONS, Evaluator
 from redundancy_pin.robot.formats.urdf import KINDS
 from redundancy_pin.robot.formats.xml_files import FORMATS, format_of
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
@@ -49,18 +49,6 @@ CLOSED_FORM_ROLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...], tuple[in
     "3rrr": (("base_1", "base_2", "base_3"), ("elbow_1", "elbow_2", "elbow_3"), (-1, -1, -1), ("x", "y", "rz")),
 }
 """Motors, joints of the modes and their signs, and independent axes of each; of others its numbers are not."""
-
-
-class Evaluator:
-    """Evaluates the expressions of one declaration."""
-
-    def __init__(self, names: Mapping[str, object]) -> None:
-        self.names = names
-        self._budget = Budget()
-
-    def eval(self, text: str) -> Any:
-        """Return the value of an expression; anything may be raised."""
-        return evaluate(text, self.names, self._budget)
 
 
 def _number(value: object, info: ValidationInfo[Evaluator]) -> float:
@@ -126,7 +114,8 @@ class ClosureEntry(Schema):
     """What closes a loop: a joint between points of two links, or two frames and the axes along which they coincide.
 
     A joint is named by its kind: ``{hinge: [rod, rocker], at: [[0.2, 0, 0], [0.15, 0, 0]], axis: z}``. Its frame is at
-    a point of each link, turned by ``rpy``; its axis is read in that frame, one for both or one in each.
+    a point of each link, turned by ``rpy``; its axis is read in that frame, one for both or one in each. A rod has no
+    mass and a ball at a point of each link: ``{rod: [crank, rocker], at: [[0.2, 0, 0], [0.15, 0, 0]], length: 0.3}``.
     """
 
     name: str | None = None
@@ -139,11 +128,13 @@ class ClosureEntry(Schema):
     universal: Pair | None = None
     planar: Pair | None = None
     weld: Pair | None = None
+    rod: Pair | None = None
     at: Points = (_ORIGIN, _ORIGIN)
     rpy: Points = (_ORIGIN, _ORIGIN)
     axis: Direction | tuple[Direction, Direction] | None = Field(
         None, description="x, y, z or a list of 3 numbers, or one of these for each link"
     )
+    length: Limit = None
 
     @model_validator(mode="after")
     def _has_what_its_kind_takes(self) -> ClosureEntry:
@@ -175,7 +166,8 @@ class ClosureEntry(Schema):
             return None
         links = getattr(self, kind)
         places = [placed(pin.rpy.rpyToMatrix(*rpy), at) for at, rpy in zip(self.at, self.rpy, strict=True)]
-        return joint_between(self.name or f"{kind} {' = '.join(links)}", kind, links, places, self._directions())
+        name = self.name or f"{kind} {' = '.join(links)}"
+        return joint_between(name, kind, links, places, self._directions(), self.length or 0.0)
 
     def closure(self) -> Closure:
         """Return the closure, with a name."""
@@ -194,6 +186,7 @@ _TAKES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "universal": (("axis",), ("at", "rpy")),
     "planar": ((), ("at", "axis", "rpy")),
     "weld": ((), ("at", "rpy")),
+    "rod": ((), ("at", "length")),
 }
 """Keys beside a kind: those that it needs, and those that may be left out."""
 
@@ -432,6 +425,10 @@ def _require_radians(angles: Sequence[float], key: str, given: object) -> None:
         raise bad_value(key, given, "angles in radians, within a turn (degrees?)")
 
 
+UNDECIDED = "undecided"
+"""Key of what `redundancy-pin new` could not know: a declaration that has it is refused, with the questions."""
+
+
 def read_declaration(path: Path) -> YamlFile:
     """Read the mapping at the top of a declaration.
 
@@ -449,11 +446,15 @@ def read_declaration(path: Path) -> YamlFile:
         raise DeclarationError(f"{path} is {other}, not a declaration.", remedy=remedy, format=other)
     file = parse_yaml(text, str(path), ModelFileError)
     data = file.data
-    known = list(Declaration.model_fields)
+    known = [*Declaration.model_fields, UNDECIDED]
     if not isinstance(data, dict):
         raise DeclarationError(f"{path} holds no mapping of keys.", remedy=f"Its keys: {', '.join(known)}.")
     with file.naming():
         require_known_keys(data, known, "")
+        if questions := data.pop(UNDECIDED, None):
+            asked = questions if isinstance(questions, list) else [questions]
+            remedy = f"Decide it in the file, then delete the key `{UNDECIDED}`."
+            raise DeclarationError(" ".join(map(str, asked)), remedy=remedy, key=UNDECIDED)
         if not isinstance(data.get("urdf"), str):
             raise DeclarationError(
                 "The declaration names no `urdf`.",
@@ -506,5 +507,4 @@ def parse(data: Mapping[str, Any], parameters: Mapping[str, Argument]) -> Declar
 
 
 def _evaluator(parameters: Mapping[str, Argument]) -> Evaluator:
-    functions = {name: MATHEMATICS[name] for name in ("sqrt", "sin", "cos", "tan", "atan2")}
-    return Evaluator({**functions, "pi": math.pi, **parameters})
+    return Evaluator({**FUNCTIONS, **parameters})

@@ -12,7 +12,8 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.robot.formats.mechanism import NO_MOMENT
-from redundancy_pin.robot.lookup import find_joint_frame, has_link
+from redundancy_pin.robot.lookup import has_link
+from redundancy_pin.robot.loop_joints import ROWS
 from redundancy_pin.robot.rebuild import span
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform
 
@@ -47,9 +48,11 @@ def declared(model: pin.Model, arguments: Mapping[str, Any], at: list[int]) -> d
     _name_links(model)
     loops = [_closure(model, each, number, at) for number, each in enumerate(loops)]
     roles = _independent(arguments["independent"])
-    for frame in (*(name for loop in loops for name in loop["frames"]), roles.get("platform")):
-        if isinstance(frame, str) and (found := find_joint_frame(model, frame)):  # a missing one is reported later
-            _make_link(model, found)
+    ends = (name for loop in loops for kind in ("frames", *ROWS) for name in loop.get(kind, ()))
+    named = [roles.get("platform"), *ends]
+    for frame in list(model.frames):
+        if frame.type in (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT) and frame.name in named:
+            _make_link(model, frame)
     return {
         "closures": loops,
         "couplings": [_coupling(each, number) for number, each in enumerate(couplings)],
@@ -126,6 +129,8 @@ def _several(values: Any, what: str) -> list[Any]:
 def _closure(model: pin.Model, given: Any, number: int, at: list[int]) -> dict[str, Any]:
     if isinstance(given, Mapping):
         return dict(given)
+    if isinstance(given, Closure) and given.is_rod:
+        return {"name": given.name, "rod": [given.frame_a, given.frame_b], "length": given.length or None}
     if isinstance(given, Closure):
         return {"name": given.name, "frames": [given.frame_a, given.frame_b], "axes": list(given.axes)}
     if isinstance(given, (tuple, list)) and len(given) == 3:

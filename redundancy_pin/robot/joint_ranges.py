@@ -5,15 +5,14 @@ All comparisons of positions with limits allow the same slack, ``JointRange.slac
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from types import MappingProxyType
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.arrays import FILE_TOLERANCE, Array, BoolArray, IntArray, frozen, read_only
 from redundancy_pin.robot.types import Robot, slides
 
 ROUNDING = 1e-9
@@ -75,40 +74,22 @@ class JointRange(NamedTuple):
         """Return (N,) whether positions are beyond an end by more than the slack."""
         return np.asarray(self.excess(value, motion) > self.slack)
 
-    def excess(self, value: Array, motion: bool, turn: float | None = None) -> Array:
+    def excess(self, value: Array, motion: bool) -> Array:
         """Return (N,) how far positions are beyond, rad or m; see ``range_excess``."""
-        counted = value - (self.turn(value, motion) if turn is None else turn)
+        counted = self.counted(value, motion)
         return np.maximum(self.lower - counted, counted - self.upper)
 
-    def holds(self, value: Array, turn: float | None = None) -> bool:
+    def holds(self, value: Array) -> bool:
         """Return whether all positions (N,) of a motion are known and within the ends, by their extremes alone."""
-        if not len(value):
-            return True
-        ends = np.array([value.min(), value.max()])
-        return bool((self.excess(ends, True, turn) <= self.slack).all())
+        ends = np.array([value.min(), value.max()] if len(value) else [])
+        return bool((self.excess(ends, True) <= self.slack).all())
 
     def counted(self, value: Array, motion: bool) -> Array:
         """Return (N,) positions, whole turns taken off where that brings them into a range within a turn."""
-        return np.asarray(value - self.turn(value, motion))
-
-    def turn(self, value: Array, motion: bool) -> Array:
-        """Return () or (N,) whole turns, rad, to be taken off where that brings positions into a range of a turn."""
         if not self.repeats or not len(value):
-            return np.zeros(())
+            return value
         middle = 0.5 * ((value.max() + value.min() if motion else 2.0 * value) - self.lower - self.upper)
-        return np.asarray(2.0 * np.pi * np.round(middle / (2.0 * np.pi)))
-
-
-Turns: TypeAlias = Mapping[str, float]
-"""By joint the whole turns that are taken off its positions, rad."""
-
-
-def turns_of(robot: Robot, q: Array) -> Turns:
-    """Return what is taken off the positions of a motion (N, nq), so that its further parts are counted alike."""
-    known = q[np.isfinite(q).all(axis=1)]
-    return (
-        {joint.name: float(joint.turn(known[:, joint.at], True)) for joint in joint_ranges(robot)} if len(known) else {}
-    )
+        return np.asarray(value - 2.0 * np.pi * np.round(middle / (2.0 * np.pi)))
 
 
 @lru_cache(maxsize=64)
@@ -136,6 +117,27 @@ def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
     return tuple(joint for joint in all_ranges(robot) if joint.name not in robot.carriers)
 
 
+def meet_limits(robot: Robot) -> Robot:
+    """Return the robot with limits moved to its reference where that is beyond them by the rounding of a file.
+
+    A note names the joints, and by how much: up to ``FILE_TOLERANCE``, rad or characteristic lengths.
+    """
+    q, moved, model = np.array(robot.q_reference), list[str](), pin.Model(robot.model)
+    ends = {"lower": model.lowerPositionLimit, "upper": model.upperPositionLimit}
+    for joint in joint_ranges(robot):
+        value = q[joint.at : joint.at + 1]
+        excess, at = float(joint.excess(value, False)[0]), float(joint.counted(value, False)[0])
+        if joint.slack < excess <= joint.slack * FILE_TOLERANCE / ROUNDING:
+            end = "lower" if at < joint.lower else "upper"
+            ends[end][joint.at] = at
+            moved.append(f"{end} of {joint.name!r} by {excess:.1g} {'rad' if joint.turns else 'm'}")
+    if not moved:
+        return robot
+    model.lowerPositionLimit, model.upperPositionLimit = ends["lower"], ends["upper"]
+    note = f"Limits that the reference misses by rounding are moved to it: {', '.join(moved)}."
+    return replace(robot, model=model, notes=(*robot.notes, note))
+
+
 @lru_cache(maxsize=64)
 def range_table(robot: Robot) -> Array:
     """Return (r, 5) of each range and track: index in q, whether turns count as none (0 or 1), ends and slack."""
@@ -147,19 +149,20 @@ def range_table(robot: Robot) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _range_columns(robot: Robot) -> tuple[IntArray, Array, Array, Array]:
-    """Return of each range (r,): index in q, turns that count as none (0 or 2π), its middle, half of it with slack."""
+def _range_columns(robot: Robot) -> tuple[IntArray, Array, Array, Array, Array]:
+    """Return of each range (r,): index in q, turns that count as none (0 or 2π), its middle there, ends with slack."""
     at, repeats, lower, upper, slack = range_table(robot).T
-    middle = 0.5 * (lower + upper)
-    return at.astype(np.intp), 2.0 * np.pi * repeats, middle, upper - middle + slack
+    middle = np.zeros(len(at))
+    np.add(0.5 * lower, 0.5 * upper, out=middle, where=repeats > 0.0)  # other ranges may have no end
+    return at.astype(np.intp), 2.0 * np.pi * repeats, middle, lower - slack, upper + slack
 
 
 def is_in_range(robot: Robot, q: Array) -> bool:
     """Return whether all joints of one configuration (nq,) are in their ranges, carriers on their tracks."""
-    at, turns, middle, half = _range_columns(robot)
-    away = q[at] - middle
-    away -= turns * np.rint(away / (2.0 * np.pi))
-    return bool((np.abs(away) <= half).all())
+    at, turns, middle, lower, upper = _range_columns(robot)
+    value = q[at]
+    value -= turns * np.rint((value - middle) / (2.0 * np.pi))
+    return bool(((lower <= value) & (value <= upper)).all())
 
 
 @lru_cache(maxsize=64)
@@ -178,37 +181,34 @@ def range_slack(robot: Robot) -> Array:
     return read_only(slack)
 
 
-def range_excess(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = MappingProxyType({})) -> Array:
+def range_excess(robot: Robot, q: Array, *, motion: bool = True) -> Array:
     """Return (N, joints) how far each joint of the model is beyond its range, m or rad; negative inside.
 
     A joint without limits, or of several freedoms, is −inf, and so is a configuration of NaN. A revolute joint whose
     limits are within a turn may be counted from another turn than they are: the same whole number of turns is taken
-    from all samples of a ``motion`` where that helps, from each by itself where configurations (N, nq) are none; the
-    ``turns`` of earlier parts of the motion where they are given.
+    from all samples of a ``motion`` where that helps, from each by itself where configurations (N, nq) are none.
     """
     excess = np.full((len(q), robot.model.njoints - 1), -np.inf)
     known = np.isfinite(q).all(axis=1)
     for joint in joint_ranges(robot):
-        excess[known, joint.column] = joint.excess(q[known, joint.at], motion, turns.get(joint.name))
+        excess[known, joint.column] = joint.excess(q[known, joint.at], motion)
     return excess
 
 
-def out_of_range(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = MappingProxyType({})) -> BoolArray:
+def out_of_range(robot: Robot, q: Array, *, motion: bool = True) -> BoolArray:
     """Return (N,) whether some joint is beyond its range by more than its slack, as ``range_excess`` counts."""
-    if motion and all(joint.holds(q[:, joint.at], turns.get(joint.name)) for joint in joint_ranges(robot)):
+    if motion and all(joint.holds(q[:, joint.at]) for joint in joint_ranges(robot)):
         return read_only(np.zeros(len(q), dtype=bool))
-    excess = range_excess(robot, q, motion=motion, turns=turns)
-    return read_only(np.asarray((excess > range_slack(robot)).any(axis=1)))
+    return read_only(np.asarray((range_excess(robot, q, motion=motion) > range_slack(robot)).any(axis=1)))
 
 
-def beyond_limits(robot: Robot, q: Array, t: Array, turns: Turns = MappingProxyType({})) -> tuple[JointExcess, ...]:
+def beyond_limits(robot: Robot, q: Array, t: Array) -> tuple[JointExcess, ...]:
     """Return the joints that are somewhere beyond a limit of position, turns counted as in ``range_excess``.
 
     Args:
         robot: the robot.
         q: (N, nq) configurations, NaN where there is none.
         t: (N,) their times, s.
-        turns: those of earlier parts of the motion.
     """
     excesses = []
     known = np.isfinite(q).all(axis=1)
@@ -216,8 +216,7 @@ def beyond_limits(robot: Robot, q: Array, t: Array, turns: Turns = MappingProxyT
         return ()
     t = t[known]
     for joint in joint_ranges(robot):
-        value = q[known, joint.at]
-        value = value - turns.get(joint.name, joint.turn(value, True))
+        value = joint.counted(q[known, joint.at], True)
         for limit, excess in ((joint.lower, joint.lower - value), (joint.upper, value - joint.upper)):
             if excess.max() > joint.slack:
                 first, worst = int(np.argmax(excess > joint.slack)), int(np.argmax(excess))

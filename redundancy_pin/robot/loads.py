@@ -12,16 +12,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias, TypeVar, cast, get_args
+from dataclasses import dataclass, fields
+from typing import Any, Literal, TypeAlias, TypeVar, cast, get_args
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, assign, checked
-from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
-from redundancy_pin.robot.lookup import find_joint, find_link, link_names
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.robot.lookup import find_joint, find_link
 
 Axes: TypeAlias = Literal["world", "local"]
 """Axes of a wrench: those of the world, or those of its frame."""
@@ -41,6 +41,16 @@ def _number(value: float, name: str, *, least: float) -> float:
     if number < least:
         raise InputError(f"{name} is {number:g}.", remedy=f"It is at least {least:g}.", name=name)
     return number
+
+
+class _Listed:
+    """Shows all that it is, arrays as lists."""
+
+    def __repr__(self) -> str:
+        """Return the call that makes it."""
+        values = (getattr(self, field.name) for field in fields(cast(Any, self)))
+        listed = (repr(value.tolist() if isinstance(value, np.ndarray) else value) for value in values)
+        return f"{type(self).__name__}({', '.join(listed)})"
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -112,8 +122,8 @@ class Wrench(Frozen):
         return np.broadcast_to(self.value, (len(t), 6))
 
 
-@dataclass(frozen=True, init=False, eq=False)
-class Payload(Frozen):
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Payload(_Listed, Frozen):
     """A mass that a link carries, rigidly.
 
     Attributes:
@@ -150,10 +160,6 @@ class Payload(Frozen):
         assign(
             self, frame=frame, mass=_number(mass, "mass", least=0.0), centre=_vector(centre, "centre"), inertia=matrix
         )
-
-    def __repr__(self) -> str:
-        """Return all that it is."""
-        return f"Payload({self.frame!r}, {self.mass!r}, {self.centre.tolist()}, {self.inertia.tolist()})"
 
 
 @dataclass(frozen=True)
@@ -210,8 +216,8 @@ class JointForces:
         return result
 
 
-@dataclass(frozen=True, init=False, eq=False)
-class Spring(Frozen):
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Spring(_Listed, Frozen):
     """A spring and a damper between points of two links, along the line between them.
 
     Attributes:
@@ -248,13 +254,6 @@ class Spring(Frozen):
         assign(self, **{name: _number(value, f"{name} of the spring", least=0.0) for name, value in numbers.items()})
         assign(self, point_a=_vector(point_a, "point_a"), point_b=_vector(point_b, "point_b"))
 
-    def __repr__(self) -> str:
-        """Return all that it is."""
-        return (
-            f"Spring({self.frame_a!r}, {self.frame_b!r}, {self.stiffness!r}, {self.damping!r}, {self.length!r}, "
-            f"{self.point_a.tolist()}, {self.point_b.tolist()})"
-        )
-
 
 Load: TypeAlias = Wrench | Payload | JointForces | Spring
 
@@ -271,12 +270,10 @@ def checked_loads(model: pin.Model, loads: Sequence[Load]) -> tuple[Load, ...]:
         InputError: no load, an unknown link or joint.
         UnsupportedRobotError: a joint of several freedoms, a spring in a continuous joint.
     """
-    links = link_names(model)
     for load in loads:
         if not isinstance(load, get_args(Load)):
             raise InputError(f"A load is {type(load).__name__}.", remedy="Pass Wrench, Payload, JointForces or Spring.")
         if isinstance(load, JointForces):
-            _require(load.joint, tuple(model.names)[1:], "joint")
             joint = find_joint(model, load.joint)
             others = load.friction or load.stiffness or load.rotor_inertia
             if str(joint.shortname()) == "JointModelSpherical" and not others:
@@ -291,14 +288,8 @@ def checked_loads(model: pin.Model, loads: Sequence[Load]) -> tuple[Load, ...]:
                 )
         else:
             for frame in (load.frame_a, load.frame_b) if isinstance(load, Spring) else (load.frame,):
-                _require(frame, links, "link")
+                find_link(model, frame)
     return tuple(loads)
-
-
-def _require(name: str, known: Sequence[str], what: str) -> None:
-    if name not in known:
-        remedy = f"{did_you_mean(name, known)}It has: {', '.join(map(str, known))}."
-        raise InputError(f"The robot has no {what} {name!r}.", remedy=remedy, name=name)
 
 
 def carrying(model: pin.Model, payloads: Iterable[Payload]) -> pin.Model:

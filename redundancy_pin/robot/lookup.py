@@ -63,14 +63,6 @@ def find_link(model: pin.Model, name: str) -> pin.Frame:
     return model.frames[find_link_index(model, name)]
 
 
-def find_joint_frame(model: pin.Model, name: str) -> pin.Frame | None:
-    """Return the frame of a moving or fixed joint; None where no joint has that name or the model has no such frame."""
-    for kind in (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT):
-        if model.existFrame(name, kind):
-            return model.frames[model.getFrameId(name, kind)]
-    return None
-
-
 def _refuse(kind: str, name: str, known: Sequence[str]) -> int:
     remedy = f"{did_you_mean(name, known)}It has: {', '.join(known)}."
     raise InputError(f"The model has no {kind} {name!r}.", remedy=remedy, name=name)

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
-from redundancy_pin.errors import DeclarationError, InputError
+from redundancy_pin.errors import DeclarationError
 from redundancy_pin.robot.lookup import find_link, has_link
 from redundancy_pin.robot.types import AXES, Closure
 
@@ -25,10 +25,11 @@ ROWS: Mapping[str, tuple[str, ...]] = {
     "universal": ("x", "y", "z", "rz"),
     "planar": ("z", "rx", "ry"),
     "weld": AXES,
+    "rod": ("distance",),
 }
 """Constrained axes of each kind. The z axes of both frames are the axis of a hinge, slider or cylinder, and normal to
 the plane of a planar joint. A universal joint turns about the y axis of the first frame and the x axis of the second,
-which stay at right angles."""
+which stay at right angles. A rod of constant length has a ball at both ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +40,16 @@ class LoopJoint:
         name: what to call it in messages.
         kind: one of ``ROWS``.
         links: the two links that it joins.
-        placements: (4, 4) of its frame in each link, placed as ``ROWS`` says; the frames coincide where it is closed.
+        placements: (4, 4) of its frame in each link, placed as ``ROWS`` says; the frames coincide where it is closed,
+            those of a rod are at its ends.
+        length: m, of a rod; 0 where it is the distance of its ends at the reference.
     """
 
     name: str
     kind: str
     links: tuple[str, str]
     placements: tuple[Array, Array]
+    length: float = 0.0
 
     def frames(self) -> tuple[str, str]:
         """Return the names of both frames: the link's own where the joint is at its origin."""
@@ -57,11 +61,16 @@ class LoopJoint:
 
     def closure(self) -> Closure:
         """Return the closure between its frames."""
-        return Closure(self.name, *self.frames(), ROWS[self.kind])
+        return Closure(self.name, *self.frames(), ROWS[self.kind], self.length)
 
 
 def joint_between(
-    name: str, kind: str, links: tuple[str, str], places: Sequence[Array], axes: Sequence[Array]
+    name: str,
+    kind: str,
+    links: tuple[str, str],
+    places: Sequence[Array],
+    axes: Sequence[Array],
+    length: float = 0.0,
 ) -> LoopJoint:
     """Return a joint from its place and its axis in both links.
 
@@ -71,7 +80,8 @@ def joint_between(
         links: the two links that it joins.
         places: (4, 4) where it is in each link; the axes are read there.
         axes: (3,) along it, of any length but zero; of a universal joint the one that it has in each link. Those of a
-            ball or weld do not count.
+            ball, weld or rod do not count.
+        length: m, of a rod; 0 where it is the distance of its ends at the reference.
 
     Raises:
         DeclarationError: one link twice, an axis of length zero, or a slider of two axes: its angle is not determined.
@@ -87,24 +97,22 @@ def joint_between(
         message = f"The slider {name!r} has two axes, which do not say how its links are turned about them."
         raise DeclarationError(message, remedy=remedy, name=name)
     one, other = (
-        place if kind in ("ball", "weld") else place @ placed(turned_to(axis, column), np.zeros(3))
+        place if kind in ("ball", "weld", "rod") else place @ placed(turned_to(axis, column), np.zeros(3))
         for place, axis, column in zip(places, axes, (1, 0) if kind == "universal" else (2, 2), strict=True)
     )
-    return LoopJoint(name, kind, links, (one, other))
+    return LoopJoint(name, kind, links, (one, other), length)
 
 
 def add_frames(model: pin.Model, joints: Sequence[LoopJoint]) -> None:
     """Add the frames of joints that close loops to a model, as links that weigh nothing.
 
     Raises:
-        DeclarationError: the model has no such link, or has one with the name of such a frame.
+        InputError: the model has no such link.
+        DeclarationError: it has one with the name of such a frame.
     """
     for joint in joints:
         for name, link, placement in zip(joint.frames(), joint.links, joint.placements, strict=True):
-            try:
-                carrier = find_link(model, link)
-            except InputError as error:
-                raise DeclarationError(error.message, remedy=error.remedy, name=link) from error
+            carrier = find_link(model, link)
             if name == link:
                 continue
             if has_link(model, name):
@@ -112,6 +120,13 @@ def add_frames(model: pin.Model, joints: Sequence[LoopJoint]) -> None:
                 raise DeclarationError(message, remedy="Give the closure another name.", name=name)
             place = carrier.placement * pin.SE3(placement)
             model.addFrame(pin.Frame(name, carrier.parentJoint, place, pin.FrameType.BODY))
+
+
+def ends_of(closure: Closure, model: pin.Model, data: pin.Data) -> tuple[Array, Array]:
+    """Return the origins (3,) of both frames of a closure, m, world, where the joints are placed in the data."""
+    frames = [find_link(model, name) for name in (closure.frame_a, closure.frame_b)]
+    one, other = ((data.oMi[frame.parentJoint] * frame.placement).translation for frame in frames)
+    return one, other
 
 
 def turned_to(axis: Array, column: int = 2) -> Array:

@@ -64,14 +64,14 @@ def open_model(
             of MJCF ``keyframe``, the name of the one that the mechanism starts from; of URDF and SDF ``actuated``,
             names of driven joints with commas between.
         trust: let xacro evaluate its expressions as Python, and MJCF read files of other folders.
-        untrusted: let MuJoCo compile MJCF in a child process with limits of time and memory.
+        untrusted: let xacro and MuJoCo work in a child process with limits of time and memory.
 
     Raises:
         ModelFileError: a file that cannot be read, or says what is not covered.
         InputError: another argument, or another value.
     """
     if is_urdf(path):
-        return _open_urdf(path, arguments, trust)
+        return _open_urdf(path, arguments, trust, untrusted)
     defaults = _ARGUMENTS[_format(path)]
     for name in arguments:
         if name not in defaults:
@@ -89,7 +89,9 @@ def open_model(
     return dict(given), read
 
 
-def _open_urdf(path: Path, arguments: Mapping[str, object], trust: bool) -> tuple[dict[str, Argument], Reader]:
+def _open_urdf(
+    path: Path, arguments: Mapping[str, object], trust: bool, untrusted: bool
+) -> tuple[dict[str, Argument], Reader]:
     """As ``open_model``; a URDF that is no xacro file has the arguments ``base`` and ``actuated``."""
     own: dict[str, Argument] = {
         name: str(value) for name, value in arguments.items() if is_plain(path) and name in ("base", "actuated")
@@ -97,7 +99,7 @@ def _open_urdf(path: Path, arguments: Mapping[str, object], trust: bool) -> tupl
     _require_base(str(own.get("base", "fixed")))
     others = {name: value for name, value in arguments.items() if name not in own}
     known_values(path, others)
-    text, values = render(path, others, trust=trust)
+    text, values = render(path, others, trust=trust, untrusted=untrusted)
     return {**values, **own}, lambda kinds: mechanism_of_urdf(text, path, own, kinds)
 
 

@@ -1,53 +1,36 @@
-"""Sizes that tolerances are relative to: those of a robot, and of one sample of its motion.
+"""Sizes that tolerances are relative to: those of a robot, and of the forces of its samples.
 
 No tolerance in kinematics, singularities, dynamics and generated C has a unit. A length is compared with the robot's
-characteristic length, an angle with one radian, a force with ``Scales.force``: the same machine, written in other
+characteristic length, an angle with one radian, a force with ``ForceTerms.force``: the same machine, written in other
 units, gets the same statuses.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
 from redundancy_pin.robot.loads import JointForces, Spring
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.types import Robot, slides
 
-
-@dataclass(frozen=True, eq=False)
-class Scales(Frozen):
-    """Sizes of a problem, at N samples of a motion.
-
-    Attributes:
-        length: the robot's characteristic length, m.
-        mass: sum of the moving masses, and of moments of inertia over length², kg.
-        time: (N,) length over the speed that gravity and the motion give a mass, s; infinite at rest without gravity.
-        force: (N,) mass · length / time², and what loads add, N: the size that the terms of f have before they cancel.
-    """
-
-    length: float
-    mass: float
-    time: Array
-    force: Array
+_Size = TypeVar("_Size", float, Array)
 
 
 @dataclass(frozen=True)
 class ForceTerms:
-    """What ``Scales.force`` of a robot is made of; generated code has these numbers as constants.
-
-    With the rate r = max |ẋ|/unit (1/s) and its derivative r' = max |ẍ|/unit, carriers included, it is
-
-        force = mass (gravity + length (r² + r')) + viscous r + static + (what wrenches add).
+    """Sizes that the forces of a robot are compared with; generated code takes these numbers at run time.
 
     Attributes:
         length: characteristic length, m.
-        mass: kg, as in ``Scales``.
+        mass: sum of the moving masses, and of moments of inertia over length², kg.
         gravity: size of gravity, m/s².
         viscous: sum of the dampings, N·s.
         static: sum of friction, and of a thousandth of springs moved by the characteristic length or 1 rad, N.
@@ -59,15 +42,22 @@ class ForceTerms:
     viscous: float
     static: float
 
-    def scales(self, rate: Array, acceleration: Array, wrench: Array | float = 0.0) -> Scales:
-        """Return the scales of samples with rates (N,), 1/s, accelerations (N,), 1/s², and further forces (N,), N."""
-        inverse_square = self.gravity / self.length + rate**2 + acceleration
-        with np.errstate(divide="ignore"):
-            time = 1.0 / np.sqrt(inverse_square)
-        force = self.mass * (self.gravity + self.length * (rate**2 + acceleration))
-        return Scales(
-            self.length, self.mass, read_only(time), read_only(force + self.viscous * rate + self.static + wrench)
-        )
+    def force(self, rate: _Size, acceleration: _Size) -> _Size:
+        """Return the size that the terms of f have before they cancel, N, of one sample or (N,).
+
+        force = mass (gravity + length (rate² + acceleration)) + viscous rate + static
+
+        Args:
+            rate: max |ẋ|/unit, carriers included, 1/s.
+            acceleration: max |ẍ|/unit, 1/s².
+        """
+        inertial = self.mass * (self.gravity + self.length * (rate**2 + acceleration))
+        return inertial + self.viscous * rate + self.static
+
+    def time(self, rate: float) -> float:
+        """Return the length over the speed that gravity and a rate give a mass, s; infinite at rest without gravity."""
+        inverse_square = self.gravity / self.length + rate**2
+        return 1.0 / math.sqrt(inverse_square) if inverse_square else math.inf
 
 
 _OF_SPRINGS = 1e-3
@@ -105,10 +95,8 @@ def wrench_size(robot: Robot, wrenches: tuple[Array, ...]) -> Array | float:
     return sum((np.abs(wrench / unit).max(axis=1) for wrench in wrenches), 0.0)
 
 
-def sample_scales(
-    robot: Robot, xd: Array, xdd: Array, sd: Array, sdd: Array, wrenches: tuple[Array, ...] = ()
-) -> Scales:
-    """Return the scales at N samples.
+def force_sizes(robot: Robot, xd: Array, xdd: Array, sd: Array, sdd: Array, wrenches: tuple[Array, ...] = ()) -> Array:
+    """Return (N,) the sizes of the forces of samples before they cancel, N: ``ForceTerms.force`` and wrenches.
 
     Args:
         robot: the robot.
@@ -124,7 +112,7 @@ def sample_scales(
         for part, unit in zip(parts, units, strict=True):
             for column, one in zip(part.T, unit.tolist(), strict=True):
                 np.maximum(size, np.abs(column) / one, out=size)
-    return force_terms(robot).scales(rate, acceleration, wrench_size(robot, wrenches))
+    return read_only(force_terms(robot).force(rate, acceleration) + wrench_size(robot, wrenches))
 
 
 def closure_tolerance(robot: Robot) -> float:

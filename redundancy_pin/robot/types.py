@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
-from redundancy_pin.robot.bodies import Body, moving_bodies
+from redundancy_pin.arrays import Array, Frozen, IntArray, frozen, read_only
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
+from redundancy_pin.robot.lookup import find_joint
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the rows a closure or a platform may use: translations, then rotations."""
@@ -34,12 +35,20 @@ class Closure:
         frame_a, frame_b: names of the two frames (URDF links).
         axes: the constrained axes, a subset of ``AXES``, read in frame a. A planar pin joint is
             ``("x", "y")``, a hinge about z ``("x", "y", "z", "rx", "ry")``, a ball joint ``("x", "y", "z")``.
+            ``("distance",)`` is a rod without mass that holds the origins of both frames at a constant distance.
+        length: that distance, m; zero without a rod.
     """
 
     name: str
     frame_a: str
     frame_b: str
     axes: tuple[str, ...]
+    length: float = 0.0
+
+    @property
+    def is_rod(self) -> bool:
+        """Whether it is a rod of constant length."""
+        return self.axes == ("distance",)
 
 
 @dataclass(frozen=True)
@@ -130,6 +139,27 @@ class WorkingModes:
     signs: tuple[int, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Body(Frozen):
+    """A rigid body that a joint carries, payloads included.
+
+    Attributes:
+        name: name of the link that the joint carries; of the joint where the model names no link there.
+        joint: name of the joint.
+        links: names of all links of the body, marks included.
+        mass: mass, kg.
+        centre: (3,) centre of mass in the frame of the body, which is that of the joint, m.
+        principal_moments: (3,) principal moments of inertia about the centre of mass, in ascending order, kg·m².
+    """
+
+    name: str
+    joint: str
+    links: tuple[str, ...]
+    mass: float
+    centre: Array
+    principal_moments: Array
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot(Frozen):
     """A closed-chain robot, loaded, checked and frozen.
@@ -142,15 +172,11 @@ class Robot(Frozen):
         urdf: the rendered URDF.
         model: the Pinocchio tree; treat it as read-only.
         closures: the loop closures.
-        couplings: the joints whose positions follow those of others; each is one constraint more.
         platform: the platform, or None where the independent velocities are named joints.
         independent_joints: names of the independent joints (empty when there is a platform).
         actuated: names of the main actuators.
         carriers: names of the carrier joints.
         carrier_limits: their limits, in the same order.
-        actuated_velocity: (m,) index of each main actuator in v.
-        carrier_velocity: (k,) index of each carrier in v.
-        carrier_position: (k,) index of each carrier in q.
         q_reference: (nq,) a closed configuration in the working mode, carriers at zero.
         working_modes: how to read working modes, or None where the robot declares none.
         working_mode: the mode of this robot, ±1 a leg (empty where none is declared).
@@ -163,7 +189,7 @@ class Robot(Frozen):
         own_meshes_only: draw it only with meshes of its own folder or package: a file chose it, not its user.
         notes: what the loader chose for a model that does not say it, and what its file says that is not in force here.
         loads: forces it meets beside gravity and inertia; ``model`` has the payloads among them.
-        couplings: joints that follow others.
+        couplings: joints whose positions follow those of others; each is one constraint more.
         all_closures: ``closures`` with their redundant rows, which were left out; empty where none were.
     """
 
@@ -177,9 +203,6 @@ class Robot(Frozen):
     actuated: tuple[str, ...]
     carriers: tuple[str, ...]
     carrier_limits: tuple[CarrierLimits, ...]
-    actuated_velocity: IntArray
-    carrier_velocity: IntArray
-    carrier_position: IntArray
     q_reference: Array
     working_modes: WorkingModes | None
     working_mode: tuple[int, ...]
@@ -357,6 +380,21 @@ class Robot(Frozen):
         """Number of carriers."""
         return len(self.carriers)
 
+    @cached_property
+    def actuated_velocity(self) -> IntArray:
+        """(m,) index of each main actuator in v."""
+        return _indices(self.model, self.actuated, "idx_v")
+
+    @cached_property
+    def carrier_velocity(self) -> IntArray:
+        """(k,) index of each carrier in v."""
+        return _indices(self.model, self.carriers, "idx_v")
+
+    @cached_property
+    def carrier_position(self) -> IntArray:
+        """(k,) index of each carrier in q."""
+        return _indices(self.model, self.carriers, "idx_q")
+
     @property
     def effort_limits(self) -> Array:
         """(2, m) smallest and largest efforts of the main actuators, N or N·m, as the file says; infinite for none.
@@ -377,7 +415,22 @@ class Robot(Frozen):
     @property
     def bodies(self) -> tuple[Body, ...]:
         """The moving bodies, in the order of the joints: mass, centre of mass and principal moments of each."""
-        return moving_bodies(self.model)
+        model = self.model
+        links: dict[int, list[str]] = {index: [] for index in range(model.njoints)}
+        for frame in model.frames:
+            if frame.type == pin.FrameType.BODY:
+                links[int(frame.parentJoint)].append(str(frame.name))
+        return tuple(
+            Body(
+                name=(links[index] or [str(model.names[index])])[0],
+                joint=str(model.names[index]),
+                links=tuple(links[index]),
+                mass=float(model.inertias[index].mass),
+                centre=frozen(model.inertias[index].lever),
+                principal_moments=frozen(np.linalg.eigvalsh(model.inertias[index].inertia)),
+            )
+            for index in range(1, model.njoints)
+        )
 
     @property
     def moving_mass(self) -> float:
@@ -389,3 +442,7 @@ class Robot(Frozen):
         """(3,) acceleration of gravity in the world frame, m/s²."""
         vector: Array = self.model.gravity.linear.copy()
         return vector
+
+
+def _indices(model: pin.Model, joints: Sequence[str], which: str) -> IntArray:
+    return read_only(np.array([getattr(find_joint(model, name), which) for name in joints], dtype=np.intp))

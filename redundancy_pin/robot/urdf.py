@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree
 
 from redundancy_pin.arrays import decimal
 from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
-from redundancy_pin.robot.formats.xacro_engine import expand, is_within, own_folders
+from redundancy_pin.robot.formats.packages import may_include, own_folders
+from redundancy_pin.robot.formats.xacro_engine import expand
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES, parsed, read_model
 
 Argument = float | bool | str
 """A xacro argument: a number, a flag, or text (such as ``"auto"``)."""
 
-_MOST_INCLUDES = 500
 _MOST_BYTES = 3 * MOST_BYTES
 """What is looked into for arguments before xacro, which has bounds of its own, expands the files."""
 
-_XACRO = "{http://www.ros.org/wiki/xacro}"
+_XACRO = "http://www.ros.org/wiki/xacro"
 
 
 def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argument]:
@@ -66,7 +66,7 @@ def _without_arguments(path: Path, name: str) -> str:
         # xmlns: a xacro file names the namespace of its elements in <robot>
         declared = (
             f"rename it {path.name}.xacro, also under `urdf` of the declaration, add "
-            f'xmlns:xacro="{_XACRO[1:-1]}" to its <robot>, {declared}'
+            f'xmlns:xacro="{_XACRO}" to its <robot>, {declared}'
         )
     return (
         "In Python masses and lengths change without arguments: robot.with_parameters(masses={...}, lengths={...}). "
@@ -89,30 +89,31 @@ def from_text(text: str) -> Argument:
 def _declared(path: Path) -> tuple[dict[str, str | None], bool]:
     """Return the arguments of a file and its includes with their defaults, and whether every include was found."""
     defaults: dict[str, str | None] = {}
+    files, seen, folders, size = [path], set[Path](), own_folders(path), 0
     complete = True
-    if not is_file(path):
-        parsed(path)  # says why
-    waiting, seen, folders, size = [path], set[Path](), own_folders(path), 0
-    while waiting:
-        current = waiting.pop(0)
-        # resolved, as a file may include itself by ever longer paths
-        if (place := current.resolve()) in seen:
+    for current in files:
+        if (place := current.resolve()) in seen:  # a file may include itself by ever longer paths
             continue
-        size += place.stat().st_size
-        if size > _MOST_BYTES or len(waiting) > _MOST_INCLUDES:
-            return defaults, False
         seen.add(place)
         root = parsed(current)
-        for argument in root.iter(f"{_XACRO}arg"):
+        size += place.stat().st_size
+        if size > _MOST_BYTES:
+            return defaults, False
+        for argument in _elements(root, "arg"):
             if "name" in argument.attrib and defaults.get(argument.attrib["name"]) is None:
                 defaults[argument.attrib["name"]] = argument.attrib.get("default")
-        for include in itertools.islice(root.iter(f"{_XACRO}include"), _MOST_INCLUDES + 1):
-            target = current.parent / include.attrib.get("filename", "")
-            if "$" in include.attrib.get("filename", "$") or not is_file(target) or not is_within(target, folders):
+        for include in _elements(root, "include"):
+            name = include.attrib.get("filename", "$")
+            if "$" in name or not is_file(current.parent / name) or not may_include(current.parent / name, folders):
                 complete = False  # xacro alone knows what it will include
             else:
-                waiting.append(target)
+                files.append(current.parent / name)
     return defaults, complete
+
+
+def _elements(root: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
+    """Yield the elements of xacro with a name; the namespace has many spellings, of which xacro needs none."""
+    return (element for element in root.iter() if element.tag.endswith(f"}}{name}") and "xacro" in element.tag)
 
 
 def _as_argument(name: str, value: object, default: Argument | None) -> Argument:
@@ -214,7 +215,9 @@ def is_shipped(path: Path) -> bool:
     return path.resolve().parent.parent in (root := models_root().resolve(), root / _GALLERY)
 
 
-def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) -> tuple[str, dict[str, Argument]]:
+def render(
+    path: Path, arguments: Mapping[str, object], *, trust: bool = False, untrusted: bool = False
+) -> tuple[str, dict[str, Argument]]:
     """Return the URDF that a ``.urdf`` or ``.xacro`` file gives, and every xacro argument with the value that was used.
 
     What it includes is found relative to it. Arguments are checked by ``known_values``; those left out keep their
@@ -224,27 +227,23 @@ def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) 
         path: the file.
         arguments: of the xacro file.
         trust: let xacro evaluate its expressions as Python, with all that Python can do.
+        untrusted: let xacro expand it in a child process with limits of time and memory.
 
     Raises:
         ModelFileError: missing file, broken XML, a xacro expression that fails or that models may not use.
     """
-    if path.suffix == ".xacro":
-        parsed(path)
-        # as xacro reads them; whole numbers keep the form they were given in
-        texts = {
-            name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()
-        }
-        urdf, resolved = (_expanded if is_shipped(path) and not trust else _expanded.__wrapped__)(
-            path, tuple(texts.items()), trust
-        )
-        parameters = {name: from_text(value) for name, value in resolved}
-    else:
-        urdf, parameters = read_model(path), {}
-    return urdf, parameters
+    if path.suffix != ".xacro":
+        return read_model(path), {}
+    # as xacro reads them; whole numbers keep the form they were given in
+    texts = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()}
+    # shipped files do not change, and sweeps and tests load the same ones time and again
+    kept = is_shipped(path) and not trust and not untrusted
+    urdf, resolved = (_expanded if kept else _expanded.__wrapped__)(path, tuple(texts.items()), trust, untrusted)
+    return urdf, {name: from_text(value) for name, value in resolved.items()}
 
 
-@functools.lru_cache(maxsize=256)  # of files that do not change: sweeps and tests load the same robots time and again
-def _expanded(path: Path, given: tuple[tuple[str, str], ...], trust: bool) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Return the URDF of a xacro file, checked, and its arguments."""
-    urdf, resolved = expand(path, dict(given), trust=trust)
-    return urdf, tuple(resolved.items())
+@functools.lru_cache(maxsize=256)
+def _expanded(
+    path: Path, given: tuple[tuple[str, str], ...], trust: bool, untrusted: bool
+) -> tuple[str, dict[str, str]]:
+    return expand(path, dict(given), trust=trust, untrusted=untrusted)

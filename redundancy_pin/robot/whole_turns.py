@@ -154,12 +154,13 @@ def _may_repeat(robot: Robot, column: int) -> bool:
     """
     joint = robot.independent_joints[column]
     for coupling in robot.couplings:
-        if coupling.of != joint or not any(coupling.polynomial[1:]):
+        powers = coupling.polynomial[1:] if coupling.of == joint else ()
+        slope = sum(powers[:1]) + sum(factor for name, factor in coupling.also if name == joint)
+        if not slope and not any(powers):
             continue
-        slope = coupling.polynomial[1]
         turns = Fraction(slope).limit_denominator(MOST_TURNS).denominator
         off = turns * slope - round(turns * slope)
-        curved, sliding = any(coupling.polynomial[2:]), slides(find_joint(robot.model, coupling.joint))
+        curved, sliding = any(powers[1:]), slides(find_joint(robot.model, coupling.joint))
         if curved or sliding or abs(off) * TURN > WHOLE:
             return False
     return True

@@ -261,8 +261,7 @@ def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> Carrier
 
 def _time_scale(robot: Robot, v: Array, duration: float) -> float:
     """Return the time scale, s, of a simulation that starts with a velocity (nv,)."""
-    rate = np.abs(v / velocity_unit(robot)).max(keepdims=True)
-    return min(duration, float(force_terms(robot).scales(rate, np.zeros(1)).time[0]))
+    return min(duration, force_terms(robot).time(float(np.abs(v / velocity_unit(robot)).max())))
 
 
 def _require_closed(machine: Machine, state: State, time: float) -> None:

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import (
+    FILE_TOLERANCE,
     NEAR_SINGULAR_MARGIN,
     RANK_TOLERANCE,
     Array,
@@ -62,7 +63,8 @@ def _below_closures(system: ConstraintSystem, state: ConstraintState, rows: Arra
     """Return the closure rows above rows (N, b, p), all scaled.
 
     If dependent closure rows were dropped, a basis of all rows replaces the independent ones, the nearest to them:
-    which rows are independent may change along a motion.
+    which rows are independent may change along a motion. Where all of them lose rank, to the rounding of a file, the
+    independent ones stay.
     """
     robot, r, speed = system.robot, len(system.rows), velocity_scale(system.robot)[system.pose_columns]
     closures = state.K[:, :r] * (system.closure_scale[:, None] / speed)
@@ -70,8 +72,10 @@ def _below_closures(system: ConstraintSystem, state: ConstraintState, rows: Arra
         whole = constraint_system(with_all_rows(robot))
         every = whole.evaluate(state.q).Jc[:, :, system.pose_columns] * (whole.closure_scale[:, None] / speed)
         _, values, right = np.linalg.svd(every, full_matrices=False)
-        u, _, vt = np.linalg.svd(closures @ right[:, :r].transpose(0, 2, 1) / values[:, None, :r])
-        closures = u @ vt @ (values[:, :r, None] * right[:, :r])
+        full = values[:, :r].min(axis=1, initial=np.inf) > FILE_TOLERANCE
+        values, right = values[full, :r], right[full, :r]
+        u, _, vt = np.linalg.svd(closures[full] @ right.transpose(0, 2, 1) / values[:, None])
+        closures[full] = u @ vt @ (values[:, :, None] * right)
     stacked: Array = np.concatenate([closures, rows * (scale[:, None] / speed)], axis=1)
     return stacked
 

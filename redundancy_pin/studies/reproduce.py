@@ -213,7 +213,7 @@ def summary(results: Results, files: Sequence[str]) -> dict[str, Any]:
 
 def made_with() -> dict[str, str]:
     """Return the versions of this package, of Python and of what the numbers depend on, where it is installed."""
-    known = versions("pin", "numpy", "scipy", "xacrodoc", "matplotlib", "casadi")
+    known = versions("pin", "numpy", "scipy", "xacro", "matplotlib", "casadi")
     own = {"redundancy_pin": redundancy_pin.__version__, "python": platform.python_version()}
     return own | {name: version for name, version in known.items() if version}
 

@@ -26,6 +26,7 @@ from spatial_chains import CHAINS, chain_of
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError
 from redundancy_pin.planners.receding_horizon import run_online
+from redundancy_pin.robot import AXES
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.writers import constraint_of, mjcf
 
@@ -326,7 +327,8 @@ def remounted(robot, axis):
     for name in (closure.frame_a, closure.frame_b):
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         frame.placement = frame.placement * turn
-    axes = tuple(sorted(name[:-1] + "xyz"[cycle.index("xyz".index(name[-1]))] for name in closure.axes))
+    turned = (name[:-1] + "xyz"[cycle.index("xyz".index(name[-1]))] for name in closure.axes if name in AXES)
+    axes = tuple(sorted(turned)) or closure.axes  # a rod has none
     return dataclasses.replace(robot, model=model, closures=(dataclasses.replace(closure, axes=axes),))
 
 

@@ -25,6 +25,7 @@ from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.robot import AXES, Closure, Platform, Robot
 
 MASKS = tuple(mask for size in range(1, 7) for mask in itertools.combinations(AXES, size))
+ROD, LENGTH = ("distance",), 0.7
 PLACEMENT_A = pin.SE3(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), np.array([0.1, 0.3, -0.2]))
 PLACEMENT_B = pin.SE3(Rotation.from_rotvec([-0.4, 0.1, 0.7]).as_matrix(), np.array([-0.3, 0.2, 0.1]))
 
@@ -33,8 +34,6 @@ STEP = 1e-5
 DIFFERENCES = 2e-9
 BENDS = 50 * DIFFERENCES  # the same of Jacobians along a velocity of order one
 ONE_OF_MANY = 1e-13  # sums of a dozen products of order one, in another order
-
-EMPTY = np.array([], dtype=np.intp)
 
 
 def two_free_bodies(axes: tuple[str, ...]) -> Robot:
@@ -48,15 +47,12 @@ def two_free_bodies(axes: tuple[str, ...]) -> Robot:
         parameters=MappingProxyType({}),
         urdf="",
         model=model,
-        closures=(Closure("pair", "a", "b", axes),),
+        closures=(Closure("pair", "a", "b", axes, LENGTH if axes == ROD else 0.0),),
         platform=None,
         independent_joints=(),
         actuated=(),
         carriers=(),
         carrier_limits=(),
-        actuated_velocity=EMPTY,
-        carrier_velocity=EMPTY,
-        carrier_position=EMPTY,
         q_reference=pin.neutral(model),
         working_modes=None,
         working_mode=(),
@@ -74,6 +70,8 @@ def configuration(model: pin.Model, pose_a: pin.SE3, relative: pin.SE3) -> np.nd
 
 def closed_relative(axes: tuple[str, ...], rng: np.random.Generator) -> pin.SE3:
     """Return a random relative placement that the mask allows."""
+    if axes == ROD:
+        return pin.SE3(Rotation.random(random_state=rng).as_matrix(), LENGTH * random_pose(rng).rotation[:, 0])
     translation = np.where([axis in axes for axis in AXES[:3]], 0.0, rng.uniform(-1.0, 1.0, 3))
     rows = [k for k in range(3) if AXES[3 + k] in axes]
     free = [k for k in range(3) if k not in rows]
@@ -94,7 +92,7 @@ def random_pose(rng: np.random.Generator) -> pin.SE3:
     return pin.SE3(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1.0, 1.0, 3))
 
 
-@pytest.mark.parametrize("axes", MASKS, ids="".join)
+@pytest.mark.parametrize("axes", [*MASKS, ROD], ids="".join)
 def test_every_mask_closes_where_its_joint_allows_and_has_no_redundant_row(axes: tuple[str, ...]) -> None:
     robot = two_free_bodies(axes)
     system = ConstraintSystem(robot)
@@ -119,7 +117,7 @@ def test_hinge_rows_stay_independent_all_around(free: int) -> None:
         assert np.linalg.svd(jacobian, compute_uv=False).min() > 0.5
 
 
-@pytest.mark.parametrize("axes", MASKS, ids="".join)
+@pytest.mark.parametrize("axes", [*MASKS, ROD], ids="".join)
 def test_jacobian_and_bias_are_derivatives_on_and_off_the_manifold(axes: tuple[str, ...]) -> None:
     robot = two_free_bodies(axes)
     system = ConstraintSystem(robot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled.parameters import topology_of
 from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -30,13 +32,13 @@ JOINTS = [
     J("rotor", "revolute", "base", "rotor", (0, 0.4, 0), axis=(0, 0, 1)),
 ]
 CAM = Polynomial([0.1, 0.2, -0.3, 0.05])
-GEAR = 40.0
+GEAR, FURTHER = 40.0, 3.0
 DECLARATION = {
     "name": "geared",
     "gravity": [0, 0.3, -9.81],
     "couplings": [
         {"joint": "slide", "of": "arm", "polynomial": CAM.coef.tolist()},
-        {"name": "gears", "joint": "rotor", "of": "lid", "polynomial": [0.5, GEAR]},
+        {"name": "gears", "joint": "rotor", "of": "lid", "polynomial": [0.5, GEAR], "also": [["elbow", FURTHER]]},
     ],
     "actuated": ["arm", "rotor"],
     "independent": {"joints": ["arm", "lid"]},
@@ -63,8 +65,9 @@ def robot(folder: Path) -> Robot:
 def by_hand(x: Array) -> tuple[Array, Array, Array]:
     """Return q (5,), dq/dx (5, 2) and d²q/dx_0² (5,), written down from the couplings."""
     arm, lid = x
-    q = np.array([arm, 0.1 - 2.0 * arm, CAM(arm), lid, 0.5 + GEAR * lid])
-    slope = np.array([[1, 0], [-2, 0], [CAM.deriv()(arm), 0], [0, 1], [0, GEAR]])
+    elbow = 0.1 - 2.0 * arm
+    q = np.array([arm, elbow, CAM(arm), lid, 0.5 + GEAR * lid + FURTHER * elbow])
+    slope = np.array([[1, 0], [-2, 0], [CAM.deriv()(arm), 0], [0, 1], [-2 * FURTHER, GEAR]])
     return q, slope, np.array([0, 0, CAM.deriv(2)(arm), 0, 0])
 
 
@@ -80,11 +83,13 @@ def motion() -> rp.PlatformMotion:
 def test_where_couplings_come_from(robot: Robot) -> None:
     assert robot.couplings == (
         Coupling("slide of arm", "slide", "arm", tuple(CAM.coef)),
-        Coupling("gears", "rotor", "lid", (0.5, GEAR)),
+        Coupling("gears", "rotor", "lid", (0.5, GEAR), (("elbow", FURTHER),)),
         Coupling("elbow of arm", "elbow", "arm", (0.1, -2.0)),
     )
     assert robot.constraint_names == ("coupling slide of arm", "coupling gears", "coupling elbow of arm")
     np.testing.assert_allclose(robot.q_reference, by_hand(np.array([0.3, 0.2]))[0], atol=1e-13)
+    other = replace(robot.couplings[1], polynomial=(0.3, 7.0), also=(("elbow", -1.0),))
+    assert topology_of(replace(robot, couplings=(robot.couplings[0], other, robot.couplings[2]))) == topology_of(robot)
 
 
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
@@ -96,7 +101,7 @@ def test_efforts_are_those_of_the_reduced_chain(backend, robot: Robot, motion: r
         q, slope, bend = by_hand(x)
         f = slope.T @ pin.rnea(robot.model, data, q, slope @ xd, slope @ xdd + bend * xd[0] ** 2)
         np.testing.assert_allclose(reduced.f[k], f, rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(tau[k], f / [1.0, GEAR], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(slope[[0, 4]].T @ tau[k], f, rtol=1e-12, atol=1e-12)
 
 
 def test_the_multiplier_is_the_effort_of_the_coupling(robot: Robot, motion: rp.PlatformMotion) -> None:
@@ -108,8 +113,9 @@ def test_the_multiplier_is_the_effort_of_the_coupling(robot: Robot, motion: rp.P
     for k, (x, xd, xdd) in enumerate(zip(motion.x, motion.xd, motion.xdd, strict=True)):
         q, slope, bend = by_hand(x)
         tree = pin.rnea(robot.model, data, q, slope @ xd, slope @ xdd + bend * xd[0] ** 2)
-        # nothing but its coupling acts in the slide and the elbow; the rotor's motor is beside its gears
-        expected = [tree[2], tree[4] - tau[k, 1], tree[1]]
+        # nothing but couplings acts in the slide and the elbow; the rotor's motor is beside its gears
+        gears = tree[4] - tau[k, 1]
+        expected = [tree[2], gears, tree[1] + FURTHER * gears]
         np.testing.assert_allclose(reactions.closure_force[k], expected, rtol=1e-10, atol=1e-10)
 
 
@@ -118,7 +124,8 @@ def test_rows_and_their_rates_are_differentials(robot: Robot) -> None:
     rng, system, chain = np.random.default_rng(1), ConstraintSystem(robot), ClosedChain(robot)
     q, v, a = rng.normal(size=(3, 4, 5))
     state = system.evaluate(q)
-    expected = np.stack([q[:, 2] - CAM(q[:, 0]), q[:, 4] - 0.5 - GEAR * q[:, 3], q[:, 1] - 0.1 + 2.0 * q[:, 0]], 1)
+    gears = q[:, 4] - 0.5 - GEAR * q[:, 3] - FURTHER * q[:, 1]
+    expected = np.stack([q[:, 2] - CAM(q[:, 0]), gears, q[:, 1] - 0.1 + 2.0 * q[:, 0]], 1)
     np.testing.assert_allclose(state.phi, expected, atol=1e-13)
 
     def quotient(function, h: float = 1e-5) -> Array:
@@ -187,7 +194,7 @@ def test_from_a_model_and_held_joints(robot: Robot) -> None:
     np.testing.assert_allclose(made.q_reference, robot.q_reference, atol=1e-12)
     fixed = rp.Robot.from_model(robot.model, couplings=[*given, ("lid", "", [0.7])], actuated=["arm"])
     assert fixed.independent_joints == ("arm",)
-    assert fixed.q_reference[3:] == pytest.approx([0.7, 0.5 + GEAR * 0.7])
+    assert fixed.q_reference[3:] == pytest.approx([0.7, 0.5 + GEAR * 0.7 + FURTHER * fixed.q_reference[1]])
     with pytest.raises(InputError, match=r"couplings\[0\] is 'slide'"):
         rp.Robot.from_model(robot.model, couplings=["slide"], **roles)
     twice = [*given, ("slide", "arm", CAM.coef)]
@@ -231,11 +238,10 @@ def test_a_coupled_continuous_joint_counts_its_turns(folder: Path, tmp_path: Pat
 
 def test_the_command_line_shows_and_proposes_them(folder: Path, tmp_path: Path) -> None:
     facts = json.loads(call("info", "--robot", folder / "robot.yaml", "--json").stdout)
-    assert facts["couplings"][1] == {"joint": "rotor", "of": "lid", "polynomial": [0.5, GEAR]}
+    gears = {"joint": "rotor", "of": "lid", "polynomial": [0.5, GEAR], "also": [["elbow", FURTHER]]}
+    assert facts["couplings"][1] == gears
     assert "0.5 40" in call("info", "--robot", folder / "robot.yaml").stdout
     out = tmp_path / "own.yaml"
-    proposed = json.loads(call("new", folder / "robot.urdf", "--out", out, "--json").stdout)
-    assert proposed["couplings"][0]["polynomial"] == [0.1, -2.0]
-    assert "elbow" not in proposed["actuated"]
-    assert '{joint: "elbow", of: "arm", polynomial: [0.1, -2.0]}' in out.read_text()
-    assert rp.load_robot(out).couplings[0].of == "arm"
+    assert call("new", folder / "robot.urdf", "--actuate", "arm", "--open", "--out", out).exit_code == 0
+    robot = rp.load_robot(out)
+    assert [(each.joint, each.of, each.polynomial) for each in robot.couplings] == [("elbow", "arm", (0.1, -2.0))]

@@ -283,7 +283,7 @@ def test_motors_of_no_sense_are_refused(five_bar: rp.Robot, given: dict[str, obj
 
 
 def test_robots_and_searches_of_no_sense_are_refused(five_bar: rp.Robot) -> None:
-    weak = replace(five_bar, actuated=five_bar.actuated[:1], actuated_velocity=five_bar.actuated_velocity[:1])
+    weak = replace(five_bar, actuated=five_bar.actuated[:1])
     with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
         rp.forward_kinematics(weak, motors(five_bar, five_bar.q_reference)[:1])
     with pytest.raises(InputError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,11 @@ import zoo
 from spatial_chains import CHAINS, RCCC_TWISTS, chain_of
 from written import J, urdf_of, write_robot
 
-from redundancy_pin import PlatformMotion, forward_kinematics, load_robot
+from redundancy_pin import PlatformMotion, RneaDynamics, distribute, forward_kinematics, load_robot
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import AXES, Robot
 
 CLOSED = 1e-11  # the package's own closure tolerance, here measured by Pinocchio
 STEP = 1e-5
@@ -43,12 +44,45 @@ def test_lifted_motion_closes_the_joint_as_pinocchio_sees_it(name: str) -> None:
     robot = chain_of(name)
     for placement in relative_placements(robot, inverse_kinematics(robot, swing(robot, np.linspace(0.0, 1.5, 40))).q):
         translation, turn = placement.translation, placement.rotation
+        if name == "rod":
+            assert np.linalg.norm(translation) == pytest.approx(robot.closures[0].length, abs=CLOSED)
+            continue
         # centres together, those of a cylindrical joint on one line
         np.testing.assert_allclose(translation[: 2 if name == "cylindrical" else 3], 0.0, atol=CLOSED)
         if name == "universal":  # the cross square
             assert turn[1, 0] == pytest.approx(0.0, abs=CLOSED)
         if name in ("hinge", "cylindrical"):  # axes the same way
             np.testing.assert_allclose(turn[:, 2], [0.0, 0.0, 1.0], atol=CLOSED)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_any_coordinate_of_the_rocker_has_the_efforts_of_the_crank(axis: str, tmp_path: Path) -> None:
+    """One motion by the crank, and by a place or an angle of the rocker. Its z axis is the one about which it turns:
+    the angle of that axis about y stays, and another axis tells it."""
+    joints, declaration = CHAINS["hinge"]
+    crank = chain_of("hinge")
+    guess = dict(zip(list(crank.model.names)[1:], crank.q_reference.tolist(), strict=True))
+    roles = {"actuated": ["crank"], "independent": {"platform": "rocker_link", "axes": [axis]}}
+    robot = load_robot(
+        write_robot(tmp_path, urdf_of(joints), {**declaration, **roles, "reference": {"guess": guess}}),
+        gravity=(0.3, -9.0, 1.0),
+    )
+    assert robot.platform is not None
+    data, k, step = robot.model.createData(), AXES.index(axis) % 3, 2e-3
+    moved = swing(crank, 0.05 + step * np.arange(-2.0, 3.0))
+    x = []
+    for q in inverse_kinematics(crank, moved).q:
+        pin.framesForwardKinematics(robot.model, data, q)
+        place = data.oMf[robot.model.getFrameId("rocker_link", pin.BODY)]
+        pointer = place.rotation[:, robot.platform.pointer]
+        angle = np.arctan2(pointer[(k + 2) % 3], pointer[(k + 1) % 3])
+        x.append(angle if axis.startswith("r") else place.translation[k])
+    xd = np.dot([1, -8, 0, 8, -1], x) / (12.0 * step)
+    xdd = np.dot([-1, 16, -30, 16, -1], x) / (12.0 * step**2)
+    motion = PlatformMotion([0.0], [[x[2]]], [[xd]], [[xdd]])
+    want = RneaDynamics(dataclasses.replace(crank, model=robot.model)).reduce(moved)
+    got = RneaDynamics(robot).reduce(motion)
+    np.testing.assert_allclose(distribute(got).tau[0], distribute(want).tau[2], rtol=1e-6)
 
 
 def test_rccc_axes_obey_the_spherical_four_bar() -> None:

@@ -60,6 +60,14 @@ def test_arguments_that_do_not_fit_are_refused(xacro, arguments, message):
         known_values(xacro, arguments)
 
 
+def test_arguments_are_known_whatever_namespace_a_file_gives_xacro(tmp_path):
+    path = tmp_path / "r.urdf.xacro"
+    path.write_text(XACRO.replace("http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro"))
+    assert known_values(path, {"length": 3}) == {"length": 3.0, "heavy": True, "label": "auto"}
+    with pytest.raises(InputError, match="no argument 'lenght'"):
+        known_values(path, {"lenght": 1.0})
+
+
 def test_an_argument_without_default_must_be_given(tmp_path):
     path = tmp_path / "r.urdf.xacro"
     path.write_text(XACRO.replace(' default="2.0"', ""))

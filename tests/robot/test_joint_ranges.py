@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 import redundancy_pin as rp
-from redundancy_pin.robot.joint_ranges import beyond_limits, joint_ranges, out_of_range, range_excess, turns_of
+from redundancy_pin.robot.joint_ranges import beyond_limits, joint_ranges, out_of_range, range_excess
 
 ENDS = {"arm": (-1.0, 2.0), "slide": (-0.3, 0.4), "screw": (-5.0, 2.0), "free": (0.0, 0.0)}
 """rad and m; the screw's are a turn and 0.72 rad apart, so that its turns count; equal ones are none."""
@@ -86,7 +86,6 @@ def test_whole_turns_are_taken_off_where_a_range_is_within_one(robot, turns):
         assert range_excess(robot, one[None])[0, column(robot, "arm")] == pytest.approx(
             max(-1.0 - value, value - 2.0), abs=1e-14
         )
-        assert turns_of(robot, one[None])["arm"] == pytest.approx(wide, abs=1e-14)
     for name, (low, high) in (("slide", ENDS["slide"]), ("screw", ENDS["screw"])):
         found = range_excess(robot, at(robot, **{name: [wide]}))[0, column(robot, name)]
         assert found == pytest.approx(max(low - wide, wide - high), abs=1e-14)
@@ -98,12 +97,9 @@ def test_a_motion_is_counted_from_one_turn_and_configurations_each_from_its_own(
     np.testing.assert_allclose(single, [-1.0, -1.0], atol=1e-14)
     # the middle of the motion, pi, is nearer to that of the range, 0.5, than to the same a turn on
     whole = range_excess(robot, q)[:, column(robot, "arm")]
-    assert turns_of(robot, q)["arm"] == 0.0
     np.testing.assert_allclose(whole, [-1.0, 2.0 * np.pi - 2.0], atol=1e-14)
-    given = range_excess(robot, q, turns={"arm": 2.0 * np.pi})[:, column(robot, "arm")]
-    np.testing.assert_allclose(given, [2.0 * np.pi - 1.0, -1.0], atol=1e-14)
-    found = beyond_limits(robot, q, np.array([0.0, 1.0]), {"arm": 2.0 * np.pi})
-    assert [(one.joint, one.t, one.value) for one in found] == [("arm", 0.0, -2.0 * np.pi)]
+    found = beyond_limits(robot, q, np.array([0.0, 1.0]))
+    assert [(one.joint, one.t, one.value) for one in found] == [("arm", 1.0, 2.0 * np.pi)]
 
 
 def test_first_and_farthest_times_beyond_each_limit(robot):
@@ -116,5 +112,4 @@ def test_first_and_farthest_times_beyond_each_limit(robot):
     assert out_of_range(robot, at(robot, arm=values)).tolist() == [False, *[True] * 3, False, *[True] * 3, False]
     nothing = at(robot, arm=[np.nan])
     assert beyond_limits(robot, nothing, t[:1]) == ()
-    assert turns_of(robot, nothing) == {}
     assert (range_excess(robot, nothing) == -np.inf).all()

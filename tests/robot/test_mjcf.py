@@ -125,7 +125,7 @@ def test_efforts_of_the_closed_chain_are_those_of_mujoco(name, tmp_path):
         np.testing.assert_allclose(efforts.tau[i], expected, rtol=1e-7, atol=1e-9)
 
 
-def test_equalities_of_tendons_are_where_mujoco_has_no_error(tmp_path):
+def test_equalities_of_tendons_and_rods_are_where_mujoco_has_no_error(tmp_path):
     mechanism = read_mjcf(FILES / "good" / "gripper.xml")
     model, engine = mechanism.model, Engine(FILES / "good" / "gripper.xml")
     train = next(each for each in mechanism.couplings if each.name == "train")
@@ -137,6 +137,13 @@ def test_equalities_of_tendons_are_where_mujoco_has_no_error(tmp_path):
     equality = engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
     error = dict(zip(engine.data.efc_id[equality], engine.data.efc_pos[equality], strict=True))
     assert error[engine.model.equality("train").id] == pytest.approx(0.0, abs=1e-12)
+    (rod,) = read_mjcf(FILES / "good" / "rod.xml").loop_joints
+    engine = Engine(FILES / "good" / "rod.xml")
+    engine.data.qpos[:] = [0.3, -0.2]
+    mujoco.mj_forward(engine.model, engine.data)
+    assert (rod.kind, rod.links) == ("rod", ("tip", "pin"))
+    away = np.linalg.norm(engine.data.site("tip").xpos - engine.data.site("pin").xpos)
+    assert away - rod.length == pytest.approx(engine.data.efc_pos[0], abs=1e-12)
 
 
 def test_curved_equalities_of_tendons_are_where_mujoco_has_no_error(tmp_path):

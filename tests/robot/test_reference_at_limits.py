@@ -18,6 +18,9 @@ from redundancy_pin.status import ResultStatus, SampleStatus
 SLACK = 1e-9
 """Of the machine's length, and rad: what counts as rounding of a position that Newton's method found to 1e-11."""
 
+FILE = 1e-3
+"""Of the machine's length, and rad: what counts as rounding of a file's numbers, with a note."""
+
 SCALES = (1e-3, 1.0, 1e3)
 """Lengths in km, m and mm."""
 
@@ -82,20 +85,31 @@ def verdicts(path: Path, robot: Robot) -> dict[str, bool]:
     ],
 )
 def test_limits_at_the_reference(joint: str, end: str, scale: float, tmp_path: Path) -> None:
-    """Exactly there, rounded to either side, beyond by four fifths of the slack, and by three slacks."""
+    """Exactly there, rounded to either side, beyond by four fifths of the slack; by the rounding of a file; by more."""
     size = scale if joint == "slide" else 1.0
     at, inwards = (0.4 * scale, 0.4 * scale) if joint == "slide" else (KNEE, 0.5)
     probe = rp.load_robot(slider(tmp_path, scale, (-scale, scale), (-3.0, 0.0)))
-    slack = SLACK * (probe.characteristic_length if joint == "slide" else 1.0)
+    unit = probe.characteristic_length if joint == "slide" else 1.0
     assert 0.05 * scale < probe.characteristic_length < scale
     rounded = [(way * 1e-16 * size, True) for way in (-1.0, 1.0) if scale == 1.0]
-    for beyond, inside in (*rounded, (0.0, True), (0.8 * slack, True), (3.0 * slack, False)):
+    amounts = [
+        (0.8 * SLACK * unit, True),
+        (3.0 * SLACK * unit, True),
+        (0.1 * FILE * unit, True),
+        (1.2 * FILE * unit, False),
+    ]
+    for beyond, inside in (*rounded, (0.0, True), *amounts):
         sign = 1.0 if end == "lower" else -1.0
         ends = at + sign * beyond, at + sign * inwards
         ranges = {"slide": (-scale, scale), "knee": (-3.0, 0.0), joint: (min(ends), max(ends))}
         path = slider(tmp_path, scale, ranges["slide"], ranges["knee"])
-        found = verdicts(path, rp.load_robot(path))
+        robot = rp.load_robot(path)
+        found = verdicts(path, robot)
         assert set(found.values()) == {inside}, (beyond, found)
+        noted = [note for note in robot.notes if note.startswith("Limits that the reference misses by rounding")]
+        assert len(noted) == (SLACK * unit < beyond < FILE * unit)
+        if noted:
+            assert f"{end} of {joint!r} by {beyond:.1g} {'m' if joint == 'slide' else 'rad'}" in noted[0]
 
 
 @pytest.mark.parametrize("scale", SCALES)

@@ -88,6 +88,31 @@ def test_torques_are_those_of_the_closed_loop(name: str) -> None:
     assert torque(robot) == pytest.approx(torque_by_kkt(text, points, q), rel=1e-9)
 
 
+def test_a_distance_of_drake_that_nothing_changes_is_a_rod(tmp_path: Path) -> None:
+    """In place of the bar: the same file with a bar of mass 0 has the same torque."""
+    text = (FILES / "good" / "drake.urdf").read_text()
+    bar, knee = (
+        text[text.index(first) : text.index(last)]
+        for first, last in (('<link name="bar"', '<link name="arm"'), ('<joint name="knee"', '<joint name="foot"'))
+    )
+    massless = bar.replace('value="0.5"', 'value="0"').replace('"1e-4"', '"0"').replace('"0.002"', '"0"')
+    changes = ((bar, ""), (knee, ""), ("ball_con", "distance_con"), ('"bar"', '"crank"'), ('"0.25 0 0"', '"0.12 0 0"'))
+    assert all(old in text for old, _ in changes)
+    rod = text
+    for old, new in changes:
+        rod = rod.replace(old, new)
+    stiff = '<drake:distance_constraint_distance value="0.25"/><drake:distance_constraint_stiffness value="inf"/>'
+    (tmp_path / "rod.urdf").write_text(rod.replace("</drake:distance_c", stiff + "</drake:distance_c"))
+    robot = rp.load_robot(tmp_path / "rod.urdf", gravity=GRAVITY)
+    assert ([each.axes for each in robot.closures], robot.n) == ([("distance",)], 1)
+    whole = rp.load_robot(FILES / "good" / "drake.urdf", gravity=GRAVITY)
+    at = rp.PlatformMotion([0.0], [[MOTION[0]]], [[0.0]], [[0.0]])
+    q, near = (rp.inverse_kinematics(each, at).q[0] for each in (robot, whole))
+    np.testing.assert_allclose(q, near[:3], atol=1e-9)  # foot and motor, then the knee
+    points = {"bar": np.array([0.25, 0.0, 0.0]), "arm": np.array([0.2, 0.0, 0.0])}
+    assert torque(robot) == pytest.approx(torque_by_kkt(text.replace(bar, massless), points, near), rel=1e-9)
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_a_file_that_cannot_be_meant_is_refused_by_name(name: str) -> None:
     """The first line of each says what its error must contain."""
@@ -105,6 +130,7 @@ def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") ->
     for old, new in changes:
         assert old in text
         text = text.replace(old, new, 1)
+    folder.mkdir(exist_ok=True)
     path = folder / f"{name}.urdf"
     path.write_text(text)
     return path
@@ -203,8 +229,12 @@ def test_a_coupling_of_three_joints_shares_its_torque(backend: type, tmp_path: P
 def test_joints_of_a_plain_file_are_named_as_driven_and_its_base_may_move(tmp_path: Path) -> None:
     drive = '  <transmission name="drive"><joint name="motor"/><actuator name="m"/></transmission>\n'
     path = changed(tmp_path, (drive, ""))
-    with pytest.raises(RedundancyPinError, match=r"drives no joint.*actuated="):
-        rp.load_robot(path)
+    assert rp.load_robot(path).actuated == ("motor",)  # by its name
+    nameless = changed(tmp_path / "a", (drive, ""), ('"motor"', '"crank"'))
+    with pytest.raises(
+        RedundancyPinError, match=r"Which joints are driven, of crank, knee, foot\?.*redundancy-pin new"
+    ):
+        rp.load_robot(nameless)
     assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
     free = rp.load_robot(path, actuated="motor", base="free")
     assert (free.n, free.m) == (7, 1)

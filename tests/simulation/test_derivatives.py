@@ -9,6 +9,7 @@ import moving
 import numpy as np
 import pytest
 import zoo
+from spatial_chains import chain_of
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
@@ -96,10 +97,10 @@ def test_the_linearisation_is_finite_and_right_at_a_type_two_pose() -> None:
     require_linearisation(state, moving.random_force(state.robot, 3))
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "gough"])
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "gough", "rod"])
 def test_inverse_dynamics_are_differentiated_along_the_closures(name: str) -> None:
     # (f, F) of the batched inverse dynamics, whose accelerations come from the inverse kinematics: another code
-    robot = moving.massive(name)
+    robot = chain_of(name) if name == "rod" else moving.massive(name)
     d, zero = robot.n + robot.k, np.zeros(robot.n + robot.k)
     state = moving.random_states(robot, 22, 1)[0]
     nearby = Nearby(state)

@@ -159,7 +159,7 @@ def test_numbers_of_no_sense_are_refused(poses: tuple[rp.Robot, Array, Array]) -
         ):
             with pytest.raises(InputError):
                 question()
-    weak = replace(robot, actuated=robot.actuated[:1], actuated_velocity=robot.actuated_velocity[:1])
+    weak = replace(robot, actuated=robot.actuated[:1])
     with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 DOF"):
         rp.performance(weak, q)
 

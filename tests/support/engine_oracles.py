@@ -55,7 +55,6 @@ def random_tree(seed: int, joints: int = 5, ordered: bool = True) -> Robot:
         )
     model.gravity.linear = np.array([1.0, -2.0, -9.0])
     names = tuple(str(name) for name in model.names)[1:]
-    velocity = np.array([model.joints[i].idx_v for i in range(1, model.njoints)], dtype=np.intp)
     return dataclasses.replace(
         zoo.robot_of("four_bar"),
         name="random tree",
@@ -66,9 +65,6 @@ def random_tree(seed: int, joints: int = 5, ordered: bool = True) -> Robot:
         actuated=names,
         carriers=(),
         carrier_limits=(),
-        actuated_velocity=velocity,
-        carrier_velocity=np.empty(0, dtype=np.intp),
-        carrier_position=np.empty(0, dtype=np.intp),
         q_reference=pin.neutral(model),
         working_modes=None,
         working_mode=(),

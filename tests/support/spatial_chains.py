@@ -1,4 +1,4 @@
-"""Small closed chains that no shipped model covers: universal, hinge and cylindrical closures, continuous joints."""
+"""Small closed chains that no shipped model covers: universal, hinge, cylindrical closures; rods; endless joints."""
 
 from __future__ import annotations
 
@@ -60,6 +60,11 @@ CHAINS: dict[str, tuple[list[J], dict[str, Any]]] = {
             J("pivot_mount", "fixed", "base", "pivot", (0.35, 0, 0), (RCCC_TWISTS[3], 0, 0)),
         ],
         {"closures": [{"frames": ["pivot", "tip"], "axes": ["x", "y", "rx", "ry"]}]},
+    ),
+    # crank and rocker on skew axes, and a rod of constant length between them: 1 + 1 - 1 = 1
+    "rod": (
+        [CRANK, J("rocker", "revolute", "base", "rocker_link", (0.5, 0.3, 0.0), (0.7, 0.3, 0.1))],
+        {"closures": [{"rod": ["crank_link", "rocker_link"], "at": [[0.2, 0, 0.05], [0.4, 0, 0]], "length": 0.6}]},
     ),
     # the shipped four-bar's dimensions, with joints that turn without end (nq = 2 each)
     "continuous": (

@@ -112,7 +112,7 @@ def test_joints_of_any_name_are_columns_and_no_formulas(first: str, second: str,
 def test_columns_go_to_the_carriers_that_they_name(tmp_path: Path) -> None:
     robot = rp.load_robot("3rrr")
     motion, carriers = random_motion(robot, 1)
-    other = replace(robot, carriers=robot.carriers[::-1], carrier_velocity=robot.carrier_velocity[::-1])
+    other = replace(robot, carriers=robot.carriers[::-1])
     path = written(tmp_path / "m.csv", other, motion, carriers)
     np.testing.assert_array_equal(carriers_from_csv(path, check_rates=False).s, carriers.s)  # as they come
     np.testing.assert_array_equal(carriers_from_csv(path, robot, check_rates=False).s, carriers.s[:, ::-1])

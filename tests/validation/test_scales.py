@@ -26,7 +26,7 @@ from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import JointForces, Spring, Wrench
-from redundancy_pin.robot.scales import force_terms, sample_scales, velocity_unit
+from redundancy_pin.robot.scales import force_sizes, force_terms, velocity_unit
 from redundancy_pin.status import SampleStatus
 from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
 
@@ -195,7 +195,7 @@ def test_generated_c_has_the_same_sizes_of_forces(tmp_path: Path) -> None:
     for moving in (1, 2, 3, 4):  # one part alone is seen, too
         xd, xdd, sd, sdd = (random.normal(size=(1, 2)) * (k + 1 == moving) for k in range(4))
         given = np.concatenate([[0.2, 0.3], xd[0], xdd[0], np.zeros(2), sd[0], sdd[0]])
-        want = sample_scales(robot, xd, xdd, sd, sdd).force[0]
+        want = force_sizes(robot, xd, xdd, sd, sdd)[0]
         assert probe(ctypes.c_void_p(given.ctypes.data)) == pytest.approx(want, rel=1e-14)
 
 
@@ -363,11 +363,11 @@ def test_sizes_of_forces_are_those_of_a_mass_that_moves() -> None:
     assert size.static == pytest.approx(2.0 + 1e-3 * (50.0 * (L + 0.1) + 20.0 * (L + 0.2)))
     xd, xdd = np.array([[0.3, -0.6]]), np.array([[1.0, 2.0]])
     sd, sdd = np.array([[0.1, 0.0]]), np.array([[5.0, 0.0]])
-    scales = sample_scales(robot, xd, xdd, sd, sdd, (np.array([[3.0, -4.0, 0.0, 0.0, 0.0, 0.0]]),))
+    sizes = force_sizes(robot, xd, xdd, sd, sdd, (np.array([[3.0, -4.0, 0.0, 0.0, 0.0, 0.0]]),))
     rate, change = 0.6 / L, 5.0 / L
     force = size.mass * (9.81 + L * (rate**2 + change)) + size.viscous * rate + size.static + 4.0
-    np.testing.assert_allclose(scales.force, force)
-    np.testing.assert_allclose(scales.time, 1.0 / np.sqrt(9.81 / L + rate**2 + change))
+    np.testing.assert_allclose(sizes, force)
+    assert size.time(rate) == pytest.approx(1.0 / np.sqrt(9.81 / L + rate**2))
     reduced = rp.RneaDynamics(robot).reduce(
         PlatformMotion([0.0], [[0.2, 0.3]], xd, xdd), CarrierMotion(0.0 * sd, sd, sdd)
     )

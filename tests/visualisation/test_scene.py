@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import yourdfpy
 import zoo
+from spatial_chains import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import default_motion
-from redundancy_pin.visualisation.viewer.mechanism import body_points
+from redundancy_pin.visualisation.viewer.mechanism import body_points, links
 from redundancy_pin.visualisation.viewer.scene import (
     FRAME_RATE,
     LONGEST_FORCE,
@@ -132,6 +133,22 @@ def test_closures_are_closed_in_every_frame(shipped: Robot) -> None:
             frame = model.frames[model.getFrameId(name)]
             ends.append(in_world(scene, int(frame.parentJoint), frame.placement.translation))
         np.testing.assert_allclose(ends[0], ends[1], atol=ROUNDING)
+
+
+def test_a_rod_is_drawn_between_its_ends_in_every_frame() -> None:
+    robot = chain_of("rod")
+    scene, (rod,) = scene_of(robot), robot.closures
+    (solid,) = (each for each in scene.solids if each.name == f"rod_{rod.name}")
+    assert (scene.names[solid.body], solid.size[1]) == (f"rod {rod.name}", rod.length)
+    along = np.array([0.0, 0.0, 0.5 * rod.length])
+    for side, frame in ((-1.0, rod.frame_a), (1.0, rod.frame_b)):
+        name = f"closure_{rod.name}" + ("_b" if side > 0.0 else "")
+        (ball,) = (each for each in scene.solids if each.name == name)
+        centre = in_world(scene, ball.body, ball.placement[:3, 3])
+        np.testing.assert_allclose(in_world(scene, solid.body, side * along), centre, atol=ROUNDING)
+        assert ball.body == robot.model.frames[robot.model.getFrameId(frame)].parentJoint
+    drawn = links(robot, robot.q_reference)
+    assert max(np.linalg.norm(end - start) for start, end in drawn) == pytest.approx(rod.length, abs=ROUNDING)
 
 
 def test_every_role_is_drawn_in_a_colour_of_its_own() -> None:

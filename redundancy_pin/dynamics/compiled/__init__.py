@@ -45,7 +45,7 @@ from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import require_matching
-from redundancy_pin.robot.scales import column_scale, row_scale, sample_scales
+from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
 
@@ -252,7 +252,7 @@ class CompiledAlongMotion(Frozen):
             row_scale=row_scale(self.robot),
             column_scale=column_scale(self.robot),
             out_of_range=self._out_of_range,
-            force_size=sample_scales(self.robot, *moving, self._wrenches).force,
+            force_size=force_sizes(self.robot, *moving, self._wrenches),
         )
 
     @cached_property

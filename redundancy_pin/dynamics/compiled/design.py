@@ -57,7 +57,8 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
     - ``"JOINT.centre.x"``, ``.y``, ``.z`` in the joint's frame, mass and inertia about the centre held;
     - ``"JOINT.inertia.xx"``, ``.xy``, ... about the centre, axes of the joint's frame;
     - ``"JOINT.origin.x"``, ..., ``.rx``, ``.ry``, ``.rz``: the joint's frame moved along its parent's axes, or turned
-      about its own; ``"LINK.origin.x"``, ... likewise for a link of a closure or of the platform.
+      about its own; ``"LINK.origin.x"``, ... likewise for a link of a closure or of the platform;
+    - ``"ROD.length"`` of a rod that closes a loop.
 
     The model's own are exact. For a number of the xacro file the file is loaded seven times with changed arguments,
     without closing its loops, and the model's numbers are differenced, to order six: smooth functions to 1e-14 or so.
@@ -109,6 +110,10 @@ def by_model(robot: Robot, name: str) -> Array:
             at = places[(*frame, "rotation")]
             column[at] = (numbers.values[at].reshape(3, 3) @ pin.skew(along)).ravel()
         return column
+    rods = [i for i, each in enumerate(robot.closures) if each.is_rod and f"{each.name}.length" == name]
+    if rods:
+        column[places["rod", rods[0]]] = 1.0
+        return column
     slope = _inertial_slope(model.inertias[joint], what, axis) if joint else None
     if slope is not None:
         column[places["joint", joint, "body"]] = slope
@@ -122,7 +127,7 @@ def by_model(robot: Robot, name: str) -> Array:
         f"{robot.name} has no design parameter {name!r}.",
         remedy=f"{hint or did_you_mean(name, arguments)}Its numbers: {', '.join(arguments) or 'none'}; of the tree "
         "JOINT.mass, JOINT.centre.x, JOINT.inertia.xx, JOINT.origin.x or .rx; of closures and platform LINK.origin.x "
-        "or .rx.",
+        "or .rx; of rods ROD.length.",
         parameter=name,
     )
 

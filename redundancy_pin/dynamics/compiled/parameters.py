@@ -2,9 +2,9 @@
 
 Compiled are the joints and their order, which frames closures join, what is actuated, and the structural zeros: numbers
 that are zero, and entries of rotations and axes that are 1 or −1. All other numbers are parameters: placements, masses,
-first moments, inertias, armatures, gravity, coupling polynomials, loads, signs of the working mode, and scales. Robots
-that differ in them share one library. Of a platform with mass, and of a link with a payload, all inertial numbers are
-parameters, also those that are zero.
+first moments, inertias, armatures, gravity, lengths of rods, couplings, loads, signs of the working mode, and scales.
+Robots that differ in them share one library. Of a platform with mass, and of a link with a payload, all inertial
+numbers are parameters, also those that are zero.
 
 Inertial numbers are Pinocchio's dynamic parameters: the mass m, the first moment m c, and the inertia Ixx, Ixy, Iyy,
 Ixz, Iyz, Izz about the joint's origin, in the axes of the joint's frame. Forces are linear in them, also at bodies
@@ -30,7 +30,7 @@ from redundancy_pin.robot.scales import force_terms, turning_coordinates, turnin
 from redundancy_pin.robot.types import slides
 
 Key = tuple[Any, ...]
-"""What a number belongs to: ("joint", 2, "origin"), ("link", "tool", "rotation"), ("coupling", 0), ..."""
+"""What a number belongs to: ("joint", 2, "origin"), ("link", "tool", "rotation"), ("rod", 0), ..."""
 
 _ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Share of a size below which a number is zero, and distance at which an entry of a rotation is 1: rounding of a sum of
@@ -82,7 +82,7 @@ def numbers_of(robot: Robot) -> Numbers:
     origins = np.where(np.abs(origins) <= _ROUNDING * length, 0.0, origins)
     bodies = np.where((np.abs(bodies) <= _ROUNDING * size) & ~is_free, 0.0, bodies)
 
-    others = np.concatenate([model.gravity.linear, model.armature, *_of_loads(robot).values()])
+    others = np.concatenate([model.gravity.linear, model.armature, *_of_constraints_and_loads(robot).values()])
     signs = _mode_signs(robot)
     values = [np.where(is_whole, rounded, entries), origins.ravel(), bodies.ravel(), others, signs]
     structural = [is_whole, *((part == 0.0).ravel() for part in (origins, bodies, others, signs))]
@@ -97,9 +97,12 @@ def _mode_signs(robot: Robot) -> Array:
     return np.array(signs, dtype=np.float64)
 
 
-def _of_loads(robot: Robot) -> dict[Key, Array]:
-    """Return by key the coefficients of couplings, and the numbers of loads."""
-    numbers: dict[Key, Any] = {("coupling", i): coupling.polynomial for i, coupling in enumerate(robot.couplings)}
+def _of_constraints_and_loads(robot: Robot) -> dict[Key, Array]:
+    """Return by key the lengths of rods, the coefficients of couplings, and the numbers of loads."""
+    numbers: dict[Key, Any] = {("rod", i): each.length for i, each in enumerate(robot.closures) if each.is_rod}
+    for i, coupling in enumerate(robot.couplings):
+        numbers["coupling", i, "polynomial"] = coupling.polynomial
+        numbers["coupling", i, "also"] = [factor for _, factor in coupling.also]
     names = {Wrench: ("point",), JointForces: JOINT_NUMBERS, Spring: (*SPRING_NUMBERS, "point_a", "point_b")}
     for i, load in enumerate(robot.loads):
         for name in names.get(type(load), ()):
@@ -117,7 +120,7 @@ def places_of(robot: Robot) -> Mapping[Key, slice]:
     sizes |= {(*frame, "origin"): 3 for frame in frames}
     sizes |= {(*joint, "body"): 10 for joint in joints}
     sizes |= {("gravity",): 3, ("armature",): model.nv}
-    sizes |= {key: len(numbers) for key, numbers in _of_loads(robot).items()}
+    sizes |= {key: len(numbers) for key, numbers in _of_constraints_and_loads(robot).items()}
     sizes["mode",] = len(_mode_signs(robot))
     ends = list(itertools.accumulate(sizes.values(), initial=0))
     return MappingProxyType({key: slice(*end) for key, end in zip(sizes, itertools.pairwise(ends), strict=True)})
@@ -172,7 +175,7 @@ def topology_of(robot: Robot) -> Topology:
         (list(model.names), [joint.shortname() for joint in model.joints], list(model.parents)),
         [(name, joint) for name, _, joint in links_of(robot)],
         [(closure.frame_a, closure.frame_b, closure.axes) for closure in robot.closures],
-        [(each.joint, each.of, len(each.polynomial), each.also) for each in robot.couplings],
+        [(each.joint, each.of, len(each.polynomial), [name for name, _ in each.also]) for each in robot.couplings],
         (robot.platform, robot.independent_joints, robot.actuated, robot.carriers),
         robot.working_modes.joints if robot.working_modes else (),
         [_kind_of(load) for load in robot.loads if not isinstance(load, Payload)],  # a payload is in the inertias

@@ -121,7 +121,7 @@ static double least_norm(const Spectrum *s, const double *g, double *u) {
   return sqrt(outside);
 }
 
-/* The size of the forces of a motion before they cancel, N: Scales.force of redundancy_pin. in: as rp_sample. */
+/* The size of the forces of a motion before they cancel, N: force_sizes of redundancy_pin. in: as rp_sample. */
 static double force_size_of(const double *numbers, const double *in) {
   const double *xd = in + NX, *xdd = xd + N, *sd = xdd + N + NK, *sdd = sd + NK;
   double rate = 0.0, acceleration = 0.0;

@@ -260,13 +260,25 @@ class SymbolicChain:
     def closure_rows(self) -> SX:
         """(r) closure residuals, m; of rotation rows the sine of the angle that is off; then those of couplings."""
         robot = self.robot
-        rows = [self._closure_row(closure, axis) for closure in robot.closures for axis in closure.axes]
+        rows = [
+            self._rod(i) if closure.is_rod else self._closure_row(closure, axis)
+            for i, closure in enumerate(robot.closures)
+            for axis in closure.axes
+        ]
         for i, each in enumerate(robot.couplings):
             joint, of = (find_joint(self.model, name).idx_q for name in (each.joint, each.of or each.joint))
-            polynomial = ca.vertsplit(self.number("coupling", i))
-            more = sum(factor * self.q[find_joint(self.model, name).idx_q] for name, factor in each.also)
+            polynomial, factors = (self.number("coupling", i, what) for what in ("polynomial", "also"))
+            polynomial = ca.vertsplit(polynomial)
+            also = [find_joint(self.model, name).idx_q for name, _ in each.also]
+            more = ca.dot(factors, self.q[also]) if also else 0.0
             rows.append(self.q[joint] - more - sum(c * self.q[of] ** power for power, c in enumerate(polynomial)))
         return ca.vertcat(*rows) if rows else ca.SX(0, 1)
+
+    def _rod(self, number: int) -> SX:
+        """Return how much the square of a rod exceeds that of its length, over twice the length, m."""
+        closure, length = self.robot.closures[number], self.number("rod", number)
+        line = self.frame(closure.frame_b)[1] - self.frame(closure.frame_a)[1]
+        return 0.5 * (ca.dot(line, line) / length - length)
 
     def _closure_row(self, closure: Closure, axis: str) -> SX:
         (rotation_a, origin_a, *_), (rotation_b, origin_b, *_) = (

@@ -31,7 +31,7 @@ from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import require_matching
-from redundancy_pin.robot.scales import column_scale, is_revolute, row_scale, sample_scales
+from redundancy_pin.robot.scales import column_scale, force_sizes, is_revolute, row_scale
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
@@ -137,7 +137,7 @@ class VirtualWorkAlongMotion(Frozen):
             row_scale=row_scale(self.robot),
             column_scale=column_scale(self.robot),
             out_of_range=self._out_of_range,
-            force_size=sample_scales(self.robot, *moving, self._wrenches).force,
+            force_size=force_sizes(self.robot, *moving, self._wrenches),
         )
 
     @cached_property

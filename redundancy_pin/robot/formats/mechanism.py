@@ -51,6 +51,9 @@ class Mechanism:
         notes: what is not in force though the file says it, and what is taken in one of several ways.
         shapes: a URDF with the shapes of the bodies, for drawing.
         independent: names of the joints that the file marks as independent; empty where it marks none.
+        marks: links that are fixed to another one and carry none that moves, with their masses, kg: frames, parts, or
+            ends of loops.
+        presumed: names of those ``loop_joints`` whose ends the file names, but not their kind: balls stand for them.
     """
 
     name: str
@@ -64,6 +67,8 @@ class Mechanism:
     notes: tuple[str, ...] = ()
     shapes: str = ""
     independent: tuple[str, ...] = ()
+    marks: Mapping[str, float] = field(default_factory=dict)
+    presumed: tuple[str, ...] = ()
 
     def with_joints(
         self, replaced: Mapping[str, Sequence[tuple[str, pin.JointModel]]], start: Mapping[str, float] | None = None

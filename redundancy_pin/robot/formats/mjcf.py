@@ -343,7 +343,7 @@ class _Reader:
         """Return the joints of a fixed tendon and their factors: its length is the sum of factor · position."""
         m, label = self.m, self._label(tendon)
         if any(m["wrap_type"][wrap] != "joint" for wrap in self._wraps(tendon)):
-            remedy = "Use a fixed tendon, or a link of mass 0 between two balls."
+            remedy = "Use a fixed tendon, or an equality that holds the distance of two sites."
             self._refuse(f"the tendon {label!r} goes through sites and pulls, which is not covered", remedy)
         return [
             (self._one(int(m["wrap_objid"][wrap]), f"the tendon {label!r}"), float(m["wrap_prm"][wrap]))
@@ -403,7 +403,10 @@ class _Reader:
                 lengths = [float(m["qpos0"][m["jnt_qposadr"][each]]) for each in (one, other) if each >= 0]
                 self._couple(name, ends, lengths, data[:5])
             elif word == "tendon":
-                self._couple_tendons(name, one, other, data)
+                if rod := self._rod(name, one, other, data):
+                    yield rod
+                else:
+                    self._couple_tendons(name, one, other, data)
             else:
                 self._refuse(f"the equality {name!r} is of the kind {word}, which is not covered", "Take it out.")
 
@@ -433,6 +436,17 @@ class _Reader:
         (of, slope), *also = [(each, -factor / first) for each, factor in rest] or [("", 0.0)]
         polynomial = (constant, slope) if of else (constant,)
         self.couplings.append(Coupling(name, joint, of, polynomial, tuple(also)))
+
+    def _rod(self, name: str, tendon: int, other: int, data: Array) -> LoopJoint | None:
+        """Return the rod that a tendon between two sites is whose length an equality holds; None for other tendons."""
+        m, wraps = self.m, self._wraps(tendon)
+        if other >= 0 or len(wraps) != 2 or any(m["wrap_type"][wrap] != "site" for wrap in wraps):
+            return None
+        first, second = (self.sites[int(m["wrap_objid"][wrap])] for wrap in wraps)
+        length = float(m["tendon_length0"][tendon] + data[0])
+        if not length > 0.0:
+            self._refuse(f"the equality {name!r} holds two sites at the distance {length:g}", "Use a connect.")
+        return LoopJoint(name, "rod", (first, second), (np.eye(4), np.eye(4)), length)
 
     def _loop_joint(self, number: int, name: str, one: int, other: int, data: Array) -> LoopJoint:
         kind = "ball" if self.m["eq_type"][number] == "connect" else "weld"

@@ -403,9 +403,6 @@ def urdf_mechanism(
     marked = tuple(
         LoopJoint(f"{one} = {other}", "ball", (one, other), (np.eye(4), np.eye(4))) for one, other in loops.closing
     )
-    if marked:
-        names = ", ".join(each.name for each in marked)
-        notes.append(f"The file does not say which joints close the loops at {names}: taken are balls.")
     independent = _independent(file, kinds, base)
     if independent and not loops.motors:
         notes.append("The file does not say what is driven: taken are the joints that it marks as independent.")
@@ -421,12 +418,25 @@ def urdf_mechanism(
         tuple(notes),
         file.text,
         independent,
+        _marks(file, kinds),
+        tuple(each.name for each in marked),
     )
     for joint in file.joints:
         if joint.kind in ("revolute", "prismatic") and joint.name in single and not _is_bounded(joint):
             at = find_joint(model, joint.name).idx_q
             model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
     return made.with_joints(replaced) if replaced else made
+
+
+def _marks(file: Urdf, kinds: Mapping[str, str]) -> Mapping[str, float]:
+    """Return the links that are fixed to another one and carry none that moves, with their masses, kg."""
+    carries, marks = set[str](), list[str]()
+    for joint in reversed(file.joints):  # each comes before the one that carries it
+        if kinds.get(joint.name, joint.kind) == "fixed" and joint.child not in carries:
+            marks.append(joint.child)
+        else:
+            carries.add(joint.parent)
+    return {name: file.links[name].mass for name in reversed(marks)}
 
 
 def _independent(file: Urdf, kinds: Mapping[str, str], base: str) -> tuple[str, ...]:

@@ -6,7 +6,7 @@
 | ``<constraint>`` | the proposal for urdfdom, joint_state_transformer |
 | ``<loop_joint>`` | Isaac Sim |
 | ``<gazebo><joint>`` | Gazebo: SDF in a URDF; the joint is where its child is when all joints are at zero |
-| ``<drake:ball_constraint>`` | Drake |
+| ``<drake:ball_constraint>``, ``<drake:distance_constraint>`` of infinite stiffness | Drake |
 | ``closing_NAME_1``, ``closing_NAME_2`` | links of onshape-to-robot and placo, at one point when closed |
 | ``<mimic>`` | URDF |
 | ``<transmission>``, ``<ros2_control>`` | ROS: what is driven |
@@ -107,8 +107,8 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
             joints.append(_loop(part, links))
         elif tag == "coupling":
             couplings.append(_coupling(part, carriers, moving))
-        elif tag == "ball_constraint" and part.tag != tag:
-            joints.append(_ball_constraint(part, links))
+        elif tag in ("ball_constraint", "distance_constraint") and part.tag != tag:
+            joints.append(_of_drake(part, tag, links))
         elif tag in ("transmission", "ros2_control"):
             driven = _driven(part)
             motors += [name for name in driven if name not in motors]
@@ -174,22 +174,33 @@ def _axes(part: Part) -> list[Array]:
     return [each.triple("xyz", "the axis") if each else default for each in given]
 
 
-def _joint(part: Part, name: str, kind: str, links: list[str], places: list[Array], axes: list[Array]) -> LoopJoint:
+def _joint(
+    part: Part, name: str, kind: str, links: list[str], places: list[Array], axes: list[Array], length: float = 0.0
+) -> LoopJoint:
     """Return a joint that closes a loop; what makes none is refused at its line."""
     try:
-        return joint_between(name, kind, (links[0], links[1]), places, axes)
+        return joint_between(name, kind, (links[0], links[1]), places, axes, length)
     except DeclarationError as error:
         part.refuse(error.message.rstrip("."), error.remedy)
 
 
-def _ball_constraint(part: Part, links: set[str]) -> LoopJoint:
-    names, places = [], []
+def _of_drake(part: Part, tag: str, links: set[str]) -> LoopJoint:
+    """Return a ball, or a rod where a distance is held by an infinite stiffness; by another it is a spring."""
+    names, places, kind, length = [], [], "ball", 0.0
     for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
-        end = part.required(f"{DRAKE}ball_constraint_{body}")
+        end = part.required(f"{DRAKE}{tag}_{body}")
         names.append(_link(end, end.text_of("name"), links))
-        at = part.required(f"{DRAKE}ball_constraint_{point}").triple("value", "a point")
+        at = part.required(f"{DRAKE}{tag}_{point}").triple("value", "a point")
         places.append(placed(np.eye(3), at))
-    return _joint(part, f"ball {' = '.join(names)}", "ball", names, places, [np.eye(3)[2]] * 2)
+    if tag == "distance_constraint":
+        kind, length = "rod", part.required(f"{DRAKE}{tag}_distance").number("value", "distance")
+        stiffness = part.required(f"{DRAKE}{tag}_stiffness").text_of("value").strip()
+        if stiffness.lower() not in ("inf", "infinity"):
+            remedy = 'Write value="inf" for a rod, or a spring in a robot.yaml.'
+            part.refuse(f"{part.owner} has the stiffness {stiffness!r}: it is a spring", remedy)
+        if not length > 0.0:
+            part.refuse(f"{part.owner} has the distance {length:g}", "Write a positive one.")
+    return _joint(part, f"{kind} {' = '.join(names)}", kind, names, places, [np.eye(3)[2]] * 2, length)
 
 
 def _of_gazebo(part: Part, model: pin.Model, links: set[str]) -> LoopJoint:

@@ -1,436 +1,322 @@
-"""xacro without Python: the library expands macros, this module evaluates their expressions and bounds their work.
+"""Expand xacro files by xacro itself, with expressions that are data, files of the model only, and bounded work.
 
 Everything that ties the package to the insides of xacro is here. A copy of its modules is loaded under a name of our
-own, and what evaluates, reads files or looks at the machine is replaced in that copy; a user's xacro stays as it is.
+own; in the copy, what evaluates, opens files or looks at the machine is replaced. A user's xacro stays as it is. The
+copy has no ``eval``, ``exec``, ``compile`` or ``open`` of Python: a later xacro that calls them elsewhere fails.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import glob
-import importlib.metadata
+import importlib
 import importlib.util
-import inspect
+import io
+import json
 import keyword
 import logging
 import os
 import re
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 from xml.dom import minidom
 
 from redundancy_pin.errors import ModelFileError, RedundancyPinError, shortened
+from redundancy_pin.io.limited import answer, run_limited
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.io.yaml_file import read_yaml
-from redundancy_pin.robot.formats.expressions import (
-    BUILTINS,
-    MATHEMATICS,
-    Budget,
-    ExpressionError,
-    Function,
-    Namespace,
-    evaluate,
-)
+from redundancy_pin.robot.formats.expressions import FUNCTIONS, Evaluator, ExpressionError, Namespace
+from redundancy_pin.robot.formats.packages import find_package, is_within, may_include, own_folders
 from redundancy_pin.robot.formats.xml_files import parsed_text, read_model
 
-_SUPPORTED = "2.1."
-"""Versions whose insides this module knows."""
-
-INSIDES = {
-    "safe_eval": ("expr", "globals", "locals"),
-    "eval_text": ("text", "symbols"),
-    "parse": ("inp", "filename"),
-    "load_yaml": ("filename",),
-    "is_valid_name": ("name",),
-    "parse_macro_arg": ("s",),
-    "handle_macro_call": ("node", "macros", "symbols"),
-    "eval_all": ("node", "macros", "symbols"),
-    "eval_extension": ("s",),
-    "replace_node": ("node", "by", "content_only"),
-    "process_doc": ("doc", "mappings", "kwargs"),
-    "Table._eval_literal": ("value",),
-    "substitution_args._eval": ("s", "context"),
-    "substitution_args._eval_env": ("name",),
-    "substitution_args._eval_optenv": ("name", "default"),
-    "substitution_args._eval_find": ("pkg",),
-}
-"""Functions of xacro that are replaced or called, and their parameters."""
-
-_DEEPEST_MACROS = 150
 _DEEPEST_INCLUDES = 30
-_MOST_FILES = 500
 _LONGEST_TEXT = 200_000
-_LONGEST_PARAMETERS = 10_000
+"""Characters of a text in a model, after evaluation."""
 
 _LOCK = threading.Lock()
-"""xacro keeps its stacks in globals: two threads at once empty each other's."""
+"""xacro keeps its stacks in globals of its modules: two threads at once would empty each other's."""
 
-_NAME = "redundancy_pin.robot._xacro"
+_MODULE = "redundancy_pin.robot.formats.xacro_engine"
 _log = logging.getLogger("redundancy_pin.xacro")
 
 
-def expand(path: Path, given: Mapping[str, str], *, trust: bool) -> tuple[str, dict[str, str]]:
+def expand(
+    path: Path, given: Mapping[str, str], *, trust: bool = False, untrusted: bool = False
+) -> tuple[str, dict[str, str]]:
     """Return the URDF that a xacro file gives, and its arguments, as texts, those that were left out included.
 
     Args:
         path: the file.
         given: arguments, as texts.
         trust: evaluate expressions as Python, by xacro itself and without limits.
+        untrusted: expand in a child process with limits of time and memory.
 
     Raises:
-        ModelFileError: an expression that fails or that models may not use, or more work than a model may make.
+        ModelFileError: an expression that fails or that models may not use, files of other folders, or more work than a
+            model may take.
     """
+    if untrusted:
+        text, resolved = json.loads(run_limited(_MODULE, [str(path), json.dumps(dict(given))], str(path)))
+        return text, resolved
     resolved = dict(given)  # xacro adds the arguments that were left out, their defaults evaluated
     with _LOCK:
-        engine = None if trust else engine_for_models()
+        engine = _engine(trust)
         try:
-            document = _expanded_by_xacro(path, resolved) if engine is None else engine.expanded(path, resolved)
-            text = _text_of(document, path.parent)
+            text = engine.expand(path, resolved)
         except RedundancyPinError:
             raise
         except Exception as error:  # expressions raise anything
-            raise _refusal(path, error, engine) from error
+            raise engine.refusal(path, error) from error
     return text, {name: str(value) for name, value in resolved.items()}
 
 
-def _text_of(document: Any, folder: Path) -> str:
-    """Return an expanded document as text, its files' names absolute."""
-    parts = [*document.getElementsByTagName("mesh"), *document.getElementsByTagName("material")]
-    if any(part.hasAttribute("filename") for part in parts):
-        from xacrodoc import XacroDoc  # which takes long to import
-
-        return str(XacroDoc(document, rootdir=folder).to_urdf_string())
-    return str(minidom.parseString(document.toxml()).toprettyxml(indent="  "))
-
-
-def own_folders(path: Path) -> tuple[Path, ...]:
-    """Return the folders whose files a xacro file may read: its own, and the package of ROS that it is part of."""
-    folder = path.resolve().parent
-    package = next((each for each in (folder, *folder.parents) if is_file(each / "package.xml")), folder)
-    return (folder, package)
-
-
-def is_within(path: Path, folders: Iterable[Path]) -> bool:
-    """Return whether a file is in one of some folders, symbolic links followed."""
-    place = path.resolve()
-    return any(place.is_relative_to(folder) for folder in folders)
-
-
-def _refusal(path: Path, error: Exception, engine: _Engine | None) -> ModelFileError:
-    """Return the error for what went wrong in a file, which names the innermost expression."""
-    details: dict[str, object] = {"path": str(path)}
-    remedy = "Check the expression and the arguments it uses."
-    if engine is None or engine.failure is None:
-        lines = " ".join(f"{type(error).__name__}: {error}".split())
-        if isinstance(error, RecursionError):
-            lines = "its macros or expressions are nested too deeply, or without end"
-        message = f"xacro cannot render {path}: {shortened(lines, 1000)}"
-    else:
-        expression, file, cause = engine.failure
-        reason = f"{cause}" if isinstance(cause, (ExpressionError, NameError)) else f"{type(cause).__name__}: {cause}"
-        inside = f" in {file}" if file and Path(file).resolve() != path.resolve() else ""
-        message = f"xacro cannot render {path}: {shortened(expression, 200)}{inside}: {shortened(reason, 500)}"
-        details |= {"expression": expression, "file": file or str(path)}
-        if isinstance(cause, ExpressionError):
-            remedy = "Change the expression, or load the robot with trust=True (--trust) if you trust who wrote it."
-    return ModelFileError(message if message.endswith(".") else f"{message}.", remedy=remedy, **details)
-
-
-def _expanded_by_xacro(path: Path, resolved: dict[str, str]) -> Any:
-    """Expand a file of someone who is trusted, by xacro as it comes."""
-    import xacro
-
-    document = xacro.process_file(str(path.resolve()), mappings=resolved)
-    return _settled(xacro, document)
-
-
-def _settled(module: Any, document: Any) -> Any:
-    """Expand what the expansion made, until nothing changes."""
-    before = document.toxml()
-    document = module.parse(before)
-    for _ in range(10):
-        module.process_doc(document, mappings={})
-        after = document.toxml()
-        if before == after:
-            return document
-        before = after
-    raise ValueError("the expansion does not come to an end")
+@functools.lru_cache(maxsize=2)
+def _engine(trust: bool) -> _Engine:
+    return _Engine(trust)
 
 
 class _Engine:
-    """A copy of xacro whose expressions are data."""
+    """A copy of xacro; where its files are not trusted, their expressions are data."""
 
-    def __init__(self) -> None:
-        self.xacro = copy_of_xacro()
-        self._budget = Budget()
-        self._files = 0
-        self._depth = 0
+    def __init__(self, trust: bool) -> None:
+        self.xacro = _copy_of_xacro("_trusted" if trust else "_closed")
+        self.xacro.substitution_args._eval_find = self._find
+        self._path = Path()
         self._folders: tuple[Path, ...] = ()
-        self.failure: tuple[str, str, Exception] | None = None
-        """The innermost expression that failed, its file, and why."""
-        self._replace()
+        self._evaluator = Evaluator({})
+        self._failure: tuple[str, Exception] | None = None
+        if not trust:
+            self._close()
 
-    def expanded(self, path: Path, resolved: dict[str, str]) -> Any:
-        """Return the document that a file expands to."""
-        self._budget = Budget()
-        self._files, self._depth, self.failure = 0, 0, None
-        self._folders = own_folders(path)
-        document = self.xacro.process_file(str(path.resolve()), mappings=resolved)
-        self.failure = None  # xacro goes on after some failures
-        return _settled(self.xacro, document)
+    def expand(self, path: Path, resolved: dict[str, str]) -> str:
+        """Return what a file expands to; arguments that were left out are added to ``resolved``."""
+        self._path, self._folders = path, own_folders(path)
+        self._evaluator, self._failure = Evaluator({}), None
+        return str(self.xacro.process_file(str(path.resolve()), mappings=resolved).toprettyxml(indent="  "))
 
-    def _replace(self) -> None:
-        """Put what is ours in the place of what evaluates, reads files, or looks at the machine."""
-        module, arguments = self.xacro, self.xacro.substitution_args
-        self._eval_text, self._handle_macro_call = module.eval_text, module.handle_macro_call
-        self._eval_all, self._replace_node = module.eval_all, module.replace_node
-        self._eval_extension, self._parse_macro_arg = module.eval_extension, module.parse_macro_arg
+    def _close(self) -> None:
+        """Put what is ours in the place of what evaluates, opens files, or looks at the machine."""
+        module, substitutions = self.xacro, self.xacro.substitution_args
+        for each in (module, substitutions):
+            vars(each).update(dict.fromkeys(("eval", "exec", "compile", "open", "__import__"), _closed))
         module.safe_eval = self._evaluate
-        module.eval_text = self._text
-        module.eval_extension = self._extension
-        module.parse = self._parse
+        module.open = self._open
         module.load_yaml = self._load_yaml
+        module.glob = SimpleNamespace(glob=self._glob)
         module.is_valid_name = lambda name: name.isidentifier() and not keyword.iskeyword(name)
-        module.handle_macro_call = self._macro_call
-        module.eval_all = self._all
-        module.parse_macro_arg = self._macro_parameter
-        module.replace_node = self._node
-        module.glob = SimpleNamespace(glob=_glob)
-        # xacro's own pattern takes forever over an open quote: each character was matched in many ways
+        # xacro's own pattern takes forever over an open quote: each character is matched in many ways
         default = r"""\$\{.*?\}|\$\(.*?\)|(?:'[^'\n]*'|"[^"\n]*"|[^\s'"])+|"""
         module.re_macro_arg = re.compile(r"^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(" + default + r")(?:\s+|$)(.*)")
-        module._global_symbols = self._symbols()
-        vars(module).update(_REPORTS)
-        module.print_location = lambda *_: None
-        arguments._eval = self._evaluate_substitution
-        arguments._eval_env = _refuse_environment
-        arguments._eval_optenv = _default_of_environment
-        arguments._eval_find = self._package
+        vars(module).update(_REPORTS, print_location=lambda *_: "")
+        module._global_symbols = {**FUNCTIONS, "math": Namespace(FUNCTIONS), "python": Namespace(FUNCTIONS)}
+        tools = {"load_yaml": self._load_yaml, "abs_filename": module.abs_filename_spec}
+        module._global_symbols |= {**tools, "xacro": Namespace({**tools, **_REPORTS, **self._more_tools()})}
+        substitutions.eval = lambda text, _, names: self._evaluate(text, names)
+        substitutions._eval_dict = {**FUNCTIONS, "true": True, "false": False, "find": self._find}
+        substitutions.os = SimpleNamespace(path=os.path, environ=_Environment())
+        for name, cost in _COSTS.items():
+            setattr(module, name, self._counted(getattr(module, name), cost))
 
-    def _symbols(self) -> dict[str, Any]:
-        """Return the names that xacro offers to expressions."""
+    def _more_tools(self) -> dict[str, Any]:
         module = self.xacro
-
-        def functions(**given: Callable[..., object]) -> dict[str, object]:
-            return {name: Function(name, call) for name, call in given.items()}
 
         def fatal(*values: object) -> None:
-            raise ExpressionError(" ".join(map(str, values)))
+            raise ExpressionError(shortened(" ".join(map(str, values)), 1000))
 
-        own = functions(load_yaml=self._load_yaml, abs_filename=module.abs_filename_spec, dotify=module.YamlDictWrapper)
-        more = functions(
-            arg=lambda name: module.substitution_args_context["arg"][name],
-            fatal=fatal,
-            tokenize=_tokenize,
-            print_location=lambda: "",
-            **_REPORTS,
-        )
-        direct = ("list", "dict", "map", "len", "str", "float", "int", "bool", "min", "max", "round", "sorted", "range")
         return {
-            **{name: BUILTINS[name] for name in direct},
-            **MATHEMATICS,
-            **own,
-            "python": Namespace(BUILTINS),
-            "math": Namespace(MATHEMATICS),
-            "xacro": Namespace({**own, **more}),
+            "arg": lambda name: module.substitution_args_context["arg"][name],
+            "dotify": module.YamlDictWrapper,
+            "tokenize": _tokenize,
+            "print_location": lambda: "",
+            "fatal": fatal,
         }
 
-    def _evaluate(self, expression: str, names: Mapping[str, Any], local: object = None) -> Any:
-        module = self.xacro
+    def _evaluate(self, expression: str, names: Any, _: object = None) -> Any:
         try:
-            return evaluate(expression, names, self._budget, (Namespace, module.YamlDictWrapper, module.NameSpace))
+            return self._evaluator.eval(expression, names)
         except Exception as error:
-            self._record(f"${{{expression.strip()}}}", error)
+            self._failure = self._failure or (expression, error)  # the innermost comes first
             raise
 
-    def _extension(self, text: str) -> Any:
-        try:
-            return self._eval_extension(text)
-        except Exception as error:
-            self._record(text, error)
-            raise
+    def _counted(self, function: Callable[..., Any], cost: Callable[..., int]) -> Callable[..., Any]:
+        """Return a function of xacro whose calls are counted as work of the model."""
 
-    def _record(self, expression: str, error: Exception) -> None:
-        """Remember what failed, and why; what failed inside of it has been remembered before."""
-        if self.failure is not None:
-            return
-        cause: Any = error
-        while not isinstance(cause, (ExpressionError, RecursionError)) and getattr(cause, "exc", None) is not None:
-            cause = cause.exc  # xacro's errors carry others
-        if isinstance(cause, RecursionError):
-            cause = ExpressionError("it is nested too deeply")
-        stack = self.xacro.filestack or [""]
-        self.failure = (expression, stack[-1] or "", cause if isinstance(cause, ExpressionError) else error)
+        def counted(*arguments: Any, **named: Any) -> Any:
+            self._evaluator.spend(cost(*arguments, **named))
+            value = function(*arguments, **named)
+            if isinstance(value, str):
+                self._evaluator.spend(len(value) // 256)
+                if len(value) > _LONGEST_TEXT:
+                    raise ExpressionError(f"a text has more than {_LONGEST_TEXT} characters")
+            return value
 
-    def _evaluate_substitution(self, text: str, context: Mapping[str, Any]) -> str:
-        """Evaluate ``$(eval ...)``: the arguments by name, and what the substitutions are as functions."""
-        convert = self.xacro.substitution_args.convert_value
-        given = {name: convert(value, "auto") for name, value in context.get("arg", {}).items()}
-        functions: dict[str, object] = {
-            "arg": Function("arg", lambda name: convert(context["arg"][name], "auto")),
-            "find": Function("find", self._package),
-            "env": Function("env", _refuse_environment),
-            "optenv": Function("optenv", _default_of_environment),
-            **{name: BUILTINS[name] for name in ("list", "dict", "map", "str", "float", "int")},
-            **MATHEMATICS,
-            "true": True,
-            "false": False,
-        }
-        return str(self._evaluate(text, {**given, **functions}))
+        return counted
 
-    def _text(self, text: str, symbols: Any) -> Any:
-        # xacro cuts a text at each dollar, and copies the rest
-        self._budget.spend(1 + len(text) // 256 + text.count("$") * len(text) // 4096)
-        if "$" in text and len(text) > _LONGEST_TEXT:
-            raise ExpressionError(f"a text with expressions has {len(text)} characters, more than {_LONGEST_TEXT}")
-        value = self._eval_text(text, symbols)
-        if isinstance(value, str):
-            self._budget.spend(len(value) // 256)
-            if len(value) > max(_LONGEST_TEXT, len(text)):
-                raise ExpressionError(f"a text has {len(value)} characters, more than {_LONGEST_TEXT}")
-        return value
-
-    def _parse(self, source: Any, filename: str | None = None) -> Any:
-        """Parse text, or a file that is included."""
-        module = self.xacro
-        if source is not None:
-            parsed_text(source, "what xacro made")
-            return minidom.parseString(source)
-        path = Path(module.root_dir, filename or "")
+    def _open(self, name: str) -> io.StringIO:
+        """Return the text of a file of the model, which is XML within limits."""
+        path, stack = Path(name), [Path(each) for each in self.xacro.filestack]
         if not is_file(path):
-            module.filestack.pop()  # as xacro does, which knows optional includes by an IOError
-            cause = FileNotFoundError(2, "No such file", str(path))
-            raise module.XacroException(f"there is no file {path}", exc=cause)
-        self._require_own(path)
-        self._files += 1
-        stack = [str(each) for each in module.filestack]
-        if len(stack) > _DEEPEST_INCLUDES or self._files > _MOST_FILES:
-            circle = " > ".join(Path(each).name for each in stack[-3:])
-            what = "include files within files without end" if len(stack) > _DEEPEST_INCLUDES else "are too many"
+            raise FileNotFoundError(2, "There is no file", str(path))  # which an optional include may miss
+        if not may_include(path, self._folders):
+            raise self._foreign(path)
+        if len(stack) > _DEEPEST_INCLUDES:
+            circle = " > ".join(each.name for each in stack[-3:])
             raise ModelFileError(
-                f"The includes of {stack[0]} {what}: ... {circle}.", remedy="Take the circle out.", path=stack[0]
+                f"{self._path}: files include files {len(stack)} levels deep: ... > {circle}.",
+                remedy="Take the circle out.",
+                path=str(self._path),
             )
         text = read_model(path)
-        self._budget.spend(len(text) // 16)
+        self._evaluator.spend(len(text) // 16)
         parsed_text(text, str(path))
-        return minidom.parseString(text)
+        return io.StringIO(text)
 
     def _load_yaml(self, filename: str) -> Any:
         """Read YAML, with xacro's units, whose numbers may be expressions."""
         module = self.xacro
         path = Path(module.abs_filename_spec(str(filename)))
-        self._require_own(path)
-        names = self._symbols()
+        if not is_within(path, self._folders):
+            raise self._foreign(path)
 
         def unit(factor: float) -> Callable[[str], float]:
-            return lambda text: float(self._evaluate(text, names)) * factor
+            return lambda text: float(self._evaluate(text, module._global_symbols)) * factor
 
         units = {each.value.tag: unit(each.value.conversion_constant) for each in module.ConstructUnits}
-        module.filestack.append(str(path))
-        try:
-            content = read_yaml(path, ModelFileError, "The YAML of a model ", tags=units)
-        finally:
-            module.filestack.pop()
-        self._budget.spend(2 * len(content.lines))
+        content = read_yaml(path, ModelFileError, "The YAML of a model ", tags=units)
+        self._evaluator.spend(2 * len(content.lines))
         return module.YamlListWrapper.wrap(content.data)
 
-    def _package(self, name: str) -> str:
-        from xacrodoc import packages
+    def _glob(self, pattern: str) -> list[str]:
+        path = Path(pattern)
+        if glob.has_magic(str(path.parent)):
+            raise ExpressionError(f"models may use wildcards in the name of a file only, not in {path.parent}")
+        if not is_within(path.parent, self._folders):
+            raise self._foreign(path)
+        return glob.glob(pattern)
 
-        folder = str(packages.get_path(name))
-        self._folders += (Path(folder).resolve(),)
-        return folder
+    def _find(self, name: str) -> str:
+        folder = find_package(name, self._path)
+        self._folders += (folder.resolve(),)
+        return str(folder)
 
-    def _require_own(self, path: Path) -> None:
-        """Refuse a file from elsewhere: what it holds could end up in a plan that is passed on."""
-        if not is_within(path, self._folders):
-            raise ModelFileError(
-                f"{self.xacro.filestack[0]} reads {path}, which is neither in its folder or package nor in one that "
-                "$(find) gives.",
-                remedy="Put the file there, or load the robot with trust=True (--trust) if you trust who wrote it.",
-                path=str(path),
-            )
+    def _foreign(self, path: Path) -> ModelFileError:
+        """Return the error for a file from elsewhere: what it holds could end up in a plan that is passed on."""
+        return ModelFileError(
+            f"{self._path} reads {path}, which is neither in its folder or package nor in one that $(find) gives.",
+            remedy="Put the file there, or load the robot with trust=True (--trust) if you trust who wrote it.",
+            path=str(path),
+        )
 
-    def _macro_call(self, node: Any, macros: Any, symbols: Any) -> Any:
-        if node.tagName.startswith("xacro:"):
-            self._budget.spend(100)
-            if self._depth >= _DEEPEST_MACROS:
-                raise ExpressionError(f"macros call macros {self._depth} levels deep: {node.tagName}")
-        self._depth += 1
-        try:
-            return self._handle_macro_call(node, macros, symbols)
-        finally:
-            self._depth -= 1
+    def refusal(self, path: Path, error: Exception) -> ModelFileError:
+        """Return the error for what went wrong in a file: the innermost expression, its file and line."""
+        expression, cause = self._failure or ("", error)
+        chain: list[Any] = [cause]
+        while (inner := getattr(chain[-1], "exc", None)) is not None:
+            chain.append(inner)  # errors of xacro hold others
+        remedy = "Check the expression and the arguments it uses."
+        match chain[-1]:
+            case RedundancyPinError() as own:
+                return ModelFileError(own.message, remedy=own.remedy, **own.details)
+            case RecursionError():
+                reason = "its macros, properties or files are nested too deeply, or without end"
+            case ExpressionError() as reason:
+                remedy = "Change the model, or load it with trust=True (--trust) if you trust who wrote it."
+            case OSError(strerror=what, filename=name):
+                reason = f"{what} {name}"
+            case self.xacro.substitution_args.SubstitutionException() | self.xacro.XacroException() as last:
+                reason = f"{cause}" if isinstance(last, self.xacro.substitution_args.ArgException) else f"{last}"
+            case other:
+                reason = f"{type(other).__name__}: {other}"
+        file, line = self._place(f"${{{expression}}}" if expression else "")
+        place = f"{path}{f', in {file}' if file != path.resolve() else ''}{f', line {line}' if line else ''}"
+        shown = f"`{shortened(expression.strip(), 200)}`: " if expression else ""
+        message = f"xacro cannot render {place}: {shown}{shortened(' '.join(f'{reason}'.split()), 500)}"
+        details = {"path": str(path), "file": str(file), "line": line, "expression": expression}
+        return ModelFileError(message if message.endswith(".") else f"{message}.", remedy=remedy, **details)
 
-    def _macro_parameter(self, text: str) -> Any:
-        if len(text) > _LONGEST_PARAMETERS:
-            raise ExpressionError(f"the parameters of a macro have {len(text)} characters")
-        self._budget.spend(5 + len(text) // 64)
-        return self._parse_macro_arg(text)
-
-    def _all(self, node: Any, macros: Any, symbols: Any) -> None:
-        self._budget.spend(10 + len(node.childNodes) // 2)
-        self._eval_all(node, macros, symbols)
-
-    def _node(self, node: Any, by: Any, content_only: bool = False) -> None:
-        # minidom looks for each node that it moves or removes among its siblings, one by one
-        sources = by if isinstance(by, list) else [] if by is None else [by]
-        moved = sum(len(each.childNodes) if content_only else 1 for each in sources)
-        siblings = len(node.parentNode.childNodes) + moved
-        self._budget.spend(2 + (1 + moved) * siblings // 250)
-        self._replace_node(node, by, content_only)
+    def _place(self, text: str) -> tuple[Path, int]:
+        """Return file and line where a text of a model stands; line 0 where xacro has put parts of it together."""
+        defined = [macro.history[-1][-1] for macro in reversed(self.xacro.macrostack or [])]
+        files = [Path(each) for each in (*defined, *reversed(self.xacro.filestack or [])) if each]
+        for file in dict.fromkeys(files) if text else ():
+            with contextlib.suppress(ModelFileError):
+                before, found, _ = read_model(file).partition(text)
+                if found:
+                    return file, before.count("\n") + 1
+        return (files[len(defined)] if len(files) > len(defined) else self._path.resolve()), 0
 
 
-@functools.lru_cache(maxsize=1)
-def engine_for_models() -> _Engine:
-    """Return the engine that evaluates models as data; one for all of them."""
-    return _Engine()
-
-
-def copy_of_xacro() -> Any:
-    """Load xacro once more, under a name of our own.
-
-    Raises:
-        ModelFileError: the installed xacro is another than this module knows.
-    """
-    try:
-        version = importlib.metadata.version("xacro")
-    except importlib.metadata.PackageNotFoundError:
-        version = "without a version"
-    module_spec = importlib.util.find_spec("xacro")
-    if module_spec is None or module_spec.origin is None or not version.startswith(_SUPPORTED):
-        raise _unknown(version, "its expressions cannot be evaluated safely")
-    spec = importlib.util.spec_from_file_location(
-        _NAME, module_spec.origin, submodule_search_locations=module_spec.submodule_search_locations
-    )
+def _copy_of_xacro(suffix: str) -> Any:
+    """Load the modules of xacro once more, under a name of our own."""
+    name = f"redundancy_pin.robot.formats._xacro{suffix}"
+    spec = None
+    if theirs := importlib.util.find_spec("xacro"):
+        folders = theirs.submodule_search_locations
+        spec = importlib.util.spec_from_file_location(name, theirs.origin, submodule_search_locations=folders)
     if spec is None or spec.loader is None:
-        raise _unknown(version, "it cannot be loaded a second time")
-    module: ModuleType = importlib.util.module_from_spec(spec)
-    sys.modules[_NAME] = module
+        raise ModelFileError("xacro is not installed.", remedy="Install it with `pip install xacro`.")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # its functions import its other modules when they are called
     spec.loader.exec_module(module)
-    module.__dict__["substitution_args"] = importlib.import_module(f"{_NAME}.substitution_args")
-    for name, parameters in INSIDES.items():
-        function: Any = module
-        for part in name.split("."):
-            function = getattr(function, part, None)
-        if function is None or tuple(inspect.signature(function).parameters) != parameters:
-            raise _unknown(version, f"its {name} is another")
+    module.__dict__["substitution_args"] = importlib.import_module(f"{name}.substitution_args")
     return module
 
 
-def _unknown(version: str, what: str) -> ModelFileError:
-    return ModelFileError(
-        f"The installed xacro is {version}: {what}.",
-        remedy="Install xacro 2.1, or load the robot with trust=True (--trust) if you trust who wrote it.",
-        version=version,
-    )
+def _cost_of_tree(node: Any) -> int:
+    """Return the work that an element takes, with all in it where it was copied for this or read from a file."""
+    copied = node.parentNode is None or node.parentNode.nodeType == minidom.Node.DOCUMENT_NODE
+    return 10 + (_tree_size(node) if copied else 0)
 
 
-def _report(level: int, *values: object, **options: object) -> str:
+def _tree_size(node: Any) -> int:
+    own = len(node.attributes) if node.nodeType == minidom.Node.ELEMENT_NODE else 0
+    return 1 + own + sum(map(_tree_size, node.childNodes))
+
+
+def _cost_of_replacing(node: Any, by: Any = None, content_only: bool = False) -> int:
+    # minidom looks for each node that it moves or removes among its siblings, one by one
+    sources = by if isinstance(by, list) else [] if by is None else [by]
+    moved = sum(len(each.childNodes) if content_only else 1 for each in sources)
+    return 1 + (1 + moved) * (len(node.parentNode.childNodes) + moved) // 200
+
+
+_COSTS: Mapping[str, Callable[..., int]] = {
+    "eval_all": lambda node, *_: _cost_of_tree(node),
+    # xacro cuts a text at each dollar, and copies the rest
+    "eval_text": lambda text, symbols: 1 + len(text) // 256 + text.count("$") * len(text) // 4096,
+    "parse_macro_arg": lambda text: 2 + len(text) // 64,
+    "replace_node": _cost_of_replacing,
+}
+"""Work of the functions of xacro by whose calls a model is expanded, in steps of ``Evaluator``."""
+
+
+def _closed(*_: object, **__: object) -> None:
+    raise ExpressionError("this release of xacro is not known: install xacro 2.1")
+
+
+class _Environment(dict[str, str]):
+    """An environment that models may not read; of what is not set, xacro may take the default."""
+
+    def __contains__(self, name: object) -> bool:
+        return name in os.environ and bool(self[str(name)])
+
+    def __getitem__(self, name: str) -> str:
+        raise ExpressionError(
+            f"models may not read the environment ({name}), which may hold secrets: pass it as an argument of the robot"
+        )
+
+
+def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
+    pieces = re.split(f"[{re.escape(sep)}]", text)
+    return [piece for piece in pieces if piece or not skip_empty]
+
+
+def _report(level: int, *values: object, **_: object) -> str:
     """Log a message of a xacro file, without what would steer a terminal."""
     text = " ".join(map(str, values))
     _log.log(level, "%s", "".join(each if each.isprintable() else " " for each in shortened(text, 1000)))
@@ -443,24 +329,5 @@ _REPORTS: Mapping[str, Callable[..., str]] = {
 }
 
 
-def _refuse_environment(name: str) -> str:
-    raise ExpressionError(
-        f"models may not read the environment ({name}), which may hold secrets: pass it as an argument of the robot"
-    )
-
-
-def _default_of_environment(name: str, default: str = "") -> str:
-    """Return the default where the variable is not set; never another value than xacro's."""
-    return _refuse_environment(name) if name in os.environ else default
-
-
-def _glob(pattern: str) -> list[str]:
-    folder, _ = os.path.split(pattern)
-    if glob.has_magic(folder):
-        raise ExpressionError(f"models may use wildcards in the name of a file only, not in {folder}")
-    return glob.glob(pattern)
-
-
-def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
-    pieces = re.split(f"[{re.escape(sep)}]", text)
-    return [piece for piece in pieces if piece] if skip_empty else pieces
+if __name__ == "__main__":
+    answer(lambda path, given: json.dumps(expand(Path(path), json.loads(given))).encode())

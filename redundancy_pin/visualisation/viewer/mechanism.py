@@ -15,8 +15,9 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.kinematics.tree import motion_subspace
-from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot import CarrierLimits, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint_index, find_link
+from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.types import slides
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
 
@@ -71,7 +72,7 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
     """Return the ends (3,), (3,) m of the lines that make up the mechanism at a configuration (nq,).
 
     A link is a line or, with three hinges or more, a polygon between its hinges (its own joint, the joints that follow,
-    its closures). The origin of a platform that is a single line is its end.
+    its closures). The origin of a platform that is a single line is its end. Rods that close loops are lines.
     """
     model, data = robot.model, _placed(robot, q)
     pairs: list[tuple[Array, Array]] = []
@@ -82,7 +83,12 @@ def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
             if int(frame.parentJoint) == body:
                 points = _distinct(robot, [*points, (data.oMi[body] * frame.placement).translation])
         pairs += _outline(_ordered(points))
-    return tuple(pairs)
+    return (*pairs, *(ends_of(rod, model, data) for rod in rods_of(robot)))
+
+
+def rods_of(robot: Robot) -> tuple[Closure, ...]:
+    """Return the rods that close loops. No joint carries them: their numbers are behind those of the joints."""
+    return tuple(closure for closure in robot.closures if closure.is_rod)
 
 
 def _placed(robot: Robot, q: Array) -> pin.Data:
@@ -209,10 +215,13 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
             parent, placement = body, axis
         solids.append(_solid(f"joint_{name}", parent, placement, shape, form, role))
     for closure in robot.closures:
-        frame = find_link(model, closure.frame_a)
-        ball = (1.3 * JOINT_RADIUS * size,)
-        placement = frame.placement.homogeneous.copy()
-        solids.append(_solid(f"closure_{closure.name}", int(frame.parentJoint), placement, "sphere", ball, "closure"))
+        for name, end in (("", closure.frame_a), *([("_b", closure.frame_b)] if closure.is_rod else [])):
+            frame, ball = find_link(model, end), (1.3 * JOINT_RADIUS * size,)
+            place_of, label = frame.placement.homogeneous.copy(), f"closure_{closure.name}{name}"
+            solids.append(_solid(label, int(frame.parentJoint), place_of, "sphere", ball, "closure"))
+    for body, rod in enumerate(rods_of(robot), start=model.njoints):
+        form = (BAR_RADIUS * size, rod.length)
+        solids.append(_solid(f"rod_{rod.name}", body, np.eye(4), "cylinder", form, "link"))
     return solids
 
 

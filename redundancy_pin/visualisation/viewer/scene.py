@@ -21,8 +21,9 @@ from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint_index
+from redundancy_pin.robot.loop_joints import ends_of
 from redundancy_pin.robot.types import slides
-from redundancy_pin.visualisation.viewer.mechanism import joint_axis, solids_of
+from redundancy_pin.visualisation.viewer.mechanism import along_z, joint_axis, place, rods_of, solids_of
 from redundancy_pin.visualisation.viewer.solids import ROLE_NAMES, Role, Solid
 
 if TYPE_CHECKING:
@@ -80,9 +81,9 @@ class Scene:
     """A robot in motion. F frames, N points of the path, J joints of the tree with the base as number 0."""
 
     title: str
-    names: tuple[str, ...]  # (J,) of the joints, the base first
+    names: tuple[str, ...]  # (J,) of the joints, the base first, and of rods that close loops
     t: Array  # (F,) time of each frame, s, from zero
-    placement: Array  # (F, J, 4, 4) placement of each joint's frame in the world, m
+    placement: Array  # (F, J, 4, 4) placement of each joint's frame in the world, m; of a rod its middle, z along it
     solids: tuple[Solid, ...]  # base and platform, links, joints, tracks, carriers
     arrows: tuple[Arrow, ...]  # efforts
     margin: Array  # (F,) distance to type II, scaled; NaN where unknown
@@ -151,11 +152,12 @@ def make_scene(
     if carrier_force is not None:
         efforts += [(name, "carrier", carrier_force[:, i]) for i, name in enumerate(robot.carriers)]
     arrows, captions = _arrows(robot, efforts, np.abs(margin) < NEAR_SINGULAR_MARGIN, frames, force_scale)
+    moving = (*list(robot.model.names)[1:], *(f"rod {rod.name}" for rod in rods_of(robot)))
     return Scene(
         title=title,
-        names=("base", *(str(name) for name in list(robot.model.names)[1:])),
+        names=("base", *(str(name) for name in moving)),
         t=t[frames] - t[0],
-        placement=_placements(robot.model, q[frames]),
+        placement=_placements(robot, q[frames]),
         solids=solids_of(robot),
         arrows=arrows,
         margin=np.abs(margin[frames]),
@@ -207,13 +209,17 @@ def path_samples(margin: Array) -> IntArray:
     return np.unique(np.concatenate([even, changes, changes + 1])).astype(np.intp)
 
 
-def _placements(model: pin.Model, q: Array) -> Array:
+def _placements(robot: Robot, q: Array) -> Array:
+    model, rods = robot.model, rods_of(robot)
     data = model.createData()
-    placement = np.empty((len(q), model.njoints, 4, 4))
+    placement = np.empty((len(q), model.njoints + len(rods), 4, 4))
     for i, configuration in enumerate(q):
         pin.forwardKinematics(model, data, configuration)
         for j in range(model.njoints):
             placement[i, j] = data.oMi[j].homogeneous
+        for j, rod in enumerate(rods, start=model.njoints):
+            start, end = ends_of(rod, model, data)
+            placement[i, j] = place(along_z((end - start) / rod.length), 0.5 * (start + end))
     return placement
 
 

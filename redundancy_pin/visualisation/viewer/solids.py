@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.formats.xacro_engine import is_within, own_folders
+from redundancy_pin.robot.formats.packages import is_within, own_folders, package_roots
 
 Role = Literal["base", "link", "track", "carrier", "actuated", "passive", "closure", "platform"]
 """What a part is to the mechanism; it decides on the colour."""
@@ -165,7 +164,7 @@ def find_mesh(filename: str, folder: str) -> Path | None:
     for scheme in _SCHEMES:
         if filename.startswith(scheme):
             name, _, rest = filename.removeprefix(scheme).partition("/")
-            candidates = (root / rest for root in _package_roots(name, folder))
+            candidates = (root / rest for root in package_roots(name, Path(folder) if folder else None))
             return next((file for file in candidates if is_file(file)), None)
     path = Path(filename.removeprefix("file://"))
     if not path.is_absolute():
@@ -173,18 +172,6 @@ def find_mesh(filename: str, folder: str) -> Path | None:
             return None
         path = Path(folder) / path
     return path if is_file(path) else None
-
-
-def _package_roots(name: str, folder: str) -> Iterator[Path]:
-    places = [Path(folder), *Path(folder).parents] if folder else []
-    places += [Path(entry) for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if entry]
-    for place in places:
-        if place.name == name:
-            yield place
-        yield place / name
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            yield Path(prefix) / "share" / name
 
 
 def _with_readable_meshes(robot: Robot, loader: Any) -> tuple[str, tuple[str, ...]]:

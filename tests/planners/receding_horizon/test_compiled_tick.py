@@ -51,9 +51,7 @@ def dynamics_of(name: str) -> Dynamics:
         return rp.CompiledDynamics(rp.load_robot("2rpr", arm_length=0.15, **MASSES))
     if name == "driven elbow":
         robot = rp.load_robot("3rrr")
-        elbow = robot.model.joints[robot.model.getJointId("elbow_1")].idx_v
-        velocity = np.append(robot.actuated_velocity, elbow)
-        return rp.RneaDynamics(replace(robot, actuated=(*robot.actuated, "elbow_1"), actuated_velocity=velocity))
+        return rp.RneaDynamics(replace(robot, actuated=(*robot.actuated, "elbow_1")))
     return rp.CompiledDynamics(zoo.robot_of(name))
 
 

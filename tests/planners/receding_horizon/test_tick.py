@@ -56,10 +56,7 @@ def backends(name: str = "2rpr") -> tuple[Dynamics, Dynamics]:
     robot = replace(rp.load_robot("3rrr"), characteristic_length=0.2)
     if name == "3rrr":
         return rp.CompiledDynamics(robot), rp.VirtualWork(robot)
-    elbow = robot.model.joints[robot.model.getJointId("elbow_1")].idx_v
-    driven = replace(
-        robot, actuated=(*robot.actuated, "elbow_1"), actuated_velocity=np.append(robot.actuated_velocity, elbow)
-    )
+    driven = replace(robot, actuated=(*robot.actuated, "elbow_1"))
     return rp.RneaDynamics(driven), rp.RneaDynamics(driven)
 
 

@@ -1,0 +1,89 @@
+"""Whether it matters which joint closes a loop: a ball that turns about one axis only does what a hinge does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.kinematics.closing import close
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.mobility import free_motions, independent_columns
+from redundancy_pin.kinematics.multistart import SEED, draw_starts
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.lookup import find_link_index
+
+_NEIGHBOURS, _SPREAD = 4, 0.3
+"""Configurations beside the reference, and how far from it the joint is that moves farthest, rad or characteristic
+lengths: an axis that is not fixed turns by about as much."""
+
+_ONE_AXIS = 1e-3
+"""Second singular value, relative to the first, of directions that are one axis: files round axes to 1e-4 rad."""
+
+_MEETING = 1e-6
+"""Distance of a closure row from the span of the others, relative to the longest, where it depends on them."""
+
+
+def about_several_axes(robot: Robot, ends: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
+    """Return those pairs of frames that turn against each other about several axes, or one that is not fixed in both.
+
+    Where two frames meet in a ball and turn about one axis only, a hinge along that axis allows the same motions: in a
+    planar loop, and in a spherical one with its ball away from the centre. The test is the rank of the relative angular
+    velocities, in the axes of each frame, of all motions that the loops leave free, at the reference and at a few
+    configurations beside it.
+
+    Args:
+        robot: its reference is closed.
+        ends: names of two links each, in which a loop is cut.
+
+    Example:
+        >>> about_several_axes(robot, [("coupler_tip", "rocker_tip")])
+        ()
+    """
+    motions = list(_motions(robot)) if ends else []
+    return tuple(pair for pair in ends if not _is_one_axis(robot, motions, pair))
+
+
+def branches_meet(robot: Robot, q: Array) -> bool:
+    """Return whether closure rows depend on one another at q (nq,) that do not at the reference, as links in a line do.
+
+    Example:
+        >>> branches_meet(robot, pin.neutral(robot.model))  # of a parallelogram that is flat there
+        True
+    """
+    rows = ConstraintSystem(robot).closure_rows(q)
+    return len(independent_columns(rows.T, _MEETING)) < len(rows)
+
+
+def _is_one_axis(robot: Robot, motions: Sequence[tuple[Array, Array]], frames: tuple[str, str]) -> bool:
+    turns = np.concatenate([_relative_turns(robot, q, each, frames) for q, each in motions], axis=1)
+    values = (np.linalg.svd(each, compute_uv=False) for each in turns)
+    return all(bool((each[1:] <= _ONE_AXIS * each[0]).all()) for each in values)
+
+
+def _motions(robot: Robot) -> Iterator[tuple[Array, Array]]:
+    """Yield configurations (nq,) and the free joint velocities (f, nv) there, the reference first."""
+    system, q = ConstraintSystem(robot), np.array(robot.q_reference)
+    free = free_motions(system, q)
+    starts = draw_starts(system, q, _NEIGHBOURS, np.random.default_rng(SEED), turn=_SPREAD, slide=_SPREAD, along=free)
+    for at, gap in ((q, 0.0), *(close(system, each) for each in starts)):
+        if gap < CLOSURE_TOLERANCE * robot.characteristic_length:
+            motions = free_motions(system, at)
+            velocities = np.zeros((len(motions), robot.model.nv))
+            velocities[:, system.pose_columns] = motions * system.step_unit
+            yield at, velocities
+
+
+def _relative_turns(robot: Robot, q: Array, velocities: Array, frames: tuple[str, str]) -> Array:
+    """Return the angular velocities (2, f, 3) of the second frame against the first, in axes of either, rad/s."""
+    model, data = robot.model, robot.model.createData()
+    indices = [find_link_index(model, name) for name in frames]
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    first, second = (
+        pin.getFrameJacobian(model, data, index, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[3:] for index in indices
+    )
+    turns = velocities @ (second - first).T
+    return np.array([turns @ data.oMf[index].rotation for index in indices])

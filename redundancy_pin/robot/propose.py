@@ -1,0 +1,389 @@
+"""What a model file leaves open about its loops and its motors: what is certain, and what has to be asked.
+
+Loops and motors that a file states are taken as they stand. Where it states none, names and places may still tell:
+
+| evidence | taken as certain |
+|---|---|
+| names of ends: ``closing_pin_1``, ``closing_pin_2``; ``rod_loop``, ``rocker_loop`` | one counterpart each |
+| marks at one point when all joints are at zero | two of them; every other mark is paired, or a frame by its name |
+| other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool |
+| motors by name: ``motor1``, or all joints but ``passive1`` | independent, and as many as the degrees of freedom |
+| motors by place: joints on the ground, slides | never |
+
+A mark is a link that is fixed to another one and carries none that moves; it weighs nothing, meets another one when all
+joints are at zero, or is named as an end. What is not certain is a question, with the flag of ``redundancy-pin new``
+that answers it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.robot.build import characteristic_length
+from redundancy_pin.robot.formats.mechanism import Mechanism
+from redundancy_pin.robot.lookup import find_joint, find_link, find_link_index, joint_names, link_names
+from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
+from redundancy_pin.robot.types import Robot
+
+_COINCIDE = 1e-4
+"""Distance of two marks, in characteristic lengths, up to which they are one point: files are rounded."""
+
+_NEARLY = 1e-2
+"""The same of marks that are named as pairs that do meet: CAD closes some of its loops by their limits only."""
+
+_CUTS = frozenset(("closing", "closure", "close", "closed", "loop", "cut"))
+"""Words in names of marks that are ends of loops."""
+
+_ENDS = frozenset(("end", "tip", "pin", "mark"))
+"""Words in names of marks that may be ends of loops, whatever they weigh."""
+
+_NO_MASS = 1e-6
+"""Fraction of the mass of the mechanism below which a link weighs nothing: exporters give frames 1e-9 kg."""
+
+_FRAMES = frozenset(
+    (
+        *("base", "world", "tool", "tcp", "ee", "eef", "effector", "flange", "imu", "camera", "optical", "laser"),
+        *("lidar", "sensor", "com", "finger", "fingers", "fingertip", "gripper", "jaw", "hand", "foot", "toe", "sole"),
+    )
+)
+"""Words in names of marks that have another use, even where two of them meet, as fingers do."""
+
+_MOTORS = frozenset(("motor", "actuator", "actuated", "servo", "drive", "driven", "active"))
+_PASSIVE = frozenset(("passive", "unactuated", "free", "idle"))
+"""Words in names of joints."""
+
+_KINDS = ("ball", "hinge", "cylinder", "slider", "planar", "weld")
+"""Kinds of joints that the frames of two links determine."""
+
+_FEWEST_ROWS = 2
+"""Rows of a joint that closes a loop: a pin in a plane has two. Fingers on slides that touch have one."""
+
+BY_NAME = "by their names"
+_BY_FLAG = "by --close"
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """What is certain of a mechanism, and what is not.
+
+    Attributes:
+        mechanism: with the loops and the motors that are certain; where motors are not, with all joints that could be.
+        found: by name of the loop joints that the file does not state, how their ends were found.
+        motors: how the motors were found; empty where they are not certain.
+        frames: marks that close no loop.
+        questions: what is to be decided, each with the flags that decide it.
+    """
+
+    mechanism: Mechanism
+    found: Mapping[str, str]
+    motors: str
+    frames: tuple[str, ...]
+    questions: tuple[str, ...]
+
+    @property
+    def stated(self) -> tuple[LoopJoint, ...]:
+        """The loop joints that the file states."""
+        return tuple(joint for joint in self.mechanism.loop_joints if joint.name not in self.found)
+
+    def asking(self, *questions: str) -> Proposal:
+        """Return the proposal with more questions."""
+        return replace(self, questions=(*self.questions, *questions))
+
+    def settled(self, robot: Robot, turning: Collection[str]) -> Proposal:
+        """Return the proposal with the questions that only the closed mechanism raises.
+
+        Args:
+            robot: made of ``mechanism``, its reference closed.
+            turning: names of the loop joints whose links turn against each other about several axes.
+        """
+        motors, how = self.mechanism.actuated, self.motors
+        if how == BY_NAME and set(motors) != set(robot.independent_joints):
+            how = ""
+        asked, rows = list[str](), {each.name: len(each.axes) for each in robot.closures}
+        for loop in self.mechanism.loop_joints:
+            ends, flag, held = ",".join(loop.links), _close(loop.links), rows.get(loop.name, 0)
+            if self.found.get(loop.name, _BY_FLAG) != _BY_FLAG and held < _FEWEST_ROWS:
+                asked.append(f"Is a loop cut at {ends}? Closing it holds {held} direction(s) only: {flag} or --open.")
+            elif loop.name in self.mechanism.presumed and (loop.name in turning or (how and len(motors) < robot.n)):
+                why = (
+                    "Its links turn about several axes, so a hinge about z of these frames is not the same as a ball"
+                    if loop.name in turning
+                    else f"With a ball or hinge the mechanism has {robot.n} DOF and {len(motors)} motor(s)"
+                )
+                ways = " or ".join(f"{flag},{kind}" for kind in ("ball", "hinge", "weld"))
+                asked.append(f"Which joint closes the loop at {ends}? {why}: {ways}.")
+        if not how:
+            asked.append(which_motors(self.mechanism, robot.n))
+        return replace(self, motors=how).asking(*asked)
+
+    def listed(self) -> tuple[str, ...]:
+        """Return a line on each loop, the motors, and marks that close no loop."""
+        loops = [
+            f"loop: {each.kind} of {' and '.join(each.links)}, {self.found.get(each.name, 'stated by the file')}"
+            for each in self.mechanism.loop_joints
+        ]
+        motors = f"motors: {', '.join(self.mechanism.actuated)}, {self.motors}" if self.motors else "motors: not known"
+        frames = [f"links that close no loop: {', '.join(self.frames)}"] if self.frames else []
+        return (*(loops or ["loops: none"]), motors, *frames)
+
+
+def propose(
+    mechanism: Mechanism, *, close: Sequence[str] = (), actuate: Sequence[str] = (), is_open: bool = False
+) -> Proposal:
+    """Find the ends of loops and the motors of a mechanism.
+
+    Args:
+        mechanism: what a file states.
+        close: pairs of links, "a,b", or "a,b,kind"; without a kind they meet in a ball.
+        actuate: names of joints.
+        is_open: no other marks are ends of loops.
+
+    Returns:
+        The proposal, without the questions that only the closed mechanism raises (``Proposal.settled``).
+
+    Raises:
+        InputError: an unknown link, joint or kind.
+
+    Example:
+        >>> propose(mechanism, close=["ltip,rtip"], actuate=["a", "c"]).questions
+        ()
+    """
+    given = [_given(mechanism.model, text) for text in close]
+    own = {frozenset(joint.links) for joint in given}
+    loops = [joint for joint in mechanism.loop_joints if frozenset(joint.links) not in own]
+    found = {joint.name: BY_NAME for joint in loops if joint.name in mechanism.presumed}
+    is_stated = len(found) < len(loops)
+    presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
+    loops += given
+    found |= {joint.name: _BY_FLAG for joint in given}
+    questions = list[str]()
+    if not is_open:
+        pairs, questions = _cut_ends(mechanism, loops, is_stated=is_stated)
+        for pair, how in pairs.items():
+            joint = _between(pair, "ball")
+            loops.append(joint)
+            presumed.append(joint.name)
+            found[joint.name] = how
+    ends = {link for joint in loops for link in joint.links}
+    complete = replace(mechanism, loop_joints=tuple(loops), presumed=tuple(presumed))
+    complete, motors = _with_motors(complete, actuate)
+    frames = () if questions else tuple(mark for mark in mechanism.marks if mark not in ends)
+    return Proposal(complete, found, motors, frames, tuple(questions))
+
+
+def _given(model: pin.Model, text: str) -> LoopJoint:
+    """Return the joint of "a,b" or "a,b,kind"."""
+    names = [part.strip() for part in text.split(",")]
+    kind = names.pop() if len(names) == 3 else "ball"
+    if len(names) != 2 or names[0] == names[1] or kind not in _KINDS:
+        remedy = f"Write --close A,B or --close A,B,KIND, with two links and one of {', '.join(_KINDS)}."
+        raise InputError(f"close = {shown(text)} names no joint between two links.", remedy=remedy, close=text)
+    for name in names:
+        find_link(model, name)
+    return _between((names[0], names[1]), kind)
+
+
+def _between(pair: tuple[str, str], kind: str) -> LoopJoint:
+    return joint_between(" = ".join(pair), kind, pair, [np.eye(4)] * 2, [np.eye(3)[2]] * 2)
+
+
+def _close(pair: Iterable[str]) -> str:
+    return f"--close {','.join(pair)}"
+
+
+# --- ends of loops ----------------------------------------------------------------------------------------------------
+
+
+def _words(name: str) -> list[str]:
+    """Return the words of a name: "ringTip_12" has ring, tip and 12."""
+    return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name)]
+
+
+def _difference(one: str, other: str) -> tuple[int, int, frozenset[str]] | None:
+    """Return in what two names differ that are alike but for one word, as left_tip and right_tip; None for others.
+
+    It is the number of words, which of them it is, and both of its forms.
+    """
+    words = _words(one), _words(other)
+    if len(words[0]) != len(words[1]) or len(words[0]) == 1:
+        return None
+    different = [(place, pair) for place, pair in enumerate(zip(*words, strict=True)) if pair[0] != pair[1]]
+    return (len(words[0]), different[0][0], frozenset(different[0][1])) if len(different) == 1 else None
+
+
+class _Tree:
+    """Where links are when all joints are at zero."""
+
+    def __init__(self, model: pin.Model) -> None:
+        self.model, data = model, model.createData()
+        pin.framesForwardKinematics(model, data, pin.neutral(model))
+        indices = {name: find_link_index(model, name) for name in link_names(model)}
+        self.places = {name: data.oMf[index].translation.copy() for name, index in indices.items()}
+        self.bodies = {name: int(model.frames[index].parentJoint) for name, index in indices.items()}
+        self.size = characteristic_length(model, pin.neutral(model), ())
+
+    def meet(self, one: str, other: str, tolerance: float = _COINCIDE) -> bool:
+        """Return whether links of two bodies are at one point."""
+        distance = float(np.linalg.norm(self.places[one] - self.places[other]))
+        return self.bodies[one] != self.bodies[other] and distance <= tolerance * self.size
+
+    def join(self, joints: Iterable[LoopJoint]) -> set[frozenset[int]]:
+        """Return the pairs of bodies that joints join."""
+        return {frozenset(self.bodies[link] for link in joint.links) for joint in joints}
+
+
+def _cut_ends(
+    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_stated: bool
+) -> tuple[dict[tuple[str, str], str], list[str]]:
+    """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked."""
+    if not mechanism.marks:
+        return {}, []
+    tree = _Tree(mechanism.model)
+    all_marks = _marks(mechanism, tree)
+    joined = tree.join(loops)
+    used = {link for joint in loops for link in joint.links}
+    marks = [mark for mark in all_marks if mark not in used]
+    cuts = [mark for mark in marks if _CUTS.intersection(_words(mark))]
+    named = _apart(cuts, tree) if len(cuts) == 2 else _only_ones(_apart(cuts, tree))
+    pairs, questions = dict.fromkeys(named, BY_NAME), list[str]()
+    used |= {mark for pair in named for mark in pair}
+    certain = bool(pairs or loops)
+    at_zero = list[tuple[str, str]]()
+    for mark in marks:
+        meeting = [other for other in all_marks if tree.meet(mark, other)]
+        bodies = {tree.bodies[other] for other in meeting}
+        if mark in used or not bodies or {tree.bodies[mark], *bodies} in joined:
+            continue
+        if len(bodies) > 1:
+            names = ", ".join(sorted({mark, *meeting}))
+            questions.append(f"Which of {names} close loops? They are at one point, in three bodies or more.")
+        elif not used.intersection(meeting):
+            here = [
+                other for other in marks if tree.bodies[other] == tree.bodies[mark] and tree.meet(other, meeting[0])
+            ]
+            pair = min(product(here, meeting), key=lambda each: (not _difference(*each), *map(_is_frame, each)))
+            used |= {*here, *meeting}
+            if any(map(_is_frame, pair)):
+                questions.append(
+                    f"Is a loop cut at {','.join(pair)}? They only meet at zero: {_close(pair)} or --open."
+                )
+            else:
+                at_zero.append(pair)
+    likewise = {difference for pair in at_zero if (difference := _difference(*pair))}
+    for pair in _only_ones(_apart([mark for mark in marks if mark not in used], tree), likewise):
+        used |= {*pair}
+        if tree.meet(*pair, _NEARLY):
+            pairs[pair] = "named as ends that meet when all joints are at zero"
+        else:
+            questions.append(f"Is a loop cut at {','.join(pair)}? Others named so meet: {_close(pair)} or --open.")
+    asked = [mark for mark in marks if mark not in used and not _is_frame(mark)]
+    if certain or is_stated or likewise:  # the file says which marks are ends: the others are none
+        asked = [mark for mark in asked if _CUTS.intersection(_words(mark))]
+    if asked:
+        questions.append(_which_meet(asked, at_zero, tree))
+        at_zero = []
+    pairs |= dict.fromkeys(at_zero, "at one point when all joints are at zero")
+    return pairs, sorted(set(questions))
+
+
+def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
+    """Return the links that may be ends of loops."""
+    light = _NO_MASS * pin.computeTotalMass(mechanism.model)
+    return [
+        mark
+        for mark, mass in mechanism.marks.items()
+        if mass <= light
+        or (_CUTS | _ENDS).intersection(_words(mark))
+        or any(tree.meet(mark, other) for other in mechanism.marks)
+    ]
+
+
+def _is_frame(mark: str) -> bool:
+    words = set(_words(mark))
+    return bool(words & _FRAMES) and not words & _CUTS
+
+
+def _apart(marks: Sequence[str], tree: _Tree) -> list[tuple[str, str]]:
+    """Return the pairs of marks on two bodies."""
+    return [pair for pair in combinations(marks, 2) if tree.bodies[pair[0]] != tree.bodies[pair[1]]]
+
+
+def _only_ones(pairs: Iterable[tuple[str, str]], differences: Collection[Any] | None = None) -> list[tuple[str, str]]:
+    """Return the pairs named alike, in one of some ways, whose marks have no other such counterpart."""
+    found = {pair: _difference(*pair) for pair in pairs}
+    alike = [pair for pair, how in found.items() if how and (differences is None or how in differences)]
+    return [pair for pair in alike if sum(bool({*pair} & {*other}) for other in alike) == 1]
+
+
+def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: _Tree) -> str:
+    """Return the question which of some marks are ends of loops, with what suggests itself."""
+    likely = dict.fromkeys(at_zero, "they meet at zero")
+    apart = _apart(marks, tree)
+    if len(marks) == 2:
+        likely |= dict.fromkeys(apart, "the only two")
+    likely |= {pair: "named alike" for pair in apart if _difference(*pair) and pair not in likely}
+    for mark in marks:  # a pin that is marked on one of its links only
+        for link, body in tree.bodies.items():
+            if link not in marks and tree.meet(mark, link) and tree.model.parents[body] != tree.bodies[mark]:
+                likely[mark, link] = "it is there at zero"
+    suggested = "; ".join(f"{_close(pair)} ({why})" for pair, why in likely.items()) or "--close A,B"
+    return (
+        f"Where are loops cut? The file does not say which of the links {', '.join(marks)} close loops: {suggested}, "
+        "or --open if none does."
+    )
+
+
+# --- motors -----------------------------------------------------------------------------------------------------------
+
+
+def _with_motors(mechanism: Mechanism, actuate: Sequence[str]) -> tuple[Mechanism, str]:
+    """Return the mechanism with its motors, and how they were found; with all joints where that is not known."""
+    names = joint_names(mechanism.model)
+    for name in actuate:
+        if name not in names:
+            remedy = f"{did_you_mean(name, names)}It has: {', '.join(names)}."
+            raise InputError(f"actuate = {shown(name)} is no joint of the file.", remedy=remedy, actuate=name)
+    if actuate:
+        return replace(mechanism, actuated=tuple(actuate), drives_declared=True), "by --actuate"
+    if mechanism.actuated and mechanism.drives_declared:
+        return mechanism, "stated by the file"
+    if mechanism.independent:
+        return mechanism, "marked as independent by the file"
+    joints = _could_be_driven(mechanism)
+    passive = {name for name in joints if _PASSIVE.intersection(_words(name))}
+    named = [name for name in joints if _MOTORS.intersection(_words(name)) and name not in passive]
+    if not named and passive:
+        named = [name for name in joints if name not in passive]
+    if not named:
+        return replace(mechanism, actuated=joints, drives_declared=False), ""
+    notes = (*mechanism.notes, f"The file does not say what is driven: taken are {', '.join(named)}, {BY_NAME}.")
+    return replace(mechanism, actuated=tuple(named), drives_declared=True, notes=notes), BY_NAME
+
+
+def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return the joints of one degree of freedom that follow no other."""
+    follow = {coupling.joint for coupling in mechanism.couplings}
+    model = mechanism.model
+    return tuple(name for name in joint_names(model) if find_joint(model, name).nv == 1 and name not in follow)
+
+
+def which_motors(mechanism: Mechanism, count: int | None = None) -> str:
+    """Return the question which joints are driven, with what suggests itself for a number of degrees of freedom."""
+    model, joints = mechanism.model, _could_be_driven(mechanism)
+    indices = {name: model.getJointId(name) for name in joints}
+    likely = {
+        "by name": [name for name in joints if _MOTORS.intersection(_words(name))],
+        "on the ground": [name for name in joints if model.parents[indices[name]] == 0],
+        "slides": [name for name in joints if "JointModelP" in model.joints[indices[name]].shortname()],
+    }
+    ways = [f"--actuate {','.join(names)} ({why})" for why, names in likely.items() if len(names) == count]
+    degrees = "" if count is None else f" The mechanism has {count} DOF."
+    return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B,...'}."

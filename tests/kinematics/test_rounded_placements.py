@@ -1,0 +1,370 @@
+"""Files of rounded placements: planar machines stay planar, with the efforts of the exact ones, in every format.
+
+The shipped planar machines are written as they stand at their references, every loop closed by a hinge, with placements
+that are off at random. The efforts of the exact machine are those of plain Pinocchio, its loops closed in the plane.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+import redundancy_pin as rp
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.urdf import declaration_path
+from redundancy_pin.status import ResultStatus, SampleStatus
+
+MACHINES = ("four_bar", "five_bar", "2rpr", "3rrr", "excavator")
+HINGE = ["x", "y", "z", "rx", "ry"]
+MOMENTS = ("xx", "xy", "xz", "yy", "yz", "zz")
+
+GRAIN = pin.Inertia(0.01, np.zeros(3), 1e-4 * np.eye(3))
+"""kg and kg·m²; of each body, as MuJoCo takes none without moments about all axes."""
+
+GRAVITY = np.array([0.4, -9.0, 0.0])
+
+AMPLIFIED = 10.0
+"""Relative error of efforts over that of placements; 7.4 is the largest of a dozen seeds in each format."""
+
+
+class Body(NamedTuple):
+    """A body and the joint that carries it: on which body, where, and the axis it turns about or slides along."""
+
+    name: str
+    parent: str
+    place: pin.SE3
+    slides: bool
+    axis: np.ndarray
+    inertia: pin.Inertia
+
+
+class End(NamedTuple):
+    body: str
+    place: pin.SE3
+
+
+class Machine(NamedTuple):
+    """Bodies in the order of a tree, hinges that close the loops, the size (m), and the joints that are driven."""
+
+    bodies: tuple[Body, ...]
+    hinges: tuple[tuple[End, End], ...]
+    size: float
+    driven: tuple[str, ...]
+
+
+def drawn(name: str) -> Machine:
+    """Return a shipped machine at its reference, carriers left out; its joints are at zero there."""
+    robot = rp.load_robot(name)
+    model, data = robot.model, robot.model.createData()
+    pin.computeJointJacobians(model, data, np.array(robot.q_reference))
+    pin.updateFramePlacements(model, data)
+    names, bodies = ["ground", *(str(each) for each in list(model.names)[1:])], []
+    for i in range(1, model.njoints):
+        parent, motion = model.parents[i], pin.getJointJacobian(model, data, i, pin.LOCAL)[:, model.joints[i].idx_v]
+        slides, place = bool(np.any(motion[:3])), data.oMi[parent].actInv(data.oMi[i])
+        if names[i] not in robot.carriers:
+            axis = motion[:3] if slides else motion[3:]
+            bodies.append(Body(names[i], names[parent], place, slides, axis, model.inertias[i] + GRAIN))
+    hinges = []
+    for closure in robot.closures:
+        frames = [model.frames[model.getFrameId(each)] for each in (closure.frame_a, closure.frame_b)]
+        a, b = (data.oMi[each.parentJoint] * each.placement for each in frames)
+        ends = a, pin.SE3(a.rotation, b.translation)  # frames that coincide
+        hinges.append(
+            tuple(
+                End(names[f.parentJoint], data.oMi[f.parentJoint].actInv(end))
+                for f, end in zip(frames, ends, strict=True)
+            )
+        )
+    return Machine(tuple(bodies), tuple(hinges), robot.characteristic_length, robot.actuated)
+
+
+def off(machine: Machine, amount: float, rng: np.random.Generator) -> Machine:
+    """Return the machine with all placements off by up to an amount, rad and sizes, along and about each axis."""
+
+    def wrong(place: pin.SE3) -> pin.SE3:
+        turn, shift = rng.uniform(-amount, amount, (2, 3))
+        return place * pin.SE3(pin.exp3(turn), machine.size * shift)
+
+    bodies = tuple(body._replace(place=wrong(body.place)) for body in machine.bodies)
+    hinges = tuple(tuple(end._replace(place=wrong(end.place)) for end in ends) for ends in machine.hinges)
+    return machine._replace(bodies=bodies, hinges=hinges)
+
+
+# --- formats ----------------------------------------------------------------------------------------------------------
+
+
+def numbers(values: np.ndarray) -> str:
+    return " ".join(f"{value:.17g}" for value in np.asarray(values).ravel())
+
+
+def rpy(place: pin.SE3) -> np.ndarray:
+    return pin.rpy.matrixToRpy(place.rotation)
+
+
+def origin(place: pin.SE3) -> str:
+    return f'<origin xyz="{numbers(place.translation)}" rpy="{numbers(rpy(place))}"/>'
+
+
+def inertia_of(body: Body) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return mass, centre, and moments xx, xy, xz, yy, yz, zz about it."""
+    moments = body.inertia.inertia
+    return body.inertia.mass, body.inertia.lever, moments[np.triu_indices(3)]
+
+
+def urdf(machine: Machine, loops: bool) -> str:
+    parts = ['<robot name="drawn"><link name="ground"/>']
+    for body in machine.bodies:
+        mass, centre, moments = inertia_of(body)
+        named = " ".join(f'i{at}="{value:.17g}"' for at, value in zip(MOMENTS, moments, strict=True))
+        inertial = (
+            f'<inertial><origin xyz="{numbers(centre)}"/><mass value="{mass:.17g}"/><inertia {named}/></inertial>'
+        )
+        kind = "prismatic" if body.slides else "revolute"
+        parts.append(
+            f'<link name="{body.name}">{inertial}</link><joint name="{body.name}" type="{kind}">{origin(body.place)}'
+            f'<parent link="{body.parent}"/><child link="{body.name}"/><axis xyz="{numbers(body.axis)}"/>'
+            '<limit lower="-3" upper="3" effort="1e3" velocity="1e3"/></joint>'
+        )
+    for k, ends in enumerate(machine.hinges):
+        if loops:
+            one, other = (f'link="{end.body}">{origin(end.place)}' for end in ends)
+            parts.append(
+                f'<loop name="pin_{k}" type="revolute"><predecessor {one}</predecessor><successor {other}</successor>'
+                '<axis xyz="0 0 1"/></loop>'
+            )
+            continue
+        for end, side in zip(ends, "ab", strict=True):
+            parts.append(
+                f'<link name="{side}_{k}"/><joint name="to_{side}_{k}" type="fixed">{origin(end.place)}'
+                f'<parent link="{end.body}"/><child link="{side}_{k}"/></joint>'
+            )
+    return "".join([*parts, "</robot>"])
+
+
+def in_urdf(folder: Path, machine: Machine) -> Robot:
+    path = folder / "drawn.urdf"
+    path.write_text(urdf(machine, loops=True))
+    return rp.load_robot(path, actuated=",".join(machine.driven), gravity=GRAVITY)
+
+
+def in_yaml(folder: Path, machine: Machine) -> Robot:
+    (folder / "drawn.urdf").write_text(urdf(machine, loops=False))
+    declaration = {
+        "name": "drawn",
+        "urdf": "drawn.urdf",
+        "closures": [{"frames": [f"a_{k}", f"b_{k}"], "axes": HINGE} for k in range(len(machine.hinges))],
+        "redundant_rows": True,
+        "actuated": list(machine.driven),
+        "independent": {"joints": list(machine.driven)},
+        "reference": {"joints": dict.fromkeys(machine.driven, 0.0)},
+        "gravity": GRAVITY.tolist(),
+    }
+    path = folder / "robot.yaml"
+    path.write_text(yaml.safe_dump(declaration))
+    return rp.load_robot(path)
+
+
+def in_mjcf(folder: Path, machine: Machine) -> Robot:
+    """Two points on the axis of each hinge are connected."""
+    pytest.importorskip("mujoco")
+
+    def body_of(body: Body) -> str:
+        mass, centre, moments = inertia_of(body)
+        full = moments[[0, 3, 5, 1, 2, 4]]
+        turn = Rotation.from_matrix(body.place.rotation).as_quat()[[3, 0, 1, 2]]
+        inertial = f'<inertial pos="{numbers(centre)}" mass="{mass:.17g}" fullinertia="{numbers(full)}"/>'
+        kind = "slide" if body.slides else "hinge"
+        return (
+            f'<body name="{body.name}" pos="{numbers(body.place.translation)}" quat="{numbers(turn)}">'
+            f'<joint name="{body.name}" type="{kind}" axis="{numbers(body.axis)}"/>{inertial}'
+            f"{inside(body.name)}</body>"
+        )
+
+    def inside(name: str) -> str:
+        sites = [
+            f'<site name="{side}{j}_{k}" pos="{numbers(end.place.act(np.array([0.0, 0.0, j * machine.size])))}"/>'
+            for k, ends in enumerate(machine.hinges)
+            for end, side in zip(ends, "ab", strict=True)
+            for j in (0, 1)
+            if end.body == name
+        ]
+        return "".join([*sites, *(body_of(each) for each in machine.bodies if each.parent == name)])
+
+    pairs = [f'<connect site1="a{j}_{k}" site2="b{j}_{k}"/>' for k in range(len(machine.hinges)) for j in (0, 1)]
+    motors = [f'<motor joint="{name}"/>' for name in machine.driven]
+    path = folder / "drawn.xml"
+    path.write_text(
+        f'<mujoco model="drawn"><option gravity="{numbers(GRAVITY)}"/><compiler angle="radian"/>'
+        f"<worldbody>{inside('ground')}</worldbody><equality>{''.join(pairs)}</equality>"
+        f"<actuator>{''.join(motors)}</actuator></mujoco>"
+    )
+    return rp.load_robot(path)
+
+
+def in_sdf(folder: Path, machine: Machine) -> Robot:
+    """Links and hinges are where they are in the model: loops are closed as drawn, and axes out of parallel."""
+    places, parts = {"ground": pin.SE3.Identity()}, []
+    for body in machine.bodies:
+        places[body.name] = places[body.parent] * body.place
+        mass, centre, moments = inertia_of(body)
+        named = "".join(f"<i{at}>{m:.17g}</i{at}>" for at, m in zip(MOMENTS, moments, strict=True))
+        at = f"<pose>{numbers(places[body.name].translation)} {numbers(rpy(places[body.name]))}</pose>"
+        inertial = f"<inertial><pose>{numbers(centre)} 0 0 0</pose><mass>{mass:.17g}</mass><inertia>{named}</inertia>"
+        parts.append(f'<link name="{body.name}">{at}{inertial}</inertial></link>')
+        parent, kind = "world" if body.parent == "ground" else body.parent, "prismatic" if body.slides else "revolute"
+        parts.append(
+            f'<joint name="{body.name}" type="{kind}"><parent>{parent}</parent><child>{body.name}</child>'
+            f"<axis><xyz>{numbers(body.axis)}</xyz><limit><lower>-3</lower><upper>3</upper></limit></axis></joint>"
+        )
+    for k, (one, other) in enumerate(machine.hinges):
+        pose = f"<pose>{numbers(other.place.translation)} {numbers(rpy(other.place))}</pose>"
+        parts.append(
+            f'<joint name="pin_{k}" type="revolute">{pose}<parent>{one.body}</parent><child>{other.body}</child>'
+            "<axis><xyz>0 0 1</xyz></axis></joint>"
+        )
+    path = folder / "drawn.sdf"
+    path.write_text(f'<sdf version="1.7"><model name="drawn">{"".join(parts)}</model></sdf>')
+    return rp.load_robot(path, actuated=",".join(machine.driven), gravity=GRAVITY)
+
+
+FORMATS: dict[str, Callable[[Path, Machine], Robot]] = {
+    "urdf": in_urdf,
+    "yaml": in_yaml,
+    "mjcf": in_mjcf,
+    "sdf": in_sdf,
+}
+
+
+# --- the exact machine, by plain Pinocchio ----------------------------------------------------------------------------
+
+
+class Plane:
+    """Inverse dynamics of an exact machine whose loops are closed in the plane x, y."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.model, ids = pin.Model(), {"ground": 0}
+        self.model.gravity.linear = GRAVITY
+        for body in machine.bodies:
+            kind = pin.JointModelPrismaticUnaligned if body.slides else pin.JointModelRevoluteUnaligned
+            ids[body.name] = self.model.addJoint(ids[body.parent], kind(body.axis), body.place, body.name)
+            self.model.appendBodyToJoint(ids[body.name], body.inertia, pin.SE3.Identity())
+        self.ends = [
+            tuple(
+                self.model.addFrame(pin.Frame(f"{k}{side}", ids[end.body], end.place, pin.FrameType.OP_FRAME))
+                for end, side in zip(ends, "ab", strict=True)
+            )
+            for k, ends in enumerate(machine.hinges)
+        ]
+        self.driven = [self.model.joints[ids[name]].idx_v for name in machine.driven]
+        self.data = self.model.createData()
+
+    def rows(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return residuals, Jacobian and its rate times v of the loops, then of the driven joints."""
+        model, data, axes = self.model, self.data, pin.LOCAL_WORLD_ALIGNED
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        gaps, rows, bias = [], [], []
+        for a, b in self.ends:
+            gaps.append((data.oMf[b].translation - data.oMf[a].translation)[:2])
+            rows.append(np.subtract(*(pin.getFrameJacobian(model, data, each, axes)[:2] for each in (b, a))))
+            accelerations = (pin.getFrameClassicalAcceleration(model, data, each, axes).linear for each in (b, a))
+            bias.append(np.subtract(*accelerations)[:2])
+        rows.append(np.eye(model.nv)[self.driven])
+        return np.concatenate(gaps), np.concatenate(rows), np.concatenate([*bias, np.zeros(len(self.driven))])
+
+    def torque(self, x: np.ndarray, xd: np.ndarray, xdd: np.ndarray) -> np.ndarray:
+        q, still, n = np.zeros(self.model.nq), np.zeros(self.model.nv), len(x)
+        for _ in range(20):
+            gap, K, _ = self.rows(q, still)
+            q = q + np.linalg.solve(K, np.concatenate([-gap, x - q[self.driven]]))
+        v = np.linalg.solve(K, np.concatenate([np.zeros(len(K) - n), xd]))
+        _, K, bias = self.rows(q, v)
+        a = np.linalg.solve(K, np.concatenate([np.zeros(len(K) - n), xdd]) - bias)
+        # Kᵀ (λ, τ) = rnea
+        return np.linalg.solve(K.T, pin.rnea(self.model, self.data, q, v, a))[-n:]
+
+
+def samples(n: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(3)
+    return [rng.uniform(-1.0, 1.0, (3, n)) * np.array([[0.1], [2.0], [5.0]]) for _ in range(3)]
+
+
+def error(machine: Machine, dynamics: object) -> float:
+    """Return the largest difference of efforts from the exact machine's, relative to the largest effort."""
+    exact = Plane(machine)
+    want = np.array([exact.torque(*motion) for motion in samples(len(machine.driven))])
+    got = [dynamics.torque(*motion) for motion in samples(len(machine.driven))]
+    assert {each.status for each in got} <= {SampleStatus.OK, SampleStatus.NEAR_SINGULAR}
+    return float(np.abs(np.array([each.tau for each in got]) - want).max() / np.abs(want).max())
+
+
+CASES = [
+    (name, kind) for i, name in enumerate(MACHINES) for kind in (FORMATS if i == 0 else [*FORMATS, *FORMATS][i : i + 2])
+]
+"""The four-bar in every format, each of the others in two."""
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_rounded_placements(name: str, kind: str, tmp_path: Path) -> None:
+    """Same degrees of freedom and efforts as the exact machine, and a note; wrong placements are an error."""
+    exact = drawn(name)
+    for amount, seed in ((0.0, 0), (1e-6, 1), (1e-4, 2), (1e-4, 3)):
+        robot = FORMATS[kind](tmp_path, off(exact, amount, np.random.default_rng(seed)))
+        assert (robot.n, robot.independent_joints, robot.actuated) == (len(exact.driven), exact.driven, exact.driven)
+        (note,) = (each for each in robot.notes if each.startswith("Redundant closure rows left out"))
+        missed = re.search(r"closed in them to (\S+) .* rounded", note)
+        assert (missed is not None) == (amount > 0.0)
+        if missed:
+            assert 0.01 * amount < float(missed[1]) < 10.0 * amount
+        assert error(exact, rp.RneaDynamics(robot)) < AMPLIFIED * amount + 1e-12
+    with pytest.raises(DeclarationError, match=r"redundant except for|closure residual is|over-constrained") as caught:
+        FORMATS[kind](tmp_path, off(exact, 1e-2, np.random.default_rng(5)))
+    assert 2e-3 < caught.value.details["gap"] < 0.1
+
+
+def test_generated_code_and_simulations_of_rounded_placements(tmp_path: Path) -> None:
+    """They take the same rows: a five-bar falls as the exact one does."""
+    exact = drawn("five_bar")
+    robot = in_yaml(tmp_path, off(exact, 1e-4, np.random.default_rng(6)))
+    assert error(exact, rp.CompiledDynamics(robot)) < AMPLIFIED * 1e-4
+    ends = []
+    for machine in (exact, off(exact, 1e-4, np.random.default_rng(6))):
+        run = rp.simulate(in_yaml(tmp_path, machine), duration=0.2, dt=0.1)
+        assert (run.status, run.events) == (ResultStatus.OK, ())
+        ends.append(run.x[-1])
+    assert np.abs(ends[0]).max() > 0.05
+    np.testing.assert_allclose(ends[1], ends[0], atol=AMPLIFIED * 1e-4 * np.abs(ends[0]).max())
+
+
+def test_virtual_work_of_rounded_placements(tmp_path: Path) -> None:
+    """The 3-RRR with axes tilted by 1e-4 in its file, all rows of its hinges declared: its closed form fits."""
+    folder = tmp_path / "tilted"
+    shutil.copytree(declaration_path("3rrr").parent, folder)
+    rng = np.random.default_rng(7)
+    (xacro,) = folder.glob("*.xacro")
+
+    def tilted_by(match: re.Match[str]) -> str:
+        return '{} rpy="{:.3g} {:.3g} 0"/>'.format(match[1], *rng.uniform(-1e-4, 1e-4, 2))
+
+    text = re.sub(r'(<origin xyz="[^"]*")/>', tilted_by, xacro.read_text())
+    assert text != xacro.read_text()
+    xacro.write_text(text)
+    declaration = (folder / "robot.yaml").read_text().replace("axes: [x, y]}", "axes: [x, y, z, rx, ry]}")
+    (folder / "robot.yaml").write_text(declaration + "\nredundant_rows: true\n")
+    tilted, motion = rp.load_robot(folder), (np.array([0.9, 0.5, 0.1]), np.ones(3), np.ones(3))
+    assert [each.axes for each in tilted.all_closures] == [tuple(HINGE)] * 2
+    want = rp.VirtualWork("3rrr").torque(*motion).tau
+    for dynamics in (rp.VirtualWork(tilted), rp.RneaDynamics(tilted)):
+        np.testing.assert_allclose(dynamics.torque(*motion).tau, want, atol=AMPLIFIED * 1e-4 * np.abs(want).max())

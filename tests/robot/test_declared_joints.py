@@ -1,0 +1,192 @@
+"""Joints that close loops, declared by their kinds: against what each kind means, differenced, and plain Pinocchio."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from spatial_chains import RCCC_TWISTS, ball
+from written import J, urdf_of, write_robot
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.robot import Robot
+
+CRANK, KNEE = J("crank", "revolute", "base", "crank"), J("knee", "revolute", "crank", "coupler", (0.1, 0, 0))
+ROCKER = J("rocker", "revolute", "base", "rocker", (0.4, 0, 0))
+SKEW_CRANK = J("crank", "revolute", "base", "crank", rpy=(0.2, -0.1, 0.0))
+SKEW_ROCKER = J("rocker", "revolute", "base", "rocker", (0.5, 0.3, 0.0), (0.7, 0.3, 0.1))
+FOUR_BAR = {"rocker": 1.9, "knee": -0.5}
+TWIST_1, TWIST_2, TWIST_3, TWIST_4 = RCCC_TWISTS
+RCC = [
+    CRANK,
+    J("turn_2", "revolute", "crank", "link_2a", (0.1, 0, 0), (TWIST_1, 0, 0)),
+    J("slide_2", "prismatic", "link_2a", "link_2"),
+    J("turn_3", "revolute", "link_2", "link_3a", (0.4, 0, 0), (TWIST_2, 0, 0)),
+    J("slide_3", "prismatic", "link_3a", "link_3"),
+]
+ENDS = {"at": [[0.35, 0, 0], [0.25, 0, 0]]}
+
+MACHINES: dict[str, tuple[list[J], dict[str, Any], dict[str, float]]] = {
+    "hinge": ([CRANK, KNEE, ROCKER], {"hinge": ["coupler", "rocker"], **ENDS, "axis": "z"}, FOUR_BAR),
+    "ball": ([CRANK, KNEE, ROCKER], {"ball": ["coupler", "rocker"], **ENDS}, FOUR_BAR),
+    "universal": (
+        [SKEW_CRANK, *ball("ball", "crank", "coupler", (0.2, 0, 0)), SKEW_ROCKER],
+        {
+            "universal": ["coupler", "rocker"],
+            "at": [[0.6, 0, 0], [0.4, 0, 0]],
+            "rpy": [[0.3, 0.2, -0.4], [0, 0, 0]],
+            "axis": ["y", "x"],
+        },
+        {},
+    ),
+    "cylinder": (
+        RCC,
+        {"cylinder": ["base", "link_3"], "at": [[0.35, 0, 0], [0.3, 0, 0]], "rpy": [[TWIST_4, 0, 0], [TWIST_3, 0, 0]]},
+        {},
+    ),
+    "weld": (
+        [CRANK, KNEE, ROCKER, J("pin", "revolute", "rocker", "half", (0.25, 0, 0))],
+        {"weld": ["coupler", "half"], "at": [[0.2, 0, 0], [-0.15, 0, 0]]},
+        FOUR_BAR,
+    ),
+    "slider": (
+        [CRANK, KNEE, J("wrist", "revolute", "coupler", "shoe", (0.35, 0, 0))],
+        {"slider": ["base", "shoe"], "at": [[0, 0.03, 0], [0, 0, 0]], "axis": "x"},
+        {"knee": -0.5, "wrist": -0.1},
+    ),
+    "planar": (
+        [
+            SKEW_CRANK,
+            J("lift", "prismatic", "crank", "lift", (0.3, 0, 0)),
+            *ball("ball", "lift", "plate", (0, 0, 0.1)),
+        ],
+        {"planar": ["base", "plate"], "at": [[0, 0, 0.25], [0, 0, 0.1]], "axis": "z"},
+        {},
+    ),
+    "rod": (
+        [SKEW_CRANK, SKEW_ROCKER],
+        {"rod": ["crank", "rocker"], "at": [[0.2, 0, 0.02], [0.4, 0, 0]], "length": 0.6},
+        {},
+    ),
+}
+
+
+def held(kind: str, given: dict[str, Any], one: pin.SE3, other: pin.SE3) -> Array:
+    """Return what a joint holds at zero, of its frames in the world: in words of its kind, redundant rows too."""
+    axes = given.get("axis", "z")
+    first, second = (np.eye(3)["xyz".index(axis)] for axis in (axes if isinstance(axes, list) else [axes] * 2))
+    apart = one.rotation.T @ (other.translation - one.translation)
+    turned = np.cross(one.rotation @ first, other.rotation @ second)
+    angles = pin.log3(one.rotation.T @ other.rotation)
+    across = np.cross(first, apart)
+    return {
+        "hinge": lambda: np.concatenate([apart, turned]),
+        "ball": lambda: apart,
+        "universal": lambda: np.append(apart, (one.rotation @ first) @ (other.rotation @ second)),
+        "cylinder": lambda: np.concatenate([across, turned]),
+        "slider": lambda: np.concatenate([across, angles]),
+        "planar": lambda: np.append(turned, first @ apart),
+        "weld": lambda: np.concatenate([apart, angles]),
+        "rod": lambda: np.array([np.linalg.norm(apart) - given["length"]]),
+    }[kind]()
+
+
+def torque_by_differences(robot: Robot, kind: str, q: Array, xd: Array, xdd: Array) -> Array:
+    """Return the efforts (m,) from differenced constraints: J v = 0, J a + J̇ v = 0, RNEA = S τ + Jᵀ λ."""
+    given, model, step = MACHINES[kind][1], robot.model, 1e-4
+    data, places = model.createData(), []
+    for link, at, rpy in zip(given[kind], given["at"], given.get("rpy", [[0, 0, 0]] * 2), strict=True):
+        frame = model.frames[model.getFrameId(link, pin.BODY)]
+        places.append((frame.parentJoint, frame.placement * pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(at))))
+
+    def rows(q: Array) -> Array:
+        pin.forwardKinematics(model, data, q)
+        return held(kind, given, *(data.oMi[joint] * place for joint, place in places))
+
+    def rate(q: Array, v: Array) -> Array:
+        ahead = [rows(pin.integrate(model, q, sign * step * v)) for sign in (1.0, -1.0, 2.0, -2.0)]
+        return (8.0 * (ahead[0] - ahead[1]) - (ahead[2] - ahead[3])) / (12.0 * step)
+
+    np.testing.assert_allclose(rows(q), 0.0, atol=1e-9)
+    free = [model.joints[model.getJointId(name)].idx_v for name in robot.independent_joints]
+    jacobian = np.array([rate(q, unit) for unit in np.eye(model.nv)]).T
+    system = np.vstack([jacobian, np.eye(model.nv)[free]])
+    v = np.linalg.lstsq(system, np.append(np.zeros(len(jacobian)), xd), rcond=1e-7)[0]
+    along = [rate(pin.integrate(model, q, sign * 10 * step * v), v) for sign in (1.0, -1.0)]
+    bias = (along[0] - along[1]) / (20.0 * step)
+    a = np.linalg.lstsq(system, np.append(-bias, xdd), rcond=1e-7)[0]
+    forces = pin.rnea(model, data, q, v, a)
+    driven = np.eye(model.nv)[:, robot.actuated_velocity]
+    unknown: Array = np.linalg.lstsq(np.hstack([driven, jacobian.T]), forces, rcond=1e-7)[0]
+    return unknown[: robot.m]
+
+
+def declared(folder: Path, kind: str, **change: Any) -> Robot:
+    joints, closure, guess = MACHINES[kind]
+    free = {"crank": 0.6, "ball_z": 0.2} if kind == "planar" else {"crank": 0.6}
+    declaration = {
+        "gravity": [0.3, -9.0, 1.0],
+        "closures": [{**closure, **change}],
+        "actuated": list(free),
+        "independent": {"joints": list(free)},
+        "reference": {"joints": free, "guess": guess},
+    }
+    return rp.load_robot(write_robot(folder, urdf_of(joints), declaration))
+
+
+@pytest.mark.parametrize("kind", MACHINES)
+def test_efforts_are_those_of_the_joint_that_the_kind_names(kind: str, tmp_path: Path) -> None:
+    robot = declared(tmp_path, kind)
+    rng = np.random.default_rng(2)
+    x = np.array([0.6, 0.2])[: robot.n] + rng.uniform(-0.1, 0.1, (3, robot.n))
+    motion = rp.PlatformMotion(np.arange(3.0), x, *rng.normal(size=(2, 3, robot.n)), check_rates=False)
+    tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau
+    for k, q in enumerate(rp.inverse_kinematics(robot, motion).q):
+        expected = torque_by_differences(robot, kind, q, motion.xd[k], motion.xdd[k])
+        np.testing.assert_allclose(tau[k], expected, rtol=1e-6, atol=1e-6 * np.abs(tau).max())
+
+
+def test_a_length_that_is_left_out_is_measured_where_the_reference_puts_the_joints(tmp_path: Path) -> None:
+    """And stays as it is where other lengths change."""
+    robot = declared(tmp_path, "rod", length=None)
+    model, q = robot.model, pin.neutral(robot.model)
+    q[model.joints[model.getJointId("crank")].idx_q] = 0.6
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    (rod,) = robot.closures
+    one, other = (data.oMf[model.getFrameId(name)].translation for name in (rod.frame_a, rod.frame_b))
+    assert rod.length == pytest.approx(np.linalg.norm(other - one), rel=1e-14)
+    assert robot.with_parameters(lengths={"rocker": 0.6}).closures == robot.closures
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "message"),
+    [
+        ("rod", {"length": -0.3}, "length"),
+        ("rod", {"axis": "z"}, "with rod, at, length"),
+        ("rod", {"rod": ["crank", "crank"]}, "without repetitions"),
+        ("rod", {"rod": ["crank", "base"], "at": [[0, 0, 0]] * 2, "length": None}, "ends of the rod .* coincide"),
+        ("rod", {"length": 3.0}, "do not close near the reference: the closure residual is 1.27 m"),
+        ("ball", {"length": 0.3}, "with ball, at"),
+        ("slider", {"axis": ["x", "y"]}, "two axes"),
+    ],
+)
+def test_what_makes_no_joint_is_refused(kind: str, change: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(DeclarationError, match=message):
+        declared(tmp_path, kind, **change)
+
+
+def test_a_closed_form_knows_no_rods(tmp_path: Path) -> None:
+    folder = Path(rp.load_robot("3rrr").urdf_folder)
+    data = yaml.safe_load((folder / "robot.yaml").read_text(encoding="utf-8"))
+    data["urdf"] = str(folder / data["urdf"])
+    data["closures"][0] = {"rod": data["closures"][0]["frames"], "length": 0.1}
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(DeclarationError, match="`closed_form: 3rrr` knows no rods"):
+        rp.load_robot(tmp_path)

@@ -1,0 +1,365 @@
+"""What a URDF leaves open is right or asked, never guessed. Efforts are those of Pinocchio's tree and a KKT system."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from examples import FACTOR
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from written import J, urdf_of
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import DeclarationError, InputError
+from redundancy_pin.loading import propose_robot
+from redundancy_pin.robot.model_files import open_model
+from redundancy_pin.robot.propose import propose
+from redundancy_pin.robot.urdf import shipped_robots
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A planar loop on the base, cut at its top, that is closed when all joints are at zero."""
+
+    joints: tuple[J, ...]
+    ends: tuple[str, str]
+    motors: tuple[str, ...]
+
+
+def loop(
+    ends: tuple[str, str], motors: tuple[str, str], *, links: tuple[int, int] = (2, 2), tag: str = "", seed: int = 0
+) -> Loop:
+    """Return a loop of two chains; the first and, of four joints and more, the last joint on the ground are driven.
+
+    Args:
+        ends: names of the marks where both chains meet.
+        motors: names of the joints on the ground.
+        links: of each chain.
+        tag: of the names of all other joints and links.
+        seed: of lengths and angles.
+    """
+    rng = np.random.default_rng(seed)
+    top, joints = np.array([0.2, 0.7]), list[J]()
+    for side, (count, foot) in enumerate(zip(links, ([0.0, 0.0], [0.5, 0.1]), strict=True)):
+        spread = rng.uniform(-0.15, 0.15, (count - 1, 2))
+        points = [np.array(foot)]
+        points += [foot + (top - foot) * (k + 1) / count + spread[k] for k in range(count - 1)]
+        parent, heading, at = "base", 0.0, np.array(foot)
+        for k, (start, end) in enumerate(zip(points, [*points[1:], top], strict=True)):
+            angle = float(np.arctan2(*(end - start)[::-1]))
+            name = motors[side] if k == 0 else f"pin{tag}_{'lr'[side]}{k}"
+            child = f"link{tag}_{'lr'[side]}{k}"
+            joints.append(J(name, "revolute", parent, child, (*at, 0.0), (0.0, 0.0, angle - heading)))
+            parent, heading, at = child, angle, np.array([np.linalg.norm(end - start), 0.0])
+        joints.append(J(f"at_{ends[side]}", "fixed", parent, ends[side], (*at, 0.0)))
+    return Loop(tuple(joints), ends, motors[: sum(links) - 2])
+
+
+def displaced(joints: tuple[J, ...], by: float) -> tuple[J, ...]:
+    """Return joints whose zero configuration is elsewhere, so that loops are open there."""
+    return tuple(
+        joint if joint.kind == "fixed" else replace(joint, rpy=(0.0, 0.0, joint.rpy[2] + by * (k + 1)))
+        for k, joint in enumerate(joints)
+    )
+
+
+def written(folder: Path, *joints: J) -> Path:
+    path = folder / "robot.urdf"
+    path.write_text(urdf_of(joints))
+    return path
+
+
+def holding(robot: rp.Robot) -> dict[str, float]:
+    x = np.array(
+        [[robot.q_reference[robot.model.joints[robot.model.getJointId(n)].idx_q] for n in robot.independent_joints]]
+    )
+    still = np.zeros_like(x)
+    efforts = rp.distribute(rp.RneaDynamics(robot).reduce(rp.PlatformMotion([0.0], x, still, still)))
+    assume(efforts.status_labels == ("ok",))  # of a random linkage that is not next to a singularity
+    return dict(zip(robot.actuated, efforts.tau[0].tolist(), strict=True))
+
+
+def holding_by_kkt(path: Path, q: Array, loops: list[Loop], gravity: Array) -> dict[str, float]:
+    """Return the holding efforts of Pinocchio's tree: gravity = Sᵀ τ + Jᵀ λ, J of the points where ends meet."""
+    model = pin.buildModelFromUrdf(str(path))
+    model.gravity.linear = gravity
+    data = model.createData()
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    rows = []
+    for each in loops:
+        one, other = (model.getFrameId(end, pin.BODY) for end in each.ends)
+        np.testing.assert_allclose(data.oMf[one].translation, data.oMf[other].translation, atol=1e-9)
+        both = [pin.getFrameJacobian(model, data, end, pin.LOCAL_WORLD_ALIGNED)[:3] for end in (one, other)]
+        rows.append(both[0] - both[1])
+    motors = [name for each in loops for name in each.motors]
+    selection = np.eye(model.nv)[:, [model.joints[model.getJointId(name)].idx_v for name in motors]]
+    weight = pin.computeGeneralizedGravity(model, model.createData(), q)
+    unknown, *_ = np.linalg.lstsq(np.column_stack([selection, np.concatenate(rows).T]), weight, rcond=None)
+    return dict(zip(motors, unknown[: len(motors)].tolist(), strict=True))
+
+
+ENDS = st.sampled_from(
+    [
+        ("closing_p{0}_1", "closing_p{0}_2"),
+        ("p{0}_1", "p{0}_2"),
+        ("left_tip{0}", "right_tip{0}"),
+        ("rod_loop{0}", "rocker_loop{0}"),
+        ("ltip{0}", "mark{0}"),
+    ]
+)
+MOTORS = st.sampled_from(
+    [("motor{0}_1", "motor{0}_2"), ("crank{0}", "passive{0}"), ("j{0}_1", "j{0}_2"), ("actuator{0}_1", "b{0}")]
+)
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+@settings(max_examples=12 * FACTOR)
+@given(
+    ends=ENDS,
+    motors=MOTORS,
+    links=st.lists(st.sampled_from([(1, 2), (2, 1), (2, 2), (3, 1)]), min_size=1, max_size=2),
+    away=st.sampled_from([0.0, 0.0, 0.01]),
+    more=st.lists(
+        st.sampled_from(["tool0", "end_effector", "spare", "left_tip9", "p9_1", "camera_frame"]),
+        max_size=2,
+        unique=True,
+    ),
+    seed=st.integers(0, 1000),
+)
+def test_linkages_with_marks_are_right_or_undecided(tmp_path_factory, ends, motors, links, away, more, seed) -> None:
+    """One or two loops, closed at zero or nearly, among frames that close nothing; every answer names all or asks."""
+    names = [tuple(text.format(k) for text in ends) for k in range(len(links))]
+    driven = [tuple(text.format(k) for text in motors) for k in range(len(links))]
+    loops = [loop(names[k], driven[k], links=each, tag=str(k), seed=seed + k) for k, each in enumerate(links)]
+    tree = [joint for each in loops for joint in displaced(each.joints, away)]
+    # the plane stands upright, and is not a coordinate plane: gravity acts in it
+    tree = [replace(joint, parent="wall") if joint.parent == "base" else joint for joint in tree]
+    tree.insert(0, J("wall", "fixed", "base", "wall", rpy=(np.pi / 2, 0.2, 0.3)))
+    rng = np.random.default_rng(seed)
+    places = [f"link{k}_l0" for k in range(len(links))]
+    tree += [J(f"at_{name}", "fixed", str(rng.choice(places)), name, (*rng.uniform(-1, 1, 3),)) for name in more]
+    path = written(tmp_path_factory.mktemp("linkage"), *tree)
+    proposal, robot = propose_robot(path)
+    if proposal.questions:
+        with pytest.raises(DeclarationError, match="redundancy-pin new"):
+            rp.load_robot(path)
+    else:
+        assert robot is not None
+        expected = holding_by_kkt(path, np.array(robot.q_reference), loops, GRAVITY)
+        assert holding(robot) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    decided, robot = propose_robot(
+        path,
+        close=[",".join(each.ends) for each in loops],
+        actuate=[name for each in loops for name in each.motors],
+        is_open=True,
+    )
+    assert (decided.questions, robot.n) == ((), sum(len(each.motors) for each in loops))
+    assert holding(robot) == pytest.approx(
+        holding_by_kkt(path, np.array(robot.q_reference), loops, GRAVITY), rel=1e-6, abs=1e-9
+    )
+
+
+FIVE_BAR = loop(("left_tip", "right_tip"), ("motor_1", "motor_2"))
+
+
+CLOSING = {"left_tip": "closing_a_1", "right_tip": "closing_a_2"}
+
+
+LOOP_1 = {"left_tip": "loop_1_1", "right_tip": "loop_1_2"}
+LOOP_2 = (J("s", "fixed", "link_l0", "loop_2_1"), J("t", "fixed", "link_r0", "loop_2_2"))
+
+
+def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
+    """Return the joints of the five-bar with other names of joints and links, and more joints."""
+    joints = displaced(FIVE_BAR.joints, by)
+    new = [
+        replace(j, **{key: names.get(getattr(j, key), getattr(j, key)) for key in ("name", "parent", "child")})
+        for j in joints
+    ]
+    return (*new, *more)
+
+
+@pytest.mark.parametrize(
+    ("joints", "question"),
+    [
+        (renamed({}), None),
+        (renamed(CLOSING, by=0.05), None),
+        (renamed({"left_tip": "arm_loop", "right_tip": "rod_loop"}, by=0.05), None),
+        (renamed({}, J("t", "fixed", "link_l1", "tool0", (0.1, 0, 0))), None),
+        (renamed({"left_tip": "loop_of_arm", "right_tip": "rod_loop"}, by=0.05), None),
+        (renamed(CLOSING, J("s", "fixed", "link_l0", "spare")), None),
+        (renamed(CLOSING, J("s", "fixed", "link_l0", "hand_loop")), "of the links hand_loop"),
+        (renamed({"pin_l1": "passive_motor"}), None),
+        (renamed({}, by=0.05), "--close left_tip,right_tip (the only two)"),
+        (renamed({}, by=0.00002), "--close left_tip,right_tip (the only two)"),
+        (renamed({}, by=0.000003), None),
+        (
+            renamed({"left_tip": "ltip", "right_tip": "rtip"}, J("s", "fixed", "link_l0", "spare")),
+            "of the links spare",
+        ),
+        (renamed({}, J("s", "fixed", "base", "third", (0.2, 0.7, 0))), "one point, in three bodies or more"),
+        (
+            renamed({"left_tip": "left_finger", "right_tip": "right_finger"}),
+            "Is a loop cut at left_finger,right_finger",
+        ),
+        (renamed({"right_tip": "arm_loop"}, by=0.05), "of the links left_tip, arm_loop"),
+        (renamed(LOOP_1, *LOOP_2, by=0.05), "of the links loop_2_1, loop_2_2, loop_1_1, loop_1_2"),
+        (renamed({"motor_1": "a"}), "The mechanism has 2 DOF. --actuate a,motor_2 (on the ground)"),
+        (renamed({"pin_l1": "motor_3"}), "2 DOF"),
+        (renamed({"motor_1": "passive_a", "motor_2": "passive_b"}), None),
+        (tuple(j for j in renamed({}) if j.child != "right_tip"), "of the links left_tip"),
+    ],
+)
+def test_names_and_places_are_certain_or_asked(joints: tuple[J, ...], question: str | None, tmp_path: Path) -> None:
+    path = written(tmp_path, *joints)
+    proposal, _ = propose_robot(path)
+    if question is None:
+        assert proposal.questions == ()
+        robot = rp.load_robot(path)
+        assert (robot.n, len(robot.closures)) == (2, 1)
+        assert robot.actuated == proposal.mechanism.actuated
+    else:
+        assert question in " ".join(proposal.questions)
+        if "of the links" in question:  # what may be wrong is not written either
+            assert set(proposal.found) <= {"closing_a_1 = closing_a_2"}
+        with pytest.raises(DeclarationError, match=r"does not say it all.*`redundancy-pin new robot.urdf`"):
+            rp.load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("ends", "motors", "by", "question"),
+    [
+        (("p{}_1", "p{}_2"), ("motor_{}", "b{}"), 0.0003, None),
+        (("p{}_1", "p{}_2"), ("motor_{}", "b{}"), 0.05, "Is a loop cut at p2_1,p2_2? Others named so meet"),
+        (("closing_{}_1", "closing_{}_2"), ("j{}", "b{}"), 0.0, "Which joints are driven"),
+        (("closing_{}_1", "closing_{}_2"), ("motor_{}", "motor_b{}"), 0.0, "Which joints are driven"),
+    ],
+)
+def test_two_loops_of_which_one_is_open_at_zero(ends, motors, by: float, question: str | None, tmp_path: Path) -> None:
+    """Marks that are named as others that meet are ends; motors by name must move different loops."""
+    loops = [
+        loop(tuple(end.format(k) for end in ends), tuple(each.format(k) for each in motors), links=(1, 2), tag=str(k))
+        for k in (1, 2)
+    ]
+    joints = (*loops[0].joints, *displaced(loops[1].joints, by))
+    if motors[1] == "motor_b{}":  # as many as there are degrees of freedom, both in the first loop
+        joints = tuple(replace(j, name=j.name.replace("motor_2", "c").replace("motor_b2", "d")) for j in joints)
+    proposal, robot = propose_robot(written(tmp_path, *joints))
+    if question:
+        assert question in " ".join(proposal.questions)
+    else:
+        assert (proposal.questions, robot.n, len(robot.closures)) == ((), 2, 2)
+
+
+def test_marks_of_a_loop_that_the_file_states_close_no_other(tmp_path: Path) -> None:
+    path = written(tmp_path, *FIVE_BAR.joints)
+    sides = "".join(
+        f'<{tag} link="{joint.parent}"><origin xyz="{float(joint.xyz[0])} 0 0"/></{tag}>'
+        for tag, end in (("predecessor", "left_tip"), ("successor", "right_tip"))
+        for joint in FIVE_BAR.joints
+        if joint.child == end
+    )
+    stated = f'<loop name="top" type="revolute">{sides}<axis xyz="0 0 1"/></loop></robot>'
+    path.write_text(path.read_text().replace("</robot>", stated))
+    proposal, robot = propose_robot(path)
+    assert (proposal.questions, proposal.found, robot.n) == ((), {}, 2)
+    assert [each.name for each in robot.closures] == ["top"]
+
+
+@pytest.mark.parametrize("names", [("left_tip", "right_tip"), ("left_plate", "right_plate"), ("plate", "right_pin")])
+@pytest.mark.parametrize("by", [0.0, 0.05])
+def test_ends_that_weigh_something(names: tuple[str, str], by: float, tmp_path: Path) -> None:
+    """They are ends where they meet or are named so; heavy plates that do not meet are parts."""
+    path = written(tmp_path, *renamed(dict(zip(("left_tip", "right_tip"), names, strict=True)), by=by))
+    heavy = '<inertial><mass value="0.1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    path.write_text(
+        re.sub(r'<link name="(\w*(tip|plate|pin))"></link>', rf'<link name="\1">{heavy}</link>', path.read_text())
+    )
+    proposal, _ = propose_robot(path)
+    if by == 0.0:
+        assert len(proposal.found) == 1
+    elif names == ("left_plate", "right_plate"):
+        assert proposal.found == {}
+        assert "Which joints are driven" in " ".join(proposal.questions)
+    else:
+        assert "Where are loops cut?" in " ".join(proposal.questions)
+
+
+def test_fingers_on_slides_that_touch_close_no_loop(tmp_path: Path) -> None:
+    """Their tips meet at zero, but a pin there would hold one direction only."""
+    jaws = [J(f"motor_{side}", "prismatic", "base", side, axis=(1.0, 0.0, 0.0)) for side in "ab"]
+    path = written(tmp_path, *jaws, *(J(f"at_{side}", "fixed", side, f"pad_{side}", (0, 0.1, 0)) for side in "ab"))
+    assert any(
+        "holds 1 direction(s) only: --close pad_a,pad_b or --open" in each for each in propose_robot(path)[0].questions
+    )
+    proposal, robot = propose_robot(path, is_open=True)
+    assert (proposal.questions, robot.n, proposal.frames) == ((), 2, ("pad_a", "pad_b"))
+
+
+@pytest.mark.parametrize(("turn", "kind", "n"), [(0.0, "", 1), (0.4, "ball", 3), (0.4, "hinge", 1)])
+def test_a_ball_or_a_hinge_is_asked_where_they_differ(turn: float, kind: str, n: int, tmp_path: Path) -> None:
+    """A loop of seven hinges of which six are in the tree: a spatial one turns about all axes at its cut."""
+    rng = np.random.default_rng(3)
+    joints, parent = list[J](), "base"
+    for k in range(6 if turn else 3):
+        rpy = tuple(turn * rng.uniform(-3, 3, 3)) if turn else (0.0, 0.0, np.pi / 2 if k else 0.3)
+        joints.append(J(f"j{k}", "revolute", parent, f"l{k}", (0.3, 0.0, 0.1 * turn), rpy))
+        parent = f"l{k}"
+    model = pin.buildModelFromXML(urdf_of([*joints, J("e", "fixed", parent, "closing_x_1", (0.3, 0, 0))]))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    place = data.oMf[model.getFrameId("closing_x_1", pin.BODY)]
+    foot = J("f", "fixed", "base", "closing_x_2", place.translation, pin.rpy.matrixToRpy(place.rotation))
+    path = written(tmp_path, *joints, J("e", "fixed", parent, "closing_x_1", (0.3, 0, 0)), foot)
+    drives = ["j0"] if n == 1 else ["j0", "j1", "j2"]
+    for close in [[], ["closing_x_1,closing_x_2"]] if kind else []:
+        asked, _ = propose_robot(path, close=close, actuate=drives)
+        assert "--close closing_x_1,closing_x_2,ball or --close closing_x_1,closing_x_2,hinge" in " ".join(
+            asked.questions
+        )
+    close = [f"closing_x_1,closing_x_2,{kind}"] if kind else []
+    decided, robot = propose_robot(path, close=close, actuate=drives)
+    assert (decided.questions, robot.n) == ((), n)
+
+
+def test_a_link_that_is_cut_in_two_is_asked_about_where_motors_are_too_few(tmp_path: Path) -> None:
+    """The pins of a four-bar are all in the tree, and its coupler is cut: a ball would leave two degrees of freedom."""
+    path = written(tmp_path, *FIVE_BAR.joints)
+    proposal, _ = propose_robot(path, actuate=["motor_1"])
+    assert "2 DOF and 1 motor(s): --close left_tip,right_tip,ball or" in " ".join(proposal.questions)
+    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"])
+    assert (proposal.questions, robot.n) == ((), 1)
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_shipped_urdfs_are_closed_as_declared_or_asked(name: str, tmp_path: Path) -> None:
+    """Of each robot's URDF alone: no loop is found that its declaration does not close."""
+    robot = rp.load_robot(name)
+    path = tmp_path / "robot.urdf"
+    path.write_text(robot.urdf)
+    proposal = propose(open_model(path, {})[1](None))
+    declared = {frozenset((each.frame_a, each.frame_b)) for each in robot.all_closures or robot.closures}
+    found = {frozenset(each.links) for each in proposal.mechanism.loop_joints}
+    assert found <= declared
+    assert found == declared or proposal.questions or not proposal.motors
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"close": ["left_tip,right_top"]}, "Did you mean 'right_tip'"),
+        ({"close": ["left_tip"]}, "names no joint between two links"),
+        ({"close": ["left_tip,right_tip,glue"]}, "names no joint between two links"),
+        ({"actuate": ["motor_3"]}, "Did you mean 'motor_"),
+    ],
+)
+def test_unknown_names_are_refused(given: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        propose_robot(written(tmp_path, *FIVE_BAR.joints), **given)
