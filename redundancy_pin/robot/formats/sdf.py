@@ -30,7 +30,7 @@ from redundancy_pin.robot.formats.mechanism import (
 )
 from redundancy_pin.robot.formats.sdf_frames import WORLD, Frame, Frames, SdfPart
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.loop_joints import LoopJoint, turned_to
 from redundancy_pin.robot.rebuild import joint_along, rebuilt
 from redundancy_pin.robot.types import Coupling
@@ -452,7 +452,7 @@ class _Reader:
         for step in joint.steps[::-1] if turned_round else joint.steps:
             if self.model.nv >= MOST_FREEDOMS:
                 part.refuse(f"{part.owner} is beyond the {MOST_FREEDOMS} degrees of freedom that a model may have")
-            if self.model.existJointName(step.name):
+            if has_joint(self.model, step.name):
                 part.refuse(f"{part.owner} needs the name {step.name!r}, which is taken", "Choose another.")
             index = self._add_step(replace(step, axis=-step.axis) if turned_round else step, index, place)
             place = pin.SE3.Identity()
