@@ -292,6 +292,19 @@ def test_ends_that_weigh_something(names: tuple[str, str], by: float, tmp_path: 
         assert "Where are loops cut?" in " ".join(proposal.questions)
 
 
+def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
+    """The pin of the right end is in the tree, and carries a link that is to be welded to the left one."""
+    joints = [
+        replace(j, kind="revolute") if j.child == "right_tip" else j for j in FIVE_BAR.joints if j.child != "left_tip"
+    ]
+    weight = re.compile(r'(<link name="right_tip">).*?(</link>)', re.DOTALL)
+    path = written(tmp_path, *joints, J("at", "fixed", "link_l1", "plate", FIVE_BAR.joints[2].xyz))
+    path.write_text(weight.sub(r"\1\2", path.read_text()))
+    assert "--close right_tip,plate,weld or --open" in " ".join(propose_robot(path)[0].questions)
+    proposal, robot = propose_robot(path, close=["right_tip,plate,weld"])
+    assert (proposal.questions, robot.n) == ((), 2)
+
+
 def test_fingers_on_slides_that_touch_close_no_loop(tmp_path: Path) -> None:
     """Their tips meet at zero, but a pin there would hold one direction only."""
     jaws = [J(f"motor_{side}", "prismatic", "base", side, axis=(1.0, 0.0, 0.0)) for side in "ab"]
