@@ -197,6 +197,7 @@ def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
         (renamed(CLOSING, J("s", "fixed", "link_l0", "spare")), None),
         (renamed(CLOSING, J("s", "fixed", "link_l0", "hand_loop")), "of the links hand_loop"),
         (renamed({"pin_l1": "passive_motor"}), None),
+        (renamed({"base": "wall"}, J("w", "fixed", "base", "wall")), None),
         (renamed({}, by=0.05), "--close left_tip,right_tip (the only two)"),
         (renamed({}, by=0.00002), "--close left_tip,right_tip (the only two)"),
         (renamed({}, by=0.000003), None),
@@ -225,6 +226,8 @@ def test_names_and_places_are_certain_or_asked(joints: tuple[J, ...], question: 
         robot = rp.load_robot(path)
         assert (robot.n, len(robot.closures)) == (2, 1)
         assert robot.actuated == proposal.mechanism.actuated
+        heavier = robot.with_parameters(masses={"link_l0": 2.0})
+        assert (heavier.n, heavier.closures) == (2, robot.closures)
     else:
         assert question in " ".join(proposal.questions)
         if "of the links" in question:  # what may be wrong is not written either
