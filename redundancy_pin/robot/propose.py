@@ -4,7 +4,8 @@ Loops and motors that a file states are taken as they stand. Where it states non
 
 | evidence | taken as certain |
 |---|---|
-| names of ends: ``closing_pin_1``, ``closing_pin_2``; ``rod_loop``, ``rocker_loop`` | one counterpart each |
+| ends ``closing_NAME_1`` and ``closing_NAME_2`` | always |
+| ends such as ``rod_loop`` and ``rocker_loop`` | nearly at one point when all joints are at zero |
 | marks at one point when all joints are at zero | two of them; every other mark is paired, or a frame by its name |
 | other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool |
 | motors by name: ``motor1``, or all joints but ``passive1`` | independent, and as many as the degrees of freedom |
@@ -37,7 +38,7 @@ _COINCIDE = 1e-4
 """Distance of two marks, in characteristic lengths, up to which they are one point: files are rounded."""
 
 _NEARLY = 1e-2
-"""The same of marks that are named as pairs that do meet: CAD closes some of its loops by their limits only."""
+"""The same of marks that are named as ends, or as others that meet: CAD closes some loops by a millimetre."""
 
 _CUTS = frozenset(("closing", "closure", "close", "closed", "loop", "cut"))
 """Words in names of marks that are ends of loops."""
@@ -249,7 +250,8 @@ def _cut_ends(
     used = {link for joint in loops for link in joint.links}
     marks = [mark for mark in all_marks if mark not in used]
     cuts = [mark for mark in marks if _CUTS.intersection(_words(mark))]
-    named = _apart(cuts, tree) if len(cuts) == 2 else _only_ones(_apart(cuts, tree))
+    near = [pair for pair in _apart(cuts, tree) if tree.meet(*pair, _NEARLY)]
+    named = near if len(cuts) == 2 else _only_ones(near)
     pairs, questions = dict.fromkeys(named, BY_NAME), _idle_ends(tree, joined)
     used |= {mark for pair in named for mark in pair}
     certain = bool(pairs or loops)

@@ -191,9 +191,10 @@ def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
     [
         (renamed({}), None),
         (renamed(CLOSING, by=0.05), None),
-        (renamed({"left_tip": "arm_loop", "right_tip": "rod_loop"}, by=0.05), None),
+        (renamed({"left_tip": "arm_loop", "right_tip": "rod_loop"}, by=0.0005), None),
+        (renamed({"left_tip": "closing_left", "right_tip": "closing_right"}, by=0.05), "of the links closing_left"),
         (renamed({}, J("t", "fixed", "link_l1", "tool0", (0.1, 0, 0))), None),
-        (renamed({"left_tip": "loop_of_arm", "right_tip": "rod_loop"}, by=0.05), None),
+        (renamed({"left_tip": "loop_of_arm", "right_tip": "rod_loop"}, by=0.0005), None),
         (renamed(CLOSING, J("s", "fixed", "link_l0", "spare")), None),
         (renamed(CLOSING, J("s", "fixed", "link_l0", "hand_loop")), "of the links hand_loop"),
         (renamed({"pin_l1": "passive_motor"}), None),
