@@ -53,7 +53,7 @@ def rank_ratio(scaled: Array) -> Array:
     if not np.isfinite(scaled).all():
         return np.full(len(scaled), np.nan)
     values = np.linalg.svd(scaled, compute_uv=False)
-    single = values.shape[1] == 1
+    single = scaled.shape[1] == 1
     return np.asarray(values[:, 0] if single else values[:, -1] / values[:, 0])
 
 
