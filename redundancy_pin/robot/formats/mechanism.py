@@ -166,25 +166,6 @@ class LinkEntry:
     has_shape: bool = False
 
 
-@dataclass(frozen=True)
-class JointEntry:
-    """A joint of a file: its (4, 4) placement in the frame of the parent link, its axis of length 1, its limits.
-
-    ``dynamics``: its damping, N·s/m or N·m·s, and friction, N or N·m, where the file gives them. ``mimic``: what it
-    follows.
-    """
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    placement: Array
-    axis: Array
-    limits: Mapping[str, float]
-    dynamics: Mapping[str, float] = field(default_factory=dict)
-    mimic: Coupling | None = None
-
-
 def impossible_moments(links: Iterable[LinkEntry]) -> tuple[str, ...]:
     """Return a note on each link whose largest principal moment of inertia exceeds the sum of the other two.
 

@@ -24,7 +24,6 @@ from redundancy_pin.robot.formats.mechanism import (
     NOT_IN_FORCE,
     SIX,
     TRIANGLE_TOLERANCE,
-    JointEntry,
     LinkEntry,
     Mechanism,
     impossible_moments,
@@ -49,6 +48,27 @@ _FREEDOMS = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar
 
 _JOINTS_OF_DRAKE = {"ball": "ball", "universal": "universal_xy", "planar": "three_joints"}
 """Types of ``<drake:joint>``, and what such a joint is replaced by."""
+
+
+@dataclass(frozen=True)
+class JointEntry:
+    """A joint of the file, its numbers checked.
+
+    Attributes:
+        name, kind: its name and its type.
+        parent, child: names of the links that it joins.
+        is_bounded: whether it has limits of position: 0 and 0, or none at all, stand for "not known".
+        dynamics: damping, N·s/m or N·m·s, and friction, N or N·m, those that are not zero.
+        mimic: what it follows.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    is_bounded: bool
+    dynamics: Mapping[str, float]
+    mimic: Coupling | None
 
 
 @dataclass(frozen=True)
@@ -200,14 +220,12 @@ def _joint(name: str, part: Part, links: Mapping[str, LinkEntry]) -> JointEntry:
     # urdfdom looks at no axis of the other kinds
     if given is not None and kind in (*_SINGLE, "planar"):
         axis = given.triple("xyz", "the axis")
-        length = float(np.linalg.norm(axis))
-        if not length > 0.0:
+        if not axis.any():
             given.refuse(f"{part.owner} has an axis of length zero")
-        axis = axis / length
-    if kind == "planar" and axis[2] != 1.0:
+    if kind == "planar" and axis[2] != np.linalg.norm(axis):
         part.refuse(f"{part.owner} is planar about another axis than z, which Pinocchio does not know")
-    placement, limits, dynamics = part.placement(), _limits(part, kind), _dynamics(part)
-    return JointEntry(name, kind, ends[0], ends[1], placement, axis, limits, dynamics, _mimic(name, kind, part))
+    part.placement()  # Pinocchio reads it too, and is not strict
+    return JointEntry(name, kind, ends[0], ends[1], _is_bounded(part, kind), _dynamics(part), _mimic(name, kind, part))
 
 
 def _mimic(name: str, kind: str, part: Part) -> Coupling | None:
@@ -233,18 +251,20 @@ def _dynamics(part: Part) -> Mapping[str, float]:
     return {key: value for key, value in friction.items() if value}
 
 
-def _limits(part: Part, kind: str) -> Mapping[str, float]:
+def _is_bounded(part: Part, kind: str) -> bool:
+    """Return whether a joint has limits of position."""
     limit = part.one("limit")
     if limit is None:
         if kind in ("revolute", "prismatic"):
             part.refuse(f"{part.owner} is {kind} and has no <limit>")
-        return {}
-    return {
-        key: limit.number(key, f"{key} limit", sys.float_info.max)
+        return False
+    lower, upper, *_ = (
+        limit.number(key, f"{key} limit", sys.float_info.max)
         if key in limit.element.attrib or key in ("effort", "velocity")
         else 0.0
         for key in ("lower", "upper", "effort", "velocity")
-    }
+    )
+    return lower < upper
 
 
 def _in_order(
@@ -422,7 +442,7 @@ def urdf_mechanism(
         tuple(each.name for each in marked),
     )
     for joint in file.joints:
-        if joint.kind in ("revolute", "prismatic") and joint.name in single and not _is_bounded(joint):
+        if joint.kind in ("revolute", "prismatic") and joint.name in single and not joint.is_bounded:
             at = find_joint(model, joint.name).idx_q
             model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
     return made.with_joints(replaced) if replaced else made
@@ -450,8 +470,3 @@ def _independent(file: Urdf, kinds: Mapping[str, str], base: str) -> tuple[str, 
 
 SEVERAL_FREEDOMS = {"floating": "six_joints", "planar": "three_joints"}
 """What stands for a joint of several freedoms where no declaration says it: independent joints have one each."""
-
-
-def _is_bounded(joint: JointEntry) -> bool:
-    """Return whether a joint has limits of position: 0 and 0, or none at all, stand for "not known"."""
-    return joint.limits.get("lower", 0.0) < joint.limits.get("upper", 0.0)
