@@ -69,7 +69,8 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
         "moving_weight": robot.moving_mass * float(np.linalg.norm(robot.gravity)),
         "joints": [_joint(robot, index) for index in range(1, robot.model.njoints)],
         "closures": [
-            {name: getattr(one, name) for name in ("frame_a", "frame_b", "axes", "length")} for one in robot.closures
+            {"frame_a": one.frame_a, "frame_b": one.frame_b, "axes": one.axes, "length": one.length or None}
+            for one in robot.closures
         ],
         "couplings": [
             {"joint": each.joint, "of": each.of or None, "polynomial": each.polynomial, "also": each.also}

@@ -117,10 +117,8 @@ class RowSet:
     ) -> None:
         self.size = size = len(rows)
         self.couplings = couplings
-        self.angles = [row.angle for row in rows]
-        """Which rows are rates of angles: kind and base axis, or None."""
-        self._at_angles = [i for i, angle in enumerate(self.angles) if angle]
-        self._kinds = [angle for angle in self.angles if angle]
+        self._at_angles = [i for i, row in enumerate(rows) if row.angle]
+        self._kinds = [row.angle for row in rows if row.angle]
         self.rods = [i for i, row in enumerate(rows) if row.length]
         """Which rows are rods."""
         self.lengths = np.array([row.length for row in rows if row.length])

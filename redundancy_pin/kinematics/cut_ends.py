@@ -27,12 +27,12 @@ _MEETING = 1e-6
 
 
 def about_several_axes(robot: Robot, ends: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
-    """Return those pairs of frames that turn against each other about several axes, or one that is not fixed in both.
+    """Return those pairs of frames that turn against each other about several axes, or one that is not fixed in them.
 
     Where two frames meet in a ball and turn about one axis only, a hinge along that axis allows the same motions: in a
     planar loop, and in a spherical one with its ball away from the centre. The test is the rank of the relative angular
-    velocities, in the axes of each frame, of all motions that the loops leave free, at the reference and at a few
-    configurations beside it.
+    velocities, in the axes of the first frame, of all motions that the loops leave free, at the reference and at a few
+    configurations beside it. An axis that stays fixed in the first frame is fixed in the second.
 
     Args:
         robot: its reference is closed.
@@ -58,9 +58,9 @@ def branches_meet(robot: Robot, q: Array) -> bool:
 
 
 def _is_one_axis(robot: Robot, motions: Sequence[tuple[Array, Array]], frames: tuple[str, str]) -> bool:
-    turns = np.concatenate([_relative_turns(robot, q, each, frames) for q, each in motions], axis=1)
-    values = (np.linalg.svd(each, compute_uv=False) for each in turns)
-    return all(bool((each[1:] <= _ONE_AXIS * each[0]).all()) for each in values)
+    turns = np.concatenate([_relative_turns(robot, q, each, frames) for q, each in motions])
+    values = np.linalg.svd(turns, compute_uv=False)
+    return bool((values[1:] <= _ONE_AXIS * values[0]).all())
 
 
 def _motions(robot: Robot) -> Iterator[tuple[Array, Array]]:
@@ -77,7 +77,7 @@ def _motions(robot: Robot) -> Iterator[tuple[Array, Array]]:
 
 
 def _relative_turns(robot: Robot, q: Array, velocities: Array, frames: tuple[str, str]) -> Array:
-    """Return the angular velocities (2, f, 3) of the second frame against the first, in axes of either, rad/s."""
+    """Return the angular velocities (f, 3) of the second frame against the first, in axes of the first, rad/s."""
     model, data = robot.model, robot.model.createData()
     indices = [find_link_index(model, name) for name in frames]
     pin.computeJointJacobians(model, data, q)
@@ -85,5 +85,5 @@ def _relative_turns(robot: Robot, q: Array, velocities: Array, frames: tuple[str
     first, second = (
         pin.getFrameJacobian(model, data, index, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[3:] for index in indices
     )
-    turns = velocities @ (second - first).T
-    return np.array([turns @ data.oMf[index].rotation for index in indices])
+    turns: Array = velocities @ (second - first).T @ data.oMf[indices[0]].rotation
+    return turns

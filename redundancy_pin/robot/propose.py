@@ -4,7 +4,8 @@ Loops and motors that a file states are taken as they stand. Where it states non
 
 | evidence | taken as certain |
 |---|---|
-| names of ends: ``closing_pin_1``, ``closing_pin_2``; ``rod_loop``, ``rocker_loop`` | one counterpart each |
+| ends ``closing_NAME_1`` and ``closing_NAME_2`` | always |
+| ends such as ``rod_loop`` and ``rocker_loop`` | nearly at one point when all joints are at zero |
 | marks at one point when all joints are at zero | two of them; every other mark is paired, or a frame by its name |
 | other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool |
 | motors by name: ``motor1``, or all joints but ``passive1`` | independent, and as many as the degrees of freedom |
@@ -29,7 +30,14 @@ import pinocchio as pin
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.robot.build import characteristic_length
 from redundancy_pin.robot.formats.mechanism import Mechanism
-from redundancy_pin.robot.lookup import find_joint, find_link, find_link_index, joint_names, link_names
+from redundancy_pin.robot.lookup import (
+    find_joint,
+    find_joint_index,
+    find_link,
+    find_link_index,
+    joint_names,
+    link_names,
+)
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
 from redundancy_pin.robot.types import Robot
 
@@ -37,7 +45,7 @@ _COINCIDE = 1e-4
 """Distance of two marks, in characteristic lengths, up to which they are one point: files are rounded."""
 
 _NEARLY = 1e-2
-"""The same of marks that are named as pairs that do meet: CAD closes some of its loops by their limits only."""
+"""The same of marks that are named as ends, or as others that meet: CAD closes some loops by a millimetre."""
 
 _CUTS = frozenset(("closing", "closure", "close", "closed", "loop", "cut"))
 """Words in names of marks that are ends of loops."""
@@ -244,16 +252,14 @@ def _cut_ends(
     mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_stated: bool
 ) -> tuple[dict[tuple[str, str], str], list[str]]:
     """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked."""
-    if not mechanism.marks:
-        return {}, []
     tree = _Tree(mechanism.model)
-    all_marks = _marks(mechanism, tree)
-    joined = tree.join(loops)
+    all_marks, joined = _marks(mechanism, tree), tree.join(loops)
     used = {link for joint in loops for link in joint.links}
     marks = [mark for mark in all_marks if mark not in used]
     cuts = [mark for mark in marks if _CUTS.intersection(_words(mark))]
-    named = _apart(cuts, tree) if len(cuts) == 2 else _only_ones(_apart(cuts, tree))
-    pairs, questions = dict.fromkeys(named, BY_NAME), list[str]()
+    near = [pair for pair in _apart(cuts, tree) if tree.meet(*pair, _NEARLY)]
+    named = near if len(cuts) == 2 else _only_ones(near)
+    pairs, questions = dict.fromkeys(named, BY_NAME), _idle_ends(tree, joined)
     used |= {mark for pair in named for mark in pair}
     certain = bool(pairs or loops)
     at_zero = list[tuple[str, str]]()
@@ -303,6 +309,31 @@ def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
         if mass <= light
         or (_CUTS | _ENDS).intersection(_words(mark))
         or any(tree.meet(mark, other) for other in mechanism.marks)
+    ]
+
+
+def _idle_ends(tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
+    """Return questions on links that move, weigh nothing and carry nothing, where they meet another body at zero.
+
+    Such a link may be the far half of a joint of the loop: what is cut there is a weld.
+    """
+    model, total = tree.model, pin.computeTotalMass(tree.model)
+    carriers = set(model.parents)
+    idle = {
+        link: body
+        for link, body in tree.bodies.items()
+        if body and body not in carriers and model.inertias[body].mass <= _NO_MASS * total and total > 0.0
+    }
+    pairs = [
+        (link, other)
+        for link, body in idle.items()
+        for other in tree.bodies
+        if tree.meet(link, other) and tree.bodies[other] != model.parents[body] and other not in idle
+    ]
+    return [
+        f"Is a loop cut at {','.join(pair)}? The first moves and is massless: {_close(pair)},weld or --open."
+        for pair in pairs
+        if not any(tree.bodies[pair[0]] in each for each in joined)
     ]
 
 
@@ -378,7 +409,7 @@ def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
 def which_motors(mechanism: Mechanism, count: int | None = None) -> str:
     """Return the question which joints are driven, with what suggests itself for a number of degrees of freedom."""
     model, joints = mechanism.model, _could_be_driven(mechanism)
-    indices = {name: model.getJointId(name) for name in joints}
+    indices = {name: find_joint_index(model, name) for name in joints}
     likely = {
         "by name": [name for name in joints if _MOTORS.intersection(_words(name))],
         "on the ground": [name for name in joints if model.parents[indices[name]] == 0],

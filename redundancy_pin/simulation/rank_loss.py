@@ -44,14 +44,17 @@ NEAR = 0.05
 
 
 def rank_ratio(scaled: Array) -> Array:
-    """Return (N,) smallest over largest singular value of closure rows (N, r, p) without units; 1 without any rows."""
+    """Return (N,) smallest over largest singular value of closure rows (N, r, p) without units.
+
+    It is 1 without any rows, and the length of a single row, whose singular values are one.
+    """
     if 0 in scaled.shape[1:]:
         return np.ones(len(scaled))
     if not np.isfinite(scaled).all():
         return np.full(len(scaled), np.nan)
     values = np.linalg.svd(scaled, compute_uv=False)
-    ratio: Array = values[:, -1] / values[:, 0]
-    return ratio
+    single = scaled.shape[1] == 1
+    return np.asarray(values[:, 0] if single else values[:, -1] / values[:, 0])
 
 
 @dataclass(frozen=True, eq=False)

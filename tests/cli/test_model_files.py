@@ -19,7 +19,7 @@ def test_info_says_what_was_chosen_and_what_is_not_in_force(model):
     facts = json.loads(call("info", "--robot", model, "--json").stdout)
     assert facts["name"] == "four_bar"
     assert facts["independent"]["joints"] == ["crank"]
-    assert facts["closures"] == [{"frame_a": "tip", "frame_b": "end", "axes": ["x", "y"]}]
+    assert facts["closures"] == [{"frame_a": "tip", "frame_b": "end", "axes": ["x", "y"], "length": None}]
     assert any("springs of crank" in note for note in facts["notes"])
     assert facts["parameters"]["base"] == {"value": "free", "default": "free"}
     text = call("info", "--robot", model).stdout

@@ -62,9 +62,9 @@ class Machine(NamedTuple):
     driven: tuple[str, ...]
 
 
-def drawn(name: str) -> Machine:
+def drawn(name: str, **arguments: float) -> Machine:
     """Return a shipped machine at its reference, carriers left out; its joints are at zero there."""
-    robot = rp.load_robot(name)
+    robot = rp.load_robot(name, **arguments)
     model, data = robot.model, robot.model.createData()
     pin.computeJointJacobians(model, data, np.array(robot.q_reference))
     pin.updateFramePlacements(model, data)
@@ -334,6 +334,21 @@ def test_rounded_placements(name: str, kind: str, tmp_path: Path) -> None:
     assert 2e-3 < caught.value.details["gap"] < 0.1
 
 
+@pytest.mark.parametrize(
+    ("name", "kind", "seed"),
+    [("2rpr", "urdf", 1000), ("2rpr", "urdf", 1011), ("five_bar", "sdf", 1002)],
+)
+def test_between_rounded_and_wrong(name: str, kind: str, seed: int, tmp_path: Path) -> None:
+    """Placements off by 1e-3 may be refused or taken, but are never another machine."""
+    exact = drawn(name)
+    try:
+        robot = FORMATS[kind](tmp_path, off(exact, 1e-3, np.random.default_rng(seed)))
+    except DeclarationError:
+        return
+    assert robot.independent_joints == exact.driven
+    assert error(exact, rp.RneaDynamics(robot)) < AMPLIFIED * 1e-3
+
+
 def test_generated_code_and_simulations_of_rounded_placements(tmp_path: Path) -> None:
     """They take the same rows: a five-bar falls as the exact one does."""
     exact = drawn("five_bar")
@@ -368,3 +383,25 @@ def test_virtual_work_of_rounded_placements(tmp_path: Path) -> None:
     want = rp.VirtualWork("3rrr").torque(*motion).tau
     for dynamics in (rp.VirtualWork(tilted), rp.RneaDynamics(tilted)):
         np.testing.assert_allclose(dynamics.torque(*motion).tau, want, atol=AMPLIFIED * 1e-4 * np.abs(want).max())
+
+
+def test_tilted_hinges_restore_no_rank(tmp_path: Path) -> None:
+    """A parallelogram with a hinge tilted by 1e-4 passes its flat pose as the exact one does, and is singular there."""
+    exact = drawn("four_bar", ground_length=0.4, crank_length=0.1, coupler_length=0.4, rocker_length=0.1)
+    ((one, other),) = exact.hinges
+    turned = other._replace(place=other.place * pin.SE3(pin.exp3(np.array([1e-4, 0.0, 0.0])), np.zeros(3)))
+    flat, found = np.pi - 1.0, []  # the crank is drawn at 1 rad
+    x = np.concatenate([np.linspace(0.0, flat, 40), flat + np.linspace(1e-6, 0.3, 10)])
+    motion = rp.PlatformMotion(x, x[:, None], np.ones((50, 1)), np.zeros((50, 1)))
+    for machine in (exact, exact._replace(hinges=((one, turned),))):
+        robot = in_yaml(tmp_path, machine)
+        along = rp.RneaDynamics(robot).along(motion)
+        margins = rp.classify(robot, along.tree.q).serial_margin
+        run = rp.simulate(robot, duration=0.6, dt=0.1)
+        found.append((rp.distribute(along.reduce()).tau, margins, [event.kind for event in run.events]))
+    (tau, margins, events), (tilted, others, same) = found
+    assert margins.min() < 1e-5
+    np.testing.assert_allclose(others, margins, atol=1e-5)
+    np.testing.assert_allclose(tilted, tau, rtol=1e-3)
+    assert "closure_rank" in events
+    assert same == events

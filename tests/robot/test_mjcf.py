@@ -203,6 +203,10 @@ SLIDES = "".join(f'<joint type="slide" axis="{axis}" ref="0.4"/>' for axis in ("
         ('<freejoint name="root"/>', "1 2 3 0 0 0 0"),
         ('<freejoint name="root"/>', "1 2 3 1e-16 0 1e-16 0"),
         ('<freejoint name="root"/>', "1 2 3 0 1e-14 1e-14 0"),
+        (
+            '<freejoint name="root"/>',
+            "1 2 3 0.7062230818381384 0.035340609509629355 0.706223081836083 -0.035340609509104566",
+        ),  # a pitch of 90 degrees less 3e-12
         (SLIDES + '<joint type="ball" pos="0.1 0 0.2"/>', "0.1 0.2 0.3 2 0.2 0 1"),
     ],
 )

@@ -14,7 +14,7 @@ from redundancy_pin.robot.scales import position_unit
 from redundancy_pin.simulation.state import closed_state, tree_state
 
 
-@pytest.mark.parametrize("name", ["hinge", "universal", "cylindrical"])
+@pytest.mark.parametrize("name", ["hinge", "universal", "cylindrical", "rod"])
 @pytest.mark.parametrize("length", [1e-6, 1e2, 1e6])
 @pytest.mark.parametrize("backend", [rp.CompiledDynamics, RneaDynamics])
 def test_closures_of_lengths_and_angles_keep_their_rank_in_every_unit_of_length(name, length, backend) -> None:

@@ -6,7 +6,7 @@ What a robot is, is scaled number by number in its Pinocchio tree, so that nothi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -85,7 +85,7 @@ def scaled_robot(robot: Robot, units: Units) -> Robot:
     made = Robot.from_model(
         model,
         actuated=robot.actuated,
-        closures=robot.closures,
+        closures=[replace(each, length=each.length * units.length) for each in robot.closures],
         carriers=[_finite(each) for each in carriers],
         independent=robot.platform or list(robot.independent_joints),
         reference=q,

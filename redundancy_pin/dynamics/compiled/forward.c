@@ -316,12 +316,12 @@ int rp_projected(const double *numbers, double *y, double wanted, double *gaps) 
   return 0;
 }
 
-/* Smallest over largest singular value of rows S (R x NP), which are overwritten. */
+/* Smallest over largest singular value of rows S (R x NP), which are overwritten; of a single row its length. */
 static double rank_ratio(double *S) {
   double square[R + 1], least = INFINITY, most = 0.0;
   orthogonalise(S, R, NP, NP, square);
   for (int i = 0; i < R; ++i) least = fmin(least, square[i]), most = fmax(most, square[i]);
-  return R ? sqrt(least / most) : 1.0;
+  return R > 1 ? sqrt(least / most) : R ? sqrt(most) : 1.0;
 }
 
 /* Determinant of a matrix (NP x NP), or of its transpose; it is overwritten. */

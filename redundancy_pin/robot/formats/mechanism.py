@@ -117,7 +117,7 @@ class Mechanism:
                     remedy="Make it of three hinges.",
                 )
             turn = pin.Quaternion(np.array(self.start[span(self.model, index, "q")])).toRotationMatrix()
-            start |= zip((f"{name}_r{axis}" for axis in "zyx"), angles(turn), strict=True)
+            start |= zip((f"{name}_r{axis}" for axis in "xyz"), pin.rpy.matrixToRpy(turn).tolist(), strict=True)
         damped = [load.joint for load in self.forces if load.joint in names]
         left_out = (f"{NOT_IN_FORCE} damping of {', '.join(damped)}.",) if damped else ()
         note = f"Ball joints that move freely are three hinges each (singular at a pitch of 90°): {', '.join(names)}."
@@ -127,6 +127,11 @@ class Mechanism:
 
 SIX = ("x", "y", "z", "rz", "ry", "rx")
 """Slides and hinges in place of a free joint: independent joints have one degree of freedom each."""
+
+
+def six_positions(place: pin.SE3) -> list[float]:
+    """Return the positions of slides and hinges along ``SIX`` that put a body at a placement, m and rad."""
+    return [*place.translation.tolist(), *pin.rpy.matrixToRpy(place.rotation)[::-1].tolist()]
 
 
 def in_a_row(name: str, axes: Sequence[str]) -> list[tuple[str, pin.JointModel]]:
@@ -178,14 +183,6 @@ class JointEntry:
     limits: Mapping[str, float]
     dynamics: Mapping[str, float] = field(default_factory=dict)
     mimic: Coupling | None = None
-
-
-def angles(turn: Array) -> tuple[float, float, float]:
-    """Return yaw, pitch and roll of a rotation (3, 3), R_z R_y R_x, rad."""
-    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
-    if math.hypot(turn[0, 0], turn[1, 0]) < 1e-12:  # any yaw will do
-        return math.atan2(-turn[0, 1], turn[1, 1]), pitch, 0.0
-    return math.atan2(turn[1, 0], turn[0, 0]), pitch, math.atan2(turn[2, 1], turn[2, 2])
 
 
 def impossible_moments(links: Iterable[LinkEntry]) -> tuple[str, ...]:

@@ -21,9 +21,9 @@ from redundancy_pin.robot.formats.mechanism import (
     NOT_IN_FORCE,
     SIX,
     Mechanism,
-    angles,
     drawn,
     in_a_row,
+    six_positions,
 )
 from redundancy_pin.robot.formats.mjcf_compiled import Compiled, compile_mjcf, rotation_of
 from redundancy_pin.robot.loads import JointForces
@@ -272,14 +272,11 @@ class _Reader:
         if kind == "free":
             if np.any(m["dof_armature"][dof : dof + 6]):
                 self._refuse(f"the joint {name!r} is free and has an armature, which is not covered", "Take it out.")
-            start = self._moved(joint, place)
-            yaw, pitch, roll = angles(start.rotation)
             row = in_a_row(name, SIX)
             for own, model in row:
                 carrier = self.model.addJoint(carrier, model, pin.SE3.Identity(), own)
             self.joints[joint] = tuple(own for own, _ in row)
-            values = (*start.translation.tolist(), yaw, pitch, roll)
-            self.start.update(zip(self.joints[joint], values, strict=True))
+            self.start.update(zip(self.joints[joint], six_positions(self._moved(joint, place)), strict=True))
             self.notes.append(
                 f"The free joint {name!r} is three slides and three hinges (yaw, pitch, roll; singular at a pitch of "
                 f"90°): {', '.join(self.joints[joint])}. Nothing drives it; base=fixed holds it."

@@ -25,8 +25,8 @@ from redundancy_pin.robot.formats.mechanism import (
     UNLIMITED,
     LinkEntry,
     Mechanism,
-    angles,
     impossible_moments,
+    six_positions,
 )
 from redundancy_pin.robot.formats.sdf_frames import WORLD, Frame, Frames, SdfPart
 from redundancy_pin.robot.loads import JointForces
@@ -439,7 +439,7 @@ class _Reader:
             kind = "revolute" if len(axis) == 2 else "prismatic"
             index = self._add_step(_Step(name, kind, np.eye(3)["xyz".index(axis[-1])]), index, pin.SE3.Identity())
         self._add_link(link, full, index, pin.SE3.Identity())
-        return dict(zip(names, (*place.translation.tolist(), *angles(place.rotation)), strict=True))
+        return dict(zip(names, six_positions(place), strict=True))
 
     def _add_joint(self, joint: _Joint, carrier: str, *, turned_round: bool) -> tuple[int, pin.SE3]:
         """Add a joint to the tree; turned round, it moves the same way about the opposite axis.
