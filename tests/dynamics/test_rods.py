@@ -226,6 +226,8 @@ def test_a_parallelogram_on_a_rod_turns_through_its_flat_poses(backend: type, tm
     run = rp.simulate(robot, start=start, duration=2.0, stop_at=(), dynamics=backend(robot))
     assert run.status is ResultStatus.OK
     assert run.q[-1, 0] < -6.0 * np.pi
+    flat = 1 - int(np.ceil(run.q[-1, 0] / np.pi))  # multiples of π from 0 downwards
+    assert [event.kind for event in run.events].count("closure_rank") == flat
     np.testing.assert_allclose(run.q[:, 1], run.q[:, 0], atol=1e-9)
     assert np.ptp(run.energy) < 1e-9 * np.abs(run.energy).max()
 
