@@ -168,13 +168,13 @@ def propose(
     own = {frozenset(joint.links) for joint in given}
     loops = [joint for joint in mechanism.loop_joints if frozenset(joint.links) not in own]
     found = {joint.name: BY_NAME for joint in loops if joint.name in mechanism.presumed}
-    is_stated = len(found) < len(loops)
+    is_certain = bool(loops)
     presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
     loops += given
     found |= {joint.name: _BY_FLAG for joint in given}
     questions = list[str]()
     if not is_open:
-        pairs, questions = _cut_ends(mechanism, loops, is_stated=is_stated)
+        pairs, questions = _cut_ends(mechanism, loops, is_certain=is_certain)
         for pair, how in pairs.items():
             joint = _between(pair, "ball")
             loops.append(joint)
@@ -249,9 +249,12 @@ class _Tree:
 
 
 def _cut_ends(
-    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_stated: bool
+    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_certain: bool
 ) -> tuple[dict[tuple[str, str], str], list[str]]:
-    """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked."""
+    """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked.
+
+    ``is_certain``: the file has loops, so that marks that are not named as ends are none.
+    """
     tree = _Tree(mechanism.model)
     all_marks, joined = _marks(mechanism, tree), tree.join(loops)
     used = {link for joint in loops for link in joint.links}
@@ -261,7 +264,7 @@ def _cut_ends(
     named = near if len(cuts) == 2 else _only_ones(near)
     pairs, questions = dict.fromkeys(named, BY_NAME), _idle_ends(tree, joined)
     used |= {mark for pair in named for mark in pair}
-    certain = bool(pairs or loops)
+    is_certain |= bool(pairs)
     at_zero = list[tuple[str, str]]()
     for mark in marks:
         meeting = [other for other in all_marks if tree.meet(mark, other)]
@@ -277,7 +280,7 @@ def _cut_ends(
             ]
             pair = min(product(here, meeting), key=lambda each: (not _difference(*each), *map(_is_frame, each)))
             used |= {*here, *meeting}
-            if any(map(_is_frame, pair)):
+            if is_certain or any(map(_is_frame, pair)):
                 questions.append(
                     f"Is a loop cut at {','.join(pair)}? They only meet at zero: {_close(pair)} or --open."
                 )
@@ -291,7 +294,7 @@ def _cut_ends(
         else:
             questions.append(f"Is a loop cut at {','.join(pair)}? Others named so meet: {_close(pair)} or --open.")
     asked = [mark for mark in marks if mark not in used and not _is_frame(mark)]
-    if certain or is_stated or likewise:  # the file says which marks are ends: the others are none
+    if is_certain or likewise:  # the file says which marks are ends: the others are none
         asked = [mark for mark in asked if _CUTS.intersection(_words(mark))]
     if asked:
         questions.append(_which_meet(asked, at_zero, tree))

@@ -275,6 +275,21 @@ def test_marks_of_a_loop_that_the_file_states_close_no_other(tmp_path: Path) -> 
     proposal, robot = propose_robot(path)
     assert (proposal.questions, proposal.found, robot.n) == ((), {}, 2)
     assert [each.name for each in robot.closures] == ["top"]
+    more = [J("a", "fixed", "link_l0", "plate_1", (0.1, 0, 0)), J("b", "fixed", "base", "plate_2")]
+    place = FIVE_BAR.joints[0]
+    more[1] = replace(more[1], xyz=(0.1 * np.cos(place.rpy[2]), 0.1 * np.sin(place.rpy[2]), 0.0))
+    path = written(tmp_path, *FIVE_BAR.joints, *more)
+    path.write_text(path.read_text().replace("</robot>", stated))
+    assert "Is a loop cut at plate_2,plate_1?" in " ".join(propose_robot(path)[0].questions)
+
+
+def test_one_of_two_loops_is_not_enough(tmp_path: Path) -> None:
+    loops = [loop((f"left{k}", f"right{k}"), (f"motor_{k}", f"b{k}"), links=(1, 2), tag=k, seed=int(k)) for k in "12"]
+    path = written(tmp_path, *(joint for each in loops for joint in displaced(each.joints, 0.05)))
+    asked, _ = propose_robot(path, close=["left1,right1"])
+    assert "of the links left2, right2 close loops: --close left2,right2" in " ".join(asked.questions)
+    decided, robot = propose_robot(path, close=["left1,right1", "left2,right2"])
+    assert (decided.questions, robot.n) == ((), 2)
 
 
 @pytest.mark.parametrize("names", [("left_tip", "right_tip"), ("left_plate", "right_plate"), ("plate", "right_pin")])
