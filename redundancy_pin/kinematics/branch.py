@@ -96,9 +96,8 @@ class Follower(LoopSolver):
         closed = self.state_at(q)
         if closed is not None and closed.margin > 0.0:
             return replace(closed, q=read_only(q))
-        self.chain.place(q)
         gamma = np.full((self.robot.model.nv, self.robot.n), np.nan)
-        return self.singular_state(read_only(self.chain.coordinates(q)), q, gamma)
+        return self.singular_state(self.coordinates_at(q), q, gamma)
 
     def state_at(self, q: Array) -> ClosedState | None:
         """Return the closed state at the coordinates of a configuration (nq,); None where it is not nearly closed.
@@ -110,8 +109,7 @@ class Follower(LoopSolver):
         """
         if np.shape(q) != (self.robot.model.nq,):
             checked(q, "q", (self.robot.model.nq,))  # which raises
-        self.chain.place(q)
-        return self.close(q, read_only(self.chain.coordinates(q)))
+        return self.close(q, self.coordinates_at(q))
 
     # --- along a branch ----------------------------------------------------------------------------------------------
 

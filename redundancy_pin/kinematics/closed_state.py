@@ -24,7 +24,7 @@ from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import OPEN, constraint_system, with_all_rows
-from redundancy_pin.kinematics.coordinates import difference
+from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.named import is_pose
@@ -223,7 +223,7 @@ class LoopSolver:
         for _ in range(_NEWTON_STEPS):
             K, phi = self.matrix(q, basis)
             rest[: self.rank] = -phi
-            rest[self.rank :] = difference(self.robot, x, self.chain.coordinates(q)) / self.unit
+            rest[self.rank :] = difference(self.robot, x, coordinates(self.robot, self.chain)) / self.unit
             before, size = size, math.sqrt(rest.dot(rest))
             factored, pivots, change, failed = lapack().dgesv(K, rest)
             if failed:
@@ -334,13 +334,18 @@ class LoopSolver:
         Both without units. It judges states that were not closed by Newton's method.
         """
         K, phi = self.matrix(q, basis)
-        off = np.append(phi, difference(self.robot, x, self.chain.coordinates(q)) / self.unit)
+        off = np.append(phi, difference(self.robot, x, coordinates(self.robot, self.chain)) / self.unit)
         relative = gamma[self._columns] * (self.unit / self._step_unit[:, None])
         product = K.dot(relative)
         product[self.rank :] -= np.eye(self.robot.n)
         return largest(off), largest(product) / (1.0 + largest(relative))
 
     # --- configurations ----------------------------------------------------------------------------------------------
+
+    def coordinates_at(self, q: Array) -> Array:
+        """Return the independent coordinates (n,), or the pose (4, 4), of a configuration (nq,), closed or not."""
+        self.chain.place(q)
+        return read_only(coordinates(self.robot, self.chain))
 
     def length(self, step: Array) -> float:
         """Return the largest entry of a tree displacement (nv,), rad or characteristic lengths."""

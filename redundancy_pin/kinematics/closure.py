@@ -138,14 +138,15 @@ class RowSet:
         self._moved = np.concatenate([self._carried, self.mask, -self.mask])
         self._slides = np.stack([*moving, moving[1], np.zeros(size)])
 
-    def place(self, vectors: Array, q: Array) -> PlacedRows:
+    def place(self, vectors: Array, q: Array, order: IntArray | None = None) -> PlacedRows:
         """Return the rows at one configuration, or at N.
 
         Args:
             vectors: (12 F',) or (12 F', N) axes and origin of each of Pinocchio's frames, world axes.
             q: (nq,) or (N, nq) configurations.
+            order: (12 F',) where ``vectors`` has each of these numbers, if it holds some of the frames only.
         """
-        taken, one = vectors.take(self._taken, 0), vectors.ndim == 1
+        taken, one = vectors.take(self._taken if order is None else order[self._taken], 0), vectors.ndim == 1
         if self._signs is not None:
             taken *= self._taken_signs if one else self._taken_signs[..., None]
         moving = self._moving if one else self._moving[..., None]
@@ -359,13 +360,13 @@ class ConstraintSystem:
         self.all_rows = RowSet((*self.rows, *platform), support, ids, self.couplings)
         # of many configurations only these frames are kept, one behind the other
         self._kept = (12 * ids[:, None] + np.arange(12)).ravel()
-        self._kept_rows = RowSet((*self.rows, *platform), support, np.arange(len(ids)), self.couplings)
-        self._aligned = [
-            (12 * at[closure.frame_a] + 3 * k, 12 * at[closure.frame_b] + 3 * k)
+        self._order = np.zeros(12 * robot.model.nframes, dtype=np.intp)
+        self._order[self._kept] = np.arange(len(self._kept))
+        self.aligned = [
+            (12 * int(ids[at[closure.frame_a]]) + 3 * k, 12 * int(ids[at[closure.frame_b]]) + 3 * k)
             for closure in robot.closures
             for k in _aligned(closure)
         ]
-        self.aligned = [(int(self._kept[a]), int(self._kept[b])) for a, b in self._aligned]
         self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity, assume_unique=True)
         self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
@@ -413,8 +414,8 @@ class ConstraintSystem:
             for k in range(part.start, part.stop):
                 tree.place(q[k])
                 vectors[k], columns[k] = tree.vectors[self._kept], tree.J
-            placed = self._kept_rows.place(vectors[part].T, q[part])
-            J[part, : self._kept_rows.size], phi[part] = placed.jacobian(columns[part]), placed.residual()[:r].T
+            placed = self.all_rows.place(vectors[part].T, q[part], self._order)
+            J[part, : self.all_rows.size], phi[part] = placed.jacobian(columns[part]), placed.residual()[:r].T
         K = J[:, :, self.pose_columns]
         return ConstraintState(q, self._frames, vectors.T, columns, phi, J[:, :r], J[:, r:], K)
 
@@ -445,7 +446,11 @@ class ConstraintSystem:
         where all rows vanish this is 0 for a true closure and at least π/2 for a false one. Closures with less than
         two rotation rows have no such axes.
         """
-        apart = [state.vectors[b : b + 3] - state.vectors[a : a + 3] for a, b in self._aligned]
+        apart = [
+            state.placement(closure.frame_b)[0][:, k] - state.placement(closure.frame_a)[0][:, k]
+            for closure in self.robot.closures
+            for k in _aligned(closure)
+        ]
         chords = np.reshape([np.linalg.norm(each, axis=0) for each in apart], (len(apart), len(state.q)))
         # an arc cosine would be off by 1e-8 rad where axes coincide
         turned: Array = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))

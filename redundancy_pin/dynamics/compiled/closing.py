@@ -19,7 +19,7 @@ from redundancy_pin.dynamics.compiled.build import LARGEST_TURN, Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
 from redundancy_pin.errors import WorkingModeError
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower, known_state
-from redundancy_pin.kinematics.coordinates import with_independent_joints
+from redundancy_pin.kinematics.coordinates import coordinates, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
@@ -112,8 +112,7 @@ def _state_at(robot: Robot, start: Start) -> ClosedState:
     own, q = follower(robot), start.q.copy()
     q[robot.carrier_position] = 0.0
     if start.gamma is not None:
-        own.chain.place(q)
-        return known_state(robot, read_only(own.chain.coordinates(q)), q, start.gamma)
+        return known_state(robot, own.coordinates_at(q), q, start.gamma)
     closed = own.state_at(q)
     if closed is None:
         raise WorkingModeError(
@@ -161,7 +160,7 @@ def follow_motors(robot: Robot, start: Start, position: Array, velocity: Array) 
     by_motors = own.chain.platform_jacobian() @ gamma
     sizes = np.linalg.svd(by_motors * row_scale(robot)[:, None] / column_scale(robot), compute_uv=False)
     margins = 1.0 / float(sizes[0]), float(sizes[-1]), closing_margin
-    return Driven(q, v, own.chain.coordinates(q), by_motors @ velocity, gamma, *margins, float(tree.gap[0]))
+    return Driven(q, v, coordinates(robot, own.chain), by_motors @ velocity, gamma, *margins, float(tree.gap[0]))
 
 
 def parts_of(samples: int, threads: int) -> list[slice]:
