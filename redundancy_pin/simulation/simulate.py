@@ -35,7 +35,13 @@ from redundancy_pin.simulation.controllers.base import (
     load_limits,
 )
 from redundancy_pin.simulation.events import EventFunctions
-from redundancy_pin.simulation.integrator import INTEGRATORS, InitialValueProblem, Progress, SimulationRecord, integrate
+from redundancy_pin.simulation.integrator import (
+    INTEGRATORS,
+    InitialValueProblem,
+    SimulationProgress,
+    SimulationRecord,
+    integrate,
+)
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import Simulation, Statistics
 from redundancy_pin.simulation.state import State
@@ -298,7 +304,9 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float, time: float) -
     return sheet if isinstance(sheet, Sheet) else None
 
 
-def _simulation(machine: Machine, record: SimulationRecord, end: Progress, parameters: dict[str, object]) -> Simulation:
+def _simulation(
+    machine: Machine, record: SimulationRecord, end: SimulationProgress, parameters: dict[str, object]
+) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
     robot, model, samples = machine.robot, machine.robot.model, record.samples
     status = end.status or ResultStatus.OK

@@ -443,12 +443,13 @@ static double largest_rate(const double *numbers, const double *v) {
 }
 
 /* Whether nothing happens in a step: no sign of a function changes, no joint turns back near its stop, the closures keep
-   away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end. */
+   away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end; so is near, the ratio below
+   which a rank loss is looked for. */
 static int ordinary(const double *numbers, const Run *run, Progress *at, double h, double end, const double *y, const double *y1, double *K,
-                    double *values, int *dense) {
+                    double *values, double *near, int *dense) {
   double speed = fmax(1.0 / run->time, fmax(largest_rate(numbers, y + NQ), largest_rate(numbers, y1 + NQ)));
   int fine = !(h * speed < run->brief) || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
-  double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0, near = at->near;
+  double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0;
   const double *f0 = K, *f1 = K + run->stages * NY;
   int watched = WATCHED(run);
   copy(states[0], y, NY);
@@ -485,8 +486,8 @@ static int ordinary(const double *numbers, const Run *run, Progress *at, double 
     }
   } else
     count = looks;
-  if (may_touch_zero(ratios, count + 1, near)) return 0;
-  at->near = ratios[count] < run->near_rank ? near : run->near_rank;
+  if (may_touch_zero(ratios, count + 1, *near)) return 0;
+  if (!(ratios[count] < run->near_rank)) *near = run->near_rank;
   copy(values, seen[looks], watched);
   return 1;
 }
@@ -524,19 +525,16 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     known = 1;
     double h = at->next_step, t1 = take(numbers, run, at, end, y, &h, y1, K), length = t1 - at->t;
     if (!(length > 0.0)) return 1;
-    double shown[MOST_WATCHED], was_near = at->near;
+    double shown[MOST_WATCHED], near = at->near;
     int dense = 0;
     if (length < run->shortest && t1 < end) return 1;
     copy(shown, values, WATCHED(run));
-    if (!ordinary(numbers, run, at, length, end, y, y1, K, shown, &dense)) return 1;
+    if (!ordinary(numbers, run, at, length, end, y, y1, K, shown, &near, &dense)) return 1;
     copy(next, y1, NY);
     double change[NV], fastest = fmax(largest_rate(numbers, y + NQ), largest_rate(numbers, y1 + NQ));
     int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, gaps) && gaps[1] <= run->largest_residual;
     for (int i = 0; i < NV; ++i) change[i] = next[NQ + i] - y1[NQ + i];
-    if (!good || !(largest_rate(numbers, change) <= run->velocity_change * fastest + run->velocity_floor / run->time)) {
-      at->near = was_near;
-      return 1;
-    }
+    if (!good || !(largest_rate(numbers, change) <= run->velocity_change * fastest + run->velocity_floor / run->time)) return 1;
     while (at->sample < run->samples && run->sample_at[at->sample] < t1 - run->time_tolerance) {
       double t = run->sample_at[at->sample];
       copy(sample, y, NY);
@@ -550,6 +548,7 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     copy(y, next, NY);
     copy(values, shown, WATCHED(run));
     at->t = t1;
+    at->near = near;
     at->next_step = h;
     ++at->steps;
     at->largest_correction = fmax(at->largest_correction, gaps[0]);
