@@ -68,7 +68,7 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
 #if NK
   copy(efforts->carrier_force, rest, NK);
 #endif
-  efforts->gap = rest[NK];
+  efforts->closure_residual = rest[NK];
   efforts->type_I_margin = rest[NK + 1];
   return status;
 }
@@ -89,7 +89,7 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
   copy(platform->x, found.x, NX);
   copy(platform->xd, found.xd, N);
   platform->mismatch = found.mismatch;
-  platform->gap = found.gap;
+  platform->closure_residual = found.residual;
   platform->margin = found.margin;
   platform->type_I_margin = found.type_I_margin;
   return status;
@@ -111,7 +111,7 @@ int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
   rows(NUMBERS, pose.q, pose.trig, x, residual, K, alignment);
   clear(&out->closure[0][0], R * NV);
   for (int i = 0; i < R; ++i)
-    for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[i + j * NP] * (EQUATION_UNIT[i] / STEP_UNIT[j]);
+    for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[i + j * NP] * (EQUATION_UNIT[i] / VELOCITY_UNIT[COLUMNS[j]]);
 #endif
   for (int i = 0; i < NV; ++i) copy(out->gamma[i], gamma + i * N, N);
   for (int i = 0; i < N; ++i) copy(out->W[i], W + i * M, M);

@@ -37,14 +37,14 @@ def closed_near(robot: Robot, q: Array, tolerance: float = CLOSURE_TOLERANCE) ->
     best = np.inf
     starts = (q, *(draw_starts(system, q, 1, rng, turn=spread, slide=spread)[0] for spread in _SPREADS))
     for start in starts:
-        closed, gap = close(system, start)
-        if gap < tolerance * robot.characteristic_length:
+        closed, residual = close(system, start)
+        if residual < tolerance * robot.characteristic_length:
             return closed
-        best = min(best, gap)
+        best = min(best, residual)
     raise DeclarationError(
         f"The loops of {robot.name} do not close near the reference: the closure residual is {best:.3g} m.",
         remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",
-        gap=best,
+        residual=best,
     )
 
 
@@ -52,4 +52,4 @@ def close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
     """Return what Newton's method reaches from q (nq,) where rows may be redundant, and the closure residual, m."""
     reached = assemble(system, q[None], redundant=True, max_iterations=_ITERATIONS)
     closed: Array = reached.q[0]
-    return closed, float(reached.gap[0])
+    return closed, float(reached.residual[0])

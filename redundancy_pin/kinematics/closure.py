@@ -51,7 +51,7 @@ from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 OPEN = 1e-4
-"""Largest residual of rows that were left out, in characteristic lengths or rad. Files are rounded to 2e-5; on a branch
+"""Largest residual of dependent rows, in characteristic lengths or rad. Files are rounded to 2e-5; on a branch
 that does not belong to the machine the residual is 1e-3 and more."""
 
 _FULL = 1e3
@@ -383,16 +383,10 @@ class ConstraintSystem:
         """(r,) the part of ``equation_unit`` that belongs to the closures."""
         return self.equation_unit[: len(self.rows)]
 
-    def gap(self, residual: Array, unit: Array | None = None) -> Array:
-        """Return (N,) the largest residual, m; angles count times the characteristic length.
-
-        Args:
-            residual: (N, r) of the closures, or (N, r + n) with the coordinates, or (N, e) of other equations.
-            unit: (e,) of other equations, as ``equation_unit``.
-        """
-        unit = self.equation_unit[: residual.shape[1]] if unit is None else unit
-        largest: Array = self.robot.characteristic_length * np.abs(residual / unit).max(axis=1, initial=0.0)
-        return largest
+    def largest_residual(self, phi: Array) -> Array:
+        """Return (N,) the largest of closure residuals (N, r), m; angles count times the characteristic length."""
+        largest: Array = np.abs(phi / self.closure_unit).max(axis=1, initial=0.0)
+        return self.robot.characteristic_length * largest
 
     def relative(self, K: Array) -> Array:
         """Return K (N, r + n, p) without units: rows over ``equation_unit``, columns times ``step_unit``."""
@@ -551,20 +545,20 @@ def with_all_rows(robot: Robot) -> Robot:
     return replace(robot, closures=robot.all_closures, all_closures=()) if robot.all_closures else robot
 
 
-def left_open(robot: Robot, q: Array) -> Array:
-    """Return (N,) the closure residual of rows that were left out at (N, nq), m; zero for rounding of a file."""
+def dependent_row_residual(robot: Robot, q: Array) -> Array:
+    """Return (N,) the closure residual of dependent rows at (N, nq), m; zero for rounding of a file."""
     if not robot.all_closures:
         return np.zeros(len(q))
     system = constraint_system(with_all_rows(robot))
-    gap = system.gap(system.evaluate(q).phi)
-    return np.where(gap > OPEN * robot.characteristic_length, gap, 0.0)
+    residual = system.largest_residual(system.evaluate(q).phi)
+    return np.where(residual > OPEN * robot.characteristic_length, residual, 0.0)
 
 
-def made_up(robot: Robot, q: Array) -> bool:
-    """Return whether rows that were left out make up for those that count, which lose rank at q (nq,).
+def dependent_rows_restore_rank(robot: Robot, q: Array) -> bool:
+    """Return whether dependent rows keep the rank that the independent ones lose at q (nq,).
 
-    Which rows say all changes along the motion of some mechanisms (Bennett's four hinges). The branch goes smoothly
-    through such a place, and it is no singularity.
+    Which rows are independent changes along the motion of some mechanisms (Bennett's four hinges). The branch goes
+    smoothly through such a place, and it is no singularity.
     """
     if not robot.all_closures:
         return False

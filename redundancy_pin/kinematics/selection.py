@@ -219,7 +219,7 @@ def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot,
         remedy="It moves against Grübler's count. Give a joint of the loop the freedom that it needs, such as a "
         "ball in place of a hinge.",
         rank=len(chosen),
-        gap=float(opened.max()),
+        residual=float(opened.max()),
     )
 
 

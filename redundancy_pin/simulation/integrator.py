@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.forward import ForwardKernel, Integration, Progress, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
-from redundancy_pin.kinematics.closure import made_up
+from redundancy_pin.kinematics.closure import dependent_rows_restore_rank
 from redundancy_pin.kinematics.selection import rows_at
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.simulation.controllers.base import Command, Sampling
@@ -245,7 +245,7 @@ def _with_other_rows(
     if progress.status is not ResultStatus.NOT_CONVERGED or progress.t <= changed:
         return None
     q = progress.y[: robot.model.nq]
-    if not made_up(robot, q):
+    if not dependent_rows_restore_rank(robot, q):
         return None
     machine = problem.machine.with_rows(rows_at(robot, q))
     functions = EventFunctions(machine.chain, problem.functions.stop_at, q)

@@ -281,7 +281,7 @@ def _require_closed(machine: Machine, state: State, time: float) -> None:
         raise InputError(
             f"The start is not closed: a gap of {gap:.3g} m, opening at {rate:.3g} m/s.",
             remedy="Make it with closed_state(robot, x, xd, s, sd).",
-            gap=gap,
+            residual=gap,
             rate=rate,
         )
 
@@ -350,7 +350,7 @@ def _simulation(
         carrier_force=read_only(carrier_force),
         actuated_rate=frozen(v[:, robot.actuated_velocity]),
         closure_force=read_only(closure_force),
-        gap=frozen(every.gap(every.evaluate(q).phi)),
+        gap=frozen(every.largest_residual(every.evaluate(q).phi)),
         energy=read_only(energy),
         events=tuple(record.events),
         status=status,

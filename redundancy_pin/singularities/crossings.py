@@ -282,7 +282,7 @@ class FollowedPath:
             f"{end.residual:.3g} m.{millimetres(end.residual, self.system.robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace; its border is a type I singularity.",
             time=inside,
-            gap=end.residual,
+            residual=end.residual,
         )
 
     def margins(self, times: Array) -> Margins:

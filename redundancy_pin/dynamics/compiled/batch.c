@@ -1,12 +1,5 @@
 /* What Python calls: motions, starts, and many samples of one function. It stands behind driver.c. */
 
-/* The largest rate of the pose columns, rad or characteristic lengths per unit of time. */
-static double largest_rate(const double *numbers, const double *v) {
-  double result = 0.0;
-  for (int i = 0; i < NP; ++i) result = fmax(result, fabs(v[COLUMNS[i]]) / STEP_UNIT[i]);
-  return result;
-}
-
 /* Whether margins, rates and accelerations (sizes, by sample as next_sample writes them) show a rank loss that a motion steps across. A
    configuration that is good to 1e-16 gives accelerations to the square of the rates times 1e-16 / margin^3. A share of 1e-5
    and more of them is too much; towards a stretched leg they are themselves as large as rates squared over the margin squared,
@@ -53,8 +46,8 @@ static int next_sample(const double *numbers, Branch *branch, double dt, const d
   sizes[0] = rates(numbers, &branch->pose, xd, xdd, branch->v, branch->a, gamma, W);
   if (sizes[0] < LEAST_MARGIN) return SINGULAR;
   if (!in_mode(numbers, &branch->pose)) return OTHER_MODE;
-  double fastest = largest_rate(numbers, branch->v);
-  sizes[1] = fastest > 0.0 ? fastest * fastest / fmax(largest_rate(numbers, branch->a), fastest * fastest) : 0.0;
+  double fastest = largest_over(branch->v, VELOCITY_UNIT, NV);
+  sizes[1] = fastest > 0.0 ? fastest * fastest / fmax(largest_over(branch->a, VELOCITY_UNIT, NV), fastest * fastest) : 0.0;
   branch->known = branch->known && dt > 0.0 ? 2 : 1; /* where an instant stands twice the acceleration jumps */
   branch->dt = dt;
   return CLOSED;
@@ -62,7 +55,7 @@ static int next_sample(const double *numbers, Branch *branch, double dt, const d
 
 /* A motion of `samples` samples from the configuration q0, closed at x0. Returns CLOSED, or why a sample failed. */
 int rp_lift(const double *numbers, int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
-            const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W, double *gap, double *sizes) {
+            const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W, double *residuals, double *sizes) {
   Branch branch;
   branch.known = 0;
   if (!start_at(numbers, &branch.pose, q0, x0)) return LOST;
@@ -74,7 +67,7 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
     copy(trig + k * 2 * NT, branch.pose.trig, 2 * NT);
     copy(v + k * NV, branch.v, NV);
     copy(a + k * NV, branch.a, NV);
-    gap[k] = branch.pose.gap * LENGTH;
+    residuals[k] = branch.pose.residual * LENGTH;
   }
   return crosses_rank_loss(sizes, samples) ? SINGULAR : CLOSED;
 }

@@ -200,7 +200,7 @@ def source(robot: Robot) -> str:
         [
             driver_source(definition, definition.functions.values()),
             text_of("sample.c"),
-            *carrier_tables(robot),
+            carried_table(robot),
             text_of("calls.c"),
             text_of("batch.c"),
         ]
@@ -250,17 +250,17 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
     tables = {
         "static const int COLUMNS": chain.pose_columns,
         "static const int ACTUATED": robot.actuated_velocity,
+        "static const int CARRIERS": robot.carrier_velocity,
     }
-    text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
+    text = ["#include <math.h>", c_functions(functions, storage)]
     text += [f"#define {name} {value!r}" for name, value in {**sizes, **_CONSTANTS}.items()]
     text += [f"enum {{ {_STATUSES}, STATUSES }};", *chain.layout.macros]
     return [*text, *(_table(name, values) for name, values in tables.items()), text_of("tree.c")]
 
 
-def carrier_tables(robot: Robot) -> list[str]:
-    """Return the C of two more tables, the indices of the carriers in v and in q."""
-    indices = {"CARRIERS": robot.carrier_velocity, "CARRIED": robot.carrier_position}
-    return [_table(f"static const int {name}", values) for name, values in indices.items()]
+def carried_table(robot: Robot) -> str:
+    """Return the C of one more table, the indices of the carriers in q, which controllers do not need."""
+    return _table("static const int CARRIED", robot.carrier_position)
 
 
 def text_of(name: str) -> str:

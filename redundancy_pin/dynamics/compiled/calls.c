@@ -75,7 +75,7 @@ static double least_residual(const double *numbers, double *q, const double *x) 
     double longest = largest(step, NP);
     int last = longest <= FLOOR; /* a step of rounding is taken whole */
     for (share = fmin(1.0, LONGEST / longest); share > SHORTEST; share *= 0.5) {
-      for (int i = 0; i < NP; ++i) part[i] = share * step[i] * STEP_UNIT[i];
+      for (int i = 0; i < NP; ++i) part[i] = share * step[i] * VELOCITY_UNIT[COLUMNS[i]];
       copy(q, from, NQ);
       move(q, part);
       turns_of(q, trig);
@@ -246,7 +246,7 @@ int rp_joint_state(const double *numbers, double *state, double *reached, const 
   for (int i = 0; i < NK; ++i) q[CARRIED[i]] = s[i], v[CARRIERS[i]] = sd[i];
   if (!finite(v, NV)) return STATUS_NOT_FINITE;
   v[NV + NX + N] = platform.margin;
-  v[NV + NX + N + 1] = fmax(platform.gap, platform.mismatch);
+  v[NV + NX + N + 1] = fmax(platform.residual, platform.mismatch);
   if (M > N && (platform.mismatch > AGREEMENT * LENGTH || !velocities_agree(numbers, &platform, velocity))) return STATUS_UNREACHABLE;
   copy(v + NV, platform.x, NX);
   copy(v + NV + NX, platform.xd, N);

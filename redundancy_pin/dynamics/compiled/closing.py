@@ -49,7 +49,7 @@ class Lifted(NamedTuple):
     a: Array
     gamma: Array
     W: Array
-    gap: Array
+    residual: Array
     margin: Array
     reachable: BoolArray
 
@@ -76,14 +76,13 @@ def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool,
         shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))
         arrays = [np.empty((samples, *shape)) for shape in shapes]
         if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == CLOSED:
-            q, trig, v, a, gamma, W, gap, sizes = (read_only(array) for array in arrays)
-            return Lifted(motion, q, trig, v, a, gamma, W, gap, sizes[:, 0], read_only(np.ones(samples, dtype=bool)))
+            q, trig, v, a, gamma, W, residual, sizes = (read_only(array) for array in arrays)
+            everywhere = read_only(np.ones(samples, dtype=bool))
+            return Lifted(motion, q, trig, v, a, gamma, W, residual, sizes[:, 0], everywhere)
     state = None if start is None else _state_at(robot, start)
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
-    trig = read_only(trig_at(robot, tree.q))
-    return Lifted(
-        motion, tree.q, trig, tree.v, tree.a, tree.gamma, tree.W, tree.gap, tree.serial_margin_bound, tree.reachable
-    )
+    trig, rates = read_only(trig_at(robot, tree.q)), (tree.v, tree.a, tree.gamma, tree.W)
+    return Lifted(motion, tree.q, trig, *rates, tree.residual, tree.serial_margin_bound, tree.reachable)
 
 
 def _start(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | None:
@@ -160,7 +159,7 @@ def follow_motors(robot: Robot, start: Start, position: Array, velocity: Array) 
     by_motors = own.chain.platform_jacobian() @ gamma
     sizes = np.linalg.svd(by_motors * row_scale(robot)[:, None] / column_scale(robot), compute_uv=False)
     margins = 1.0 / float(sizes[0]), float(sizes[-1]), closing_margin
-    return Driven(q, v, coordinates(robot, own.chain), by_motors @ velocity, gamma, *margins, float(tree.gap[0]))
+    return Driven(q, v, coordinates(robot, own.chain), by_motors @ velocity, gamma, *margins, float(tree.residual[0]))
 
 
 def parts_of(samples: int, threads: int) -> list[slice]:

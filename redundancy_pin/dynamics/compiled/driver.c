@@ -1,11 +1,11 @@
-/* Closing the loops of one robot. The functions rp_rows, rp_bias, rp_modes and rp_project, and the sizes, tables and EXPORTED in
+/* Closing the loops of one robot. The functions rp_rows, rp_bias, rp_modes and rp_project, and the sizes and tables in
    capitals, are generated in front of this text, see build.py; so is tree.c.
 
    Newton's method is trusted only while it contracts: each step at most CONTRACTION times the one before. Inside that
    radius there is one solution, so that a sample cannot land on another branch (Deuflhard, "Newton Methods for Nonlinear
    Problems", 2004, section 2.1); where it does not contract, the way to the sample is halved.
 
-   Residuals, K and Newton's steps have no unit: lengths are over the characteristic length (EQUATION_UNIT, STEP_UNIT). */
+   Residuals, K and Newton's steps have no unit: lengths are over the characteristic length (EQUATION_UNIT, VELOCITY_UNIT). */
 
 
 #define CONTRACTION 0.3 /* ratio of two steps of Newton's method, no unit; below 1/2 one solution is in reach (Deuflhard) */
@@ -26,7 +26,7 @@ typedef struct {
   double lu[NP * NP + 1];
   int pivot[NP + 1];
   double sign; /* of det K: it changes across a type I singularity */
-  double gap; /* largest residual, in characteristic lengths or rad */
+  double residual; /* largest residual, in characteristic lengths or rad */
 } Pose;
 
 static void rows(const double *numbers, const double *q, const double *trig, const double *x, double *residual, double *K, double *alignment) {
@@ -41,13 +41,6 @@ static void bias_of(const double *numbers, const double *q, const double *trig, 
   rp_bias(arg, res);
 }
 
-/* The largest coordinate of a configuration, rad or characteristic lengths. */
-static double largest_position(const double *numbers, const double *q) {
-  double result = 0.0;
-  for (int i = 0; i < NQ; ++i) result = fmax(result, fabs(q[i]) / POSITION_UNIT[i]);
-  return result;
-}
-
 /* Newton's method from q, to coordinates that miss x by left (N); returns whether each step was at most a ratio of the one before. */
 static int newton_by(double ratio, const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
   double step[NP + 1], alignment[NALIGN], last = LONGEST / ratio;
@@ -57,13 +50,13 @@ static int newton_by(double ratio, const double *numbers, const double *q, const
     rows(numbers, out->q, out->trig, x, step, out->lu, alignment);
     if (left)
       for (int i = 0; i < N; ++i) step[R + i] -= left[i];
-    out->gap = largest(step, NP);
+    out->residual = largest(step, NP);
     out->sign = decompose(out->lu, out->pivot);
     if (out->sign == 0.0) return 0;
     solve(out->lu, out->pivot, step);
     double size = largest(step, NP);
     int stalled = size > ratio * last && size <= FLOOR;
-    int settled = size <= SETTLED || (stalled && (out->gap < TOLERANCE || size <= ROUNDED * largest_position(numbers, out->q)));
+    int settled = size <= SETTLED || (stalled && (out->residual < TOLERANCE || size <= ROUNDED * largest_over(out->q, POSITION_UNIT, NQ)));
     if (settled) {
       if (!left)
         for (int i = 0; i < NALIGN; ++i)
@@ -71,7 +64,7 @@ static int newton_by(double ratio, const double *numbers, const double *q, const
       return 1;
     }
     if (!(size <= ratio * last)) return 0;
-    for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
+    for (int i = 0; i < NP; ++i) step[i] *= VELOCITY_UNIT[COLUMNS[i]];
     move(out->q, step);
     last = size;
   }
@@ -198,7 +191,7 @@ static double rates(const double *numbers, const Pose *pose, const double *xd, c
     double sum = 0.0, speed = 0.0, *of = gamma + COLUMNS[i] * N;
     for (int j = 0; j < NP; ++j) sum += X[i][j] * X[i][j];
     for (int j = 0; j < N; ++j) {
-      of[j] = X[i][R + j] * (STEP_UNIT[i] * inverse_unit[R + j]);
+      of[j] = X[i][R + j] * (VELOCITY_UNIT[COLUMNS[i]] * inverse_unit[R + j]);
       speed += of[j] * xd[j];
     }
     v[COLUMNS[i]] = speed;
@@ -211,7 +204,7 @@ static double rates(const double *numbers, const Pose *pose, const double *xd, c
   for (int i = 0; i < NP; ++i) {
     double sum = 0.0;
     for (int j = 0; j < NP; ++j) sum += X[i][j] * rest[j];
-    a[COLUMNS[i]] = sum * STEP_UNIT[i];
+    a[COLUMNS[i]] = sum * VELOCITY_UNIT[COLUMNS[i]];
   }
   return size > 0.0 ? 1.0 / sqrt(size) : INFINITY;
 }
@@ -277,7 +270,7 @@ static int refusal_of(const double *in) {
   return is_pose(in) ? CLOSED : NO_POSE;
 }
 
-/* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
+/* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, residual, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
    sample is closed on the same side of every type I singularity. */
 static int rp_sample(const double *numbers, double *state, const double *in, double *out) {
@@ -299,7 +292,7 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   copy(out, W, N * M);
   copy(out + N * M, f, N);
   copy(out + N * M + N, force, NK);
-  out[N * M + N + NK] = pose.gap * LENGTH;
+  out[N * M + N + NK] = pose.residual * LENGTH;
   out[N * M + N + NK + 1] = margin;
   return CLOSED;
 }

@@ -19,7 +19,7 @@ from redundancy_pin.dynamics.compiled.build import (
     Code,
     Recipe,
     address,
-    carrier_tables,
+    carried_table,
     function_of,
     tables,
     text_of,
@@ -139,7 +139,7 @@ def source(robot: Robot) -> str:
         "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
     }
     functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
-    text = [*tables(chain, functions, "static"), *carrier_tables(robot)]
+    text = [*tables(chain, functions, "static"), carried_table(robot)]
     return "\n".join([*text, _DECLARATIONS, text_of("forward.c")])
 
 
