@@ -104,7 +104,7 @@ int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
   int status = pose_of(state, &pose, x);
   if (status) return status;
   clear(none, N);
-  if (!(rates(NUMBERS, &pose, none, none, v, a, gamma, W) >= LEAST_MARGIN)) return ROBOT_TYPE_I;
+  if (!(rates(NUMBERS, &pose, none, none, v, a, gamma, W) >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
 #if R
   const double *const numbers = NUMBERS; /* by which the macros of units read */
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
@@ -127,7 +127,7 @@ int robot_margins_at(const robot_state *state, robot_margins *out) {
   clear(none, N);
   double margin = rates(NUMBERS, &pose, none, none, v, a, gamma, W);
   spectrum_of(NUMBERS, W, &s);
-  if (!(margin >= LEAST_MARGIN)) return ROBOT_TYPE_I;
+  if (!(margin >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
   out->type_I = margin;
   out->type_II = s.margin;
   out->condition = s.condition;

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, SINGULAR_MARGIN, Array, BoolArray
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
@@ -28,10 +28,6 @@ _SUFFICIENT_DECREASE = 1e-4
 
 TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
-
-SINGULAR_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
-"""Scaled margin below which a pose counts as a type I singularity. At a stretched leg two configurations meet in a
-square root: one that is closed to within the tolerance is known no better than this."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,18 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, IntArray, checked, lapack, read_only
+from redundancy_pin.arrays import (
+    CLOSURE_TOLERANCE,
+    SINGULAR_MARGIN,
+    Array,
+    Frozen,
+    IntArray,
+    checked,
+    lapack,
+    read_only,
+)
 from redundancy_pin.errors import SingularPoseError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import OPEN, constraint_system, with_all_rows
 from redundancy_pin.kinematics.coordinates import coordinates, difference

@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from spatial_chains import chain_of
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, SINGULAR_MARGIN
 from redundancy_pin.kinematics.assembly import (
-    SINGULAR_MARGIN,
     assemble,
     configuration_difference,
     integrate,

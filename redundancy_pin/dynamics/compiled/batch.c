@@ -44,7 +44,7 @@ static int next_sample(const double *numbers, Branch *branch, double dt, const d
   if (!closed && !follow(numbers, &branch->pose, x)) return LOST;
   if (branch->known) copy(branch->a_before, branch->a, NV);
   sizes[0] = rates(numbers, &branch->pose, xd, xdd, branch->v, branch->a, gamma, W);
-  if (sizes[0] < LEAST_MARGIN) return SINGULAR;
+  if (sizes[0] < SINGULAR_MARGIN) return SINGULAR;
   if (!in_mode(numbers, &branch->pose)) return OTHER_MODE;
   double fastest = largest_over(branch->v, VELOCITY_UNIT, NV);
   sizes[1] = fastest > 0.0 ? fastest * fastest / fmax(largest_over(branch->a, VELOCITY_UNIT, NV), fastest * fastest) : 0.0;

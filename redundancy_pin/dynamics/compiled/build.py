@@ -19,7 +19,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import AGREEMENT_TOLERANCE, CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
+from redundancy_pin.arrays import (
+    AGREEMENT_TOLERANCE,
+    CLOSURE_TOLERANCE,
+    NEAR_SINGULAR_MARGIN,
+    RANK_TOLERANCE,
+    SINGULAR_MARGIN,
+    Array,
+)
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.base import TERMS
 from redundancy_pin.dynamics.compiled.emit import c_functions
@@ -35,10 +42,6 @@ from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.whole_turns import EXACT, FARTHEST, MOST_TURNS, TURN, WHOLE, counted_turns
 from redundancy_pin.status import SampleStatus
 
-LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
-"""Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
-one that is closed to within the tolerance is known no better than this."""
-
 NEIGHBOURS = 8
 """Configurations from the nearest of which a batch of carrier terms begins: first and last of each of four batches; a
 control update has two or three."""
@@ -51,7 +54,7 @@ _CONSTANTS = {
     "TERMS": TERMS,
     "TOLERANCE": CLOSURE_TOLERANCE,
     "AGREEMENT": AGREEMENT_TOLERANCE,
-    "LEAST_MARGIN": LEAST_MARGIN,
+    "SINGULAR_MARGIN": SINGULAR_MARGIN,
     "RANK_TOLERANCE": RANK_TOLERANCE,
     "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
     "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,

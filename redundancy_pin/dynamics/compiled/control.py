@@ -18,9 +18,9 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, numbers
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, SINGULAR_MARGIN, Array, numbers
 from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
-from redundancy_pin.dynamics.compiled.build import LEAST_MARGIN, Code
+from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.compiled.closing import Driven, Lifted, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
@@ -157,7 +157,7 @@ class _Branch:
 
     def move(self, q: Array, gamma: Array, margin: float) -> None:
         """Go on from a sample that kinematics have solved, with Γ where its margin is too small for the C."""
-        self.passed = Start(q, gamma) if margin < LEAST_MARGIN else None
+        self.passed = Start(q, gamma) if margin < SINGULAR_MARGIN else None
         self.begin(q)
 
     def next_start(self) -> Start | None:
@@ -393,7 +393,7 @@ class JointStateCall:
             branch.refuse(given, status, residual)
             self._results[-1] = residual
             return int(status)
-        if found.serial_margin < LEAST_MARGIN:
+        if found.serial_margin < SINGULAR_MARGIN:
             return int(SampleStatus.TYPE_I)
         branch.move(found.q, found.gamma, found.closing_margin)
         q, v = found.q.copy(), found.v.copy()

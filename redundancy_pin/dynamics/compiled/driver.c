@@ -281,7 +281,7 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   if (refused) return refused;
   if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
-  if (margin < LEAST_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return SINGULAR;
+  if (margin < SINGULAR_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return SINGULAR;
   if (!in_mode(numbers, &pose)) return OTHER_MODE;
   const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK, numbers};
   double *const res[] = {f, force};

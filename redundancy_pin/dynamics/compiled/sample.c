@@ -314,7 +314,7 @@ static int platform_of(const double *numbers, Pose *pose, const double *position
   coordinates_of(numbers, pose->q, pose->trig, out->x);
   clear(none, N);
   out->type_I_margin = rates(numbers, pose, none, none, v, a, out->gamma, W);
-  if (!(out->type_I_margin >= LEAST_MARGIN)) return STATUS_TYPE_I;
+  if (!(out->type_I_margin >= SINGULAR_MARGIN)) return STATUS_TYPE_I;
   if (!in_mode(numbers, pose)) return STATUS_BRANCH_LOST;
   spectrum_of(numbers, W, &s);
   if (s.rank < N) return STATUS_TYPE_II;

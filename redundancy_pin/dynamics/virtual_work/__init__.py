@@ -82,6 +82,7 @@ class VirtualWork(Dynamics):
         require_choice(unreachable)
         require_matching(self._robot, motion)
         legs = self._mechanism.legs(motion.x)
+        residual = legs.residual.max(axis=0)
         bad_leg = (legs.residual > self._mechanism.tolerance) | (legs.margin <= self._mechanism.least_margin)
         reachable: BoolArray = np.logical_not(bad_leg.any(axis=0))
         if not reachable.all():
@@ -89,7 +90,7 @@ class VirtualWork(Dynamics):
                 _refuse(legs, int(reachable.argmin()), self._robot, self._mechanism)
             # NaN in, NaN out: the samples to blank take part in the arithmetic, and in no warning.
             legs = self._mechanism.legs(np.where(reachable[:, None], motion.x, np.nan))
-        return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, reachable)
+        return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, residual, reachable)
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
         # the closed form has one branch, given by the working mode, and needs no start
@@ -114,11 +115,17 @@ class VirtualWorkAlongMotion(Frozen):
     """
 
     def __init__(
-        self, robot: Robot, mechanism: Mechanism, motion: PlatformMotion, legs: Any, reachable: BoolArray
+        self,
+        robot: Robot,
+        mechanism: Mechanism,
+        motion: PlatformMotion,
+        legs: Any,
+        residual: Array,
+        reachable: BoolArray,
     ) -> None:
         self.robot, self.motion = robot, motion
         self.q = self.gamma = None
-        self._reachable, self._residual = read_only(reachable), read_only(legs.residual.max(axis=0))
+        self._reachable, self._residual = read_only(reachable), read_only(residual)
         self._dynamics = mechanism.along(legs, motion.x, motion.xd, motion.xdd)
         self._W = read_only(np.ascontiguousarray(legs.jacobian.transpose(2, 0, 1)))
 
