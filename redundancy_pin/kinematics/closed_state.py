@@ -265,15 +265,13 @@ class LoopSolver:
         gamma[self._columns] = inverse[:, self.rank :] * self._gamma_unit
         for array in (q, gamma, inverse):
             array.setflags(write=False)
-        margin = 1.0 / size if 0.0 < size < 1.0 / SINGULAR_MARGIN else 0.0
+        margin = 1.0 / size if size < 1.0 / SINGULAR_MARGIN else 0.0
         residual *= self.robot.characteristic_length
         blocks = self.blocks
         if basis is not None:  # combined rows belong to all loops
             everything = np.arange(len(self._columns))
             blocks = ((everything, everything),)
-        return ClosedState(
-            self.robot, _kept(x), q, gamma, inverse, residual, margin if size else math.inf, blocks, basis
-        )
+        return ClosedState(self.robot, _kept(x), q, gamma, inverse, residual, margin, blocks, basis)
 
     def require_shapes(self, q: Array, x: Array) -> None:
         """Raise InputError where a configuration is not (nq,), or coordinates are not (n,), or a pose (4, 4)."""
