@@ -50,11 +50,11 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
   copy(from, state->q, NQ);
   from[NQ] = state->sign;
   if (!finite(from, NQ + 1)) return ROBOT_NOT_FINITE;
-  int closed = rp_sample(NUMBERS, from, in, out);
-  if (closed != CLOSED) return status_of(closed);
+  int status = rp_sample(NUMBERS, from, in, out);
+  if (status) return status < STATUSES ? status : ROBOT_UNREACHABLE; /* so is what is no pose */
   if (!finite(out, N * M + N + NK + 2)) return ROBOT_NOT_FINITE; /* rates so large that forces overflow */
   Efforts found;
-  int status = distribute(NUMBERS, W, f, force_size_of(NUMBERS, in), &found);
+  status = distribute(NUMBERS, W, f, force_size_of(NUMBERS, in), &found);
   if (status == ROBOT_NOT_FINITE) return status;
   copy(efforts->tau, found.tau, M);
   efforts->residual = found.residual;

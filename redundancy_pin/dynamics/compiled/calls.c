@@ -13,8 +13,6 @@ typedef struct {
 #define STALLED 10 /* steps of it; where so many reduce the residual by less than a tenth, no configuration is near */
 #define NEXT_TO_SINGULAR 1e-2 /* margin of K, no unit, at the end of a way: it may be zero within the shortest step, 3e-3 of 30 rad */
 
-enum { OUT_OF_REACH = NO_POSE + 1 };
-
 static int in_ranges(const double *q, const Range *ranges, int count) {
   for (int i = 0; i < count; ++i) {
     const Range *range = ranges + i;
@@ -108,7 +106,7 @@ static void keep(const Pose *pose, double *state) {
 
 /* One sample; in and out as rp_sample. Where Newton's method does not get there in one step, the branch of the state is followed, on the
    straight way, however many turns away. The state is moved where the sample is closed; reached, of the same size, is the last
-   configuration on the way, or the first next to a rank loss. Returns a status of the driver, or OUT_OF_REACH with the closure residual among out. */
+   configuration on the way, or the first next to a rank loss. Returns as rp_sample, or OUT_OF_REACH with the closure residual among out. */
 int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
   double here[NX], from[NQ + 1];
   Pose pose;
@@ -134,21 +132,19 @@ int rp_reach(const double *numbers, double *state, double *reached, const double
       if (residual > TOLERANCE) closed = OUT_OF_REACH;
     }
   }
-  if (closed == CLOSED) copy(state, from, NQ + 1);
+  if (closed == STATUS_OK) copy(state, from, NQ + 1);
   return closed;
 }
 
 #if M
-enum { STATUS_NO_POSE = STATUSES };
-
-/* Torques of one sample. out: as rp_sample, then tau (M) and the type II margin. Returns a status, or STATUS_NO_POSE. */
+/* Torques of one sample. out: as rp_sample, then tau (M) and the type II margin. Returns a status, or NO_POSE. */
 int rp_torque(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   double q[NQ], *const f = out + N * M, *const tau = f + N + NK + 2;
   Efforts efforts;
   int closed = rp_reach(numbers, state, reached, in, out);
-  if (closed == NO_POSE) return STATUS_NO_POSE;
   if (closed == OUT_OF_REACH) return STATUS_UNREACHABLE;
-  if (closed != CLOSED) return closed == LOST ? STATUS_BRANCH_LOST : status_of(closed);
+  if (closed == LOST) return STATUS_BRANCH_LOST;
+  if (closed) return closed;
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
   if (status == STATUS_NOT_FINITE) { /* efforts overflow: a sample without results moves no state */
     copy(state, reached, NQ + 1);

@@ -24,9 +24,7 @@ from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import column_scale, row_scale
-
-CLOSED, _LOST = range(2)
-"""Statuses of the driver: CLOSED, and the one of samples that it has not come to."""
+from redundancy_pin.status import SampleStatus
 
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
@@ -75,7 +73,7 @@ def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool,
         nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
         shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))
         arrays = [np.empty((samples, *shape)) for shape in shapes]
-        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == CLOSED:
+        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == SampleStatus.OK:
             q, trig, v, a, gamma, W, residual, sizes = (read_only(array) for array in arrays)
             everywhere = read_only(np.ones(samples, dtype=bool))
             return Lifted(motion, q, trig, v, a, gamma, W, residual, sizes[:, 0], everywhere)
@@ -96,9 +94,9 @@ def _start(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | Non
     for target in waypoints(here, x, motion.is_pose):
         status = kernel.call("rp_follow", q, here, target)
         here = target
-        if status == _LOST:
+        if status not in (SampleStatus.OK, SampleStatus.BRANCH_LOST):  # the mode may be the robot's again farther on
             break
-    if status == CLOSED:
+    if status == SampleStatus.OK:
         return q
     if len(motion) == 1:
         return None

@@ -40,7 +40,7 @@ _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
 
 _NO_POSE = len(_STATUSES)
-"""Code of ``rp_torque``: x is a matrix, but no homogeneous pose."""
+"""NO_POSE of the C: x is a matrix, but no homogeneous pose."""
 
 _FOR_KINEMATICS = len(_STATUSES)
 """Code of ``rp_joint_state``: K is next to singular where the C ends, and kinematics may go on."""

@@ -18,7 +18,9 @@
 #define ROUNDED_MARGIN 2e-4 /* margin of K, no unit, next to a rank loss of the closures: below, rounding takes 1e-5 and more of accelerations */
 #define ITERATIONS 15   /* three times as many as quadratic convergence takes from LONGEST to SETTLED */
 
-enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3, NOT_FINITE = 4, NO_POSE = 5 };
+/* What functions here return beside the statuses of redundancy_pin.status: a matrix that is no pose; coordinates that Newton's method
+   does not get to; and those to which it closes the loops nowhere. */
+enum { NO_POSE = STATUSES, LOST, OUT_OF_REACH };
 
 typedef struct {
   double q[NQ];
@@ -78,7 +80,7 @@ static int newton(const double *numbers, const double *q, const double *x, const
 
 /* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract. close
    brings a pose to the goal, of which it misses `left` (null: nothing), the determinant's sign kept, or does not move it. Returns
-   CLOSED, or why the last step failed; the pose is then the last one on the way. */
+   STATUS_OK, or why the last step failed; the pose is then the last one on the way. */
 static int follow_way(const double *numbers, Pose *pose, int (*close)(const double *, Pose *, const double *, const double *),
                       const double *goal, const double *way, int size) {
   double left[NV + 1], done = 0.0, share = 1.0;
@@ -94,21 +96,21 @@ static int follow_way(const double *numbers, Pose *pose, int (*close)(const doub
       if (share < SHORTEST) return failed;
     }
   }
-  return CLOSED;
+  return STATUS_OK;
 }
 
 static int close_at(const double *numbers, Pose *pose, const double *x, const double *left) {
   Pose next;
   if (!newton(numbers, pose->q, x, left, &next) || next.sign != pose->sign) return LOST;
   *pose = next;
-  return CLOSED;
+  return STATUS_OK;
 }
 
 /* From a closed pose to the coordinates x, on the straight way there; returns whether it comes there. */
 static int follow(const double *numbers, Pose *pose, const double *x) {
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
   rows(numbers, pose->q, pose->trig, x, residual, K, alignment);
-  return follow_way(numbers, pose, close_at, x, residual + R, N) == CLOSED;
+  return follow_way(numbers, pose, close_at, x, residual + R, N) == STATUS_OK;
 }
 
 /* --- whole turns: as in robot/whole_turns.py ----------------------------------------------------------------------- */
@@ -264,15 +266,16 @@ static int is_pose(const double *x) {
 #endif
 }
 
-/* Why a sample cannot be evaluated whatever the robot: NOT_FINITE or NO_POSE, or CLOSED where nothing is wrong with it. */
+/* Why a sample cannot be evaluated whatever the robot: STATUS_NOT_FINITE or NO_POSE, or STATUS_OK where nothing is wrong with it. */
 static int refusal_of(const double *in) {
-  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH)) return NOT_FINITE;
-  return is_pose(in) ? CLOSED : NO_POSE;
+  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH)) return STATUS_NOT_FINITE;
+  if (!is_pose(in)) return NO_POSE;
+  return STATUS_OK;
 }
 
 /* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, residual, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
-   sample is closed on the same side of every type I singularity. */
+   sample is closed on the same side of every type I singularity. Returns a status, NO_POSE or LOST. */
 static int rp_sample(const double *numbers, double *state, const double *in, double *out) {
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
@@ -281,12 +284,12 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   if (refused) return refused;
   if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
-  if (margin < SINGULAR_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return SINGULAR;
-  if (!in_mode(numbers, &pose)) return OTHER_MODE;
+  if (margin < SINGULAR_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return STATUS_TYPE_I;
+  if (!in_mode(numbers, &pose)) return STATUS_BRANCH_LOST;
   const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK, numbers};
   double *const res[] = {f, force};
   rp_project(arg, res);
-  if (!finite(f, N) || !finite(force, NK)) return NOT_FINITE; /* rates so large that forces overflow */
+  if (!finite(f, N) || !finite(force, NK)) return STATUS_NOT_FINITE; /* rates so large that forces overflow */
   copy(state, pose.q, NQ);
   state[NQ] = pose.sign;
   copy(out, W, N * M);
@@ -294,5 +297,5 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   copy(out + N * M + N, force, NK);
   out[N * M + N + NK] = pose.residual * LENGTH;
   out[N * M + N + NK + 1] = margin;
-  return CLOSED;
+  return STATUS_OK;
 }

@@ -5,13 +5,6 @@
 #define SHORT (N < M ? N : M)
 #define LONG (N < M ? M : N)
 
-/* The status of a sample that the driver did not close. */
-static int status_of(int closed) {
-  static const int STATUS[] = {STATUS_OK,          STATUS_UNREACHABLE, STATUS_TYPE_I,
-                               STATUS_BRANCH_LOST, STATUS_NOT_FINITE,  STATUS_UNREACHABLE}; /* what is no pose is out of reach */
-  return STATUS[closed];
-}
-
 static void coordinates_of(const double *numbers, const double *q, const double *trig, double *x) {
   const double *const arg[] = {q, trig, numbers};
   double *const res[] = {x};
