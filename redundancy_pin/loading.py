@@ -448,7 +448,7 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
         raise DeclarationError(
             _not_closed(robot, q, gap),
             remedy=other_axes(robot) or "Correct `reference` in the declaration, or the lengths given as arguments.",
-            gap=gap,
+            residual=gap,
         )
     robot = replace(
         robot,

@@ -240,7 +240,7 @@ def _without_redundant_rows(
         remedy="It moves against Grübler's count. Give a joint of the loop the freedom that it needs, such as a "
         "ball in place of a hinge.",
         rank=int(keep.sum()),
-        gap=float(opened.max()),
+        residual=float(opened.max()),
     )
 
 
@@ -270,7 +270,7 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
             f"lengths or rad): {', '.join(doubtful)}.",
             remedy=f"Correct the placements of joints and closures, of which {FILE_TOLERANCE:g} counts as rounding; or "
             "write a declaration with as many independent joints as these rows leave.",
-            gap=max(opened, held[0]),
+            residual=max(opened, held[0]),
         )
 
 
