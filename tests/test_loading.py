@@ -73,83 +73,6 @@ def test_gravity_and_folder_and_default_mode(tmp_path):
     assert rp.load_robot("3rrr", working_mode=(1, -1, 1)).working_mode == (1, -1, 1)
 
 
-BAD_DECLARATIONS = {
-    "misspelt joint": ({"actuated": ["a1", "a22"]}, r"no moving joint 'a22'\. Did you mean 'a2'\?"),
-    "misspelt frame": (
-        {"closures": [{"frames": ["tip1", "tipp2"], "axes": ["x", "y"]}]},
-        r"no link 'tipp2'\. Did you mean 'tip2'\?",
-    ),
-    "misspelt platform": ({"independent": {"platform": "tipp", "axes": ["x", "y"]}}, "no link 'tipp'"),
-    "misspelt indicator": ({"working_modes": {"joints": ["bb1"], "signs": [1]}}, "no moving joint 'bb1'"),
-    "unknown key": ({"acutated": ["a1"]}, "Unknown key `acutated`. Did you mean 'actuated'?"),
-    "unknown key inside": (
-        {"closures": [{"frame": [], "axes": []}]},
-        r"Unknown key `frame` in `closures\[0\]`\. Did you mean 'frames'",
-    ),
-    "over-constrained": (
-        {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "y", "z"]}]},
-        "over-constrained: 4 joint velocities less 3 closure rows leave 1 freedoms, but 2 .*redundant: z of 'tip1",
-    ),
-    "under-constrained": (
-        {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x"]}]},
-        "under-constrained: 4 joint velocities less 1 closure rows leave 3 freedoms, but only 2",
-    ),
-    "rank and count disagree": (
-        {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "z"]}]},
-        r"count gives my_five_bar 2 freedoms, but its closure rows have rank 1 of 2 .* 3 freedoms\. Redundant: z of",
-    ),
-    "two roles": ({"actuated": ["a1", "slider"]}, "'slider' is declared in two roles"),
-    "carrier twice": ({"carriers": [{"joint": "slider"}, {"joint": "slider"}]}, "'slider' is declared in two roles"),
-    "carrier in the load path": (
-        {"carriers": [{"joint": "b2"}], "reference": {"platform": [0.25, 0.7]}},
-        "carrier 'b2' moves the frame 'tip2'",
-    ),
-    "one body": ({"closures": [{"frames": ["tip1", "l2"], "axes": ["x", "y"]}]}, "two frames of one rigid body"),
-    "wrong axis": ({"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "q"]}]}, "subset of x, y, z, rx, ry, rz"),
-    "axis twice": ({"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "x"]}]}, "without repetitions"),
-    "three frames": ({"closures": [{"frames": ["tip1", "tip2", "l1"], "axes": ["x"]}]}, "two different frames"),
-    "axes that do not fit": (
-        {"independent": {"platform": "tip1", "axes": ["rx", "ry"]}},
-        r"These axes of 'tip1' fit: \[x, y\]",
-    ),
-    "platform and joints": (
-        {"independent": {"platform": "tip1", "axes": ["x"], "joints": ["a1"]}},
-        "either `joints`, or `platform`",
-    ),
-    "bad expression": ({"reference": {"platform": ["1 +", 0.7]}}, r"`reference.platform\[0\]` is '1 \+'"),
-    "expression with unknown name": ({"reference": {"platform": ["radius", 0.7]}}, "'radius' is not defined"),
-    "wrong number of coordinates": ({"reference": {"platform": [0.25]}}, "a list of 2"),
-    "reference out of reach": ({"reference": {"platform": [0.25, 5.0]}}, "does not close.* leaves a gap of"),
-    "guess of an unknown joint": (
-        {"reference": {"platform": [0.25, 0.7], "guess": {"elbow": 1.0}}},
-        "no moving joint 'elbow'",
-    ),
-    "index error in an expression": (
-        {"reference": {"platform": ["'a'[5]", 0.7]}},
-        r"`reference.platform\[0\]` is \"'a'",
-    ),
-    "no actuator": ({"actuated": []}, "drives no joint"),
-    "gravity": ({"gravity": [0, -9.81]}, r"`gravity\[2\]` is None.* a list of 3"),
-    "gravity text": ({"gravity": [0, "down", 0]}, r"`gravity\[1\]` is 'down'"),
-    "track turned round": ({"carriers": [{"joint": "slider", "position": [0.4, -0.2]}]}, "lower < upper"),
-    "negative limit": ({"carriers": [{"joint": "slider", "speed": -1}]}, "positive, or left out"),
-    "when": ({"carriers": [{"joint": "slider", "when": "carriers"}]}, "name of a xacro argument that is true or false"),
-    "mode signs": ({"working_modes": {"joints": ["b1"], "signs": [2]}}, "a list of 1 and -1"),
-    "closed form": ({"closed_form": "delta"}, "one of 2rpr, 3rrr"),
-    "characteristic length": ({"characteristic_length": -1}, "a positive length"),
-    "no urdf": ({"urdf": None}, "names no `urdf`"),
-    "condition that is none": ({"requires": ["1 + 1"]}, "a condition, such as"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_DECLARATIONS)
-def test_bad_declarations_are_refused(tmp_path, name):
-    changes, message = BAD_DECLARATIONS[name]
-    with pytest.raises(DeclarationError, match=message) as caught:
-        rp.load_robot(write(tmp_path, **changes))
-    assert caught.value.remedy
-
-
 def test_file_and_line_of_a_bad_declaration_are_named(tmp_path):
     path = write(tmp_path)
     lines = path.read_text().splitlines()
@@ -406,30 +329,6 @@ def test_a_closure_whose_frame_is_wrong_is_named_and_the_others_are_not(tmp_path
     with pytest.raises(DeclarationError, match=r"leaves a gap of .* \(open: 'right' by [3-6]") as caught:
         rp.load_robot(write(tmp_path, tree=tree, **declared("far")))
     assert "'left'" not in str(caught.value)
-
-
-def test_a_mask_that_leaves_a_freedom_names_the_joints_that_still_move(tmp_path):
-    path = write(tmp_path, closures=[{"frames": ["tip1", "tip2"], "axes": ["x"]}])
-    with pytest.raises(DeclarationError, match=r"With 'tip1' held .* these joints still move: a2, b2\. Add"):
-        rp.load_robot(path)
-
-
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        (
-            {"reference": {"platform": [0.25, 0.7], "guess": {"a1": 120, "b1": -57, "a2": 57, "b2": 57}}},
-            r"`reference.guess` puts the joint 'a1' at 120 rad, 19\.1 turns: degrees\? .*120 degrees are 2\.0944",
-        ),
-        (
-            {"independent": {"joints": ["a1", "a2"]}, "reference": {"joints": {"a1": 1.9, "a2": 60}}},
-            r"`reference.joints` puts the joint 'a2' at 60 rad",
-        ),
-    ],
-)
-def test_positions_in_degrees_are_said_to_be(changes, says, tmp_path):
-    with pytest.raises(DeclarationError, match=says):
-        rp.load_robot(write(tmp_path, **changes))
 
 
 @pytest.mark.parametrize("angle", [30, 6.3])

@@ -165,23 +165,6 @@ def test_a_length_that_is_left_out_is_measured_where_the_reference_puts_the_join
     assert robot.with_parameters(lengths={"rocker": 0.6}).closures == robot.closures
 
 
-@pytest.mark.parametrize(
-    ("kind", "change", "message"),
-    [
-        ("rod", {"length": -0.3}, "length"),
-        ("rod", {"axis": "z"}, "with rod, at, length"),
-        ("rod", {"rod": ["crank", "crank"]}, "without repetitions"),
-        ("rod", {"rod": ["crank", "base"], "at": [[0, 0, 0]] * 2, "length": None}, "ends of the rod .* coincide"),
-        ("rod", {"length": 3.0}, "do not close near the reference: the closure residual is 1.27 m"),
-        ("ball", {"length": 0.3}, "with ball, at"),
-        ("slider", {"axis": ["x", "y"]}, "two axes"),
-    ],
-)
-def test_what_makes_no_joint_is_refused(kind: str, change: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(DeclarationError, match=message):
-        declared(tmp_path, kind, **change)
-
-
 def test_a_closed_form_knows_no_rods(tmp_path: Path) -> None:
     folder = Path(rp.load_robot("3rrr").urdf_folder)
     data = yaml.safe_load((folder / "robot.yaml").read_text(encoding="utf-8"))

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import redundancy_pin as rp
 from redundancy_pin.cli import main
-from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, UnsupportedRobotError
+from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.urdf import declaration_path
 
@@ -101,33 +101,6 @@ def test_info_lists_what_is_in_force(tmp_path: Path) -> None:
         "JointForces"
     ]
     assert {"kind": "JointForces", "joint": "rocker", "damping": 0.3} in facts["loads"]
-
-
-@pytest.mark.parametrize(
-    ("declared", "said"),
-    [
-        ("joint_forces: [{joint: cranc, damping: 1}]", "cranc"),
-        ("joint_forces: [{joint: crank, damping: -1}]", "damping"),
-        ("springs: [{frames: [base, nowhere], stiffness: 1}]", "nowhere"),
-        ("payloads: [{frame: coupler_link, mass: heavy}]", "mass"),
-        ("payloads: [{frame: coupler_link, mass: 1, inertia: [1, 1, 3]}]", "no body"),
-        ("wrenches: [{frame: coupler_link, force: [1, 2]}]", "force"),
-        ("wrenches: [{frame: coupler_link, reference: body}]", "reference"),
-        ("urdf_dynamics: perhaps", "urdf_dynamics"),
-    ],
-)
-def test_wrong_loads_are_refused_by_key(tmp_path: Path, declared: str, said: str) -> None:
-    with pytest.raises(DeclarationError, match=said):
-        rp.load_robot(four_bar(tmp_path, declared=f"\n{declared}\n"))
-
-
-@pytest.mark.parametrize(
-    "dynamics", ['<dynamics damping="-1"/>', '<dynamics friction="much"/>', '<dynamics dampng="1"/>']
-)
-def test_wrong_friction_of_a_urdf_is_refused_with_its_line(tmp_path: Path, dynamics: str) -> None:
-    with pytest.raises(ModelFileError, match="crank") as caught:
-        rp.load_robot(four_bar(tmp_path, dynamics))
-    assert caught.value.details["line"]
 
 
 def test_friction_that_follows_a_parameter_is_differentiated_unless_the_robot_was_given_other_loads(

@@ -4,7 +4,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from redundancy_pin import load_robot
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.robot.urdf import declaration_path, known_values, models_root, render, shipped_robots, source_in
 
@@ -85,22 +84,6 @@ def test_missing_and_broken_files(tmp_path, xacro):
     xacro.write_text(XACRO.replace("3 * $(arg length)", "3 * undefined_name"))
     with pytest.raises(ModelFileError, match=r"xacro cannot render .*undefined_name"):
         render(xacro, {})[0]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('value="${3 * $(arg length)}"', 'value="heavy"', "'bob' of r.urdf.xacro has the mass 'heavy'"),
-        ('value="${3 * $(arg length)}"', 'value="-1"', "a negative mass, -1 kg"),
-        ('izz="1"', 'izz="-1"', "moments of inertia"),
-        ('ixx="1"', 'ixx="nan"', "ixx 'nan', which is not a finite number"),
-        ('ixx="1" ', "", "the ixx None"),
-    ],
-)
-def test_masses_and_inertias_that_are_none(xacro, old, new, message):
-    xacro.write_text(XACRO.replace(old, new))
-    with pytest.raises(ModelFileError, match=message):
-        load_robot(xacro)
 
 
 def test_robots_are_found_by_name_file_and_folder(tmp_path):

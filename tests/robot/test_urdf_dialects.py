@@ -113,17 +113,6 @@ def test_a_distance_of_drake_that_nothing_changes_is_a_rod(tmp_path: Path) -> No
     assert torque(robot) == pytest.approx(torque_by_kkt(text.replace(bar, massless), points, near), rel=1e-9)
 
 
-@pytest.mark.parametrize("name", BAD)
-def test_a_file_that_cannot_be_meant_is_refused_by_name(name: str) -> None:
-    """The first line of each says what its error must contain."""
-    path = FILES / "bad" / f"{name}.urdf"
-    message = path.read_text().partition("\n")[0].removeprefix("<!-- ").removesuffix(" -->")
-    with pytest.raises(RedundancyPinError) as refusal:
-        rp.load_robot(path)
-    assert message in str(refusal.value)
-    assert f"{name}.urdf" in str(refusal.value)
-
-
 def changed(folder: Path, *changes: tuple[str, str], name: str = "urdf_plus") -> Path:
     """Write one of the good files with parts of its text replaced."""
     text = (FILES / "good" / f"{name}.urdf").read_text()
@@ -281,18 +270,6 @@ def test_a_planar_joint_holds_a_body_on_a_plane(tmp_path: Path) -> None:
     motion = rp.PlatformMotion([0.0], [[0.1, 0.2, 0.3]], [[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]])
     tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
     np.testing.assert_allclose(tau, [8.0, 10.0, 1.8], atol=1e-12)
-
-
-def test_a_slider_with_two_axes_is_refused(tmp_path: Path) -> None:
-    """They do not say how its links are turned about them."""
-    loop = '<loop name="pin" type="revolute">'
-    path = tmp_path / "slider.urdf"
-    text = (FILES / "good" / "urdf_plus.urdf").read_text()
-    assert loop in text
-    two = '<parent_axis xyz="1 0 0"/><child_axis xyz="0 1 0"/>'
-    path.write_text(text.replace(loop, f'<loop name="pin" type="prismatic">{two}'))
-    with pytest.raises(RedundancyPinError, match=r"slider 'pin' has two axes.*slider\.urdf, line \d+"):
-        rp.load_robot(path)
 
 
 def test_a_file_without_a_declaration_takes_other_masses_and_lengths(tmp_path: Path) -> None:
