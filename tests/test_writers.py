@@ -172,14 +172,6 @@ def test_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
     assert (again.joint, again.of, again.polynomial, again.also) == ("cam", "rocker", (0.1, -0.2), (("crank", 0.5),))
 
 
-def test_closures_of_one_name_have_sites_of_their_own(tmp_path: Path) -> None:
-    robot = robot_of("3rrr")
-    named = dataclasses.replace(robot, closures=tuple(dataclasses.replace(each, name="pin") for each in robot.closures))
-    model, own = (mujoco.MjModel.from_xml_path(str(each.to_mjcf(tmp_path / "own.xml"))) for each in (named, robot))
-    assert (model.nsite, model.neq) == (own.nsite, own.neq)
-    np.testing.assert_array_equal(model.site_pos, own.site_pos)
-
-
 def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
     """The quaternion is w, x, y, z there; their armature and damping are those of the model."""
     robot = dataclasses.replace(rp.load_robot(write(tmp_path, SPATIAL), keyframe="bent"), closures=())
@@ -252,19 +244,3 @@ def test_limits_of_effort_are_said_in_mjcf_and_cut_nothing_off(tmp_path: Path) -
     data.ctrl[0] = 50.0
     mujoco.mj_forward(model, data)
     assert data.actuator_force[0] == 50.0
-
-
-def test_joints_without_limits_have_none_in_mjcf(tmp_path: Path) -> None:
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "arm")  # its limits are the largest doubles
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.1, 0.0, 0.0]), 0.1 * np.eye(3)), pin.SE3.Identity())
-    path = Robot.from_model(model, actuated=["arm"], closures=[]).to_mjcf(tmp_path / "arm.xml")
-    assert "range" not in path.read_text()
-    limits = rp.load_robot(path).model
-    assert (np.abs([limits.lowerPositionLimit, limits.upperPositionLimit]) > 1e300).all()
-    # a limit to one side is kept
-    model.lowerPositionLimit[0], model.upperPositionLimit[0] = -np.inf, 1.25
-    robot = Robot.from_model(model, actuated=["arm"], closures=[])
-    limits = rp.load_robot(robot.to_mjcf(tmp_path / "arm.xml")).model
-    assert limits.upperPositionLimit[0] == 1.25
-    assert limits.lowerPositionLimit[0] < -1e9

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import pytest
 from written import FOUR_BAR, J, urdf_of, write_robot
 
 import redundancy_pin as rp
-from redundancy_pin.errors import DeclarationError, InputError, PlanFileError, UnsupportedRobotError
+from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
@@ -62,20 +61,6 @@ def test_lengths_move_the_joints(robot: Robot) -> None:
     assert np.abs(changed.q_reference - robot.q_reference).max() > 0.05
     with pytest.raises(DeclarationError, match="does not close"):
         robot.with_parameters(lengths={"elbow_1": 0.1})
-
-
-def test_lengths_change_no_masses_and_say_so(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING, "redundancy_pin"):
-        changed = [robot.with_parameters(lengths={"elbow_1": length, "elbow_2": length}) for length in (0.61, 0.62)]
-        robot.with_parameters(masses={"distal_1": 0.6})
-    said = [record.getMessage() for record in caplog.records]
-    assert len(said) <= 1  # once a process
-    for one in (changed[0].notes[-1], *said):
-        assert "elbow_1, elbow_2 move joints and frames: links keep masses, centres and moments of inertia" in one
-    for one, other in zip(changed[0].bodies, robot.bodies, strict=True):
-        assert one.mass == other.mass
-        np.testing.assert_array_equal(one.centre, other.centre)
-        np.testing.assert_array_equal(one.principal_moments, other.principal_moments)
 
 
 def test_lengths_may_not_part_a_tool_from_its_closure(tmp_path: Path) -> None:
@@ -130,14 +115,6 @@ def test_a_closed_form_does_not_stand_for_a_changed_robot() -> None:
     rp.VirtualWork(two_rpr.with_limits(speed=1.0))
     with pytest.raises(UnsupportedRobotError):
         rp.VirtualWork(two_rpr.with_parameters(masses={"mass_1": 3.0}))
-
-
-def test_a_plan_of_a_changed_robot_is_not_taken_for_one_of_its_files() -> None:
-    changed = rp.load_robot("2rpr").with_parameters(masses={"mass_1": 3.0})
-    plan = rp.plan_switch_off(rp.RneaDynamics(changed), rp.trajectory.reference.circle(), threshold=20.0, dt=0.1)
-    with pytest.raises(PlanFileError, match="mass properties"):
-        rp.load_robot_of(plan)
-    assert plan.table(10, robot=changed).effort.shape[1] == 4
 
 
 def test_plain_urdfs_take_changes(tmp_path: Path) -> None:

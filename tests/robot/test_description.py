@@ -37,11 +37,6 @@ def test_arguments_keep_their_defaults_and_kinds(xacro):
     assert known_values(xacro, {"label": 0.5})["label"] == 0.5
 
 
-def test_rendering_uses_the_values(xacro):
-    assert 'mass value="4.5"' in render(xacro, {"length": 1.5})[0]
-    assert "bob" not in render(xacro, {"heavy": False})[0]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -59,31 +54,12 @@ def test_arguments_that_do_not_fit_are_refused(xacro, arguments, message):
         known_values(xacro, arguments)
 
 
-def test_arguments_are_known_whatever_namespace_a_file_gives_xacro(tmp_path):
-    path = tmp_path / "r.urdf.xacro"
-    path.write_text(XACRO.replace("http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro"))
-    assert known_values(path, {"length": 3}) == {"length": 3.0, "heavy": True, "label": "auto"}
-    with pytest.raises(InputError, match="no argument 'lenght'"):
-        known_values(path, {"lenght": 1.0})
-
-
 def test_an_argument_without_default_must_be_given(tmp_path):
     path = tmp_path / "r.urdf.xacro"
     path.write_text(XACRO.replace(' default="2.0"', ""))
     with pytest.raises(InputError, match="needs a value for the argument 'length'"):
         known_values(path, {})
     assert known_values(path, {"length": 3})["length"] == 3.0
-
-
-def test_missing_and_broken_files(tmp_path, xacro):
-    with pytest.raises(ModelFileError, match="does not exist"):
-        known_values(tmp_path / "no.urdf", {})
-    xacro.write_text(XACRO.replace("</robot>", ""))
-    with pytest.raises(ModelFileError, match="not well-formed XML"):
-        known_values(xacro, {})
-    xacro.write_text(XACRO.replace("3 * $(arg length)", "3 * undefined_name"))
-    with pytest.raises(ModelFileError, match=r"xacro cannot render .*undefined_name"):
-        render(xacro, {})[0]
 
 
 def test_robots_are_found_by_name_file_and_folder(tmp_path):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,9 +9,7 @@ from zoo import robot_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, UnsupportedRobotError
-from redundancy_pin.robot import Closure, Platform
-from redundancy_pin.robot.from_model import in_order_of
-from redundancy_pin.robot.rebuild import rebuilt
+from redundancy_pin.robot import Closure
 
 SIDE = 0.4
 
@@ -157,41 +152,6 @@ def _agrees_with_constraint_dynamics(robot):
     np.testing.assert_allclose(acceleration, lifted.a[0], atol=1e-7)
 
 
-def test_reference_forms():
-    given = made()
-    again = made(reference={"joints": {"crank": 1.4}, "guess": {"coupler": -1.3, "rocker": 1.2}})
-    assert given.q_reference[0] == pytest.approx(1.4, abs=0.2)
-    moved = made(reference=again.q_reference)
-    np.testing.assert_allclose(moved.q_reference, again.q_reference, atol=1e-12)
-    assert again.q_reference[0] == 1.4
-    # independent left out
-    assert made(independent=None).independent_joints == ("crank",)
-    assert made(actuated=["rocker"], independent=None).independent_joints == ("rocker",)
-
-
-def test_gravity_name_and_copies():
-    model = planar_parallelogram()
-    model.gravity.linear = np.array([0.0, -9.81, 0.0])
-    robot = made(model, name="mine")
-    assert robot.name == "mine"
-    assert made(model).name == "four"
-    np.testing.assert_array_equal(robot.gravity, [0.0, -9.81, 0.0])
-    model.gravity.linear = np.zeros(3)
-    np.testing.assert_array_equal(robot.gravity, [0.0, -9.81, 0.0])
-    assert not model.existFrame("pin", pin.FrameType.BODY)
-    for other in (copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
-        assert other.notes == robot.notes
-        np.testing.assert_array_equal(other.q_reference, robot.q_reference)
-
-
-def test_a_platform_and_a_picture():
-    robot = made(independent=Platform("pin", ("x",)), reference={"platform": [0.3], "guess": {"crank": 1.4}})
-    assert robot.n == 1
-    from redundancy_pin.visualisation.viewer.mechanism import solids_of
-
-    assert {solid.role for solid in solids_of(robot)} >= {"link", "closure"}
-
-
 def test_joints_in_any_order_are_numbered_depth_first():
     """Pinocchio's mass matrix is wrong where a sibling comes between a joint and what it carries."""
     model, body = pin.Model(), pin.Inertia(1.0, np.array([0.3, 0.1, 0.2]), 0.1 * np.eye(3))
@@ -226,29 +186,6 @@ def test_joints_in_any_order_are_numbered_depth_first():
     np.testing.assert_allclose(hand.actInv(shoe).translation[:2], 0.0, atol=1e-9)
     assert np.abs(q - start[[0, 2, 1, 3]]).max() < 0.5
     assert any("depth first" in note for note in robot.notes)
-
-
-def test_joints_of_several_numbers_keep_theirs_in_another_order():
-    """A ball has four numbers and three velocities, a hinge that turns on two and one: by name, whatever the order."""
-    model, body = pin.Model(), pin.Inertia(1.0, np.array([0.3, 0.1, 0.2]), 0.1 * np.eye(3))
-    for name, parent, kind in (
-        ("ball", 0, pin.JointModelSpherical()),
-        ("wheel", 0, pin.JointModelRUBZ()),
-        ("slide", 1, pin.JointModelPX()),
-        ("knob", 2, pin.JointModelRX()),
-    ):
-        model.appendBodyToJoint(model.addJoint(parent, kind, pin.SE3.Identity(), name), body, pin.SE3.Identity())
-    model.armature, model.upperPositionLimit = np.arange(6.0), np.arange(8.0)
-    model.lowerEffortLimit, model.upperEffortLimit = -np.arange(6.0) - 1.0, np.arange(6.0) + 2.0
-    own, at = rebuilt(model)
-    assert list(own.names)[1:] == ["ball", "slide", "wheel", "knob"]
-    assert at == [0, 1, 3, 2, 4]
-    # numbers 0 to 3 of the ball, 4 and 5 of the wheel, 6 of the slide, 7 of the knob
-    assert own.upperPositionLimit.tolist() == [0.0, 1.0, 2.0, 3.0, 6.0, 4.0, 5.0, 7.0]
-    assert in_order_of(own, model, at, np.arange(8.0)).tolist() == own.upperPositionLimit.tolist()
-    assert own.armature.tolist() == [0.0, 1.0, 2.0, 4.0, 3.0, 5.0]
-    assert own.lowerEffortLimit.tolist() == (-own.armature - 1.0).tolist()
-    assert own.upperEffortLimit.tolist() == (own.armature + 2.0).tolist()
 
 
 BAD = {
@@ -321,13 +258,6 @@ def test_numbers_that_no_machine_has_are_refused(case):
         made(unsound(change))
 
 
-def test_friction_of_the_model_is_said_not_to_be_in_force():
-    model = unsound(with_values("damping", 0.5))
-    note = next(note for note in made(model).notes if "Not in force" in note)
-    assert f"damping of {model.names[1]}. robot.loaded(" in note
-    assert not any("Not in force" in note for note in made().notes)
-
-
 def test_a_contact_is_no_closure():
     if not hasattr(pin, "PointContactConstraintModel"):
         pytest.skip("this Pinocchio has none")
@@ -335,13 +265,6 @@ def test_a_contact_is_no_closure():
     contact = pin.PointContactConstraintModel(model, 1, pin.SE3.Identity(), 2, pin.SE3.Identity())
     with pytest.raises(InputError, match="can let go and slide"):
         made(model, closures=[contact])
-
-
-def test_what_does_not_close_is_refused():
-    model = planar_parallelogram()
-    model.jointPlacements[3] = pin.SE3(np.eye(3), np.array([9.0, 0.0, 0.0]))
-    with pytest.raises(DeclarationError, match="do not close near the reference: the closure residual is"):
-        made(model)
 
 
 def test_joints_of_other_kinds_are_refused():

@@ -42,12 +42,6 @@ def column(robot, name):
     return robot.model.getJointId(name) - 1
 
 
-def test_joints_with_ranges_are_those_of_the_model(robot):
-    found = {joint.name: (joint.lower, joint.upper) for joint in joint_ranges(robot)}
-    assert found == {name: ends for name, ends in ENDS.items() if name != "free"}
-    assert {joint.name: joint.turns for joint in joint_ranges(robot)} == {"arm": True, "slide": False, "screw": True}
-
-
 @pytest.mark.parametrize(("name", "end"), [(name, end) for name in ("arm", "slide", "screw") for end in (0, 1)])
 @pytest.mark.parametrize("motion", [True, False])
 def test_a_joint_is_beyond_its_limit_by_the_difference(robot, name, end, motion):
@@ -100,16 +94,3 @@ def test_a_motion_is_counted_from_one_turn_and_configurations_each_from_its_own(
     np.testing.assert_allclose(whole, [-1.0, 2.0 * np.pi - 2.0], atol=1e-14)
     found = beyond_limits(robot, q, np.array([0.0, 1.0]))
     assert [(one.joint, one.t, one.value) for one in found] == [("arm", 1.0, 2.0 * np.pi)]
-
-
-def test_first_and_farthest_times_beyond_each_limit(robot):
-    """Of a swing through both limits; samples of NaN are none."""
-    t = np.arange(9.0) / 8.0
-    values = np.array([0.0, 2.1, 2.4, 2.2, np.nan, -1.2, -1.1, -1.3, 0.0])
-    low, high = beyond_limits(robot, at(robot, arm=values), t)
-    assert (high.t, high.worst, high.value, high.limit) == (t[1], t[2], 2.4, 2.0)
-    assert (low.t, low.worst, low.value, low.limit) == (t[5], t[7], -1.3, -1.0)
-    assert out_of_range(robot, at(robot, arm=values)).tolist() == [False, *[True] * 3, False, *[True] * 3, False]
-    nothing = at(robot, arm=[np.nan])
-    assert beyond_limits(robot, nothing, t[:1]) == ()
-    assert (range_excess(robot, nothing) == -np.inf).all()

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from command_line import call
 from written import FOUR_BAR, J, urdf_of, write_robot
 
@@ -98,19 +97,6 @@ def test_the_mass_counts_as_zero_and_the_user_is_told_so_once(tmp_path: Path, ca
     assert "rocker" in lines[0]
     assert "crank" not in lines[0]
     assert sum("<inertial>" in note for note in told["notes"]) == 1
-
-
-def test_other_files_that_hold_a_urdf_report_them_too(tmp_path: Path) -> None:
-    """The format of example-parallel-robots, whose root may move, and whose joints may be replaced by fixed ones."""
-    content = {"closed_loop": [["coupler_tip", "rocker_tip"]], "type": ["3d"], "name_mot": ["crank"]}
-    (tmp_path / "robot.urdf").write_text(link(urdf_of(JOINTS), "crank", ""), encoding="utf-8")
-    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    assert ": crank. " in note_of(rp.load_robot(tmp_path / "robot.yaml"))
-    assert ": base, crank. " in note_of(rp.load_robot(tmp_path / "robot.yaml", base="free"))
-    declaration = DECLARATION | {"joint_types": {"spare": "fixed"}}
-    (tmp_path / "fixed").mkdir()
-    urdf = link(urdf_of([*JOINTS, J("spare", "revolute", "crank", "spare")]), "spare", "")
-    assert not note_of(rp.load_robot(write_robot(tmp_path / "fixed", urdf, declaration)))
 
 
 @pytest.mark.parametrize("name", shipped_robots())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 from pathlib import Path
@@ -143,24 +142,6 @@ def test_equalities_of_tendons_and_rods_are_where_mujoco_has_no_error(tmp_path):
     assert (rod.kind, rod.links) == ("rod", ("tip", "pin"))
     away = np.linalg.norm(engine.data.site("tip").xpos - engine.data.site("pin").xpos)
     assert away - rod.length == pytest.approx(engine.data.efc_pos[0], abs=1e-12)
-
-
-def test_curved_equalities_of_tendons_are_where_mujoco_has_no_error(tmp_path):
-    """They couple joints without mass, whose positions are the lengths of both tendons."""
-    text = GOOD["gripper"].replace('polycoef="0.1 5"', 'polycoef="0.1 5 0.3 -0.2 0.4"')
-    mechanism, engine = read_mjcf(write(tmp_path, text)), Engine(tmp_path / "model.xml")
-    couplings = {each.name: each for each in mechanism.couplings}
-    train, pair = couplings["train"], couplings["length of pair"]
-    assert (train.joint, train.of, pair.of, pair.also) == ("pair", "lead", "left", (("thumb", 3.0),))
-    q = np.array(mechanism.start)
-    at = {str(name): joint.idx_q for name, joint in zip(mechanism.model.names, mechanism.model.joints, strict=True)}
-    q[at["left"]], q[at["screw"]] = 0.4, 0.3
-    length = np.polyval(train.polynomial[::-1], couplings["length of lead"].polynomial[1] * q[at["screw"]])
-    q[at["thumb"]] = (length - pair.polynomial[1] * q[at["left"]]) / 3.0
-    engine.set(mechanism, q, without=["split", "pair", "lead"])
-    equality = engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-    error = dict(zip(engine.data.efc_id[equality], engine.data.efc_pos[equality], strict=True))
-    assert error[engine.model.equality("train").id] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_tendon_that_drives_is_a_joint_without_mass():
@@ -347,33 +328,6 @@ def test_what_is_behind_an_actuator_and_between_limits(tmp_path):
     assert (free.lowerPositionLimit[0], free.upperPositionLimit[0]) == (-np.inf, np.inf)
 
 
-@pytest.mark.parametrize(
-    ("given", "colliding"), [("", True), ('contype="0"', True), ('contype="0" conaffinity="0"', False)]
-)
-def test_contacts_and_what_is_not_active_are_noted(given, colliding, tmp_path):
-    text = FOUR_BAR.replace("<geom fromto", f"<geom {given} fromto").replace(
-        "</equality>", '<connect name="off" active="false" site1="tip" site2="end"/></equality>'
-    )
-    notes = rp.load_robot(write(tmp_path, text)).notes
-    assert ("Contacts between geoms are not modelled." in notes) is colliding
-    assert "The equality 'off' is not active, and left out." in notes
-
-
-def test_a_declaration_may_name_a_model(tmp_path):
-    write(tmp_path, FOUR_BAR)
-    own = "urdf: model.xml\nactuated: [rocker]\nindependent: {platform: tip, axes: [x]}\n"
-    own += "reference: {platform: [0.4], guess: {crank: 0.5}}\n"
-    for more, dampings in (
-        ("", {"crank": 0.1, "elbow": 0.1, "rocker": 0.1}),
-        ("urdf_dynamics: false\n", {}),
-        ("joint_forces: [{joint: elbow, damping: 7.0}]\n", {"crank": 0.1, "elbow": 7.0, "rocker": 0.1}),
-    ):
-        (tmp_path / "robot.yaml").write_text(own + more)
-        robot = rp.load_robot(tmp_path)
-        assert (robot.actuated, robot.name, robot.gravity[1]) == (("rocker",), tmp_path.name, -9.81)
-        assert {load.joint: load.damping for load in robot.loads} == dampings
-
-
 # --- files as data ----------------------------------------------------------------------------------------------------
 
 
@@ -413,31 +367,10 @@ def test_a_model_of_a_stranger_is_compiled_by_a_child_with_limits(tmp_path, monk
         rp.load_robot(write(tmp_path, hinge()), untrusted=True)
 
 
-def test_a_child_has_no_more_memory_than_it_may_and_what_it_prints_is_no_answer(tmp_path, monkeypatch):
-    from redundancy_pin.io.limited import run_limited
-
-    (tmp_path / "child.py").write_text(
-        "import os\nfrom redundancy_pin.io.limited import answer\n"
-        "answer(lambda size: os.write(1, b'printed') and bytes(int(size))[:3])\n"
-    )
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    assert run_limited("child", ["1000"], "model.xml") == b"\0\0\0"
-    with pytest.raises(RedundancyPinError, match=r"3000 MB.*exit code 1"):
-        run_limited("child", [str(4 << 30)], "model.xml")
-
-
 def test_without_mujoco_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(RedundancyPinError, match=r"redundancy_pin\[mjcf\]"):
         rp.load_robot(write(tmp_path, hinge()))
-
-
-def test_bodies_that_are_welded_are_frames_whatever_the_file_fuses(tmp_path):
-    text = GOOD["tops"].replace("<worldbody>", '<compiler fusestatic="true" discardvisual="true"/><worldbody>')
-    fused, mechanism = (read_mjcf(write(tmp_path, each)) for each in (text, GOOD["tops"]))
-    assert fused.model == mechanism.model
-    assert mechanism.model.existFrame("glued", pin.BODY)
-    assert "Mocap bodies stay where they are: target." in mechanism.notes
 
 
 def test_shapes_are_drawn(tmp_path):

@@ -14,8 +14,6 @@ from zoo import home_of
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
-from redundancy_pin.kinematics.closing import closed_near
-from redundancy_pin.kinematics.closure import ConstraintSystem
 
 PLANAR = [
     J("motor_1", "revolute", "base", "crank_1", (0, 0, 0.1), (0, 0, 1.3)),
@@ -130,17 +128,6 @@ def test_accelerations_are_those_of_pinocchio(joints: list[J], content: dict, tm
     np.testing.assert_allclose(reduced.f[0], reduced.W[0] @ tau, rtol=1e-7, atol=1e-7 * np.abs(reduced.f).max())
 
 
-def test_the_mass_matrix_is_that_of_pinocchio(tmp_path: Path) -> None:
-    """It takes joints in another order than that of the levels of the tree."""
-    robot = rp.load_robot(written(tmp_path, PLANAR, PLANAR_YAML))
-    model, data, still = robot.model, robot.model.createData(), np.zeros(robot.model.nv)
-    q = np.array(robot.q_reference)
-    mass = pin.crba(model, data, q)
-    weight = np.array(pin.rnea(model, data, q, still, still))
-    by_rnea = np.array([np.array(pin.rnea(model, data, q, still, unit)) - weight for unit in np.eye(model.nv)])
-    np.testing.assert_allclose(np.triu(mass) + np.triu(mass, 1).T, by_rnea, atol=1e-12)
-
-
 def test_a_declaration_of_ones_own_has_balls_and_universal_joints(tmp_path: Path) -> None:
     (tmp_path / "theirs").mkdir()
     theirs = rp.load_robot(written(tmp_path / "theirs", ANKLE, ANKLE_YAML))
@@ -172,22 +159,6 @@ def test_a_declaration_of_ones_own_has_balls_and_universal_joints(tmp_path: Path
     for change, message in (({"cross": "universal"}, "joint_types"), ({"crosses": "ball"}, "no joint 'crosses'")):
         with pytest.raises(DeclarationError, match=message):
             rp.load_robot(write_robot(tmp_path, urdf, {**declaration, "joint_types": change}))
-
-
-def test_a_weld_that_starts_turned_away_is_closed_the_right_way_round(tmp_path: Path) -> None:
-    """Newton on sines ends turned over."""
-    turned = [*PLANAR[:4], J("loop_A", "revolute", "rod_1", "pin", (0.35, 0, 0), (0, 0, 3.0)), PLANAR[5]]
-    robot = rp.load_robot(written(tmp_path, turned, PLANAR_YAML))
-    system = ConstraintSystem(robot)
-    state = system.evaluate(np.array(robot.q_reference)[None])
-    assert np.abs(state.phi).max() < 1e-10
-    model, data = robot.model, robot.model.createData()
-    pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
-    first, second = (data.oMf[model.getFrameId(name, pin.FrameType.BODY)].rotation for name in ("pin", "loop_B"))
-    np.testing.assert_allclose(first, second, atol=1e-8)
-    far = np.array([0.1, -0.3, 2.0, -2.0, 3.0])
-    again = closed_near(robot, far)
-    assert np.abs(system.evaluate(again[None]).phi).max() < 1e-10
 
 
 def test_a_base_that_moves_and_a_declaration_of_ones_own(tmp_path: Path) -> None:
@@ -238,29 +209,3 @@ def test_files_beside_it_and_names_that_are_not_there(tmp_path: Path) -> None:
         rp.load_robot(tmp_path)
     with pytest.raises(InputError, match="no argument 'bases'"):
         rp.load_robot(written(tmp_path, PLANAR, PLANAR_YAML), bases="free")
-
-
-def test_joints_that_are_prescribed_start_there(tmp_path: Path) -> None:
-    """A triangle of an arm and a slide that another turn of the guess would put 2.5 rad elsewhere."""
-    arms = [
-        J("crank", "revolute", "base", "crank"),
-        J("knee", "revolute", "crank", "coupler", (0.1, 0, 0)),
-        J("coupler_end", "fixed", "coupler", "tip", (0.3, 0, 0)),
-        J("rocker", "revolute", "base", "rocker", (0.3, 0, 0)),
-        J("rocker_end", "fixed", "rocker", "end", (0.2, 0, 0)),
-    ]
-    declaration = {
-        "closures": [{"frames": ["tip", "end"], "axes": ["x", "y"]}],
-        "actuated": ["crank"],
-        "independent": {"joints": ["crank"]},
-        "reference": {"joints": {"crank": 1.0}, "guess": {"knee": -0.6, "rocker": 1.4 - 2.0 * np.pi}},
-    }
-    urdf = urdf_of(arms)
-    at = urdf.index('<joint name="rocker"')
-    urdf = urdf[:at] + urdf[at:].replace('lower="-100" upper="100"', 'lower="-7" upper="-3.5"', 1)
-    robot = rp.load_robot(write_robot(tmp_path, urdf, declaration))
-    crank, knee, rocker = robot.q_reference
-    assert crank == 1.0
-    assert abs(knee + 0.6) < 0.5
-    # the guess's own turn, within its limits
-    assert abs(rocker - 1.4 + 2.0 * np.pi) < 0.5

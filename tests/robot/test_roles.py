@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from written import J, urdf_of, write_robot
 
@@ -38,15 +37,6 @@ def load(folder: Path, joints: list[J], **changes: object) -> Robot:
     return load_robot(write_robot(folder, urdf_of(joints), {**DECLARATION, **changes}))
 
 
-def test_the_sound_robot_loads(tmp_path: Path) -> None:
-    robot = load(tmp_path, [*FIVE_BAR, RIDER], carriers=[{"joint": "rider"}])
-    assert (robot.n, robot.m, robot.k) == (2, 2, 1)
-    limits = robot.carrier_limits[0]
-    assert (limits.lower, limits.upper, limits.speed, limits.force) == (-100.0, 100.0, 10.0, 10.0)
-    assert limits.acceleration == np.inf
-    assert not robot.q_reference.flags.writeable
-
-
 @pytest.mark.parametrize("role", ["actuated", "carriers", "independent"])
 def test_a_joint_of_many_freedoms_cannot_be_driven(tmp_path: Path, role: str) -> None:
     floating = J("ball", "floating", "lower_1", "satellite")
@@ -68,17 +58,6 @@ def test_a_carrier_without_ends_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DeclarationError, match="'spinner' is a continuous joint") as caught:
         load(tmp_path, [*FIVE_BAR, spinner], carriers=[{"joint": "spinner"}])
     assert "bounded" in caught.value.remedy
-
-
-def test_a_carrier_whose_urdf_gives_no_track_is_refused(tmp_path: Path) -> None:
-    urdf = urdf_of([*FIVE_BAR, RIDER])
-    name = '<joint name="rider"'
-    urdf = urdf[: urdf.index(name)] + urdf[urdf.index(name) :].replace('lower="-100" upper="100" ', "", 1)
-    path = write_robot(tmp_path, urdf, {**DECLARATION, "carriers": [{"joint": "rider"}]})
-    with pytest.raises(DeclarationError, match="'rider' runs from -inf to inf"):
-        load_robot(path)
-    path = write_robot(tmp_path, urdf, {**DECLARATION, "carriers": [{"joint": "rider", "position": [-0.1, 0.1]}]})
-    assert load_robot(path).carrier_limits[0].upper == 0.1
 
 
 @pytest.mark.parametrize(
@@ -128,17 +107,6 @@ def test_the_guess_may_set_continuous_joints_but_not_floating_ones(tmp_path: Pat
         load(tmp_path, [*FIVE_BAR, floating], reference=reference)
 
 
-def test_links_and_joints_may_share_their_names(tmp_path: Path) -> None:
-    """The joint frame of ``tip_1`` lies elsewhere on another body: only the link of that name counts."""
-    renamed = [J("tip_1", j.kind, j.parent, j.child, j.xyz) if j.name == "base_2" else j for j in FIVE_BAR]
-    robot = load(tmp_path, renamed, actuated=["base_1", "tip_1"], reference={"platform": [0.25, 0.7], "guess": {
-        "base_1": 2.0, "elbow_1": -1.0, "tip_1": 1.0, "elbow_2": 1.0}})  # fmt: skip
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, np.array(robot.q_reference))
-    tip = data.oMf[robot.model.getFrameId("tip_1", pin.FrameType.BODY)].translation
-    np.testing.assert_allclose(tip, [0.25, 0.7, 0.0], atol=1e-11)
-
-
 def test_a_mimic_joint_that_leaves_no_freedom_is_refused_not_ignored(tmp_path: Path) -> None:
     urdf = urdf_of(FIVE_BAR)
     name = '<joint name="elbow_2"'
@@ -167,29 +135,6 @@ def test_a_platform_that_tilts_has_the_angle_about_one_base_axis(tmp_path: Path)
     np.testing.assert_allclose(np.tan(tree.q[:, 0]), np.tan(rz) / 0.8, rtol=1e-9)
     np.testing.assert_allclose(tree.v[:, 0], 1.5 * slope, rtol=1e-11)
     np.testing.assert_allclose(tree.a[:, 0], -2.0 * slope + 2.25 * bend, rtol=1e-11)
-
-
-def test_an_open_chain_is_the_closed_chain_without_closures(tmp_path: Path) -> None:
-    robot = load(
-        tmp_path,
-        FIVE_BAR[:3],
-        closures=[],
-        actuated=["base_1", "elbow_1"],
-        independent={"platform": "tip_1", "axes": ["x", "y"]},
-        reference={"platform": [0.3, 0.6], "guess": {"base_1": 2.0, "elbow_1": -1.0}},
-    )
-    from redundancy_pin import PlatformMotion, RneaDynamics
-
-    motion = PlatformMotion([0.0], [[0.3, 0.6]], [[0.1, -0.2]], [[0.5, 1.0]])
-    reduced = RneaDynamics(robot).reduce(motion)
-    q, v, a = (part[0] for part in RneaDynamics(robot).along(motion).tree_motion())
-    tau = np.linalg.solve(reduced.W[0], reduced.f[0])
-    np.testing.assert_allclose(tau, pin.rnea(robot.model, robot.model.createData(), q, v, a), atol=1e-12)
-
-
-def test_a_robot_prints_its_mode_with_a_sign_a_leg() -> None:
-    assert "+-+" in repr(load_robot("3rrr", working_mode=(1, -1, 1)))
-    assert "-+-" in repr(load_robot("3rrr", working_mode=(-1, 1, -1)))
 
 
 @pytest.mark.parametrize(
@@ -234,31 +179,3 @@ def test_freedoms_are_counted_alike_in_any_unit_of_length(tmp_path: Path, size: 
     with pytest.raises(DeclarationError, match=r"these joints still move: rider\. Add") as caught:
         load(tmp_path, [*joints, *held, RIDER], **given)
     assert [caught.value.details[key] for key in ("freedoms", "declared", "rank")] == [3, 2, 3]
-
-
-def test_rows_are_looked_through_only_where_some_are_redundant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What names them takes as long to import as all else that loading asks for."""
-    asked: list[int] = []
-    monkeypatch.setattr("scipy.linalg.qr", lambda *_, **__: asked.append(1) or pytest.fail("the rows are independent"))
-    assert load(tmp_path, FIVE_BAR).n == 2
-    assert not asked
-
-
-@pytest.mark.parametrize(("follower", "numbers"), [("rotor", 1), ("elbow", 2), ("", 2)])
-def test_joints_that_turn_on_count_their_turns_where_one_of_them_follows(
-    follower: str, numbers: int, tmp_path: Path
-) -> None:
-    """Cosine and sine, which Pinocchio has of a continuous joint, forget them; where none is coupled they stay."""
-    joints = [
-        J("arm", "revolute", "base", "arm"),
-        J("elbow", "revolute", "arm", "fore", (0.3, 0, 0)),
-        J("rotor", "continuous", "base", "rotor", (0, 0.4, 0)),
-    ]
-    urdf, others = urdf_of(joints), {"arm", "elbow", "rotor"} - {follower}
-    if follower:
-        start = urdf.index(f'<joint name="{follower}"')
-        urdf = urdf[:start] + urdf[start:].replace("</joint>", '<mimic joint="arm" multiplier="2"/></joint>', 1)
-    declaration = {"actuated": sorted(others), "reference": {}, "independent": {"joints": sorted(others)}}
-    model = load_robot(write_robot(tmp_path, urdf, declaration)).model
-    assert model.joints[model.getJointId("rotor")].nq == numbers
-    assert model.nv == 3

@@ -17,7 +17,7 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
+from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.robot.formats.sdf import read_sdf
 from redundancy_pin.robot.loads import JointForces
 
@@ -187,16 +187,6 @@ def test_axes_of_every_version(version: str, given: str, expected: list[float], 
     np.testing.assert_allclose(np.ravel(data.J)[3:], expected, atol=1e-12)
 
 
-def test_the_model_of_an_axis_is_the_one_that_it_is_in(tmp_path: Path) -> None:
-    axis = "<axis><xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame></axis>"
-    parts = link("base", "0 0 0 0 0 0.4"), link("crank", "0 0 0 0 0 0.9"), joint("j", "revolute", "base", "crank", axis)
-    inner = f'<model name="inner"><pose>0 0 0 0 0 1.2</pose>{"".join(parts)}</model>'
-    model = read_sdf(written(tmp_path, inner, version="1.6")).model
-    data = model.createData()
-    pin.computeJointJacobians(model, data, np.zeros(1))
-    np.testing.assert_allclose(np.ravel(data.J)[3:], [np.cos(1.2), np.sin(1.2), 0.0], atol=1e-12)
-
-
 # --- loops ------------------------------------------------------------------------------------------------------------
 
 LINKS = [
@@ -223,38 +213,6 @@ def pin_joint(kind: str = "revolute", more: str = "") -> str:
 
 
 FOUR_BAR = [*LINKS, *TREE, pin_joint()]
-
-
-@pytest.mark.parametrize("kind", ["revolute", "ball"])
-def test_a_link_of_two_parents_closes_a_loop(kind: str, tmp_path: Path) -> None:
-    robot = rp.load_robot(written(tmp_path, *LINKS, *TREE, pin_joint(kind)))
-    assert (robot.n, robot.m, robot.actuated) == (1, 1, ("drive",))
-    assert list(robot.model.names)[1:] == ["drive", "elbow", "foot"]
-    np.testing.assert_array_equal(robot.gravity, [0.0, 0.0, -9.81])
-    x = np.linspace(0.0, 0.4, 5)[:, None]
-    motion = rp.PlatformMotion(np.arange(5.0), x, np.ones_like(x), np.zeros_like(x))
-    start = [np.linalg.inv(placed(robot.model, name, robot.q_reference)) for name in ("rod", "rocker")]
-    for q in rp.inverse_kinematics(robot, motion).q:  # lengths of a four-bar, by hand
-        rod, rocker = placed(robot.model, "rod", q), placed(robot.model, "rocker", q)
-        np.testing.assert_allclose(rod[:2, 3], 0.2 * np.array([np.cos(0.9 + q[0]), np.sin(0.9 + q[0])]), atol=1e-12)
-        at = np.array([0.2 * np.cos(0.9) + 0.5, 0.3, 0.1, 1.0])
-        np.testing.assert_allclose(rod @ start[0] @ at, rocker @ start[1] @ at, atol=1e-9)
-    assert robot.loads == (JointForces("drive", 0.3),)
-    assert "'base', which nothing joins to the world, is held" in " ".join(robot.notes)
-
-
-def test_a_link_without_a_parent_is_carried_the_other_way_round(tmp_path: Path) -> None:
-    """The rod as the parent of crank and rocker alike: the same machine, the elbow counted from the other side."""
-    elbow = joint("elbow", "revolute", "rod", "crank").replace("<parent>", "<pose>0.2 0 0 0 0 0</pose><parent>")
-    one, other = (
-        rp.load_robot(written(tmp_path, *parts)) for parts in (FOUR_BAR, [*LINKS, TREE[0], elbow, TREE[2], pin_joint()])
-    )
-    np.testing.assert_allclose(efforts(other, 0.3, 0.7, -0.4), efforts(one, 0.3, 0.7, -0.4), rtol=1e-10)
-    q = [
-        rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.3]], [[0.0]], [[0.0]])).q[0] for robot in (one, other)
-    ]
-    np.testing.assert_allclose(placed(other.model, "rod", q[1]), placed(one.model, "rod", q[0]), atol=1e-9)
-    assert q[1][1] == pytest.approx(-q[0][1], abs=1e-9)  # about the axis, whichever of the two carries the other
 
 
 def test_forces_of_a_joint_that_closes_the_loop_do_their_work(tmp_path: Path) -> None:
@@ -320,20 +278,6 @@ def test_a_cross_between_shafts(kind: str, lean: float, tmp_path: Path) -> None:
     arms = [joint("one", "revolute", "in", "cross"), joint("two", "revolute", "cross", "out", more=turn)]
     other = rp.load_robot(written(tmp_path, *parts[:5], light, *arms), actuated="shaft_in")
     np.testing.assert_allclose(efforts(robot, 0.8, 1.0, 0.5), efforts(other, 0.8, 1.0, 0.5), rtol=1e-9)
-
-
-@pytest.mark.parametrize("root", ["parent", "child"])
-def test_the_first_axis_of_two_is_the_parents(root: str, tmp_path: Path) -> None:
-    """By hand, whichever of both links the other one hangs from: the child is turned by R_x(q₁) R_y(q₂)."""
-    two = "<axis><xyz>1 0 0</xyz></axis><axis2><xyz>0 1 0</xyz></axis2>"
-    links = [link(name, "0 0 0 0 0 0") for name in ("parent", "child")]
-    held = joint("held", "fixed", "world", root)
-    model = read_sdf(written(tmp_path, *links, held, joint("cross", "universal", "parent", "child", two))).model
-    q = np.zeros(2)
-    for name, value in (("cross_1", 0.4), ("cross_2", -0.7)):
-        q[model.joints[model.getJointId(name)].idx_q] = value
-    between = np.linalg.inv(placed(model, "parent", q)) @ placed(model, "child", q)
-    np.testing.assert_allclose(between[:3, :3], turned(0.4, 0.0, 0.0) @ turned(0.0, -0.7, 0.0), atol=1e-12)
 
 
 # --- couplings --------------------------------------------------------------------------------------------------------
@@ -500,36 +444,6 @@ def test_base_and_driven_joints(tmp_path: Path) -> None:
     fixed = rp.load_robot(written(tmp_path, *FOUR_BAR, link("lid", "0 0 0.2 0 0 0"), still))
     assert "latch" not in fixed.model.names
     assert any("'latch' has the limits 0 and 0" in note for note in fixed.notes)
-
-
-def test_a_model_that_drives_nothing_is_told_how_to_say_it(tmp_path: Path) -> None:
-    """An SDF has no actuators to add: joints are named. One with a spring is not taken to be driven unasked."""
-    path = written(tmp_path, *LINKS[:2], joint("hinge", "revolute", "base", "crank", SPRING))
-    with pytest.raises(RedundancyPinError, match='actuated="a,b"') as caught:
-        rp.load_robot(path)
-    assert "actuators" not in str(caught.value)
-    assert rp.load_robot(path, actuated="hinge").actuated == ("hinge",)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "note"),
-    [
-        ("<axis>", "<axis><initial_position>0.4</initial_position>", "initial position of 'drive' is not read"),
-        ("</model>", '<plugin name="p" filename="f"/></model>', "The plugin 'p' does not run"),
-        ("</model>", '<x:tag xmlns:x="y"/></model>', "Passed over: <tag> in line 1"),
-        ("</model>", "<model_state/></model>", "Not read: <model_state> in line"),
-        ("<inertial>", '<collision name="c"/><inertial>', "Contacts are not modelled"),
-        (
-            "<inertial>",
-            "<velocity_decay><linear>1</linear></velocity_decay><inertial>",
-            "Not in force, though the file says it: velocity decay of base",
-        ),
-    ],
-)
-def test_what_is_left_out_is_noted(old: str, new: str, note: str, tmp_path: Path) -> None:
-    path = written(tmp_path, *FOUR_BAR)
-    path.write_text(path.read_text().replace(old, new, 1))
-    assert note in " ".join(rp.load_robot(path).notes)
 
 
 # --- other files ------------------------------------------------------------------------------------------------------

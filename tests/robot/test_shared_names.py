@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
@@ -12,8 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from command_line import call
-from plan_cases import LINE
 from zoo import robot_of
 
 import redundancy_pin as rp
@@ -196,28 +193,6 @@ def same_dynamics(one: Robot, other: Robot, motion: rp.PlatformMotion, carriers:
     reactions = [joint_reactions(each, tau, carriers) for each in along]
     order = [reactions[1].joints.index(joint) for joint in reactions[0].joints]
     close(reactions[1].joint_wrench[:, order], reactions[0].joint_wrench)
-
-
-def test_the_command_line_takes_such_a_robot(tmp_path: Path) -> None:
-    """Plans, saved files, generated code and the compiled backend; the plan was written, then a traceback followed."""
-    plain = robot_of("2rpr")
-    robot, _ = renamed(plain, tmp_path / "renamed")
-    move = (*LINE[:2], *LINE[4:], "--backend", "rnea", "--json")
-    facts = []
-    for each in (plain, robot):
-        out = tmp_path / f"{len(facts)}.npz"
-        facts.append(json.loads(call(*move, "--robot", each.source, "--out", out).stdout))
-        call("show", "--plan", out, "--html", out.with_suffix(".html"))
-        assert out.with_suffix(".html").exists()
-    for key in ("peak_base_force", "peak_base_moment"):
-        assert facts[0][key] > 0.01
-        assert facts[1][key] == pytest.approx(facts[0][key], rel=ROUNDING)
-    code = tmp_path / "code"
-    assert call("codegen", "--robot", robot.source, "--prefix", "same", "--out", code).exit_code == 0
-    motion, carriers = swing(plain)
-    along = rp.CompiledDynamics(robot).along(motion), rp.RneaDynamics(plain).along(motion)
-    close(along[0].base_wrench(carriers), along[1].base_wrench(carriers))
-    close(along[0].reduce(carriers).f, along[1].reduce(carriers).f)
 
 
 def test_points_of_a_pinocchio_model_may_be_called_as_joints() -> None:

@@ -14,7 +14,6 @@ from redundancy_pin.errors import RedundancyPinError
 
 FILES = Path(__file__).parent / "files" / "urdf"
 GOOD = sorted(path.stem for path in (FILES / "good").glob("*.urdf"))
-BAD = sorted(path.stem for path in (FILES / "bad").glob("*.urdf"))
 GRAVITY = (0.0, -9.81, 0.0)
 MOTION = (0.3, 1.7, -4.0)
 """Angle, rad, speed and acceleration of the motor."""
@@ -132,37 +131,6 @@ def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: P
     assert torque(robot) - torque(plain) == pytest.approx(30.0**2 * 2e-5 * MOTION[2], rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "note"),
-    [
-        ("</robot>", "<winding/></robot>", "Passed over: <winding>"),
-        (
-            "</robot>",
-            "<drake:linear_bushing_rpy/></robot>",
-            "Not in force, though the file says it: <linear_bushing_rpy>",
-        ),
-        (
-            '<limit lower="-2"',
-            '<joint_properties friction="0.1"/><limit lower="-2"',
-            "friction by <joint_prop",
-        ),
-        ('<limit lower="-2"', '<backlash/><limit lower="-2"', "Passed over: <backlash>"),
-        (
-            "</robot>",
-            '<gazebo reference="motor"><springStiffness>2</springStiffness></gazebo></robot>',
-            "Not in force, though the file says it: <springStiffness>",
-        ),
-    ],
-)
-def test_elements_that_are_not_understood_are_noted_with_their_line(
-    old: str, new: str, note: str, tmp_path: Path
-) -> None:
-    path = changed(tmp_path, (old, new))
-    line = path.read_text().partition(new)[0].count("\n") + 1
-    (found,) = (each for each in rp.load_robot(path).notes if note in each)
-    assert f"in line {line}" in found
-
-
 @pytest.mark.parametrize(("kind", "names"), [("ball", ["knee"]), ("universal", ["knee_rx", "knee_ry"])])
 def test_joints_of_drake(kind: str, names: list[str], tmp_path: Path) -> None:
     ends = '<parent link="crank"/><child link="ball"/>'
@@ -231,15 +199,6 @@ def test_joints_of_a_plain_file_are_named_as_driven_and_its_base_may_move(tmp_pa
         rp.load_robot(path, actuated="motor", base="loose")
 
 
-def test_a_floating_joint_is_six_joints(tmp_path: Path) -> None:
-    floating = (
-        '<link name="world"/><joint name="base" type="floating"><parent link="world"/><child link="ground"/></joint>'
-    )
-    robot = rp.load_robot(changed(tmp_path, ('<link name="ground"/>', f'<link name="ground"/>{floating}')))
-    assert robot.n == 7
-    assert list(robot.model.names)[1:7] == [f"base_{axis}" for axis in ("x", "y", "z", "rz", "ry", "rx")]
-
-
 def test_loops_that_lie_in_a_line_at_zero_are_closed_beside(tmp_path: Path) -> None:
     """A parallelogram, flat at zero: its rows lose rank there."""
     flat = changed(
@@ -270,28 +229,6 @@ def test_a_planar_joint_holds_a_body_on_a_plane(tmp_path: Path) -> None:
     motion = rp.PlatformMotion([0.0], [[0.1, 0.2, 0.3]], [[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]])
     tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
     np.testing.assert_allclose(tau, [8.0, 10.0, 1.8], atol=1e-12)
-
-
-def test_a_file_without_a_declaration_takes_other_masses_and_lengths(tmp_path: Path) -> None:
-    """As if the file had said so."""
-    robot = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
-    mass = changed(tmp_path, ('<mass value="0.3"/>', '<mass value="0.6"/>'))
-    other = rp.load_robot(mass, gravity=GRAVITY)
-    names = [name for name in ("crank", "bar", "arm") if _mass(other, name) != _mass(robot, name)]
-    assert len(names) == 1
-    scaled = robot.with_parameters(masses={names[0]: 0.6})
-    assert scaled.actuated == robot.actuated
-    np.testing.assert_array_equal(scaled.q_reference, robot.q_reference)
-    assert _mass(scaled, names[0]) == pytest.approx(0.6)
-    longer = robot.with_parameters(lengths={"knee": 0.13})
-    assert longer.n == 1
-    placements = [one.model.jointPlacements[one.model.getJointId("knee")].translation for one in (longer, robot)]
-    assert [np.linalg.norm(place) for place in placements] == pytest.approx([0.13, 0.12])
-
-
-def _mass(robot: rp.Robot, link: str) -> float:
-    body = robot.model.frames[robot.model.getFrameId(link, pin.BODY)].parentJoint
-    return float(robot.model.inertias[body].mass)
 
 
 def test_a_continuous_joint_that_is_coupled_keeps_its_limits_of_speed_and_effort(tmp_path: Path) -> None:

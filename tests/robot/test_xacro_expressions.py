@@ -22,8 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from redundancy_pin import load_robot
-from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
-from redundancy_pin.loading import load_with
+from redundancy_pin.errors import DeclarationError, ModelFileError
 from redundancy_pin.robot.formats import xacro_engine
 from redundancy_pin.robot.urdf import known_values, models_root, render
 
@@ -203,11 +202,6 @@ def test_files_that_would_take_forever_or_look_around(tmp_path: Path, name: str)
     assert reason in refused(tmp_path, doc(body))
 
 
-def test_files_that_are_read_often_cost_their_length(tmp_path: Path) -> None:
-    (tmp_path / "long.xacro").write_text(doc(f"<!--{'x' * 1_900_000}-->"))
-    assert "more work" in refused(tmp_path, doc('<xacro:include filename="long.xacro"/>' * 300))
-
-
 @pytest.mark.parametrize("quote", ["x" * 60 + "'", "'a'a" * 40 + "'"])
 def test_an_open_quote_in_the_parameters_of_a_macro_takes_no_time(tmp_path: Path, quote: str) -> None:
     """The pattern of xacro tries 2**60 ways to read it."""
@@ -326,13 +320,6 @@ def test_python_runs_only_with_trust(tmp_path: Path) -> None:
         assert "2 " + os.environ["HOME"] in render(path, {}, trust=True)[0]
 
 
-def test_trust_is_no_argument_that_a_file_could_name() -> None:
-    """Files name xacro arguments, which load_robot takes as keywords beside ``trust``."""
-    with pytest.raises(InputError, match="no argument 'trust'"):
-        load_with("3rrr", {"trust": True})
-    assert load_robot("3rrr", trust=True).name == "3rrr"
-
-
 def test_a_strangers_file_is_expanded_in_a_process_of_its_own(tmp_path: Path) -> None:
     path = written(tmp_path, doc('<xacro:arg name="n" default="${2 * 2}"/><a n="$(arg n)"/>'))
     xacro_engine._engine.cache_clear()
@@ -361,11 +348,6 @@ def test_a_later_xacro_that_evaluates_elsewhere_is_refused(tmp_path: Path) -> No
     command = [sys.executable, "-m", xacro_engine.__name__, str(written(tmp_path, expressions("1 + 1"))), "{}"]
     child = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONPATH": paths}, check=False)
     assert "install xacro 2.1" in json.loads(child.stdout)["message"]
-
-
-def test_messages_of_models_cannot_steer_a_terminal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    rendered(tmp_path, expressions("xacro.warning('old \\x1b[2J one')"))
-    assert caplog.messages == ["old  [2J one"]
 
 
 def test_a_declaration_has_the_same_expressions(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Files that cannot be meant: each is one error that says what its first comment says, and names file and line."""
+"""Files that cannot be meant, or are read in part: the error, or a note, says what their first comment says."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
 
 FILES = Path(__file__).parent / "files"
-BAD = [path for path in sorted(FILES.glob("*/bad/*.*")) if path.suffix != ".xml" or find_spec("mujoco")]
+BAD, NOTED = (
+    [path for path in sorted(FILES.glob(f"*/{kind}/*.*")) if path.suffix != ".xml" or find_spec("mujoco")]
+    for kind in ("bad", "noted")
+)
 DECLARATIONS: dict[str, dict[str, Any]] = yaml.safe_load((FILES / "declaration" / "bad.yaml").read_text())
 
 
@@ -24,15 +27,24 @@ def skip_newer_than_mujoco(path: Path) -> None:
         pytest.skip("of MuJoCo 4")
 
 
-@pytest.mark.parametrize("path", BAD, ids=lambda path: f"{path.parts[-3]}-{path.stem}")
+def comment_of(path: Path) -> str:
+    found = re.search(r"<!-- (.*) -->", path.read_text())
+    assert found
+    return found[1]
+
+
+@pytest.mark.parametrize("path", NOTED, ids=lambda path: path.name)
+def test_what_is_not_in_force_is_noted(path: Path) -> None:
+    assert sum(comment_of(path) in note for note in rp.load_robot(path).notes) == 1
+
+
+@pytest.mark.parametrize("path", BAD, ids=lambda path: path.name)
 def test_a_file_that_cannot_be_meant_is_refused_by_name(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Nothing is only on the error stream, where urdfdom and MuJoCo write."""
     skip_newer_than_mujoco(path)
-    comment = re.search(r"<!-- (.*) -->", path.read_text())
-    assert comment
     with pytest.raises(RedundancyPinError) as refusal:
         rp.load_robot(path)
-    assert comment[1] in str(refusal.value)
+    assert comment_of(path) in str(refusal.value)
     assert refusal.value.remedy
     assert path.name in str(refusal.value) or path.suffix == ".xml"
     assert "line " in str(refusal.value) or path.suffix != ".sdf"
