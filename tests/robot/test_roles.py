@@ -37,74 +37,39 @@ def load(folder: Path, joints: list[J], **changes: object) -> Robot:
     return load_robot(write_robot(folder, urdf_of(joints), {**DECLARATION, **changes}))
 
 
-@pytest.mark.parametrize("role", ["actuated", "carriers", "independent"])
-def test_a_joint_of_many_freedoms_cannot_be_driven(tmp_path: Path, role: str) -> None:
-    floating = J("ball", "floating", "lower_1", "satellite")
-    changes: dict[str, dict[str, object]] = {
-        "actuated": {"actuated": ["base_1", "ball"]},
-        "carriers": {"carriers": [{"joint": "ball", "position": [-1, 1]}]},
-        "independent": {
-            "independent": {"joints": ["base_1", "ball"]},
-            "reference": {"joints": {"base_1": 0, "ball": 0}},
-        },
-    }
-    with pytest.raises(DeclarationError, match="'ball' has 6 freedoms") as caught:
-        load(tmp_path, [*FIVE_BAR, floating], **changes[role])
-    assert caught.value.details["name"] == "ball"
-
-
-def test_a_carrier_without_ends_is_refused(tmp_path: Path) -> None:
-    spinner = J("spinner", "continuous", "lower_1", "wheel")
-    with pytest.raises(DeclarationError, match="'spinner' is a continuous joint") as caught:
-        load(tmp_path, [*FIVE_BAR, spinner], carriers=[{"joint": "spinner"}])
-    assert "bounded" in caught.value.remedy
+GUESS = {"platform": [0.25, 0.7], "guess": {"ball": 0.1}}
+HELD = {"joints": {"base_1": 0, "ball": 0}}
 
 
 @pytest.mark.parametrize(
-    ("position", "fits"),
+    ("kind", "changes", "message"),
     [
-        ((-0.25, 0.25), True),
-        ((-0.25 * (1.0 + 1e-12), 0.25), True),  # rounding of an expression
-        ((-0.1, 0.2), True),
-        ((-200.0, 200.0), False),  # mm for m
-        ((-0.2, 0.25001), False),
-        ((-0.25001, 0.2), False),
+        ("floating", {"actuated": ["base_1", "ball"]}, "'ball' has 6 freedoms"),
+        ("floating", {"carriers": [{"joint": "ball", "position": [-1, 1]}]}, "'ball' has 6 freedoms"),
+        ("floating", {"independent": {"joints": ["base_1", "ball"]}, "reference": HELD}, "'ball' has 6 freedoms"),
+        ("floating", {"reference": GUESS}, "cannot set joint 'ball': it has 7 coordinates"),
+        ("continuous", {"carriers": [{"joint": "ball"}]}, "'ball' is a continuous joint.*bounded"),
     ],
 )
+def test_joints_that_cannot_play_a_role(kind: str, changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(DeclarationError, match=message):
+        load(tmp_path, [*FIVE_BAR, J("ball", kind, "lower_1", "satellite")], **changes)
+
+
+@pytest.mark.parametrize("position", [None, (-100.0 * (1.0 + 1e-12), 100.0), (-0.2, 100.01), (-100.01, 0.2)])
 def test_the_track_of_a_carrier_is_within_the_limits_of_its_joint(
-    position: tuple[float, float], fits: bool, tmp_path: Path
+    position: tuple[float, float] | None, tmp_path: Path
 ) -> None:
-    urdf = urdf_of([*FIVE_BAR, RIDER])
-    head, tail = urdf.split('<joint name="rider"')
-    tail = tail.replace('lower="-100" upper="100"', 'lower="-0.25" upper="0.25"', 1)
-    carriers = [{"joint": "rider", "position": list(position)}]
-    path = write_robot(tmp_path, f'{head}<joint name="rider"{tail}', {**DECLARATION, "carriers": carriers})
-    if fits:
-        limits = load_robot(path).carrier_limits[0]
-        assert (limits.lower, limits.upper) == position
-        return
-    with pytest.raises(DeclarationError) as refusal:
-        load_robot(path)
-    for part in ("'rider'", f"[{position[0]:g}, {position[1]:g}]", "-0.25 and 0.25"):
-        assert part in refusal.value.message
-    # what the remedy says
-    carriers[0].pop("position")
-    limits = load_robot(
-        write_robot(tmp_path, f'{head}<joint name="rider"{tail}', {**DECLARATION, "carriers": carriers})
-    )
-    assert limits.carrier_limits[0].upper == 0.25
-
-
-def test_the_guess_may_set_continuous_joints_but_not_floating_ones(tmp_path: Path) -> None:
-    endless = [J(j.name, "continuous" if j.name == "base_1" else j.kind, j.parent, j.child, j.xyz) for j in FIVE_BAR]
-    robot = load(tmp_path, endless)
-    joint = robot.model.joints[robot.model.getJointId("base_1")]
-    cosine, sine = robot.q_reference[joint.idx_q : joint.idx_q + 2]
-    assert np.arctan2(sine, cosine) == pytest.approx(2.0, abs=0.3)
-    floating = J("ball", "floating", "lower_1", "satellite")
-    reference = {"platform": [0.25, 0.7], "guess": {"ball": 0.1}}
-    with pytest.raises(DeclarationError, match="cannot set joint 'ball': it has 7 coordinates"):
-        load(tmp_path, [*FIVE_BAR, floating], reference=reference)
+    """It may be rounded, as of an expression; left out, it is the limits."""
+    carriers = [{"joint": "rider", "position": position and list(position)}]
+    given = [*FIVE_BAR, RIDER], [{key: value for key, value in carriers[0].items() if value}]
+    if position and 100.01 in np.abs(position):
+        with pytest.raises(DeclarationError, match=r"100\.01.*'rider'.*-100 and 100"):
+            load(tmp_path, given[0], carriers=given[1])
+    else:
+        limits = load(tmp_path, given[0], carriers=given[1]).carrier_limits[0]
+        assert (limits.lower, limits.upper) == (position or (-100.0, 100.0))
+        assert (limits.speed, limits.force, limits.acceleration) == (10.0, 10.0, np.inf)
 
 
 def test_a_mimic_joint_that_leaves_no_freedom_is_refused_not_ignored(tmp_path: Path) -> None:
