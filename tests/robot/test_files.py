@@ -12,6 +12,7 @@ import yaml
 
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
+from redundancy_pin.loading import propose_robot
 
 FILES = Path(__file__).parent / "files"
 BAD, NOTED = (
@@ -36,6 +37,27 @@ def comment_of(path: Path) -> str:
 @pytest.mark.parametrize("path", NOTED, ids=lambda path: path.name)
 def test_what_is_not_in_force_is_noted(path: Path) -> None:
     assert sum(comment_of(path) in note for note in rp.load_robot(path).notes) == 1
+
+
+@pytest.mark.parametrize("path", sorted(FILES.glob("urdf/open/*.urdf")), ids=lambda path: path.stem)
+def test_what_a_urdf_leaves_open_is_certain_or_asked(path: Path) -> None:
+    """The comment: what is asked, the arguments of ``new`` that decide it, and what comes of them."""
+    case = yaml.safe_load(comment_of(path))
+    proposal, robot = propose_robot(path)
+    if "asks" in case:
+        assert case["asks"] in " ".join(proposal.questions)
+        if "of the links" in case["asks"]:  # what may be wrong is not written either
+            assert set(proposal.found) <= {"closing_a_1 = closing_a_2"}
+        with pytest.raises(DeclarationError, match=rf"does not say it all.*`redundancy-pin new {path.name}`"):
+            rp.load_robot(path)
+    else:
+        loaded = rp.load_robot(path)
+        assert list(loaded.actuated) == list(proposal.mechanism.actuated) == case["actuated"]
+        changed = loaded.with_parameters(masses={next(body.name for body in loaded.bodies if body.mass): 2.0})
+        assert (changed.n, changed.closures) == (loaded.n, loaded.closures)
+    if "n" in case:
+        proposal, robot = propose_robot(path, **case.get("decided", {}))
+        assert (proposal.questions, robot.n, len(robot.closures)) == ((), case["n"], case["closures"])
 
 
 @pytest.mark.parametrize("path", BAD, ids=lambda path: path.name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -169,120 +168,6 @@ def test_linkages_with_marks_are_right_or_undecided(tmp_path_factory, ends, moto
 FIVE_BAR = loop(("left_tip", "right_tip"), ("motor_1", "motor_2"))
 
 
-CLOSING = {"left_tip": "closing_a_1", "right_tip": "closing_a_2"}
-
-
-LOOP_1 = {"left_tip": "loop_1_1", "right_tip": "loop_1_2"}
-LOOP_2 = (J("s", "fixed", "link_l0", "loop_2_1"), J("t", "fixed", "link_r0", "loop_2_2"))
-
-
-def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
-    """Return the joints of the five-bar with other names of joints and links, and more joints."""
-    joints = displaced(FIVE_BAR.joints, by)
-    new = [
-        replace(j, **{key: names.get(getattr(j, key), getattr(j, key)) for key in ("name", "parent", "child")})
-        for j in joints
-    ]
-    return (*new, *more)
-
-
-@pytest.mark.parametrize(
-    ("joints", "question"),
-    [
-        (renamed({}), None),
-        (renamed(CLOSING, by=0.05), None),
-        (renamed({"left_tip": "arm_loop", "right_tip": "rod_loop"}, by=0.0005), None),
-        (renamed({"left_tip": "closing_left", "right_tip": "closing_right"}, by=0.05), "of the links closing_left"),
-        (renamed({}, J("t", "fixed", "link_l1", "tool0", (0.1, 0, 0))), None),
-        (renamed({"left_tip": "loop_of_arm", "right_tip": "rod_loop"}, by=0.0005), None),
-        (renamed(CLOSING, J("s", "fixed", "link_l0", "spare")), None),
-        (renamed(CLOSING, J("s", "fixed", "link_l0", "hand_loop")), "of the links hand_loop"),
-        (renamed({"pin_l1": "passive_motor"}), None),
-        (renamed({"base": "wall"}, J("w", "fixed", "base", "wall")), None),
-        (renamed({}, by=0.05), "--close left_tip,right_tip (the only two)"),
-        (renamed({}, by=0.00002), "--close left_tip,right_tip (the only two)"),
-        (renamed({}, by=0.000003), None),
-        (
-            renamed({"left_tip": "ltip", "right_tip": "rtip"}, J("s", "fixed", "link_l0", "spare")),
-            "of the links spare",
-        ),
-        (renamed({}, J("s", "fixed", "base", "third", (0.2, 0.7, 0))), "one point, in three bodies or more"),
-        (
-            renamed({"left_tip": "left_finger", "right_tip": "right_finger"}),
-            "Is a loop cut at left_finger,right_finger",
-        ),
-        (renamed({"right_tip": "arm_loop"}, by=0.05), "of the links left_tip, arm_loop"),
-        (renamed(LOOP_1, *LOOP_2, by=0.05), "of the links loop_2_1, loop_2_2, loop_1_1, loop_1_2"),
-        (renamed({"motor_1": "a"}), "The mechanism has 2 DOF. --actuate a,motor_2 (on the ground)"),
-        (renamed({"pin_l1": "motor_3"}), "2 DOF"),
-        (renamed({"motor_1": "passive_a", "motor_2": "passive_b"}), None),
-        (tuple(j for j in renamed({}) if j.child != "right_tip"), "of the links left_tip"),
-    ],
-)
-def test_names_and_places_are_certain_or_asked(joints: tuple[J, ...], question: str | None, tmp_path: Path) -> None:
-    path = written(tmp_path, *joints)
-    proposal, _ = propose_robot(path)
-    if question is None:
-        assert proposal.questions == ()
-        robot = rp.load_robot(path)
-        assert (robot.n, len(robot.closures)) == (2, 1)
-        assert robot.actuated == proposal.mechanism.actuated
-        heavier = robot.with_parameters(masses={"link_l0": 2.0})
-        assert (heavier.n, heavier.closures) == (2, robot.closures)
-    else:
-        assert question in " ".join(proposal.questions)
-        if "of the links" in question:  # what may be wrong is not written either
-            assert set(proposal.found) <= {"closing_a_1 = closing_a_2"}
-        with pytest.raises(DeclarationError, match=r"does not say it all.*`redundancy-pin new robot.urdf`"):
-            rp.load_robot(path)
-
-
-@pytest.mark.parametrize(
-    ("ends", "motors", "by", "question"),
-    [
-        (("p{}_1", "p{}_2"), ("motor_{}", "b{}"), 0.0003, None),
-        (("p{}_1", "p{}_2"), ("motor_{}", "b{}"), 0.05, "Is a loop cut at p2_1,p2_2? Others named so meet"),
-        (("closing_{}_1", "closing_{}_2"), ("j{}", "b{}"), 0.0, "Which joints are driven"),
-        (("closing_{}_1", "closing_{}_2"), ("motor_{}", "motor_b{}"), 0.0, "Which joints are driven"),
-    ],
-)
-def test_two_loops_of_which_one_is_open_at_zero(ends, motors, by: float, question: str | None, tmp_path: Path) -> None:
-    """Marks that are named as others that meet are ends; motors by name must move different loops."""
-    loops = [
-        loop(tuple(end.format(k) for end in ends), tuple(each.format(k) for each in motors), links=(1, 2), tag=str(k))
-        for k in (1, 2)
-    ]
-    joints = (*loops[0].joints, *displaced(loops[1].joints, by))
-    if motors[1] == "motor_b{}":  # as many as there are degrees of freedom, both in the first loop
-        joints = tuple(replace(j, name=j.name.replace("motor_2", "c").replace("motor_b2", "d")) for j in joints)
-    proposal, robot = propose_robot(written(tmp_path, *joints))
-    if question:
-        assert question in " ".join(proposal.questions)
-    else:
-        assert (proposal.questions, robot.n, len(robot.closures)) == ((), 2, 2)
-
-
-def test_marks_of_a_loop_that_the_file_states_close_no_other(tmp_path: Path) -> None:
-    path = written(tmp_path, *FIVE_BAR.joints)
-    sides = "".join(
-        f'<{tag} link="{joint.parent}"><origin xyz="{float(joint.xyz[0])} 0 0"/></{tag}>'
-        for tag, end in (("predecessor", "left_tip"), ("successor", "right_tip"))
-        for joint in FIVE_BAR.joints
-        if joint.child == end
-    )
-    stated = f'<loop name="top" type="revolute">{sides}<axis xyz="0 0 1"/></loop></robot>'
-    path.write_text(path.read_text().replace("</robot>", stated))
-    proposal, robot = propose_robot(path)
-    assert (proposal.questions, proposal.found, robot.n) == ((), {}, 2)
-    assert [each.name for each in robot.closures] == ["top"]
-    more = [J("a", "fixed", "link_l0", "plate_1", (0.1, 0, 0)), J("b", "fixed", "base", "plate_2")]
-    place = FIVE_BAR.joints[0]
-    more[1] = replace(more[1], xyz=(0.1 * np.cos(place.rpy[2]), 0.1 * np.sin(place.rpy[2]), 0.0))
-    path = written(tmp_path, *FIVE_BAR.joints, *more)
-    path.write_text(path.read_text().replace("</robot>", stated))
-    assert "Is a loop cut at plate_2,plate_1?" in " ".join(propose_robot(path)[0].questions)
-
-
 def test_one_of_two_loops_is_not_enough(tmp_path: Path) -> None:
     loops = [loop((f"left{k}", f"right{k}"), (f"motor_{k}", f"b{k}"), links=(1, 2), tag=k, seed=int(k)) for k in "12"]
     path = written(tmp_path, *(joint for each in loops for joint in displaced(each.joints, 0.05)))
@@ -290,75 +175,6 @@ def test_one_of_two_loops_is_not_enough(tmp_path: Path) -> None:
     assert "of the links left2, right2 close loops: --close left2,right2" in " ".join(asked.questions)
     decided, robot = propose_robot(path, close=["left1,right1", "left2,right2"])
     assert (decided.questions, robot.n) == ((), 2)
-
-
-@pytest.mark.parametrize("names", [("left_tip", "right_tip"), ("left_plate", "right_plate"), ("plate", "right_pin")])
-@pytest.mark.parametrize("by", [0.0, 0.05])
-def test_ends_that_weigh_something(names: tuple[str, str], by: float, tmp_path: Path) -> None:
-    """They are ends where they meet or are named so; heavy plates that do not meet are parts."""
-    path = written(tmp_path, *renamed(dict(zip(("left_tip", "right_tip"), names, strict=True)), by=by))
-    heavy = '<inertial><mass value="0.1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    path.write_text(
-        re.sub(r'<link name="(\w*(tip|plate|pin))"></link>', rf'<link name="\1">{heavy}</link>', path.read_text())
-    )
-    proposal, _ = propose_robot(path)
-    if by == 0.0:
-        assert len(proposal.found) == 1
-    elif names == ("left_plate", "right_plate"):
-        assert proposal.found == {}
-        assert "Which joints are driven" in " ".join(proposal.questions)
-    else:
-        assert "Where are loops cut?" in " ".join(proposal.questions)
-
-
-def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
-    """The pin of the right end is in the tree, and carries a link that is to be welded to the left one."""
-    joints = [
-        replace(j, kind="revolute") if j.child == "right_tip" else j for j in FIVE_BAR.joints if j.child != "left_tip"
-    ]
-    weight = re.compile(r'(<link name="right_tip">).*?(</link>)', re.DOTALL)
-    path = written(tmp_path, *joints, J("at", "fixed", "link_l1", "plate", FIVE_BAR.joints[2].xyz))
-    path.write_text(weight.sub(r"\1\2", path.read_text()))
-    assert "--close right_tip,plate,weld or --open" in " ".join(propose_robot(path)[0].questions)
-    proposal, robot = propose_robot(path, close=["right_tip,plate,weld"])
-    assert (proposal.questions, robot.n) == ((), 2)
-
-
-def test_fingers_on_slides_that_touch_close_no_loop(tmp_path: Path) -> None:
-    """Their tips meet at zero, but a pin there would hold one direction only."""
-    jaws = [J(f"motor_{side}", "prismatic", "base", side, axis=(1.0, 0.0, 0.0)) for side in "ab"]
-    path = written(tmp_path, *jaws, *(J(f"at_{side}", "fixed", side, f"pad_{side}", (0, 0.1, 0)) for side in "ab"))
-    assert any(
-        "holds 1 direction(s) only: --close pad_a,pad_b or --open" in each for each in propose_robot(path)[0].questions
-    )
-    proposal, robot = propose_robot(path, is_open=True)
-    assert (proposal.questions, robot.n, proposal.frames) == ((), 2, ("pad_a", "pad_b"))
-
-
-@pytest.mark.parametrize(("turn", "kind", "n"), [(0.0, "", 1), (0.4, "ball", 3), (0.4, "hinge", 1)])
-def test_a_ball_or_a_hinge_is_asked_where_they_differ(turn: float, kind: str, n: int, tmp_path: Path) -> None:
-    """A loop of seven hinges of which six are in the tree: a spatial one turns about all axes at its cut."""
-    rng = np.random.default_rng(3)
-    joints, parent = list[J](), "base"
-    for k in range(6 if turn else 3):
-        rpy = tuple(turn * rng.uniform(-3, 3, 3)) if turn else (0.0, 0.0, np.pi / 2 if k else 0.3)
-        joints.append(J(f"j{k}", "revolute", parent, f"l{k}", (0.3, 0.0, 0.1 * turn), rpy))
-        parent = f"l{k}"
-    model = pin.buildModelFromXML(urdf_of([*joints, J("e", "fixed", parent, "closing_x_1", (0.3, 0, 0))]))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    place = data.oMf[model.getFrameId("closing_x_1", pin.BODY)]
-    foot = J("f", "fixed", "base", "closing_x_2", place.translation, pin.rpy.matrixToRpy(place.rotation))
-    path = written(tmp_path, *joints, J("e", "fixed", parent, "closing_x_1", (0.3, 0, 0)), foot)
-    drives = ["j0"] if n == 1 else ["j0", "j1", "j2"]
-    for close in [[], ["closing_x_1,closing_x_2"]] if kind else []:
-        asked, _ = propose_robot(path, close=close, actuate=drives)
-        assert "--close closing_x_1,closing_x_2,ball or --close closing_x_1,closing_x_2,hinge" in " ".join(
-            asked.questions
-        )
-    close = [f"closing_x_1,closing_x_2,{kind}"] if kind else []
-    decided, robot = propose_robot(path, close=close, actuate=drives)
-    assert (decided.questions, robot.n) == ((), n)
 
 
 def test_a_link_that_is_cut_in_two_is_asked_about_where_motors_are_too_few(tmp_path: Path) -> None:
