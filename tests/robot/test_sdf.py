@@ -17,7 +17,7 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, ModelFileError
+from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
 from redundancy_pin.robot.formats.sdf import read_sdf
 from redundancy_pin.robot.loads import JointForces
 
@@ -189,61 +189,44 @@ def test_axes_of_every_version(version: str, given: str, expected: list[float], 
 
 # --- loops ------------------------------------------------------------------------------------------------------------
 
-LINKS = [
-    link("base", "0 0 0.1 0 0 0"),
-    link("crank", "0 0 0.1 0 0 0.9"),
-    link("rod", f"{float(0.2 * np.cos(0.9))!r} {float(0.2 * np.sin(0.9))!r} 0.1 0 0 -0.2", 0.5),
-    link("rocker", "0.6 0 0.1 0 0 0.3", 0.7),
-]
-LIMIT = "<limit><lower>-2</lower><upper>2</upper><effort>9</effort></limit><dynamics><damping>0.3</damping></dynamics>"
+PIN = "<parent>bar</parent><child>arm</child><axis><xyz>0 0 1</xyz>"
 SPRING = "<dynamics><damping>0.3</damping><friction>0.2</friction><spring_stiffness>5</spring_stiffness>"
 SPRING += "<spring_reference>0.1</spring_reference></dynamics>"
-TREE = [
-    joint("drive", "revolute", "base", "crank", LIMIT),
-    joint("elbow", "revolute", "crank", "rod"),
-    joint("foot", "revolute", "base", "rocker"),
-]
 
 
-def pin_joint(kind: str = "revolute", more: str = "") -> str:
-    """Return the joint that closes the four-bar, placed in the rocker."""
-    x, y = turned(0.0, 0.0, -0.3)[:2, :2] @ [0.2 * np.cos(0.9) + 0.5 - 0.6, 0.3]
-    pose = f"<pose>{float(x)!r} {float(y)!r} 0 0 0 0</pose>"
-    return joint("pin", kind, "rod", "rocker", more).replace("<parent>", f"{pose}<parent>")
-
-
-FOUR_BAR = [*LINKS, *TREE, pin_joint()]
+def changed(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write the plain four-bar with parts of its text replaced."""
+    text = (FILES / "good" / "plain.sdf").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    (folder / "changed.sdf").write_text(text)
+    return folder / "changed.sdf"
 
 
 def test_forces_of_a_joint_that_closes_the_loop_do_their_work(tmp_path: Path) -> None:
-    """Power by power: spring, damper and friction of a pin at the torque of the crank, at the pin's own speed."""
-    plain = rp.load_robot(written(tmp_path, *FOUR_BAR))
-    robot = rp.load_robot(written(tmp_path, *LINKS, *TREE, pin_joint(more=SPRING)))
-    assert robot.loads == (JointForces("drive", 0.3), JointForces("pin", 0.3, 0.2, stiffness=5.0, rest=0.1))
-    lifted = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.3]], [[0.7]], [[-0.4]]))
+    """Power by power: spring, damper and friction of a pin at the torque of the motor, at the pin's own speed."""
+    plain = rp.load_robot(FILES / "good" / "plain.sdf")
+    robot = rp.load_robot(changed(tmp_path, (PIN, PIN + SPRING)))
+    assert robot.loads == (JointForces("pin", 0.3, 0.2, stiffness=5.0, rest=0.1),)
+    followed = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.3]], [[0.7]], [[-0.4]]))
     at = robot.model.joints[robot.model.getJointId("pin")]
-    angle, speed = float(lifted.q[0, at.idx_q]), float(lifted.v[0, at.idx_v])
+    angle, speed = float(followed.q[0, at.idx_q]), float(followed.v[0, at.idx_v])
     power = (5.0 * (angle - 0.1) + 0.3 * speed + 0.2 * np.sign(speed)) * speed
     more = efforts(robot, 0.3, 0.7, -0.4) - efforts(plain, 0.3, 0.7, -0.4)
     assert more[0] * 0.7 == pytest.approx(power, rel=1e-9)
-    ranged = rp.load_robot(written(tmp_path, *LINKS, *TREE, pin_joint(more="<limit><lower>-1</lower></limit>")))
-    assert "The limits of pin, which closes a loop, are left out." in ranged.notes
 
 
-def test_a_joint_that_is_driven_closes_the_loop_too(tmp_path: Path) -> None:
-    """Power by power: the torque at the pin does the work of that at the crank; its own angle is the motion."""
-    path = written(tmp_path, *FOUR_BAR)
-    crank, pinned = rp.load_robot(path, actuated="drive"), rp.load_robot(path, actuated="pin")
-    assert pinned.actuated == ("pin",)
+def test_a_joint_that_is_driven_closes_the_loop_too() -> None:
+    """Power by power: the torque at the pin does the work of that at the motor; its own angle is the motion."""
+    motor, pinned = (rp.load_robot(FILES / "good" / "plain.sdf", actuated=name) for name in ("motor", "pin"))
     given = rp.PlatformMotion([0.0], [[home_of(pinned)[0] + 0.1]], [[0.7]], [[-0.4]])
-    lifted = rp.inverse_kinematics(pinned, given)
-    at = {name: pinned.model.joints[pinned.model.getJointId(name)].idx_v for name in ("drive", "pin")}
-    x, xd, xdd = (float(values[0, at["drive"]]) for values in (lifted.q, lifted.v, lifted.a))
-    other = efforts(
-        pinned, *(float(values[0, at[pinned.independent_joints[0]]]) for values in (lifted.q, lifted.v, lifted.a))
-    )
-    speed = float(lifted.v[0, at["pin"]])
-    assert other[0] * speed == pytest.approx(efforts(crank, x, xd, xdd)[0] * xd, rel=1e-9)
+    followed = rp.inverse_kinematics(pinned, given)
+    own = pinned.independent_joints[0]
+    at = {name: pinned.model.joints[pinned.model.getJointId(name)].idx_v for name in ("motor", "pin", own)}
+    state = {name: [float(each[0, at[name]]) for each in (followed.q, followed.v, followed.a)] for name in at}
+    power = efforts(motor, *state["motor"])[0] * state["motor"][1]
+    assert efforts(pinned, *state[own])[0] * state["pin"][1] == pytest.approx(power, rel=1e-9)
 
 
 def hooke(axis2: str) -> list[str]:
@@ -354,9 +337,12 @@ def test_a_gearbox_couples_angles_from_its_reference_body(
 ) -> None:
     """θ₂ = −ratio θ₁ by the places of the links: the file's own words, whichever way round its joints are written."""
     ends = ("rotor", "base") if turned_round else ("base", "rotor")
-    rotor = [link("rotor", "0 0.3 0 0 0 0.4", 0.1), joint("spin", "revolute", *ends)]
+    places = {"base": "0 0 0.1 0 0 0", "crank": "0 0 0.1 0 0 0.9", "rotor": "0 0.3 0 0 0 0.4", "rod": "0.2 0 0 0 0 0"}
+    parts = [link(name, place) for name, place in places.items()]
+    parts += [joint("drive", "revolute", "base", "crank"), joint("spin", "revolute", *ends)]
+    parts += [joint("still", "fixed", "crank", "rod")]
     gears = GEARBOX.format(parent="rotor", child="crank", one=one, two=two)
-    robot = rp.load_robot(written(tmp_path, *FOUR_BAR, *rotor, gears), actuated="drive")
+    robot = rp.load_robot(written(tmp_path, *parts, gears), actuated="drive")
     assert (robot.n, len(robot.couplings)) == (1, 1)
     spin = robot.model.joints[robot.model.getJointId("spin")]
     x = home_of(robot) + np.array([[0.0], [0.01]])
@@ -369,7 +355,7 @@ def test_a_gearbox_couples_angles_from_its_reference_body(
     assert abs(q[1, spin.idx_q] - q[0, spin.idx_q]) == pytest.approx(0.25)
     assert two * second == pytest.approx(-0.04 * one * first)
     with pytest.raises(ModelFileError, match="needs a hinge about its axis from 'base' to 'rod'"):
-        rp.load_robot(written(tmp_path, *FOUR_BAR, *rotor, gears.replace(">crank<", ">rod<")))
+        rp.load_robot(written(tmp_path, *parts, gears.replace(">crank<", ">rod<")))
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------
@@ -392,7 +378,7 @@ def test_limits_hold_up_to_1e15(kind: str, text: str, end: float | None, most: f
     none = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
     for key in none:
         turn = joint("turn", kind, "base", "crank", f"<limit><{key}>{text}</{key}></limit>")
-        model = read_sdf(written(tmp_path, *LINKS[:2], turn)).model
+        model = read_sdf(written(tmp_path, link("base", "0 0 0 0 0 0"), link("crank", "0 0 0 0 0 0"), turn)).model
         limits = model.lowerPositionLimit, model.upperPositionLimit, model.upperEffortLimit, model.upperVelocityLimit
         found = dict(zip(none, (float(limit[0]) for limit in limits), strict=True))
         assert found == none | {key: (none[key] if end is None else end) if key in ("lower", "upper") else most}
@@ -400,38 +386,28 @@ def test_limits_hold_up_to_1e15(kind: str, text: str, end: float | None, most: f
 
 
 def test_masses_are_placed_by_the_pose_of_the_inertial(tmp_path: Path) -> None:
-    model = read_sdf(written(tmp_path, *FOUR_BAR)).model
-    own, turn = model.inertias[model.getJointId("elbow")], turned(0.0, 0.0, -0.2)
+    parts = link("base", "0 0 0 0 0 0"), link("rod", "0.3 0 0 0 0 -0.2", 0.5)
+    own = read_sdf(written(tmp_path, *parts, joint("j", "revolute", "base", "rod"))).model.inertias[1]
+    turn = turned(0.0, 0.0, -0.2)
     assert own.mass == 0.5
     np.testing.assert_allclose(own.lever, turn @ [0.1, 0.02, 0.03], atol=1e-12)
     about = turn @ turned(0.1, 0.2, 0.3)
     tensor = np.array([[0.02, 0.001, 0.0], [0.001, 0.03, 0.0], [0.0, 0.0, 0.04]])
     np.testing.assert_allclose(own.inertia, about @ tensor @ about.T, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("inertial", "mass", "moments"),
-    [
-        ("", 1.0, [1.0, 1.0, 1.0]),
-        ("<inertial><mass>3</mass></inertial>", 3.0, [1.0, 1.0, 1.0]),
-        ("<inertial><inertia><iyy>0.5</iyy></inertia></inertial>", 1.0, [1.0, 0.5, 1.0]),
-    ],
-)
-def test_masses_that_the_file_leaves_out_are_those_of_the_specification(
-    inertial: str, mass: float, moments: list[float], tmp_path: Path
-) -> None:
-    mechanism = read_sdf(written(tmp_path, f'<link name="a">{inertial}</link>', joint("j", "revolute", "world", "a")))
-    body = mechanism.model.inertias[1]
-    assert body.mass == mass
-    np.testing.assert_allclose(np.diag(body.inertia), moments)
-    assert any("SDF's own 1 kg and 1 kg·m²: a." in note for note in mechanism.notes)
+    bare = read_sdf(FILES / "noted" / "masses_of_the_specification.sdf").model.inertias[1]
+    assert (bare.mass, bare.inertia.tolist()) == (1.0, np.eye(3).tolist())
 
 
 def test_base_and_driven_joints(tmp_path: Path) -> None:
-    path = written(tmp_path, *FOUR_BAR, "<pose>0 0 1 0.1 0.2 0.3</pose>")
-    assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
-    free = rp.load_robot(path, base="free", actuated="drive")
-    assert (free.n, free.m) == (7, 1)
+    path = written(
+        tmp_path,
+        "<pose>0 0 1 0.1 0.2 0.3</pose>",
+        *(link(name, "0 0 0.1 0 0 0") for name in ("base", "crank", "rocker")),
+        *(joint(f"to_{name}", "revolute", "base", name) for name in ("crank", "rocker")),
+    )
+    assert rp.load_robot(path, actuated="to_rocker").actuated == ("to_rocker",)
+    free = rp.load_robot(path, base="free", actuated="to_crank")
+    assert (free.n, free.m) == (8, 1)
     expected = np.eye(4)
     expected[:3, :3] = turned(0.1, 0.2, 0.3)
     expected[:3, 3] = expected[:3, :3] @ [0.0, 0.0, 0.1] + [0.0, 0.0, 1.0]
@@ -440,10 +416,10 @@ def test_base_and_driven_joints(tmp_path: Path) -> None:
         rp.load_robot(path, actuated="krank")
     with pytest.raises(InputError, match="no argument 'keyframe'"):
         rp.load_robot(path, keyframe="home")
-    still = joint("latch", "revolute", "rocker", "lid", LIMIT.replace("-2", "0").replace(">2<", ">0<"))
-    fixed = rp.load_robot(written(tmp_path, *FOUR_BAR, link("lid", "0 0 0.2 0 0 0"), still))
-    assert "latch" not in fixed.model.names
-    assert any("'latch' has the limits 0 and 0" in note for note in fixed.notes)
+    spring = joint("hinge", "revolute", "base", "crank", SPRING)  # is not taken to be driven unasked
+    path = written(tmp_path, link("base", "0 0 0 0 0 0"), link("crank", "0 0 0 0 0 0"), spring)
+    with pytest.raises(RedundancyPinError, match='actuated="a,b"'):
+        rp.load_robot(path)
 
 
 # --- other files ------------------------------------------------------------------------------------------------------

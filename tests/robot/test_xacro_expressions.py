@@ -153,7 +153,6 @@ def off(part: str, times: int) -> str:
     return f'<xacro:if value="0">{part * times}</xacro:if>'
 
 
-ATTRIBUTES = " ".join(f'a{i}=""' for i in range(90))
 PARAMETERS = " ".join(f"p{i}:=1" for i in range(99_999))
 
 BOMBS = {
@@ -163,9 +162,7 @@ BOMBS = {
         + '<xacro:macro name="m60"/><xacro:m0/>',
         "more work",
     ),
-    "a large macro": (often("<a/>" * 9000, 9000), "more work"),
     "a large macro, switched off": (often(off("<a/>", 9000), 9000), "more work"),
-    "attributes, switched off": (often(off(f"<a {ATTRIBUTES}/>", 2500), 9000), "more work"),
     "a large block": (
         '<xacro:macro name="m" params="**b">' + '<xacro:insert_block name="b"/>' * 5000 + "</xacro:macro>"
         "<xacro:m><b>" + "<a/>" * 5000 + "</b></xacro:m>",
@@ -176,10 +173,7 @@ BOMBS = {
         + '<xacro:property name="p0" value="xxxxxxxxxx"/><link name="${p50}"/>',
         "characters",
     ),
-    "a long text": ("<xacro:property name='p' value=\"${'x' * 49999}\"/>" + '<a n="${p}"/>' * 9000, "more work"),
-    "many dollars": ('<a n="' + "$a" * 90_000 + '"/>', "more work"),
     "many switches": ('<a/><xacro:if value="0"/>' * 9_900, "more work"),
-    "many elements": ("<a/>" * 30_000, "elements"),
     "many comments": ("<!--a-->" * 30_000, "comments"),
     "many parameters": (f'<xacro:macro name="m" params="{PARAMETERS}"/>', "more work"),
     "properties in a circle": (
@@ -192,7 +186,6 @@ BOMBS = {
     ),
     "large values": ("<xacro:property name='l' value='${[0] * 49000}'/>" + "<a n='${len(l)}'/>" * 9000, "more work"),
     "a file that includes itself": ('<xacro:include filename="r.urdf.xacro"/>', "31 levels deep"),
-    "one that is large": ("<a/>" * 19_000 + '<xacro:include filename="r.urdf.xacro"/>', "more work"),
 }
 
 
