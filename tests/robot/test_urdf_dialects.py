@@ -131,72 +131,42 @@ def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: P
     assert torque(robot) - torque(plain) == pytest.approx(30.0**2 * 2e-5 * MOTION[2], rel=1e-9)
 
 
-@pytest.mark.parametrize(("kind", "names"), [("ball", ["knee"]), ("universal", ["knee_rx", "knee_ry"])])
-def test_joints_of_drake(kind: str, names: list[str], tmp_path: Path) -> None:
-    ends = '<parent link="crank"/><child link="ball"/>'
-    joint = f'<link name="ball"/><drake:joint name="knee" type="{kind}">{ends}</drake:joint>'
-    text = (
-        '<robot name="r" xmlns:drake="http://drake.mit.edu"><link name="base"/><link name="crank"/>'
-        '<joint name="motor" type="continuous"><parent link="base"/><child link="crank"/></joint>'
-        f'{joint}<transmission name="t"><joint name="motor"/></transmission></robot>'
-    )
-    path = tmp_path / "r.urdf"
-    path.write_text(text)
-    moving = list(rp.load_robot(path).model.names)[2:]
-    assert moving == (["knee_rz", "knee_ry", "knee_rx"] if kind == "ball" else names)
-
-
-@pytest.mark.parametrize(
-    ("ends", "expected"),
-    [
-        (("bar", "arm"), ("foot", "knee", (("motor", 2.0),))),  # foot = 2 (knee + motor)
-        (("arm", "bar"), ("knee", "foot", (("motor", -1.0),))),  # knee + motor = 2 foot
-    ],
-)
-def test_a_coupling_is_of_sums_of_angles(ends: tuple[str, str], expected: object, tmp_path: Path) -> None:
-    """URDF+: ratio times the angle to the predecessor is that to the successor, both from what carries both."""
-    one, other = ends
-    belt = f'<coupling name="belt"><predecessor link="{one}"/><successor link="{other}"/><ratio value="2"/></coupling>'
-    path = changed(tmp_path, ("<loop ", f"{belt}<!--<loop "), ("</loop>", "</loop>-->"))
-    (coupling,) = rp.load_robot(path).couplings
-    assert (coupling.joint, coupling.of, coupling.also) == expected
-    assert coupling.polynomial == (0.0, 2.0)
+def test_joints_of_drake() -> None:
+    names = list(rp.load_robot(FILES / "other" / "joints_of_drake.urdf").model.names)[2:]
+    assert names == ["knee_rz", "knee_ry", "knee_rx", "wrist_rx", "wrist_ry"]
 
 
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
-def test_a_coupling_of_three_joints_shares_its_torque(backend: type, tmp_path: Path) -> None:
-    """With foot = 2 (knee + motor), virtual work adds twice the torque of the foot to both others."""
-    belt = '<coupling name="belt"><predecessor link="bar"/><successor link="arm"/><ratio value="2"/></coupling>'
+@pytest.mark.parametrize(("one", "other", "factor"), [("bar", "arm", 2.0), ("arm", "bar", 0.5)])
+def test_a_coupling_is_of_sums_of_angles(backend: type, one: str, other: str, factor: float, tmp_path: Path) -> None:
+    """URDF+: ratio times the angle to the predecessor is that to the successor, both from what carries both.
+
+    With foot = factor (knee + motor), virtual work adds so much of the torque of the foot to both others.
+    """
+    belt = f'<coupling name="belt"><predecessor link="{one}"/><successor link="{other}"/><ratio value="2"/></coupling>'
     path = changed(tmp_path, ("<loop ", f"{belt}<!--<loop "), ("</loop>", "</loop>-->"))
     robot = rp.load_robot(path, actuated="motor,knee", gravity=GRAVITY)
     names = list(robot.model.names)[1:]
     motor, knee, foot = (names.index(name) for name in ("motor", "knee", "foot"))
     states = np.zeros((3, 3))
     states[:, motor], states[:, knee] = (0.2, 1.1, -2.0), (-0.1, 0.7, 3.0)
-    states[:, foot] = 2.0 * (states[:, motor] + states[:, knee])
+    states[:, foot] = factor * (states[:, motor] + states[:, knee])
     q, v, a = states
     alone = pin.rnea(robot.model, robot.model.createData(), q, v, a)
     columns = [names.index(name) for name in robot.independent_joints]
     motion = rp.PlatformMotion([0.0], *(state[None, columns] for state in states))
     tau = rp.distribute(backend(robot).reduce(motion)).tau[0]
     own = [names.index(name) for name in robot.actuated]
-    np.testing.assert_allclose(tau, [alone[index] + 2.0 * alone[foot] for index in own], rtol=1e-9)
+    np.testing.assert_allclose(tau, [alone[index] + factor * alone[foot] for index in own], rtol=1e-9)
 
 
-def test_joints_of_a_plain_file_are_named_as_driven_and_its_base_may_move(tmp_path: Path) -> None:
-    drive = '  <transmission name="drive"><joint name="motor"/><actuator name="m"/></transmission>\n'
-    path = changed(tmp_path, (drive, ""))
-    assert rp.load_robot(path).actuated == ("motor",)  # by its name
-    nameless = changed(tmp_path / "a", (drive, ""), ('"motor"', '"crank"'))
-    with pytest.raises(
-        RedundancyPinError, match=r"Which joints are driven, of crank, knee, foot\?.*redundancy-pin new"
-    ):
-        rp.load_robot(nameless)
+def test_the_base_of_a_plain_file_may_move() -> None:
+    path = FILES / "good" / "urdf_plus.urdf"
     assert rp.load_robot(path, actuated="foot").actuated == ("foot",)
-    free = rp.load_robot(path, actuated="motor", base="free")
+    free = rp.load_robot(path, base="free")
     assert (free.n, free.m) == (7, 1)
     with pytest.raises(RedundancyPinError, match="'base' is 'loose'"):
-        rp.load_robot(path, actuated="motor", base="loose")
+        rp.load_robot(path, base="loose")
 
 
 def test_loops_that_lie_in_a_line_at_zero_are_closed_beside(tmp_path: Path) -> None:
@@ -213,37 +183,18 @@ def test_loops_that_lie_in_a_line_at_zero_are_closed_beside(tmp_path: Path) -> N
     assert any("lie in a line" in note for note in robot.notes)
 
 
-def test_a_planar_joint_holds_a_body_on_a_plane(tmp_path: Path) -> None:
-    """A puck of 2 kg and 0.3 kg·m²: its efforts are those of a free body in the plane."""
-    path = tmp_path / "puck.urdf"
-    inertia = '<inertia ixx="0.2" iyy="0.2" izz="0.3" ixy="0" ixz="0" iyz="0"/>'
-    path.write_text(
-        '<robot name="puck"><link name="table"/>'
-        f'<link name="puck"><inertial><mass value="2"/>{inertia}</inertial></link>'
-        '<joint name="free" type="floating"><parent link="table"/><child link="puck"/></joint>'
-        '<loop name="slab" type="planar"><predecessor link="table"><origin xyz="0 0 0.5"/></predecessor>'
-        '<successor link="puck"/><axis xyz="0 0 1"/></loop></robot>'
-    )
-    robot = rp.load_robot(path, actuated="free_x,free_y,free_rz")
+def test_a_planar_joint_holds_a_body_on_a_plane() -> None:
+    """Its efforts are those of a free body in the plane."""
+    robot = rp.load_robot(FILES / "other" / "puck.urdf", actuated="free_x,free_y,free_rz")
     assert robot.n == 3
     motion = rp.PlatformMotion([0.0], [[0.1, 0.2, 0.3]], [[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]])
     tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0]
     np.testing.assert_allclose(tau, [8.0, 10.0, 1.8], atol=1e-12)
 
 
-def test_a_continuous_joint_that_is_coupled_keeps_its_limits_of_speed_and_effort(tmp_path: Path) -> None:
+def test_a_continuous_joint_that_is_coupled_keeps_its_limits_of_speed_and_effort() -> None:
     """Counting its turns takes none of them away, nor its friction."""
-    path = tmp_path / "gears.urdf"
-    link = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    joint = '<joint name="{0}" type="continuous"><parent link="base"/><child link="{0}_link"/><axis xyz="0 0 1"/>'
-    path.write_text(
-        f'<robot name="gears"><link name="base"/><link name="a_link">{link}<link name="b_link">{link}'
-        + joint.format("a")
-        + '<limit effort="9" velocity="7"/><dynamics damping="0.5"/></joint>'
-        + joint.format("b")
-        + '<mimic joint="a" multiplier="-3"/></joint></robot>'
-    )
-    robot = rp.load_robot(path, actuated="a")
+    robot = rp.load_robot(FILES / "other" / "gears.urdf", actuated="a")
     column = robot.model.joints[robot.model.getJointId("a")].idx_v
     assert (robot.model.upperEffortLimit[column], robot.model.upperVelocityLimit[column]) == (9.0, 7.0)
     motion = rp.PlatformMotion([0.0], [[0.1]], [[2.0]], [[3.0]])
