@@ -348,8 +348,8 @@ def test_a_model_of_a_stranger_is_compiled_by_a_child_with_limits(tmp_path, monk
         own, other = (read_mjcf(write(tmp_path, GOOD[name]), untrusted=each) for each in (False, True))
         assert own.model == other.model
         assert (own.start == other.start).all()
-        for name in ("couplings", "forces", "notes", "shapes"):
-            assert getattr(own, name) == getattr(other, name)
+        for key in ("couplings", "forces", "notes", "shapes"):
+            assert getattr(own, key) == getattr(other, key)
         assert [each.closure() for each in own.loop_joints] == [each.closure() for each in other.loop_joints]
     with pytest.raises(RedundancyPinError, match=r"MuJoCo refuses it.*'axes'") as caught:
         read_mjcf(FILES / "bad" / "attribute.xml", untrusted=True)
