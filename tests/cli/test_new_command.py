@@ -104,24 +104,6 @@ def test_links_without_inertial_and_missing_motors_are_named(tmp_path):
     assert "massless: lower" in call("new", path, "--out", tmp_path / "bare.yaml").stdout
 
 
-def test_what_only_rounding_keeps_from_spinning_freely_is_no_dependent_joint(tmp_path):
-    """A rod on three hinges for a ball, its end 1e-6 m off the first one's axis, as exporters write it."""
-    joints = [
-        J("crank", "revolute", "base", "crank", axis=(0, 1, 0)),
-        J("rod_x", "continuous", "crank", "rod_x", (0, 0, 0.1), axis=(1, 0, 0)),
-        J("rod_y", "continuous", "rod_x", "rod_y", axis=(0, 1, 0)),
-        J("rod_z", "continuous", "rod_y", "rod_z"),
-        J("rocker", "continuous", "base", "rocker", (0.5, 0, 0.3), axis=(0, 1, 0)),
-        J("t", "fixed", "rod_z", "closing_1_1", (0.4, 1e-6, 0)),
-        J("e", "fixed", "rocker", "closing_1_2", (-0.1, 1e-6, -0.2)),
-    ]
-    path = tmp_path / "rod.urdf"
-    path.write_text(urdf_of(joints))
-    close = "closing_1_1,closing_1_2,ball"  # a hinge there would hold the rod
-    facts = json.loads(call("new", path, "--close", close, "--actuate", "crank", "--json").stdout)
-    assert (facts["undecided"], facts["independent"]) == ([], ["crank", "rod_x"])
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zoo
-from click.testing import CliRunner
 
 import redundancy_pin as rp
-from redundancy_pin.cli import main
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.urdf import declaration_path
@@ -100,21 +97,3 @@ def test_friction_that_follows_a_parameter_is_differentiated_unless_the_robot_wa
     loaded = robot.loaded(rp.JointForces("rocker", damping=1.0))
     with pytest.raises(UnsupportedRobotError, match="other loads"):
         rp.CompiledDynamics(loaded).along(motion).derivatives(parameters=["crank_length"])
-
-
-def test_info_shows_limits_of_all_joints_and_what_is_outside(tmp_path: Path) -> None:
-    path = four_bar(tmp_path)
-    robot = rp.load_robot(path)
-    joint = robot.model.joints[robot.model.getJointId("rocker")]
-    at = float(robot.q_reference[joint.idx_q])
-    text = (tmp_path / "four_bar.urdf.xacro").read_text(encoding="utf-8")
-    assert text.count('lower="-1000"') == 1
-    (tmp_path / "four_bar.urdf.xacro").write_text(
-        text.replace('lower="-1000"', f'lower="{at + 0.1}"'), encoding="utf-8"
-    )
-    shown = CliRunner().invoke(main, ["info", "--robot", str(path), "--json"])
-    facts = {one["name"]: one for one in json.loads(shown.stdout)["joints"]}
-    assert facts["rocker"]["limits"] == pytest.approx([at + 0.1, 1000.0])
-    assert facts["rocker"]["reference"] == pytest.approx(at)
-    outside = CliRunner().invoke(main, ["info", "--robot", str(path)], terminal_width=200)
-    assert "(outside)" in outside.output

@@ -50,7 +50,7 @@ def test_what_a_urdf_leaves_open_is_certain_or_asked(path: Path) -> None:
             assert set(proposal.found) <= {"closing_a_1 = closing_a_2"}
         with pytest.raises(DeclarationError, match=rf"does not say it all.*`redundancy-pin new {path.name}`"):
             rp.load_robot(path)
-    else:
+    elif "decided" not in case:
         loaded = rp.load_robot(path)
         assert list(loaded.actuated) == list(proposal.mechanism.actuated) == case["actuated"]
         changed = loaded.with_parameters(masses={next(body.name for body in loaded.bodies if body.mass): 2.0})
@@ -58,6 +58,7 @@ def test_what_a_urdf_leaves_open_is_certain_or_asked(path: Path) -> None:
     if "n" in case:
         proposal, robot = propose_robot(path, **case.get("decided", {}))
         assert (proposal.questions, robot.n, len(robot.closures)) == ((), case["n"], case["closures"])
+        assert list(robot.independent_joints) == case.get("independent", list(robot.independent_joints))
 
 
 @pytest.mark.parametrize("path", BAD, ids=lambda path: path.name)

@@ -300,17 +300,10 @@ def test_a_screw(given: str, lead: float, in_loop: bool, tmp_path: Path) -> None
     assert efforts(robot, 0.7, 2.0, 5.0)[0] == pytest.approx(0.03 * 5.0 + 2.0 * lead * (9.81 + lead * 5.0), rel=1e-9)
 
 
-def test_mimic(tmp_path: Path) -> None:
+def test_mimic() -> None:
     """The follower, rad or m, is multiplier · (leader − reference) + offset, by the axis that is named."""
-    follow = '<mimic joint="cross" axis="axis2"><multiplier>0.5</multiplier><offset>0.1</offset>{}</mimic>'
-    two = "<axis><xyz>1 0 0</xyz></axis><axis2><xyz>0 1 0</xyz></axis2>"
-    parts = [
-        *(link(name, "0 0 0 0 0 0") for name in ("base", "a", "b", "c")),
-        joint("cross", "universal", "base", "a", more=two),
-        joint("slide", "prismatic", "base", "b", follow.format("<reference>0.4</reference>")),
-        joint("back", "revolute", "c", "base", '<mimic joint="slide"><multiplier>-3</multiplier></mimic>'),
-    ]
-    robot = rp.load_robot(written(tmp_path, *parts, version="1.11"), actuated="cross_1,cross_2")
+    path = FILES / "other" / "mimic.sdf"
+    robot = rp.load_robot(path, actuated="cross_1,cross_2")
     assert {(each.joint, each.of, each.polynomial) for each in robot.couplings} == {
         ("slide", "cross_2", (0.1 - 0.5 * 0.4, 0.5)),
         ("back", "slide", (0.0, -3.0)),
@@ -322,7 +315,7 @@ def test_mimic(tmp_path: Path) -> None:
     np.testing.assert_allclose(placed(model, "b", q)[:3, 3], [0.0, 0.0, at["slide"]], atol=1e-12)
     between = np.linalg.inv(placed(model, "c", q)) @ placed(model, "base", q)
     np.testing.assert_allclose(between[:3, :3], turned(0.0, 0.0, at["back"]), atol=1e-9)
-    assert read_sdf(written(tmp_path, *parts, version="1.11")).actuated == ("cross_1", "cross_2")  # no followers
+    assert read_sdf(path).actuated == ("cross_1", "cross_2")  # no followers
 
 
 GEARBOX = """<joint name="gears" type="gearbox"><parent>{parent}</parent><child>{child}</child>
