@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,6 +14,7 @@ import yaml
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
 from redundancy_pin.loading import propose_robot
+from redundancy_pin.robot.urdf import shipped_robots
 
 FILES = Path(__file__).parent / "files"
 BAD, NOTED = (
@@ -37,6 +39,27 @@ def comment_of(path: Path) -> str:
 @pytest.mark.parametrize("path", NOTED, ids=lambda path: path.name)
 def test_what_is_not_in_force_is_noted(path: Path) -> None:
     assert sum(comment_of(path) in note for note in rp.load_robot(path).notes) == 1
+
+
+@pytest.mark.parametrize("path", sorted(FILES.glob("*/silent/*.*")), ids=lambda path: path.name)
+def test_what_is_in_force_is_not_noted(path: Path) -> None:
+    notes = " ".join(rp.load_robot(path).notes)
+    assert not re.search("<inertial>|Not in force|Passed over", notes)
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_shipped_robots_state_all_masses(name: str) -> None:
+    known = rp.load_robot(name).parameters
+    switches = {key: True for key in ("carriers", "rod_carriers", "end_effector_carriers") if key in known}
+    assert not any("<inertial>" in note for note in rp.load_robot(name, **switches).notes)
+
+
+def test_links_without_a_mass_are_logged_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "once.urdf"
+    path.write_text((FILES / "urdf" / "noted" / "massless_crank.urdf").read_text())
+    with caplog.at_level(logging.WARNING, "redundancy_pin"):
+        note, _ = (rp.load_robot(path).notes[0] for _ in range(2))
+    assert [each for each in caplog.messages if "<inertial>" in each] == [f"once.urdf: {note}"]
 
 
 @pytest.mark.parametrize("path", sorted(FILES.glob("urdf/open/*.urdf")), ids=lambda path: path.stem)
