@@ -131,6 +131,7 @@ def test_arguments_are_evaluated_and_whole_numbers_stay_whole(tmp_path: Path) ->
         ({"length": "long"}, "'length' is 'long'. It must be a finite number"),
         ({"length": "inf"}, "'length' is 'inf'. It must be a finite number"),
         ({"length": True}, "'length' is True"),
+        ({"length": float("nan")}, "'length' is nan"),
         ({"length": [1.0, 2.0]}, r"'length' cannot be \[1.0, 2.0\]"),
         ({"heavy": 1.0}, "'heavy' is 1.0. It must be true or false"),
     ):
@@ -168,7 +169,9 @@ def test_robots_load_in_several_threads_at_once() -> None:
 def test_gravity_and_default_mode() -> None:
     np.testing.assert_array_equal(rp.load_robot("3rrr", gravity=(0.0, -9.81, 0.0)).gravity, [0.0, -9.81, 0.0])
     assert rp.load_robot("3rrr").working_mode == (1, 1, 1)
-    assert rp.load_robot("3rrr", working_mode=(1, -1, 1)).working_mode == (1, -1, 1)
+    other = rp.load_robot("3rrr", working_mode=(1, -1, 1))
+    assert other.working_mode == (1, -1, 1)
+    assert "mode +-+" in repr(other)
 
 
 def test_the_size_of_a_machine_does_not_depend_on_the_guess_or_the_carriers(tmp_path: Path) -> None:
@@ -214,6 +217,13 @@ def test_the_reference_is_the_configuration_nearest_to_the_guess(guess: dict[str
         nearest = branches[np.argmin(np.abs(branches - guess[name]))]
         column = robot.model.joints[robot.model.getJointId(name)].idx_q
         assert robot.q_reference[column] == pytest.approx(nearest, abs=1e-9)
+
+
+def test_a_joint_whose_limits_are_turns_away_may_start_there(tmp_path: Path) -> None:
+    """Angles of more than a turn are taken for degrees otherwise."""
+    reference = {"platform": [0.25, 0.7], "guess": {"a1": 2.0 + 2.0 * np.pi, "b1": -1.0, "a2": 1.0, "b2": 1.0}}
+    tree = FIVE_BAR.replace('lower="-9" upper="9"', 'lower="7" upper="9"', 1)
+    assert rp.load_robot(write(tmp_path, tree, reference=reference)).n == 2
 
 
 def test_the_documented_declaration_shows_every_key_and_loads(tmp_path: Path) -> None:

@@ -375,26 +375,3 @@ def test_shapes_are_drawn(tmp_path):
     assert rp.load_robot(tmp_path / "model.xml").urdf == shapes
     # a mesh of a group that is hidden, and one that counts, which MuJoCo moves to its centre, are not drawn
     assert shapes.count("<mesh") == 3
-
-
-@pytest.mark.parametrize(
-    ("geom", "shape", "size", "ends"),
-    [
-        ('type="box" size=".1 .2 .3"', "box", (0.2, 0.4, 0.6), []),
-        ('type="sphere" size=".15"', "sphere", (0.15,), None),
-        ('type="cylinder" size=".05 .25"', "cylinder", (0.05, 0.5), []),
-        ('type="capsule" size=".06 .35"', "cylinder", (0.06, 0.7), [-0.35, 0.35]),
-    ],
-)
-def test_pictures_have_the_sizes_of_solids(geom, shape, size, ends, tmp_path):
-    """MuJoCo gives halves of edges and lengths; a capsule ends in balls. Geoms of hidden groups are not drawn."""
-    from redundancy_pin.visualisation.viewer.scene import make_scene
-
-    text = f"""<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/><geom {geom} pos="4 0 0"/>
-        <geom {geom} pos="4 0 1" group="3"/></body></worldbody><actuator><motor joint="turn"/></actuator></mujoco>"""
-    robot = rp.load_robot(write(tmp_path, text))
-    scene = make_scene(robot, np.zeros(1), np.array(robot.q_reference)[None], np.ones(1))
-    solids = [solid for solid in scene.solids if solid.role == "link" and solid.placement[0, 3] > 3.0]
-    np.testing.assert_allclose([solid.size for solid in solids if solid.shape == shape], [size], rtol=1e-12)
-    if ends is not None:
-        assert sorted(solid.placement[2, 3] for solid in solids if solid.shape == "sphere") == pytest.approx(ends)

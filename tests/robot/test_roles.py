@@ -72,6 +72,12 @@ def test_the_track_of_a_carrier_is_within_the_limits_of_its_joint(
         assert (limits.speed, limits.force, limits.acceleration) == (10.0, 10.0, np.inf)
 
 
+def test_a_carrier_whose_urdf_gives_no_track_is_refused(tmp_path: Path) -> None:
+    urdf = urdf_of([*FIVE_BAR, RIDER]).replace('lower="-100" upper="100" ', "")
+    with pytest.raises(DeclarationError, match="'rider' runs from -inf to inf"):
+        load_robot(write_robot(tmp_path, urdf, DECLARATION | {"carriers": [{"joint": "rider"}]}))
+
+
 def test_a_mimic_joint_that_leaves_no_freedom_is_refused_not_ignored(tmp_path: Path) -> None:
     urdf = urdf_of(FIVE_BAR)
     name = '<joint name="elbow_2"'
@@ -100,37 +106,6 @@ def test_a_platform_that_tilts_has_the_angle_about_one_base_axis(tmp_path: Path)
     np.testing.assert_allclose(np.tan(tree.q[:, 0]), np.tan(rz) / 0.8, rtol=1e-9)
     np.testing.assert_allclose(tree.v[:, 0], 1.5 * slope, rtol=1e-11)
     np.testing.assert_allclose(tree.a[:, 0], -2.0 * slope + 2.25 * bend, rtol=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("joints", "changes", "numbers", "named"),
-    [
-        # four velocities, two rows
-        ([], {"independent": {"joints": ["base_1"]}}, (2, 1, 2), "still move: elbow_1, base_2, elbow_2"),
-        ([], {"independent": {"joints": ["base_1", "base_2", "elbow_1"]}}, (2, 3, 2), "is over-constrained"),
-        # of three rows one asks for what the plane has anyway
-        ([], {"closures": [{"frames": ["tip_1", "tip_2"], "axes": ["x", "y", "z"]}]}, (1, 2, 2), "redundant: z of"),
-        # one that nothing asks for
-        ([RIDER], {}, (3, 2, 2), "still move: rider"),
-        ([RIDER, J("spin", "revolute", "mass", "top")], {}, (4, 2, 2), "still move: rider, spin"),
-    ],
-)
-def test_freedoms_are_counted(
-    tmp_path: Path, joints: list[J], changes: dict[str, Any], numbers: tuple[int, int, int], named: str
-) -> None:
-    """Velocities less rows, what is declared, and the rank of the rows; and which joints or rows are too many."""
-    if "independent" in changes:
-        held = changes["independent"]["joints"]
-        guess = DECLARATION["reference"]["guess"]
-        reference = {
-            "joints": {name: guess[name] for name in held},
-            "guess": {name: value for name, value in guess.items() if name not in held},
-        }
-        changes = {**changes, "reference": reference}
-    with pytest.raises(DeclarationError, match=named) as caught:
-        load(tmp_path, [*FIVE_BAR, *joints], **changes)
-    details = caught.value.details
-    assert (details["freedoms"], details["declared"], details["rank"]) == numbers
 
 
 @pytest.mark.parametrize("size", [1.0, 1e5])
