@@ -27,6 +27,10 @@ CLOSURE_TOLERANCE = 1e-11
 """Largest closure residual, in characteristic lengths (radians for rotation rows), of a configuration that counts as
 closed: a hundred roundings above what Newton reaches."""
 
+SINGULAR_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
+"""Scaled margin below which a pose counts as a type I singularity. At a stretched leg two configurations meet in a
+square root: one that is closed to within the tolerance is known no better than this."""
+
 RANK_TOLERANCE = 1e-9
 """Scaled singular values below this fraction of the largest one count as zero. The square root of
 the rounding unit is 1.5e-8; poses found by root finding reach 1e-12."""

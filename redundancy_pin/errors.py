@@ -142,7 +142,7 @@ class DeclarationError(RedundancyPinError):
 
 
 class UnreachablePoseError(RedundancyPinError):
-    """No configuration closes the chains at a pose; carries the gap that was left and the sample."""
+    """No configuration closes the chains at a pose; carries the closure residual and the sample."""
 
 
 class SingularPoseError(RedundancyPinError):

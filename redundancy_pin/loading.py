@@ -263,7 +263,10 @@ def _robot_of(
         return _of_mechanism(own, request, file, data, parameters)
 
     try:
-        return at(mechanism)
+        robot = at(mechanism)
+        start, comparable = mechanism.start, is_urdf(file) and not data and len(mechanism.start) == robot.model.nq
+        if not (comparable and branches_meet(robot, start)):
+            return robot
     except DeclarationError as error:
         if "balls" in error.details:
             return at(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
@@ -316,11 +319,8 @@ def propose_robot(
     except DeclarationError as error:
         return proposal.asking(str(error)), None
     proposal = proposal.settled(robot, _turning(proposal, robot))
-    if not guess and len(start) == robot.model.nq and branches_meet(robot, start):
-        proposal = proposal.asking(
-            "Which branch? Where all joints start, loops lie in a line and branches meet: --guess JOINT=VALUE,... near "
-            "the reference of your machine; what is written here is one of them."
-        )
+    if FLAT in robot.notes:
+        proposal = proposal.asking(f"Which branch? {FLAT} --guess JOINT=VALUE,... decides.")
     return proposal, robot
 
 
@@ -354,8 +354,8 @@ _TRIES = 8
 
 
 FLAT = (
-    "Where all joints start, loops lie in a line, branches meet and rows are redundant: the reference is a pose near "
-    "it. See that it is on the branch of your machine."
+    "Where all joints start, loops lie in a line and branches meet: the reference is a pose near it. See that it is on "
+    "the branch of your machine."
 )
 """What is said of a robot that ``beside`` has made."""
 
@@ -448,7 +448,7 @@ def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Arg
         raise DeclarationError(
             _not_closed(robot, q, gap),
             remedy=other_axes(robot) or "Correct `reference` in the declaration, or the lengths given as arguments.",
-            gap=gap,
+            residual=gap,
         )
     robot = replace(
         robot,

@@ -4,8 +4,9 @@ Python is mutated by the operators of cosmic-ray, C by the exchanges of ``C_EXCH
 
     python tests/mutation.py kinematics singularities dynamics --python 40 --c 20 --seed 7
 
-Each mutant is judged in a copy of the committed tree, first by the tests of its room and the mission test, then, where
-these pass, by all tests of ``make test``. It prints the changed line of each mutant and what became of it, and at the
+Each mutant is judged in a copy of the committed tree, first by the tests that bear its file's name (``compiled`` where
+it is C), then by the tests of its room and the mission test, then by all tests of ``make test``. It prints the changed
+line of each mutant and what became of it, and at the
 end how many survived. Whether a survivor changes any result at all is for the reader to judge.
 """
 
@@ -116,10 +117,16 @@ def judge(mutant: Mutant, copy: Path, cache: Path) -> str:
     """Return the test that notices a mutant, or nothing; the copy is as it was afterwards."""
     room = mutant.path.parts[1]
     own = [name for name in (f"tests/{room}", "tests/test_mission.py", *JUDGES.get(room, ())) if (copy / name).exists()]
+    topic = "compiled" if mutant.path.suffix == ".c" else mutant.path.stem
+    named = [str(path.relative_to(copy)) for path in (copy / "tests").rglob(f"test_{topic}*.py")]
     target = copy / mutant.path
     target.write_text(mutant.text, encoding="utf-8")
     try:
-        return failed_test(copy, cache, own) or failed_test(copy, cache, ["tests"])
+        return (
+            (named and failed_test(copy, cache, named))
+            or failed_test(copy, cache, own)
+            or failed_test(copy, cache, ["tests"])
+        )
     finally:
         target.write_text((ROOT / mutant.path).read_text(encoding="utf-8"), encoding="utf-8")
 
@@ -131,22 +138,24 @@ def main() -> None:
     parser.add_argument("--python", type=int, default=40, help="number of mutants of Python files")
     parser.add_argument("--c", type=int, default=20, help="number of mutants of C files")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=1, help="number of the first mutant to judge")
+    parser.add_argument("--last", type=int, help="number of the last mutant to judge")
     given = parser.parse_args()
     dice = random.Random(given.seed)
     folders = [ROOT / "redundancy_pin" / room for room in given.rooms]
     python, c = ([path for folder in folders for path in sorted(folder.rglob(kind))] for kind in ("*.py", "*.c"))
     mutants = [*choose_python_mutants(python, given.python, dice), *choose_c_mutants(c, given.c, dice)]
-    survivors = 0
+    judged = survivors = 0
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
         copy, cache = Path(folder, "copy"), Path(folder, "cache")
         os.chmod(folder, 0o755)  # tests of what another user may do read the copy
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(copy)], check=True)
         cache.mkdir(mode=0o700)
-        for number, mutant in enumerate(mutants, 1):
+        for number, mutant in [*enumerate(mutants, 1)][given.first - 1 : given.last]:
             by = judge(mutant, copy, cache)
-            survivors += not by
+            judged, survivors = judged + 1, survivors + (not by)
             print(f"{number}: {f'killed by {by}' if by else 'SURVIVED'}: {mutant}", flush=True)
-    print(f"{len(mutants) - survivors} of {len(mutants)} killed")
+    print(f"{judged - survivors} of {judged} killed")
 
 
 if __name__ == "__main__":

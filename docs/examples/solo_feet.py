@@ -78,7 +78,7 @@ def main() -> None:
     efforts = rp.distribute(reduced)  # eight motors, four freedoms: the torques of least norm
     for name, peak in zip(robot.actuated, np.abs(efforts.tau).max(axis=0), strict=True):
         print(f"{name}: {peak:.4f} N·m")
-    print(f"smallest margin {efforts.margin.min():.4f}, largest gap of a tie {reduced.gap.max():.1e} m")
+    print(f"smallest margin {efforts.margin.min():.4f}, largest residual of a tie {reduced.residual.max():.1e} m")
     if chosen.html:
         rp.show(robot, motion).save(chosen.html)
 

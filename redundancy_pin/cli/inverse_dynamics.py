@@ -189,7 +189,7 @@ def _summary(result: InverseDynamics) -> dict[str, Any]:
         "largest_tau": _largest(efforts.tau).tolist(),
         "largest_carrier_force": _largest(reduced.carrier_force).tolist(),
         "smallest_margin": float(np.fmin.reduce(efforts.margin)),
-        "largest_gap": float(np.fmax.reduce(reduced.gap)),
+        "largest_closure_residual": float(np.fmax.reduce(reduced.residual)),
         "status": result.status.value,
         "singular_instants": [
             {**vars(one), "kind": one.kind.label, "status": one.status.label, "unbounded": one.unbounded}

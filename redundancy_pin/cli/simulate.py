@@ -271,7 +271,7 @@ def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[s
         "peak_effort": _peaks(run.tau),
         "peak_carrier_force": _peaks(run.carrier_force),
         "work": float(run.work[-1]),
-        "largest_gap": float(run.gap.max()),
+        "largest_closure_residual": float(run.gap.max()),
         "parameters": run.parameters,
         "statistics": vars(run.statistics),
     }

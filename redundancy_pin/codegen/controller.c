@@ -50,11 +50,11 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
   copy(from, state->q, NQ);
   from[NQ] = state->sign;
   if (!finite(from, NQ + 1)) return ROBOT_NOT_FINITE;
-  int closed = rp_sample(NUMBERS, from, in, out);
-  if (closed != CLOSED) return status_of(closed);
+  int status = rp_sample(NUMBERS, from, in, out);
+  if (status) return status < STATUSES ? status : ROBOT_UNREACHABLE; /* so is what is no pose */
   if (!finite(out, N * M + N + NK + 2)) return ROBOT_NOT_FINITE; /* rates so large that forces overflow */
   Efforts found;
-  int status = distribute(NUMBERS, W, f, force_size_of(NUMBERS, in), &found);
+  status = distribute(NUMBERS, W, f, force_size_of(NUMBERS, in), &found);
   if (status == ROBOT_NOT_FINITE) return status;
   copy(efforts->tau, found.tau, M);
   efforts->residual = found.residual;
@@ -68,7 +68,7 @@ int robot_inverse_dynamics(robot_state *state, const robot_motion *motion, robot
 #if NK
   copy(efforts->carrier_force, rest, NK);
 #endif
-  efforts->gap = rest[NK];
+  efforts->closure_residual = rest[NK];
   efforts->type_I_margin = rest[NK + 1];
   return status;
 }
@@ -89,7 +89,7 @@ int robot_forward_kinematics(robot_state *state, const robot_drives *given, robo
   copy(platform->x, found.x, NX);
   copy(platform->xd, found.xd, N);
   platform->mismatch = found.mismatch;
-  platform->gap = found.gap;
+  platform->closure_residual = found.residual;
   platform->margin = found.margin;
   platform->type_I_margin = found.type_I_margin;
   return status;
@@ -104,14 +104,14 @@ int robot_jacobians_at(const robot_state *state, robot_jacobians *out) {
   int status = pose_of(state, &pose, x);
   if (status) return status;
   clear(none, N);
-  if (!(rates(NUMBERS, &pose, none, none, v, a, gamma, W) >= LEAST_MARGIN)) return ROBOT_TYPE_I;
+  if (!(rates(NUMBERS, &pose, none, none, v, a, gamma, W) >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
 #if R
   const double *const numbers = NUMBERS; /* by which the macros of units read */
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
   rows(NUMBERS, pose.q, pose.trig, x, residual, K, alignment);
   clear(&out->closure[0][0], R * NV);
   for (int i = 0; i < R; ++i)
-    for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[i + j * NP] * (EQUATION_UNIT[i] / STEP_UNIT[j]);
+    for (int j = 0; j < NP; ++j) out->closure[i][COLUMNS[j]] = K[i + j * NP] * (EQUATION_UNIT[i] / VELOCITY_UNIT[COLUMNS[j]]);
 #endif
   for (int i = 0; i < NV; ++i) copy(out->gamma[i], gamma + i * N, N);
   for (int i = 0; i < N; ++i) copy(out->W[i], W + i * M, M);
@@ -127,7 +127,7 @@ int robot_margins_at(const robot_state *state, robot_margins *out) {
   clear(none, N);
   double margin = rates(NUMBERS, &pose, none, none, v, a, gamma, W);
   spectrum_of(NUMBERS, W, &s);
-  if (!(margin >= LEAST_MARGIN)) return ROBOT_TYPE_I;
+  if (!(margin >= SINGULAR_MARGIN)) return ROBOT_TYPE_I;
   out->type_I = margin;
   out->type_II = s.margin;
   out->condition = s.condition;

@@ -26,7 +26,7 @@ from redundancy_pin.robot.named import is_pose
 from redundancy_pin.status import SampleStatus
 
 OnUnreachable = Literal["raise", "mark"]
-"""What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its gap."""
+"""What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its residual."""
 
 SampleArguments: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
 """x, xd, xdd, s, sd, sdd of ``Dynamics.torque``."""
@@ -49,7 +49,7 @@ class ReducedDynamics(Frozen):
         W: (N, n, m) actuation matrix; its transpose maps ẋ to the actuated joint rates.
         carrier_force: (N, k) force of each carrier's own actuator, N.
         reachable: (N,) false where no configuration closes the chains (f, W, carrier_force are NaN there).
-        gap: (N,) closure residual left by the kinematics, m; the distance to the nearest closed configuration
+        residual: (N,) closure residual left by the kinematics, m; the distance to the nearest closed configuration
             found where ``reachable`` is false.
         row_scale: (n,) the characteristic length for rotations, 1 for translations: dividing row i of W and f by it
             turns moments into forces.
@@ -64,7 +64,7 @@ class ReducedDynamics(Frozen):
     W: Array
     carrier_force: Array
     reachable: BoolArray
-    gap: Array
+    residual: Array
     row_scale: Array
     column_scale: Array
     out_of_range: BoolArray | None = None
@@ -80,7 +80,7 @@ class ReducedDynamics(Frozen):
 
     def at(self, samples: slice | IntArray) -> ReducedDynamics:
         """Return some of the samples."""
-        names = ("t", "f", "W", "carrier_force", "reachable", "gap", "out_of_range", "force_size")
+        names = ("t", "f", "W", "carrier_force", "reachable", "residual", "out_of_range", "force_size")
         parts = {name: getattr(self, name) for name in names}
         chosen: dict[str, Any] = {name: part if part is None else part[samples] for name, part in parts.items()}
         return replace(self, **chosen)

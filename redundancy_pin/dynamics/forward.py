@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
@@ -120,17 +120,16 @@ class Rules:
     velocity_floor: float
 
 
-@dataclass(eq=False)
-class Advance:
-    """How far an integration is; ``Integration.advance`` changes it.
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """How far an integration is.
 
     Attributes:
         t: s.
         y: (nq + nv,) the closed state there.
         values: (w,) functions of the events there.
         near: ratio of singular values of the closures below which a rank loss is looked for.
-        next_step: at most this long, s.
-        sample: the next one to record; ``recorded`` (G, nq + nv) holds those before it.
+        next_step: length the integrator suggests for its next step, s; None before the first.
         steps, evaluations, restarts, largest_correction: see ``Statistics``.
     """
 
@@ -138,26 +137,28 @@ class Advance:
     y: Array
     values: Array
     near: float
-    next_step: float
-    sample: int
-    steps: int
-    evaluations: int
-    restarts: int
-    largest_correction: float
+    next_step: float | None = None
+    steps: int = 0
+    evaluations: int = 0
+    restarts: int = 0
+    largest_correction: float = 0.0
+
+
+P = TypeVar("P", bound=Progress)
 
 
 class Integration(Protocol):
     """An integration whose ordinary steps are taken by machine code."""
 
-    @property
-    def recorded(self) -> Array:
-        """(G, nq + nv) states at the times to record; those of later times are not set."""
-
     def hold(self, command: Array) -> None:
         """Let constant efforts (m + k,) act."""
 
-    def advance(self, at: Advance, end: float, most: int) -> bool:
-        """Take ordinary steps up to a time, s, at most so many; return whether the next one is not ordinary."""
+    def advance(self, progress: P, recorded: int, end: float, most: int) -> tuple[P, Array, bool]:
+        """Take ordinary steps up to a time, s, at most so many; the length of the first is ``progress.next_step``.
+
+        ``recorded``: how many of the times to record are behind. Returns the progress, the states (S, nq + nv) at the
+        times to record that were passed, and whether the next step is not ordinary.
+        """
 
 
 class ForwardKernel(Protocol):

@@ -57,8 +57,8 @@ def without_answer(robot: Robot, status: SampleStatus, residual: float = math.na
 def refused(robot: Robot, error: RedundancyPinError) -> TorqueSample:
     """Return a sample that kinematics refuses with one of ``REFUSALS``."""
     if isinstance(error, UnreachablePoseError):
-        gap = error.details.get("gap")
-        return without_answer(robot, SampleStatus.UNREACHABLE, gap if isinstance(gap, float) else math.nan)
+        residual = error.details.get("residual")
+        return without_answer(robot, SampleStatus.UNREACHABLE, residual if isinstance(residual, float) else math.nan)
     singular = isinstance(error, SingularPoseError)
     return without_answer(robot, SampleStatus.TYPE_I if singular else SampleStatus.BRANCH_LOST)
 
@@ -163,5 +163,5 @@ def solve_batch_of_one(dynamics: Dynamics, given: SampleArguments, t: float) -> 
             require_on_track(robot, carriers, motion.t)
         except CarrierLimitError:
             status = SampleStatus.OUT_OF_RANGE
-    margin, residual = float(efforts.margin[0]), float(reduced.gap[0])
+    margin, residual = float(efforts.margin[0]), float(reduced.residual[0])
     return TorqueSample(efforts.tau[0], status, margin, reduced.carrier_force[0], residual)

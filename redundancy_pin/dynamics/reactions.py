@@ -17,10 +17,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, checked, read_only, require_type
+from redundancy_pin.arrays import SINGULAR_MARGIN, Array, Frozen, checked, read_only, require_type
 from redundancy_pin.dynamics.rnea import RneaAlongMotion
 from redundancy_pin.dynamics.tree_loads import TreeLoads
-from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
 from redundancy_pin.motion import CarrierMotion

@@ -59,7 +59,7 @@ class RneaSample(Frozen):
         f: (n,) generalised force, N and N·m, in the base frame.
         carrier_force: (k,) force of each carrier's own actuator, N.
         state: the closed state of the sample, carriers at zero.
-        gap: closure residual, m.
+        residual: closure residual, m.
         serial_margin_bound: lower bound of the distance to a type I singularity, scaled.
     """
 
@@ -67,7 +67,7 @@ class RneaSample(Frozen):
     f: Array
     carrier_force: Array
     state: ClosedState
-    gap: float
+    residual: float
     serial_margin_bound: float
 
     def __iter__(self) -> Iterator[Array]:
@@ -168,7 +168,7 @@ class RneaDynamics(Dynamics):
             except REFUSALS as error:
                 return refused(robot, error)
         self._thread.last = sample.state
-        kinematics = sample.gap, sample.serial_margin_bound
+        kinematics = sample.residual, sample.serial_margin_bound
         return solve_sample(robot, sample, sample.state.q, kinematics, given, t)
 
     def _state_at(self, start: Array) -> ClosedState | None:
@@ -189,7 +189,7 @@ class RneaDynamics(Dynamics):
         motion, carriers = one_sample(self._robot, given, t)
         tree = inverse_kinematics(self._robot, motion, start=here)
         f, force = RneaAlongMotion(tree).forces(carriers)
-        residual, margin = float(tree.gap[0]), float(tree.serial_margin_bound[0])
+        residual, margin = float(tree.residual[0]), float(tree.serial_margin_bound[0])
         return RneaSample(tree.W[0], f[0], force[0], tree.state(0), residual, margin)
 
     def _regular_sample(
@@ -270,7 +270,7 @@ class RneaAlongMotion(Frozen):
             W=self.tree.W,
             carrier_force=force,
             reachable=self.tree.reachable,
-            gap=self.tree.gap,
+            residual=self.tree.residual,
             row_scale=frozen(row_scale(self.robot)),
             column_scale=frozen(column_scale(self.robot)),
             out_of_range=self.tree.out_of_range,

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, SINGULAR_MARGIN, Array, BoolArray
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
@@ -28,10 +28,6 @@ _SUFFICIENT_DECREASE = 1e-4
 
 TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
-
-SINGULAR_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
-"""Scaled margin below which a pose counts as a type I singularity. At a stretched leg two configurations meet in a
-square root: one that is closed to within the tolerance is known no better than this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +53,14 @@ class Assembly:
     Attributes:
         system: closures and platform rows of the robot.
         state: closures and Jacobians at the configurations.
-        gap: (N,) largest absolute residual, m: closure rows and the distance to the target coordinates; where a hinge
-            or weld is closed the wrong way round, the angle between its axes. Angles count times the characteristic
-            length.
+        residual: (N,) largest absolute residual, m: closure rows and the distance to the target coordinates; where a
+            hinge or weld is closed the wrong way round, the angle between its axes. Angles count times the
+            characteristic length.
     """
 
     system: ConstraintSystem
     state: ConstraintState
-    gap: Array
+    residual: Array
 
     @property
     def q(self) -> Array:
@@ -73,8 +69,8 @@ class Assembly:
 
     @property
     def closed(self) -> BoolArray:
-        """(N,) whether the gap is below the closure tolerance."""
-        return self.gap < closure_tolerance(self.system.robot)
+        """(N,) whether the residual is below the closure tolerance."""
+        return self.residual < closure_tolerance(self.system.robot)
 
     @cached_property
     def projection(self) -> Projection:
@@ -122,7 +118,7 @@ def assemble(
 
     With ``target`` the independent coordinates are prescribed, without it the smallest change of the guess closes the
     loops. Steps of a rank-deficient system are of least norm. Nothing is returned silently unclosed: see ``closed`` and
-    ``gap``.
+    ``residual``.
 
     This is the damped Newton method, for starts from afar and for many poses at once. The undamped one of followers,
     ``LoopSolver.close``, closes one pose from a configuration nearby in a fifth of the time. Two hundred poses take two
@@ -183,10 +179,10 @@ def assemble(
                 residual, _, new = _linearise(system, q[active], None if target is None else target[active], far)
             state.overwrite(active[finished], new, finished)
             end[active[finished]] = residual[finished]
-    gap = np.abs(end).max(axis=1, initial=0.0)
+    worst = np.abs(end).max(axis=1, initial=0.0)
     misaligned = system.misalignment(state)
-    gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, misaligned), gap)
-    return Assembly(system, state, system.robot.characteristic_length * gap)
+    worst = np.where(misaligned > TURNED_OVER, np.maximum(worst, misaligned), worst)
+    return Assembly(system, state, system.robot.characteristic_length * worst)
 
 
 def project(system: ConstraintSystem, state: ConstraintState) -> Projection:

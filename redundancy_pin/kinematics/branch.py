@@ -18,7 +18,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, LARGEST, Array, BoolArray, 
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, assemble
 from redundancy_pin.kinematics.closed_state import CONTINUITY, ROUNDING, ClosedState, LoopSolver, Rates
-from redundancy_pin.kinematics.closure import ConstraintSystem, left_open
+from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_residual
 from redundancy_pin.kinematics.coordinates import difference, mode_indicators, moved
 from redundancy_pin.kinematics.passage import PASSED, SAME_TANGENT, SPACINGS, find_passage
 from redundancy_pin.motion import require_poses
@@ -96,9 +96,8 @@ class Follower(LoopSolver):
         closed = self.state_at(q)
         if closed is not None and closed.margin > 0.0:
             return replace(closed, q=read_only(q))
-        self.chain.place(q)
         gamma = np.full((self.robot.model.nv, self.robot.n), np.nan)
-        return self.singular_state(read_only(self.chain.coordinates(q)), q, gamma)
+        return self.singular_state(self.coordinates_at(q), q, gamma)
 
     def state_at(self, q: Array) -> ClosedState | None:
         """Return the closed state at the coordinates of a configuration (nq,); None where it is not nearly closed.
@@ -110,8 +109,7 @@ class Follower(LoopSolver):
         """
         if np.shape(q) != (self.robot.model.nq,):
             checked(q, "q", (self.robot.model.nq,))  # which raises
-        self.chain.place(q)
-        return self.close(q, read_only(self.chain.coordinates(q)))
+        return self.close(q, self.coordinates_at(q))
 
     # --- along a branch ----------------------------------------------------------------------------------------------
 
@@ -172,7 +170,7 @@ class Follower(LoopSolver):
     def diagnose(self, last: ClosedState, x: Array) -> BranchEnd:
         """Return why a branch that was followed to its last state does not lead to coordinates x beyond it."""
         solved = assemble(self.system, last.q[None], x[None])
-        q, residual = read_only(solved.q[0]), max(float(solved.gap[0]), float(left_open(self.robot, solved.q)[0]))
+        residual = float(max(solved.residual[0], dependent_row_residual(self.robot, solved.q)[0]))
         rank_lost = False
         if not residual < closure_tolerance(self.robot):
             status = SampleStatus.UNREACHABLE
@@ -184,7 +182,7 @@ class Follower(LoopSolver):
                 and np.linalg.svd(rows, compute_uv=False)[-1] < self.near
             )
             status = SampleStatus.BRANCH_LOST if solved.regular[0] and not rank_lost else SampleStatus.TYPE_I
-        return BranchEnd(status, x, last, q, residual, rank_lost)
+        return BranchEnd(status, x, last, read_only(solved.q[0]), residual, rank_lost)
 
     def step(self, here: ClosedState, x: Array) -> ClosedState | None:
         """Return the state at coordinates x nearby in one step, or None where it is not plainly on the branch.

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.closure import PlacedRows, constraint_system
-from redundancy_pin.kinematics.coordinates import readings
 from redundancy_pin.kinematics.tree import TreePlacement, frame_placement
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.lookup import find_joint, find_link_index
-from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.lookup import find_link_index
 
 
 class ClosedChain(TreePlacement):
     """Closure rows and platform rows of a robot at one state.
 
     An evaluator with a workspace: ``update`` sets the state, the other methods answer for it. ``place`` alone is for
-    those who place rows of their own.
+    those who place rows of their own. ``coordinates.coordinates`` reads the independent coordinates off it.
 
     Args:
         robot: the robot.
@@ -39,13 +35,7 @@ class ClosedChain(TreePlacement):
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
         self._scale = system.step_unit / system.closure_unit[:, None]
-        self._platform_pose: tuple[Array, Array] | None = None  # views
-        if robot.platform is not None:
-            self._platform_pose = frame_placement(self.vectors, find_link_index(self.model, robot.platform.frame))
-        self._is_pose = is_pose(robot)
-        self._readings = readings(robot)
-        joints = (find_joint(self.model, name) for name in robot.independent_joints)
-        self._joints = [(int(joint.idx_q), joint.nq == 2) for joint in joints]
+        self._placements: dict[str, tuple[Array, Array]] = {}  # views
 
     def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot]]:
         """Make another one where this is copied or sent to: views into Pinocchio's memory would not be views there."""
@@ -54,7 +44,7 @@ class ClosedChain(TreePlacement):
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
         self.place_moving(q, v)
-        self.q, self.v = q, v
+        self.v = v
         self.closures = self.system.closures.place(self.vectors, q)
         self._platform: PlacedRows | None = None  # closures alone are what most calls need
 
@@ -88,28 +78,12 @@ class ClosedChain(TreePlacement):
         """Return J̇_c (r, nv)."""
         return self.closures.jacobian_rate(self.J, self.dJ, self.v)
 
-    def platform_position(self) -> Array:
-        """Return the independent coordinates: (n,), or a pose (4, 4); see ``Platform``."""
-        return self.coordinates(self.q)
-
-    def coordinates(self, q: Array) -> Array:
-        """Return the independent coordinates at the configuration (nq,) that was placed last."""
-        if self._platform_pose is None:
-            return np.array([math.atan2(q[i + 1], q[i]) if circle else q[i] for i, circle in self._joints])
-        rotation, origin = self._platform_pose
-        if self._is_pose:
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = rotation, origin
-            return pose
-        values = []
-        for sine, cosine in self._readings:
-            if cosine is None:
-                values.append(origin[sine[0]])
-            elif cosine == sine:
-                values.append(math.atan2(-rotation[sine], math.hypot(rotation[0, 0], rotation[1, 0])))
-            else:
-                values.append(math.atan2(rotation[sine], rotation[cosine]))
-        return np.array(values)
+    def placement(self, frame: str) -> tuple[Array, Array]:
+        """Return rotation (3, 3) and origin (3,), m, of a link by its name: views, which change with the state."""
+        known = self._placements.get(frame)
+        if known is None:
+            known = self._placements[frame] = frame_placement(self.vectors, find_link_index(self.model, frame))
+        return known
 
     def platform_rows(self) -> PlacedRows:
         """Return the rows of the platform's twist, at the state."""
@@ -119,12 +93,12 @@ class ClosedChain(TreePlacement):
 
     def platform_jacobian(self) -> Array:
         """Return J_x (n, nv): rows of the platform twist, world-aligned at its origin, or unit rows of joints."""
-        if self._platform_pose is None:
+        if self.robot.platform is None:
             return self.system.independent
         return self.platform_rows().jacobian(self.J)
 
     def platform_jacobian_rate(self) -> Array:
         """Return J̇_x (n, nv)."""
-        if self._platform_pose is None:
+        if self.robot.platform is None:
             return np.zeros_like(self.system.independent)
         return self.platform_rows().jacobian_rate(self.J, self.dJ, self.v)

@@ -19,12 +19,22 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, FILE_TOLERANCE, Array, Frozen, IntArray, checked, lapack, read_only
+from redundancy_pin.arrays import (
+    CLOSURE_TOLERANCE,
+    FILE_TOLERANCE,
+    SINGULAR_MARGIN,
+    Array,
+    Frozen,
+    IntArray,
+    checked,
+    lapack,
+    read_only,
+)
 from redundancy_pin.errors import SingularPoseError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, SINGULAR_MARGIN, TURNED_OVER, inverses
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
-from redundancy_pin.kinematics.coordinates import difference
+from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.named import is_pose
@@ -226,7 +236,7 @@ class LoopSolver:
         for _ in range(_NEWTON_STEPS):
             K, phi = self.matrix(q, basis)
             rest[: self.rank] = -phi
-            rest[self.rank :] = difference(self.robot, x, self.chain.coordinates(q)) / self.unit
+            rest[self.rank :] = difference(self.robot, x, coordinates(self.robot, self.chain)) / self.unit
             before, size = size, math.sqrt(rest.dot(rest))
             factored, pivots, change, failed = lapack().dgesv(K, rest)
             if failed:
@@ -259,15 +269,13 @@ class LoopSolver:
         gamma[self._columns] = inverse[:, self.rank :] * self._gamma_unit
         for array in (q, gamma, inverse):
             array.setflags(write=False)
-        margin = 1.0 / size if 0.0 < size < 1.0 / SINGULAR_MARGIN else 0.0
+        margin = 1.0 / size if size < 1.0 / SINGULAR_MARGIN else 0.0
         residual *= self.robot.characteristic_length
         blocks = self.blocks
         if basis is not None:  # combined rows belong to all loops
             everything = np.arange(len(self._columns))
             blocks = ((everything, everything),)
-        return ClosedState(
-            self.robot, _kept(x), q, gamma, inverse, residual, margin if size else math.inf, blocks, basis
-        )
+        return ClosedState(self.robot, _kept(x), q, gamma, inverse, residual, margin, blocks, basis)
 
     def require_shapes(self, q: Array, x: Array) -> None:
         """Raise InputError where a configuration is not (nq,), or coordinates are not (n,), or a pose (4, 4)."""
@@ -337,13 +345,18 @@ class LoopSolver:
         Both without units. It judges states that were not closed by Newton's method.
         """
         K, phi = self.matrix(q, basis)
-        off = np.append(phi, difference(self.robot, x, self.chain.coordinates(q)) / self.unit)
+        off = np.append(phi, difference(self.robot, x, coordinates(self.robot, self.chain)) / self.unit)
         relative = gamma[self._columns] * (self.unit / self._step_unit[:, None])
         product = K.dot(relative)
         product[self.rank :] -= np.eye(self.robot.n)
         return largest(off), largest(product) / (1.0 + largest(relative))
 
     # --- configurations ----------------------------------------------------------------------------------------------
+
+    def coordinates_at(self, q: Array) -> Array:
+        """Return the independent coordinates (n,), or the pose (4, 4), of a configuration (nq,), closed or not."""
+        self.chain.place(q)
+        return read_only(coordinates(self.robot, self.chain))
 
     def length(self, step: Array) -> float:
         """Return the largest entry of a tree displacement (nv,), rad or characteristic lengths."""

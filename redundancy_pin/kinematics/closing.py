@@ -40,14 +40,14 @@ def closed_near(
     best = np.inf
     starts = (q, *(draw_starts(system, q, 1, rng, turn=spread, slide=spread)[0] for spread in _SPREADS))
     for start in starts:
-        closed, gap = close(system, start, rank_tolerance)
-        if gap < tolerance * robot.characteristic_length:
+        closed, residual = close(system, start, rank_tolerance)
+        if residual < tolerance * robot.characteristic_length:
             return closed
-        best = min(best, gap)
+        best = min(best, residual)
     raise DeclarationError(
         f"The loops of {robot.name} do not close near the reference: the closure residual is {best:.3g} m.",
         remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",
-        gap=best,
+        residual=best,
     )
 
 
@@ -58,4 +58,4 @@ def close(system: ConstraintSystem, q: Array, rank_tolerance: float = RANK_TOLER
     """
     reached = assemble(system, q[None], rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS)
     closed: Array = reached.q[0]
-    return closed, float(reached.gap[0])
+    return closed, float(reached.residual[0])

@@ -143,14 +143,15 @@ class RowSet:
         self._moved = np.concatenate([self._carried, self.mask, -self.mask])
         self._slides = np.stack([*moving, moving[1], np.zeros(size)])
 
-    def place(self, vectors: Array, q: Array) -> PlacedRows:
+    def place(self, vectors: Array, q: Array, order: IntArray | None = None) -> PlacedRows:
         """Return the rows at one configuration, or at N.
 
         Args:
             vectors: (12 F',) or (12 F', N) axes and origin of each of Pinocchio's frames, world axes.
             q: (nq,) or (N, nq) configurations.
+            order: (12 F',) where ``vectors`` has each of these numbers, if it holds some of the frames only.
         """
-        taken, one = vectors.take(self._taken, 0), vectors.ndim == 1
+        taken, one = vectors.take(self._taken if order is None else order[self._taken], 0), vectors.ndim == 1
         if self._signs is not None:
             taken *= self._taken_signs if one else self._taken_signs[..., None]
         if self.rods:
@@ -384,13 +385,13 @@ class ConstraintSystem:
         self.all_rows = RowSet((*self.rows, *platform), support, ids, self.couplings)
         # of many configurations only these frames are kept, one behind the other
         self._kept = (12 * ids[:, None] + np.arange(12)).ravel()
-        self._kept_rows = RowSet((*self.rows, *platform), support, np.arange(len(ids)), self.couplings)
-        self._aligned = [
-            (12 * at[closure.frame_a] + 3 * k, 12 * at[closure.frame_b] + 3 * k)
+        self._order = np.zeros(12 * robot.model.nframes, dtype=np.intp)
+        self._order[self._kept] = np.arange(len(self._kept))
+        self.aligned = [
+            (12 * int(ids[at[closure.frame_a]]) + 3 * k, 12 * int(ids[at[closure.frame_b]]) + 3 * k)
             for closure in robot.closures
             for k in _aligned(closure)
         ]
-        self.aligned = [(int(self._kept[a]), int(self._kept[b])) for a, b in self._aligned]
         self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity, assume_unique=True)
         self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
@@ -407,16 +408,10 @@ class ConstraintSystem:
         """(r,) the part of ``equation_unit`` that belongs to the closures."""
         return self.equation_unit[: len(self.rows)]
 
-    def gap(self, residual: Array, unit: Array | None = None) -> Array:
-        """Return (N,) the largest residual, m; angles count times the characteristic length.
-
-        Args:
-            residual: (N, r) of the closures, or (N, r + n) with the coordinates, or (N, e) of other equations.
-            unit: (e,) of other equations, as ``equation_unit``.
-        """
-        unit = self.equation_unit[: residual.shape[1]] if unit is None else unit
-        largest: Array = self.robot.characteristic_length * np.abs(residual / unit).max(axis=1, initial=0.0)
-        return largest
+    def largest_residual(self, phi: Array) -> Array:
+        """Return (N,) the largest of closure residuals (N, r), m; angles count times the characteristic length."""
+        largest: Array = np.abs(phi / self.closure_unit).max(axis=1, initial=0.0)
+        return self.robot.characteristic_length * largest
 
     def relative(self, K: Array) -> Array:
         """Return K (N, r + n, p) without units: rows over ``equation_unit``, columns times ``step_unit``."""
@@ -438,8 +433,8 @@ class ConstraintSystem:
             for k in range(part.start, part.stop):
                 tree.place(q[k])
                 vectors[k], columns[k] = tree.vectors[self._kept], tree.J
-            placed = self._kept_rows.place(vectors[part].T, q[part])
-            J[part, : self._kept_rows.size], phi[part] = placed.jacobian(columns[part]), placed.residual()[:r].T
+            placed = self.all_rows.place(vectors[part].T, q[part], self._order)
+            J[part, : self.all_rows.size], phi[part] = placed.jacobian(columns[part]), placed.residual()[:r].T
         K = J[:, :, self.pose_columns]
         return ConstraintState(q, self._frames, vectors.T, columns, phi, J[:, :r], J[:, r:], K)
 
@@ -470,7 +465,11 @@ class ConstraintSystem:
         where all rows vanish this is 0 for a true closure and at least π/2 for a false one. Closures with less than
         two rotation rows have no such axes.
         """
-        apart = [state.vectors[b : b + 3] - state.vectors[a : a + 3] for a, b in self._aligned]
+        apart = [
+            state.placement(closure.frame_b)[0][:, k] - state.placement(closure.frame_a)[0][:, k]
+            for closure in self.robot.closures
+            for k in _aligned(closure)
+        ]
         chords = np.reshape([np.linalg.norm(each, axis=0) for each in apart], (len(apart), len(state.q)))
         # an arc cosine would be off by 1e-8 rad where axes coincide
         turned: Array = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
@@ -573,21 +572,21 @@ def with_all_rows(robot: Robot) -> Robot:
     return replace(robot, closures=robot.all_closures, all_closures=()) if robot.all_closures else robot
 
 
-def left_open(robot: Robot, q: Array) -> Array:
-    """Return (N,) the closure residual of rows that were left out at (N, nq), m; zero for rounding of a file."""
+def dependent_row_residual(robot: Robot, q: Array) -> Array:
+    """Return (N,) the closure residual of dependent rows at (N, nq), m; zero for rounding of a file."""
     if not robot.all_closures:
         return np.zeros(len(q))
     system = constraint_system(with_all_rows(robot))
-    gap = system.gap(system.evaluate(q).phi)
-    return np.where(gap > FILE_TOLERANCE * robot.characteristic_length, gap, 0.0)
+    residual = system.largest_residual(system.evaluate(q).phi)
+    return np.where(residual > FILE_TOLERANCE * robot.characteristic_length, residual, 0.0)
 
 
-def made_up(robot: Robot, q: Array) -> bool:
-    """Return whether rows that were left out make up for those that count, which lose rank at q (nq,).
+def dependent_rows_restore_rank(robot: Robot, q: Array) -> bool:
+    """Return whether dependent rows keep the rank that the independent ones lose at q (nq,).
 
-    Which rows say all changes along the motion of some mechanisms (Bennett's four hinges). The branch goes smoothly
-    through such a place, and it is no singularity. Rows that contradict each other by the rounding of a file make up
-    for nothing.
+    Which rows are independent changes along the motion of some mechanisms (Bennett's four hinges). The branch goes
+    smoothly through such a place, and it is no singularity. Rows that contradict each other by the rounding of a file
+    restore nothing.
     """
     if not robot.all_closures:
         return False

@@ -6,15 +6,15 @@ A working mode says which of its inverse displacements each leg is in.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, checked
-from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.lookup import find_joint
@@ -22,32 +22,49 @@ from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import is_revolute, row_scale
 
 
-def coordinates(robot: Robot, state: ConstraintState) -> Array:
-    """Return the independent coordinates of configurations: (N, n), or poses (N, 4, 4); see ``Platform``."""
+class PlacedTree(Protocol):
+    """A tree at one configuration or at N: a ``ClosedChain`` or a ``ConstraintState``."""
+
+    @property
+    def q(self) -> Array:
+        """(nq,) or (N, nq) configurations."""
+
+    def placement(self, frame: str) -> tuple[Array, Array]:
+        """Return rotation (3, 3) or (3, 3, N) and origin (3,) or (3, N), m, of a link by its name."""
+
+
+def coordinates(robot: Robot, tree: PlacedTree) -> Array:
+    """Return the independent coordinates of a placed tree, (n,) or (N, n); poses, (4, 4) or (N, 4, 4).
+
+    See ``Platform``.
+    """
     if robot.platform is None:
-        return np.stack([joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
-    rotation, origin = state.placement(robot.platform.frame)
+        return np.array([_position(tree.q, *entry) for entry in _entries(robot)]).T
+    rotation, origin = tree.placement(robot.platform.frame)
     if robot.platform.is_pose:
-        poses = np.zeros((origin.shape[1], 4, 4))
-        poses[:, :3, :3] = rotation.transpose(2, 0, 1)
-        poses[:, :3, 3] = origin.T
-        poses[:, 3, 3] = 1.0
+        poses = np.zeros((*tree.q.shape[:-1], 4, 4))
+        poses[..., :3, :3] = rotation.T.swapaxes(-1, -2)
+        poses[..., :3, 3] = origin.T
+        poses[..., 3, 3] = 1.0
         return poses
-    parts = []
+    # numpy's functions take ten times as long for one number
+    atan2, hypot = (math.atan2, math.hypot) if tree.q.ndim == 1 else (np.arctan2, np.hypot)
+    parts: list[Any] = []
     for sine, cosine in readings(robot):
         if cosine is None:
             parts.append(origin[sine[0]])
         elif cosine == sine:
-            parts.append(np.arctan2(-rotation[sine], np.hypot(rotation[0, 0], rotation[1, 0])))
+            parts.append(atan2(-rotation[sine], hypot(rotation[0, 0], rotation[1, 0])))
         else:
-            parts.append(np.arctan2(rotation[sine], rotation[cosine]))
-    return np.stack(parts, axis=1)
+            parts.append(atan2(rotation[sine], rotation[cosine]))
+    return np.array(parts).T
 
 
 Entry: TypeAlias = tuple[int, int]
 """Row and column of a rotation matrix."""
 
 
+@lru_cache(maxsize=64)
 def readings(robot: Robot) -> list[tuple[Entry, Entry | None]]:
     """Return how each coordinate of a platform is read off its placement (R, p); nothing without a platform.
 
@@ -152,10 +169,20 @@ _NORMAL = 1e-6
 def joint_position(robot: Robot, name: str, q: Array) -> Array:
     """Return (N,) positions of a joint of one freedom, m or rad; a continuous joint's lies in (−π, π]."""
     joint = find_joint(robot.model, name)
-    if joint.nq == 2:
-        angle: Array = np.arctan2(q[:, joint.idx_q + 1], q[:, joint.idx_q])
-        return angle
-    return q[:, joint.idx_q]
+    return _position(q, joint.idx_q, joint.nq == 2)
+
+
+def _position(q: Array, index: int, is_circle: bool) -> Array:
+    """Return a number of q (nq,) or (N, nq), or the angle whose cosine it is, with the sine behind it."""
+    position: Array = np.arctan2(q[..., index + 1], q[..., index]) if is_circle else q[..., index]
+    return position
+
+
+@lru_cache(maxsize=64)
+def _entries(robot: Robot) -> list[tuple[int, bool]]:
+    """Return where in q the position of each independent joint is, and whether it is a cosine with its sine."""
+    joints = [find_joint(robot.model, name) for name in robot.independent_joints]
+    return [(int(joint.idx_q), joint.nq == 2) for joint in joints]
 
 
 def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:

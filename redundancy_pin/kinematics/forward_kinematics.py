@@ -74,7 +74,7 @@ class ForwardKinematics(Frozen):
         jacobian: (N, n, m) ẋ per rate of each main actuator; of redundant ones those that were followed have columns,
             the others zeros.
         status: (N,) a ``SampleStatus`` each.
-        gap: (N,) closure residual, m (angles times the characteristic length); of redundant motors also what they
+        residual: (N,) closure residual, m (angles times the characteristic length); of redundant motors also what they
             contradict each other by.
         margin: (N,) lower bound of the scaled distance to type II, as ``JointTrajectory.serial_margin_bound``; of
             redundant motors that of those which were followed.
@@ -88,7 +88,7 @@ class ForwardKinematics(Frozen):
     q: Array
     jacobian: Array
     status: IntArray
-    gap: Array
+    residual: Array
     margin: Array
     excess: Array
 
@@ -188,30 +188,30 @@ def _follow(
     _require_few_turns(driven, path[0])
     motion = PlatformMotion(np.arange(len(path[0])), *path, check_rates=False)
     tree = inverse_kinematics(driven, motion, mark_unreachable=True, start=first)
-    # what inverse_kinematics takes up again behind a gap is on any branch
+    # what inverse_kinematics takes up again behind a sample without a state is on any branch
     end = int(np.logical_and.accumulate(tree.reachable).sum()) - 1
-    q, v, a, gamma, gap, margin = (
-        np.array(part[1:]) for part in (tree.q, tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
+    q, v, a, gamma, residual, margin = (
+        np.array(part[1:]) for part in (tree.q, tree.v, tree.a, tree.gamma, tree.residual, tree.serial_margin_bound)
     )
     status: IntArray = np.full(len(u), int(SampleStatus.OK))
     for part in (q, v, a, gamma):
         part[end:] = np.nan
     if end < len(u):
-        rest = q[end:], status[end:], gap[end:], margin[end:]
+        rest = q[end:], status[end:], residual[end:], margin[end:]
         _judge_rest(constraint_system(driven), path[0][end:], tree.q[end], rest)
     x = _platform_at(system, q)
     xd, xdd = platform_rates(robot, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
-    gap = np.where(np.isnan(gap), np.nan, np.fmax(gap, _contradiction(system, followed, u, q)))
-    contradicted = (status == SampleStatus.OK) & (gap > AGREEMENT_TOLERANCE * robot.characteristic_length)
+    residual = np.where(np.isnan(residual), np.nan, np.fmax(residual, _contradiction(system, followed, u, q)))
+    contradicted = (status == SampleStatus.OK) & (residual > AGREEMENT_TOLERANCE * robot.characteristic_length)
     status[contradicted] = SampleStatus.UNREACHABLE
     for part in (x, xd, xdd, q, J):
         part[contradicted] = np.nan
     excess = range_excess(robot, q)
     status[(status == SampleStatus.OK) & (excess > range_slack(robot)).any(axis=1)] = SampleStatus.OUT_OF_RANGE
-    return ForwardKinematics(robot, x, xd, xdd, q, J, status, gap, margin, excess)
+    return ForwardKinematics(robot, x, xd, xdd, q, J, status, residual, margin, excess)
 
 
 def _start(driven: Robot, q: Array) -> ClosedState:
@@ -225,7 +225,7 @@ def _start(driven: Robot, q: Array) -> ClosedState:
     home = assemble(motors, q[None], max_iterations=0)
     if not home.closed[0]:
         raise InputError(
-            f"start does not close the chains of {driven.name}: they stay open by {home.gap[0]:.3g} m.",
+            f"start does not close the chains of {driven.name}: they stay open by {home.residual[0]:.3g} m.",
             remedy="Pass a configuration of inverse_kinematics, assembly_modes or forward_kinematics.",
         )
     if home.projection.margin[0] == 0.0:
@@ -262,15 +262,15 @@ def _contradiction(system: ConstraintSystem, followed: IntArray, u: Array, q: Ar
 
 
 def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Array, IntArray, Array, Array]) -> None:
-    """Write q, status, gap and margin of the samples behind the end of the branch, which ``last`` (nq,) is at u[0]."""
+    """Write q, status, residual and margin of samples beyond the end of the branch, ``last`` (nq,), at u[0]."""
     far = are_too_many_turns_away(motors.robot, u[0], u[1:])
     solved = assemble(motors, np.repeat(last[None], len(far), axis=0), u[1:])
     singular = solved.closed & (solved.projection.margin == 0.0)
     passed = int(np.argmin(np.append(singular, False)))  # only until another sample is met the branch is known
-    q, status, gap, margin = rest
+    q, status, residual, margin = rest
     status[:] = np.where(solved.closed | far, SampleStatus.BRANCH_LOST, SampleStatus.UNREACHABLE)
     status[:passed] = SampleStatus.TYPE_II
-    gap[:], margin[:] = np.where(far, np.nan, solved.gap), np.where(singular, 0.0, np.nan)
+    residual[:], margin[:] = np.where(far, np.nan, solved.residual), np.where(singular, 0.0, np.nan)
     q[:passed] = solved.q[:passed]
 
 
@@ -416,14 +416,14 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     motors = constraint_system(with_independent_joints(robot, tuple(robot.actuated[j] for j in followed)))
     rng, length = np.random.default_rng(SEED), robot.characteristic_length
     q, keys, hits = np.zeros((0, robot.model.nq)), np.zeros((0, len(_frames(robot, reference)))), np.zeros(0, np.intp)
-    gap, starts = np.inf, 0
+    residual, starts = np.inf, 0
     while starts < (most_starts if len(q) else min(most_starts, _IN_VAIN)):
         guess = draw_starts(motors, reference, _STARTS, rng)
         if not starts:
             guess[0] = reference
         solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=SHORTEST_STEP)
-        off = np.fmax(solved.gap, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
-        starts, gap = starts + _STARTS, min(gap, float(np.nanmin(off)))
+        off = np.fmax(solved.residual, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
+        starts, residual = starts + _STARTS, min(residual, float(np.nanmin(off)))
         for one in solved.q[solved.closed & (off < AGREEMENT_TOLERANCE * length)]:
             key = _frames(robot, one)
             same = np.flatnonzero(np.abs(keys - key).max(axis=1, initial=0.0) < SAME_CONFIGURATION * length)
@@ -436,9 +436,9 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     if not len(q):
         raise UnreachablePoseError(
             f"No configuration of {robot.name} has its motors at {np.round(u, 6).tolist()}: the chains stay open by "
-            f"{gap:.3g} m in {starts} attempts.",
+            f"{residual:.3g} m in {starts} attempts.",
             remedy="Move the motors back towards the reference.",
-            gap=gap,
+            residual=residual,
         )
     order = np.argsort(np.abs(keys - _frames(robot, reference)).max(axis=1), kind="stable")
     q = wrapped(motors.robot, q)[order]

@@ -69,7 +69,7 @@ class JointTrajectory(Frozen):
         a: (N, nv) tree accelerations, a = Γ ẍ + the part due to J̇_c v and J̇_x v.
         gamma: (N, nv, n) velocity per unit of each independent velocity, J_c Γ = 0.
         W: (N, n, m) actuation matrix, Γᵀ Sᵀ.
-        gap: (N,) closure residual, m; angles count times the characteristic length.
+        residual: (N,) closure residual, m; angles count times the characteristic length.
         reachable: (N,) false where no configuration was found in the working mode, and at a type I singularity; q, v,
             a, gamma and W are NaN there.
         serial_margin_bound: (N,) lower bound of the distance to a type I singularity, scaled; see
@@ -83,7 +83,7 @@ class JointTrajectory(Frozen):
     a: Array
     gamma: Array
     W: Array
-    gap: Array
+    residual: Array
     reachable: BoolArray
     serial_margin_bound: Array
 
@@ -133,7 +133,7 @@ def inverse_kinematics(
 
     Raises:
         InputError: the motion does not have the robot's coordinates.
-        UnreachablePoseError: no configuration closes the chains; carries sample and gap.
+        UnreachablePoseError: no configuration closes the chains; carries sample and residual.
         SingularPoseError: a sample is a type I singularity.
         WorkingModeError: the motion leaves the working mode, or cannot be followed continuously.
     """
@@ -218,7 +218,7 @@ class _Solution:
         return None
 
     def _follow_marked(self, order: range, here: ClosedState) -> None:
-        """Follow samples; behind a gap the motion is reacquired, and followed back into the gap as far as it goes."""
+        """Follow samples; behind those without a state the motion is reacquired, and followed back where it goes on."""
         k = 0
         while k < len(order):
             reached = self._solved(here, order[k])
@@ -254,7 +254,7 @@ class _Solution:
             at = np.array(samples)
             self.residual[at] = assemble(
                 self._follower.system, np.repeat(q[None], len(at), axis=0), self._motion.x[at]
-            ).gap
+            ).residual
 
     def _solved(self, here: ClosedState, k: int) -> Rates | BranchEnd:
         """Return a sample on the branch of a state, or why it is not there."""
@@ -397,7 +397,7 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time
             f"{millimetres(residual, robot.characteristic_length)}",
             remedy="Move the pose into the workspace, or load the robot in another working_mode.",
             **details,
-            gap=residual,
+            residual=residual,
         )
     return state
 
@@ -456,7 +456,7 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
             f"{millimetres(end.residual, robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
             sample=k,
-            gap=end.residual,
+            residual=end.residual,
         )
     if end.rank_lost:
         return SingularPoseError(

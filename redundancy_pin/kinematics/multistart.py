@@ -42,13 +42,13 @@ class PoseSolution(NamedTuple):
     """What multistart reached.
 
     Attributes:
-        q: (nq,) the configuration; where none closes in the working mode, the one with the smallest gap.
-        gap: its closure residual, m.
+        q: (nq,) the configuration; where none closes in the working mode, the one with the smallest residual.
+        residual: its closure residual, m.
         in_mode: whether it closes in the working mode.
     """
 
     q: Array
-    gap: float
+    residual: float
     in_mode: bool
 
 
@@ -117,9 +117,9 @@ def multistart(
     closed = guess[None][:0]
     for starts in _rounds(system, guess, origin, known):
         solution, q, usable = _close(system, starts, x, guess)
-        gap = np.where(np.isfinite(solution.gap), solution.gap, np.inf)
-        if gap.min() < best.gap:
-            best = PoseSolution(q[int(gap.argmin())], float(gap.min()), False)
+        residual = np.where(np.isfinite(solution.residual), solution.residual, np.inf)
+        if residual.min() < best.residual:
+            best = PoseSolution(q[int(residual.argmin())], float(residual.min()), False)
         if not usable.any():
             closed = np.concatenate([closed, q[solution.closed]])
             mixed = mixed_legs(robot, closed, guess)
@@ -128,7 +128,7 @@ def multistart(
             solution, q, usable = _close(system, mixed[None], x, guess)
         if usable.any():
             nearest = _nearest(robot, q, usable, origin, known)
-            return PoseSolution(q[nearest], float(solution.gap[nearest]), True)
+            return PoseSolution(q[nearest], float(solution.residual[nearest]), True)
     return best
 
 

@@ -223,16 +223,13 @@ def _without_redundant_rows(
     """
     system = ConstraintSystem(robot)
     q = closed_near(robot, start, tolerance, firm)
-    # at a singular reference the rank is lower than around it, and the choice is made where it is not
-    rows = [system.closure_rows(each) for each in _neighbours(system, q, tolerance, firm)]
-    keep = np.zeros(len(system.rows), dtype=bool)
-    keep[max((independent_columns(each.T, tolerance) for each in rows), key=len)] = True
+    keep = _independent_rows(system, _neighbours(system, q, tolerance, firm), tolerance)
     if keep.all():
         return robot, (), 0.0, closed_near(robot, q, EXACT, EXACT)
     fewer, left_out = _with_rows(robot, keep)
     # with these rows alone, do the others stay closed, and stay redundant, which shows earlier?
     around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
-    opened = np.abs(system.evaluate(around).phi / system.closure_unit).max(axis=0)
+    opened = _opened(system, around)
     ranks = [len(independent_columns(system.closure_rows(each).T, tolerance)) for each in around]
     if opened.max() <= tolerance and max(ranks) == keep.sum():
         return fewer, left_out, float(opened.max()), q
@@ -243,7 +240,7 @@ def _without_redundant_rows(
         remedy="It moves against Grübler's count. Give a joint of the loop the freedom that it needs, such as a "
         "ball in place of a hinge.",
         rank=int(keep.sum()),
-        gap=float(opened.max()),
+        residual=float(opened.max()),
     )
 
 
@@ -258,15 +255,13 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
         q = closed_near(robot, start, near, _DOUBTFUL)
     except DeclarationError:
         return
-    rows = [system.closure_rows(each) for each in _neighbours(system, q, near, _DOUBTFUL)]
-    keep = np.zeros(len(system.rows), dtype=bool)
-    keep[max((independent_columns(each.T, _DOUBTFUL) for each in rows), key=len)] = True
-    rank = int(keep.sum())
-    if rank == min(rows[0].shape) or declared not in (None, len(system.pose_columns) - rank):
+    keep = _independent_rows(system, _neighbours(system, q, near, _DOUBTFUL), _DOUBTFUL)
+    rank, velocities = int(keep.sum()), len(system.pose_columns)
+    if rank == min(len(keep), velocities) or declared not in (None, velocities - rank):
         return
     fewer, doubtful = _with_rows(robot, keep)
     around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
-    opened = float(np.abs(system.evaluate(around).phi / system.closure_unit).max())
+    opened = float(_opened(system, around).max())
     held = [float(np.linalg.svd(system.closure_rows(each), compute_uv=False)[rank]) for each in around]
     wrong = max(held) <= _DOUBTFUL if opened > FILE_TOLERANCE else FILE_TOLERANCE < max(held) <= 2.0 * held[0]
     if wrong:
@@ -275,8 +270,25 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
             f"lengths or rad): {', '.join(doubtful)}.",
             remedy=f"Correct the placements of joints and closures, of which {FILE_TOLERANCE:g} counts as rounding; or "
             "write a declaration with as many independent joints as these rows leave.",
-            gap=max(opened, held[0]),
+            residual=max(opened, held[0]),
         )
+
+
+def _independent_rows(system: ConstraintSystem, around: Array, tolerance: float) -> BoolArray:
+    """Return (r,) which rows are independent at the one of configurations (N, nq) where most are.
+
+    At a singular reference the rank is lower than around it.
+    """
+    rows = (system.closure_rows(each) for each in around)
+    keep = np.zeros(len(system.rows), dtype=bool)
+    keep[max((independent_columns(each.T, tolerance) for each in rows), key=len)] = True
+    return keep
+
+
+def _opened(system: ConstraintSystem, around: Array) -> Array:
+    """Return (r,) the largest residual of each row at configurations (N, nq), characteristic lengths or rad."""
+    opened: Array = np.abs(system.evaluate(around).phi / system.closure_unit).max(axis=0)
+    return opened
 
 
 def _neighbours(system: ConstraintSystem, q: Array, tolerance: float, firm: float) -> Array:

@@ -28,6 +28,7 @@ class TreePlacement:
         model: the Pinocchio tree.
 
     Attributes:
+        q: (nq,) the configuration that was placed last.
         vectors: (12 F,) axes and origin of each of Pinocchio's F frames.
         J, dJ: (6, nv) joint Jacobian and its time derivative.
 
@@ -36,6 +37,8 @@ class TreePlacement:
         >>> tree.place(q)
         >>> origin = tree.vectors[12 * frame + 9 : 12 * frame + 12]
     """
+
+    q: Array
 
     def __init__(self, model: pin.Model) -> None:
         self.model = model
@@ -46,11 +49,13 @@ class TreePlacement:
 
     def place(self, q: Array) -> None:
         """Set ``vectors`` and ``J`` at q (nq,)."""
+        self.q = q
         pin.computeJointJacobians(self.model, self.data, q)
         self._update_frames()
 
     def place_moving(self, q: Array, v: Array) -> None:
         """Set ``vectors``, ``J`` and ``dJ`` at q (nq,) and v (nv,)."""
+        self.q = q
         pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
         self._update_frames()
 

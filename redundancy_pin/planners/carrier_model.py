@@ -362,7 +362,8 @@ def _inverse(reduced: ReducedDynamics) -> tuple[Array, Array]:
     samples, n = reduced.f.shape
     unit = np.tile(np.eye(n), (samples, 1))
     each = {
-        name: np.repeat(getattr(reduced, name), n, axis=0) for name in ("t", "W", "carrier_force", "reachable", "gap")
+        name: np.repeat(getattr(reduced, name), n, axis=0)
+        for name in ("t", "W", "carrier_force", "reachable", "residual")
     }
     solved = distribute(replace(reduced, f=unit, out_of_range=None, force_size=None, **each))
     efforts = np.where((solved.status > SampleStatus.NEAR_SINGULAR)[:, None], np.nan, solved.tau)

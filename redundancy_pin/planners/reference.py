@@ -52,7 +52,7 @@ def inverse_dynamics(
         W=tree.W,
         carrier_force=read_only(effort[:, robot.carrier_velocity]),
         reachable=tree.reachable,
-        gap=tree.gap,
+        residual=tree.residual,
         row_scale=row_scale(robot),
         column_scale=column_scale(robot),
         out_of_range=tree.out_of_range,

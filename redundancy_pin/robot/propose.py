@@ -4,7 +4,8 @@ Loops and motors that a file states are taken as they stand. Where it states non
 
 | evidence | taken as certain |
 |---|---|
-| names of ends: ``closing_pin_1``, ``closing_pin_2``; ``rod_loop``, ``rocker_loop`` | one counterpart each |
+| ends ``closing_NAME_1`` and ``closing_NAME_2`` | always |
+| ends such as ``rod_loop`` and ``rocker_loop`` | nearly at one point when all joints are at zero |
 | marks at one point when all joints are at zero | two of them; every other mark is paired, or a frame by its name |
 | other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool |
 | motors by name: ``motor1``, or all joints but ``passive1`` | independent, and as many as the degrees of freedom |
@@ -44,7 +45,7 @@ _COINCIDE = 1e-4
 """Distance of two marks, in characteristic lengths, up to which they are one point: files are rounded."""
 
 _NEARLY = 1e-2
-"""The same of marks that are named as pairs that do meet: CAD closes some of its loops by their limits only."""
+"""The same of marks that are named as ends, or as others that meet: CAD closes some loops by a millimetre."""
 
 _CUTS = frozenset(("closing", "closure", "close", "closed", "loop", "cut"))
 """Words in names of marks that are ends of loops."""
@@ -167,13 +168,13 @@ def propose(
     own = {frozenset(joint.links) for joint in given}
     loops = [joint for joint in mechanism.loop_joints if frozenset(joint.links) not in own]
     found = {joint.name: BY_NAME for joint in loops if joint.name in mechanism.presumed}
-    is_stated = len(found) < len(loops)
+    is_certain = bool(loops)
     presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
     loops += given
     found |= {joint.name: _BY_FLAG for joint in given}
     questions = list[str]()
     if not is_open:
-        pairs, questions = _cut_ends(mechanism, loops, is_stated=is_stated)
+        pairs, questions = _cut_ends(mechanism, loops, is_certain=is_certain)
         for pair, how in pairs.items():
             joint = _between(pair, "ball")
             loops.append(joint)
@@ -248,21 +249,22 @@ class _Tree:
 
 
 def _cut_ends(
-    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_stated: bool
+    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_certain: bool
 ) -> tuple[dict[tuple[str, str], str], list[str]]:
-    """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked."""
-    if not mechanism.marks:
-        return {}, []
+    """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked.
+
+    ``is_certain``: the file has loops, so that marks that are not named as ends are none.
+    """
     tree = _Tree(mechanism.model)
-    all_marks = _marks(mechanism, tree)
-    joined = tree.join(loops)
+    all_marks, joined = _marks(mechanism, tree), tree.join(loops)
     used = {link for joint in loops for link in joint.links}
     marks = [mark for mark in all_marks if mark not in used]
     cuts = [mark for mark in marks if _CUTS.intersection(_words(mark))]
-    named = _apart(cuts, tree) if len(cuts) == 2 else _only_ones(_apart(cuts, tree))
-    pairs, questions = dict.fromkeys(named, BY_NAME), list[str]()
+    near = [pair for pair in _apart(cuts, tree) if tree.meet(*pair, _NEARLY)]
+    named = near if len(cuts) == 2 else _only_ones(near)
+    pairs, questions = dict.fromkeys(named, BY_NAME), _idle_ends(tree, joined)
     used |= {mark for pair in named for mark in pair}
-    certain = bool(pairs or loops)
+    is_certain |= bool(pairs)
     at_zero = list[tuple[str, str]]()
     for mark in marks:
         meeting = [other for other in all_marks if tree.meet(mark, other)]
@@ -278,7 +280,7 @@ def _cut_ends(
             ]
             pair = min(product(here, meeting), key=lambda each: (not _difference(*each), *map(_is_frame, each)))
             used |= {*here, *meeting}
-            if any(map(_is_frame, pair)):
+            if is_certain or any(map(_is_frame, pair)):
                 questions.append(
                     f"Is a loop cut at {','.join(pair)}? They only meet at zero: {_close(pair)} or --open."
                 )
@@ -292,7 +294,7 @@ def _cut_ends(
         else:
             questions.append(f"Is a loop cut at {','.join(pair)}? Others named so meet: {_close(pair)} or --open.")
     asked = [mark for mark in marks if mark not in used and not _is_frame(mark)]
-    if certain or is_stated or likewise:  # the file says which marks are ends: the others are none
+    if is_certain or likewise:  # the file says which marks are ends: the others are none
         asked = [mark for mark in asked if _CUTS.intersection(_words(mark))]
     if asked:
         questions.append(_which_meet(asked, at_zero, tree))
@@ -310,6 +312,31 @@ def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
         if mass <= light
         or (_CUTS | _ENDS).intersection(_words(mark))
         or any(tree.meet(mark, other) for other in mechanism.marks)
+    ]
+
+
+def _idle_ends(tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
+    """Return questions on links that move, weigh nothing and carry nothing, where they meet another body at zero.
+
+    Such a link may be the far half of a joint of the loop: what is cut there is a weld.
+    """
+    model, total = tree.model, pin.computeTotalMass(tree.model)
+    carriers = set(model.parents)
+    idle = {
+        link: body
+        for link, body in tree.bodies.items()
+        if body and body not in carriers and model.inertias[body].mass <= _NO_MASS * total and total > 0.0
+    }
+    pairs = [
+        (link, other)
+        for link, body in idle.items()
+        for other in tree.bodies
+        if tree.meet(link, other) and tree.bodies[other] != model.parents[body] and other not in idle
+    ]
+    return [
+        f"Is a loop cut at {','.join(pair)}? The first moves and is massless: {_close(pair)},weld or --open."
+        for pair in pairs
+        if not any(tree.bodies[pair[0]] in each for each in joined)
     ]
 
 

@@ -6,7 +6,7 @@ stabilisation. Integration starts anew where efforts jump, for no Runge-Kutta me
 step control would spend dozens of steps on finding it. And a digital controller is read between steps only, in order of
 time.
 
-What changes along the way is one value, ``Progress``: each step returns the next one.
+What changes along the way is one value, ``SimulationProgress``: each step returns the next one.
 
 Where the machine has forward dynamics in machine code, that takes the ordinary steps, in which nothing happens, by the
 same method and rules; it stops before any other one, which is then taken here.
@@ -26,9 +26,9 @@ from scipy.integrate import DOP853, RK45, OdeSolver, Radau
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.forward import Advance, ForwardKernel, Integration, Rules
+from redundancy_pin.dynamics.forward import ForwardKernel, Integration, Progress, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
-from redundancy_pin.kinematics.closure import made_up
+from redundancy_pin.kinematics.closure import dependent_rows_restore_rank
 from redundancy_pin.kinematics.selection import rows_at
 from redundancy_pin.robot.scales import velocity_unit
 from redundancy_pin.simulation.controllers.base import Command, Sampling
@@ -157,38 +157,24 @@ class InitialValueProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class Progress:
-    """How far an integration is.
+class SimulationProgress(Progress):
+    """How far a simulation is.
 
     Attributes:
-        t: s.
-        y: (nq + nv,) the closed state there.
-        values: (w,) functions of the events there.
         sheet: what it is on where the closures lose rank, see ``rank_loss``.
-        near: ratio of singular values of the closures below which a rank loss is looked for.
-        next_step: length the integrator suggests for its next step, s; None before the first.
         short: how many steps in a row were shorter than the shortest ordinary one.
-        steps, evaluations, restarts, largest_correction, seconds: see ``Statistics``.
+        seconds: see ``Statistics``.
         status: None while it goes on.
         reason: why it failed.
     """
 
-    t: float
-    y: Array
-    values: Array
     sheet: Sheet | None = None
-    near: float = NEAR
-    next_step: float | None = None
     short: int = 0
-    steps: int = 0
-    evaluations: int = 0
-    restarts: int = 0
-    largest_correction: float = 0.0
     seconds: float = 0.0
     status: ResultStatus | None = None
     reason: str = ""
 
-    def failed(self, why: str) -> Progress:
+    def failed(self, why: str) -> SimulationProgress:
         """Return that it ends here."""
         return replace(self, status=ResultStatus.NOT_CONVERGED, reason=f"At t = {self.t:.9g} s {why.rstrip('.')}.")
 
@@ -217,7 +203,7 @@ class SimulationRecord:
 
 def integrate(
     problem: InitialValueProblem, y: Array, values: Array, first: Command, sheet: Sheet | None
-) -> tuple[SimulationRecord, Progress]:
+) -> tuple[SimulationRecord, SimulationProgress]:
     """Integrate from a closed state y at the first time of the grid, where a controller gave its first command.
 
     Raises:
@@ -225,7 +211,7 @@ def integrate(
     """
     began, machine, grid = time.perf_counter(), problem.machine, problem.grid
     record, commands, hold = SimulationRecord(), [first], None
-    progress = Progress(float(grid[0]), y, values, sheet)
+    progress = SimulationProgress(float(grid[0]), y, values, NEAR, sheet=sheet)
     parts = stretches(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling)
     kernel = machine.kernel if problem.method in EXPLICIT else None
     ordinary = None if kernel is None else OrdinarySteps(kernel, problem, parts)
@@ -249,8 +235,8 @@ def integrate(
 
 
 def _with_other_rows(
-    problem: InitialValueProblem, progress: Progress, changed: float
-) -> tuple[InitialValueProblem, Progress] | None:
+    problem: InitialValueProblem, progress: SimulationProgress, changed: float
+) -> tuple[InitialValueProblem, SimulationProgress] | None:
     """Return how to go on where the rows that count have failed, and those that were left out make up for them.
 
     ``changed``: when that was done last, s; it is not done twice at one place.
@@ -259,7 +245,7 @@ def _with_other_rows(
     if progress.status is not ResultStatus.NOT_CONVERGED or progress.t <= changed:
         return None
     q = progress.y[: robot.model.nq]
-    if not made_up(robot, q):
+    if not dependent_rows_restore_rank(robot, q):
         return None
     machine = problem.machine.with_rows(rows_at(robot, q))
     functions = EventFunctions(machine.chain, problem.functions.stop_at, q)
@@ -343,41 +329,27 @@ class OrdinarySteps:
         return self._problem.machine.forces_at(t, q, v, self._hold)
 
     def take(
-        self, progress: Progress, stretch: SmoothInterval, hold: Command | None, record: SimulationRecord
-    ) -> Progress:
+        self, progress: SimulationProgress, stretch: SmoothInterval, hold: Command | None, record: SimulationRecord
+    ) -> SimulationProgress:
         """Take the ordinary steps ahead, to the end of the stretch, or where nothing is held to the end of all."""
         problem, grid = self._problem, self._problem.grid
         self._hold = hold
         if hold is not None and self._by_time:
             self._code.hold(np.concatenate(hold))
         end = stretch.end if self._sampled else float(grid[-1])
-        next_step = progress.next_step
-        if next_step is None:  # scipy's first one
+        if progress.next_step is None:  # scipy's first one
             rate = _Rate(problem, hold, stretch.end, None)
-            next_step = float(_solver(problem, progress, stretch, rate).h_abs)
-            progress = replace(progress, evaluations=progress.evaluations + rate.evaluations)
-        at = Advance(
-            progress.t,
-            progress.y,
-            progress.values,
-            progress.near,
-            next_step,
-            len(record.samples),
-            *(getattr(progress, name) for name in _COUNTED),
-        )
-        look = False
-        while not look and at.t < end and at.steps < problem.max_steps:  # in portions, so that it can be interrupted
-            look = self._code.advance(at, end, min(_PORTION, problem.max_steps - at.steps))
-        taken = slice(len(record.samples), at.sample)
-        states = zip(grid[taken].tolist(), self._code.recorded[taken].copy(), strict=True)
-        record.samples.extend([SimulatedSample(t, y, hold, None) for t, y in states])
-        counted = {name: getattr(at, name) for name in _COUNTED}
-        if at.steps > progress.steps:
-            progress = replace(progress, t=at.t, y=at.y, values=at.values, near=at.near, short=0)
-        return replace(progress, next_step=at.next_step, **counted)
+            first = float(_solver(problem, progress, stretch, rate).h_abs)
+            progress = replace(progress, next_step=first, evaluations=progress.evaluations + rate.evaluations)
+        before, stopped = progress.steps, False
+        while not stopped and progress.t < end and progress.steps < problem.max_steps:
+            # in portions, so that it can be interrupted
+            portion, recorded = min(_PORTION, problem.max_steps - progress.steps), len(record.samples)
+            progress, states, stopped = self._code.advance(progress, recorded, end, portion)
+            times = grid[recorded : recorded + len(states)].tolist()
+            record.samples.extend(SimulatedSample(t, y, hold, None) for t, y in zip(times, states, strict=True))
+        return replace(progress, short=0) if progress.steps > before else progress
 
-
-_COUNTED = ("steps", "evaluations", "restarts", "largest_correction")
 
 _PORTION = 1000
 """Steps of machine code between two looks of Python at its signals."""
@@ -385,12 +357,12 @@ _PORTION = 1000
 
 def _integrate_stretch(
     problem: InitialValueProblem,
-    progress: Progress,
+    progress: SimulationProgress,
     stretch: SmoothInterval,
     hold: Command | None,
     record: SimulationRecord,
     ordinary: OrdinarySteps | None,
-) -> Progress:
+) -> SimulationProgress:
     """Integrate over one stretch, and add its samples and events to the record."""
     while progress.status is None and progress.t < stretch.end:
         if ordinary is not None and progress.sheet is None:
@@ -416,7 +388,9 @@ def _integrate_stretch(
     return progress
 
 
-def _solver(problem: InitialValueProblem, progress: Progress, stretch: SmoothInterval, rate: _Rate) -> OdeSolver:
+def _solver(
+    problem: InitialValueProblem, progress: SimulationProgress, stretch: SmoothInterval, rate: _Rate
+) -> OdeSolver:
     """Return scipy's solver over the rest of a stretch; it selects the first step where none is suggested."""
     step = None if progress.next_step is None else min(progress.next_step, stretch.end - progress.t)
     implicit = {} if problem.method in EXPLICIT else {"jac": rate.jacobian}
@@ -427,12 +401,12 @@ def _solver(problem: InitialValueProblem, progress: Progress, stretch: SmoothInt
 
 def _step(
     problem: InitialValueProblem,
-    progress: Progress,
+    progress: SimulationProgress,
     solver: OdeSolver,
     rate: _Rate,
     hold: Command | None,
     record: SimulationRecord,
-) -> Progress:
+) -> SimulationProgress:
     machine = problem.machine
     if progress.steps >= problem.max_steps:
         return progress.failed(f"{progress.steps} steps did not reach the end")
@@ -513,7 +487,7 @@ class RetryStep(Exception):  # noqa: N818 - it tells the integration to go back,
         self.length, self.sheet, self.reason = length, sheet, reason
 
 
-def require_no_rank_loss(problem: InitialValueProblem, earlier: Progress, step: Step) -> None:
+def require_no_rank_loss(problem: InitialValueProblem, earlier: SimulationProgress, step: Step) -> None:
     """Raise RetryStep where the closures lose rank in a step, with the sheet that leads across if it is near enough."""
     machine, functions, length = problem.machine, problem.functions, step.end - step.start
     q, v = np.split(earlier.y, [machine.robot.model.nq])
@@ -563,7 +537,7 @@ def _require_answers(rate: _Rate) -> None:
         raise rate.failure
 
 
-def _why(problem: InitialValueProblem, earlier: Progress, hold: Command | None) -> str:
+def _why(problem: InitialValueProblem, earlier: SimulationProgress, hold: Command | None) -> str:
     """Return what makes a motion blow up, as far as it shows."""
     machine, functions = problem.machine, problem.functions
     inertia = machine.least_inertia(earlier.t, earlier.y)

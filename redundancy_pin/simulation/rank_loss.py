@@ -44,14 +44,17 @@ NEAR = 0.05
 
 
 def rank_ratio(scaled: Array) -> Array:
-    """Return (N,) smallest over largest singular value of closure rows (N, r, p) without units; 1 without any rows."""
+    """Return (N,) smallest over largest singular value of closure rows (N, r, p) without units.
+
+    It is 1 without any rows, and the length of a single row, whose singular values are one.
+    """
     if 0 in scaled.shape[1:]:
         return np.ones(len(scaled))
     if not np.isfinite(scaled).all():
         return np.full(len(scaled), np.nan)
     values = np.linalg.svd(scaled, compute_uv=False)
-    ratio: Array = values[:, -1] / values[:, 0]
-    return ratio
+    single = scaled.shape[1] == 1
+    return np.asarray(values[:, 0] if single else values[:, -1] / values[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +96,7 @@ class Sheet:
 
     def position(self, q: Array) -> float:
         """Return where on the passage a configuration (nq,) is, from its middle, rad or characteristic lengths."""
-        return self.passage.position(self.solver.chain.coordinates(q)) * self.passage.spacing
+        return self.passage.position(self.solver.coordinates_at(q)) * self.passage.spacing
 
     def speed(self, v: Array) -> float:
         """Return the speed along the passage, 1/s."""
@@ -102,7 +105,7 @@ class Sheet:
 
     def at(self, q: Array, v: Array) -> Motion | None:
         """Return the state on the branch that has the z and ż of q (nq,) and v (nv,); None beyond the passage."""
-        robot, x = self.solver.robot, self.solver.chain.coordinates(q)
+        robot, x = self.solver.robot, self.solver.coordinates_at(q)
         if not abs(self.position(q)) <= 1.05 * self.half:
             return None
         rated = self.passage.at(x, v[self.independent], np.zeros(len(self.independent)))
@@ -169,7 +172,7 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
     names = tuple(str(name) for name, joint in joints if joint.idx_v in independent)
     own = follower(with_independent_joints(chain.robot, names))
-    x = own.chain.coordinates(q)
+    x = own.coordinates_at(q)
     here = own.singular_state(x, q, moving[:, None] / moving[independent]) if lost else own.close(q, x)
     if here is None:
         return None

@@ -35,7 +35,13 @@ from redundancy_pin.simulation.controllers.base import (
     load_limits,
 )
 from redundancy_pin.simulation.events import EventFunctions
-from redundancy_pin.simulation.integrator import INTEGRATORS, InitialValueProblem, Progress, SimulationRecord, integrate
+from redundancy_pin.simulation.integrator import (
+    INTEGRATORS,
+    InitialValueProblem,
+    SimulationProgress,
+    SimulationRecord,
+    integrate,
+)
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import Simulation, Statistics
 from redundancy_pin.simulation.state import State
@@ -274,7 +280,7 @@ def _require_closed(machine: Machine, state: State, time: float) -> None:
         raise InputError(
             f"The start is not closed: a gap of {gap:.3g} m, opening at {rate:.3g} m/s.",
             remedy="Make it with closed_state(robot, x, xd, s, sd).",
-            gap=gap,
+            residual=gap,
             rate=rate,
         )
 
@@ -297,7 +303,9 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float, time: float) -
     return sheet if isinstance(sheet, Sheet) else None
 
 
-def _simulation(machine: Machine, record: SimulationRecord, end: Progress, parameters: dict[str, object]) -> Simulation:
+def _simulation(
+    machine: Machine, record: SimulationRecord, end: SimulationProgress, parameters: dict[str, object]
+) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
     robot, model, samples = machine.robot, machine.robot.model, record.samples
     status = end.status or ResultStatus.OK
@@ -341,7 +349,7 @@ def _simulation(machine: Machine, record: SimulationRecord, end: Progress, param
         carrier_force=read_only(carrier_force),
         actuated_rate=frozen(v[:, robot.actuated_velocity]),
         closure_force=read_only(closure_force),
-        gap=frozen(every.gap(every.evaluate(q).phi)),
+        gap=frozen(every.largest_residual(every.evaluate(q).phi)),
         energy=read_only(energy),
         events=tuple(record.events),
         status=status,

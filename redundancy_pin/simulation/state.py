@@ -13,6 +13,7 @@ from scipy.linalg import lapack
 from redundancy_pin.arrays import Array, Frozen, checked, each, read_only
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
@@ -125,7 +126,7 @@ class State(Frozen):
         if self.kernel is not None:
             return self.kernel.platform(self.q, self.v)
         self.chain.update(self.q, self.v)
-        return self.chain.platform_position(), self.chain.platform_jacobian().dot(self.v)
+        return coordinates(self.chain.robot, self.chain), self.chain.platform_jacobian().dot(self.v)
 
 
 def closed_state(
@@ -155,7 +156,7 @@ def closed_state(
     chain = ClosedChain(robot)
     if x is None:
         chain.update(np.array(robot.q_reference), np.zeros(robot.model.nv))
-        x = chain.platform_position()
+        x = coordinates(robot, chain)
     rate = np.zeros(robot.n) if xd is None else checked(xd, "xd", (robot.n,))
     motion = PlatformMotion([t], np.asarray(x, dtype=float)[None], rate[None], np.zeros((1, robot.n)))
     tree = inverse_kinematics(robot, motion)

@@ -14,7 +14,7 @@ from redundancy_pin.arrays import Array, one_of
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_energy, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
-from redundancy_pin.kinematics.closure import left_open
+from redundancy_pin.kinematics.closure import dependent_row_residual
 from redundancy_pin.robot import Closure, Payload, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.lookup import find_link
@@ -182,7 +182,7 @@ class Machine:
         return np.concatenate([q, v]), before, max(left, self._left_open(q))
 
     def _left_open(self, q: Array) -> float:
-        return float(left_open(self.robot, q[None])[0]) if self.robot.all_closures else 0.0
+        return float(dependent_row_residual(self.robot, q[None])[0]) if self.robot.all_closures else 0.0
 
     def least_inertia(self, t: float, y: Array) -> float:
         """Return the smallest pivot of the mass matrix over the largest, at the last state or, with code, at y."""

@@ -259,7 +259,7 @@ def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, Constrai
     configurations = rows_of(q, "q", ("N", robot.model.nq))
     system = constraint_system(robot)
     state = system.evaluate(configurations)
-    residual = system.gap(state.phi)
+    residual = system.largest_residual(state.phi)
     bad = np.flatnonzero(residual > closure_tolerance(system.robot))
     if len(bad):
         k = int(bad[0])
@@ -268,7 +268,7 @@ def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, Constrai
             f"{len(residual)} are not closed).",
             remedy="Close the chains first, with inverse_kinematics or assemble.",
             sample=k,
-            gap=float(residual[k]),
+            residual=float(residual[k]),
         )
     return system, state
 

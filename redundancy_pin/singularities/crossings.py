@@ -243,9 +243,9 @@ class FollowedPath:
         around = range(max(after - 1, 0), min(after + 1, len(self._known)))
         return self._states[min(around, key=lambda k: abs(self._known[k] - t))]
 
-    def _keep(self, t: float, reached: ClosedState | BranchEnd | None) -> bool:
+    def _keep(self, t: float, reached: ClosedState | None) -> bool:
         """Note a state on the branch, if there is one; return whether there is."""
-        if not isinstance(reached, ClosedState):
+        if reached is None:
             return False
         after = bisect(self._known, t)
         self._known.insert(after, t)
@@ -256,9 +256,9 @@ class FollowedPath:
     def _advance(self, t: float, x: Array) -> None:
         """Note the configuration at a time that is more than a step from a known one."""
         end = self._follower.advance(self._nearest(t), x)
-        if self._keep(t, end) or isinstance(end, ClosedState):
-            return
-        if end.status is SampleStatus.TYPE_I:
+        if isinstance(end, ClosedState):
+            self._keep(t, end)
+        elif end.status is SampleStatus.TYPE_I:
             self._q[t] = end.q
         elif end.status is SampleStatus.UNREACHABLE:
             self._raise_border(t, end)
@@ -282,7 +282,7 @@ class FollowedPath:
             f"{end.residual:.3g} m.{millimetres(end.residual, self.system.robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace; its border is a type I singularity.",
             time=inside,
-            gap=end.residual,
+            residual=end.residual,
         )
 
     def margins(self, times: Array) -> Margins:

@@ -27,7 +27,7 @@ from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, configuration_difference, integrate
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import difference, mode_indicator
+from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.scales import (
     column_scale,
@@ -311,7 +311,7 @@ class _SingularPoints:
         closed = np.abs(residual[:-2]).max() < CLOSURE_TOLERANCE
         in_mode = mode_indicator(self.robot, q[None])[0] * np.array(self.robot.working_mode) > -RANK_TOLERANCE
         exact = closed and in_mode.all() and all(least[kind] < RANK_TOLERANCE for kind in singular)
-        return _Point(self.chain.coordinates(q), q, serial, locked) if exact else None
+        return _Point(coordinates(self.robot, self.chain), q, serial, locked) if exact else None
 
     def turn(self, q: Array, other: Array) -> float:
         """Return the largest angle, rad, of a joint between two configurations; whole turns are left out."""
@@ -326,7 +326,7 @@ class _SingularPoints:
         v = np.zeros(self.robot.model.nv)
         chain.update(q, v)
         closures, platform = chain.jacobian()[:, columns], chain.platform_jacobian()[:, columns]
-        off = difference(self.robot, chain.coordinates(q), x)[fixed]
+        off = difference(self.robot, coordinates(self.robot, chain), x)[fixed]
         residual = [chain.residual() / self.closure_unit, off / self.unit[fixed]]
         rows = [closures / self.closure_unit[:, None], platform[fixed] / self.unit[fixed, None]]
         above, r = closures * (self.closure_scale[:, None] / self.speed), len(closures)

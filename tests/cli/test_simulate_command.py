@@ -54,7 +54,7 @@ def test_a_machine_of_other_lengths_starts_where_the_plan_does(plan_file: Path) 
     result = call("simulate", "--plan", plan_file, "--machine", "distal_length=1.003", "--duration", "0.02", "--json")
     assert (result.exit_code, result.stderr) == (0, "")
     facts = json.loads(result.stdout)
-    assert facts["largest_gap"] < 1e-9
+    assert facts["largest_closure_residual"] < 1e-9
     assert facts["largest_distance"] < 1e-4
 
 

@@ -83,7 +83,9 @@ def test_its_own_test_knows_the_size_of_the_machine(units: Units, tmp_path: Path
     tests, text = compiled([folder / "test_unit.c"], tmp_path / "test.o", "-c"), (folder / "unit.c").read_text()
     for what in ("f", "tau", ""):
         wrong = f"  for (int i = 0; i < 1; ++i) efforts->{what}[i] *= 1.0 + 1e-9;\n" if what else ""
-        (tmp_path / "unit.c").write_text(text.replace("  efforts->gap = ", f"{wrong}  efforts->gap = "))
+        (tmp_path / "unit.c").write_text(
+            text.replace("  efforts->closure_residual = ", f"{wrong}  efforts->closure_residual = ")
+        )
         done = run(compiled([tmp_path / "unit.c", tests], tmp_path / "program", f"-I{folder}"))
         assert f"{what} is" in done.stdout if what else done.returncode == 0, done.stdout
 
@@ -146,7 +148,7 @@ def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion
         if np.isnan(want.tau[k]).any():
             largest = np.abs(reduced.f / reduced.row_scale).max()
             assert_near(got.residual, want.residual[k], "residual", scale=largest)
-        assert got.gap < 1e-11
+        assert got.closure_residual < 1e-11
     return want.status.tolist()
 
 

@@ -50,7 +50,7 @@ def test_results_are_read_only_and_of_the_stated_shapes(backend: Backend, name: 
     assert along.robot is robot
     assert along.motion is motion
     reduced = along.reduce(carriers)
-    shapes = {"t": (N,), "f": (N, n), "W": (N, n, m), "carrier_force": (N, k), "reachable": (N,), "gap": (N,)}
+    shapes = {"t": (N,), "f": (N, n), "W": (N, n, m), "carrier_force": (N, k), "reachable": (N,), "residual": (N,)}
     shapes |= {"row_scale": (n,), "column_scale": (m,), "out_of_range": (N,), "force_size": (N,)}
     results = {field.name: getattr(reduced, field.name) for field in fields(reduced)}
     assert {part: array.shape for part, array in results.items()} == shapes
@@ -219,7 +219,7 @@ def test_a_motion_that_cannot_be_is_refused_as_by_rnea(what: str) -> None:
     assert mine.value.details["sample"] == theirs.value.details["sample"]
     if expected is UnreachablePoseError:
         # the smallest gap from another start may be another local one, of the same size
-        assert 0.3 < mine.value.details["gap"] / theirs.value.details["gap"] < 3.0  # type: ignore[operator]
+        assert 0.3 < mine.value.details["residual"] / theirs.value.details["residual"] < 3.0  # type: ignore[operator]
 
 
 @WITH_LOOPS
@@ -238,7 +238,7 @@ def test_unreachable_samples_are_marked_and_the_others_unharmed(backend: Backend
     for array in (marked.f, marked.W, marked.carrier_force):
         assert np.isnan(array[~within]).all()
         assert np.isfinite(array[within]).all()
-    assert np.all(marked.gap[~within] > 1e-3)
+    assert np.all(marked.residual[~within] > 1e-3)
     back = rp.RneaDynamics(robot).reduce(motion[-5:], carriers[-5:])
     np.testing.assert_allclose(marked.f[-5:], back.f, rtol=0.0, atol=1e-11 * np.abs(back.f).max())
 
@@ -280,18 +280,18 @@ def test_closed_forms_name_the_leg_and_mark_samples_that_leave_the_others_alone(
         with pytest.raises(UnreachablePoseError) as refusal:
             dynamics.reduce(still_at(motion.x[0], [*(2.5 * UP), 0.0]))  # leg 1 is 0.25 m short
         assert refusal.value.details["sample"] == 1
-        assert refusal.value.details["gap"] == pytest.approx(0.25)
+        assert refusal.value.details["residual"] == pytest.approx(0.25)
         broken, good[5] = with_pose(5, [5.0, 0.0, 0.0]), False
     along, intact = dynamics.along(broken, unreachable="mark"), dynamics.along(motion)
     reduced = along.reduce(carriers)
     np.testing.assert_array_equal(reduced.reachable, good)
-    assert np.isfinite(reduced.gap).all()
-    assert reduced.gap[good].max() < 1e-11
+    assert np.isfinite(reduced.residual).all()
+    assert reduced.residual[good].max() < 1e-11
     if name == "3rrr":
         # the largest distance of a corner from its base hinge, less the 2 m a leg reaches
         corners = np.array([5.0, 0.0]) - 0.25 * np.array([UP, [-UP[0], UP[1]], [0.0, -1.0]])
         base = np.array([[0, 0], [np.sqrt(3), 0], [np.sqrt(3) / 2, 1.5]])
-        assert reduced.gap[5] == pytest.approx(np.hypot(*(corners - base).T).max() - 2.0)
+        assert reduced.residual[5] == pytest.approx(np.hypot(*(corners - base).T).max() - 2.0)
     first, second = (each.carrier_derivatives(carriers) for each in (along, intact))
     pairs = [(getattr(first, part), getattr(second, part)) for part in first.__dataclass_fields__]
     whole = intact.reduce(carriers)

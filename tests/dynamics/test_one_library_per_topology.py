@@ -13,10 +13,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
+from spatial_chains import chain_of
+from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.dynamics.compiled.parameters import topology_of
 from redundancy_pin.errors import CompilerError
+from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.machine_code import CACHE
 from redundancy_pin.robot import Robot
 
@@ -183,6 +187,35 @@ def test_rounding_makes_no_other_topology(size: float, same: bool) -> None:
         model = robot.model.copy()
         change(model)
         assert (topology_of(dataclasses.replace(robot, model=model)) == topology_of(robot)) is same
+
+
+def test_lengths_of_rods_and_further_terms_of_couplings_are_numbers(tmp_path: Path) -> None:
+    rod = chain_of("rod")
+    joints = [J(name, "revolute", "base", name, rpy=(0.3, 0.2 * i, 0.0)) for i, name in enumerate(("a", "b", "c"))]
+    coupling = {"joint": "c", "of": "a", "polynomial": [0.2, 1.5], "also": [["b", -0.7]]}
+    roles = {
+        "actuated": ["a", "b"],
+        "independent": {"joints": ["a", "b"]},
+        "reference": {"joints": {"a": 0.1, "b": 0.2}},
+    }
+    geared = rp.load_robot(
+        write_robot(tmp_path, urdf_of(joints), {**roles, "couplings": [coupling]}), gravity=(1, 2, -9)
+    )
+    longer = dataclasses.replace(rod.closures[0], length=1.01 * rod.closures[0].length)
+    other = dataclasses.replace(geared.couplings[0], also=(("b", 0.4),))
+    for robot, changed in ((rod, {"closures": (longer,)}), (geared, {"couplings": (other,)})):
+        assert_backends_agree(rp.CompiledDynamics(robot))
+        new = closed_again(dataclasses.replace(robot, **changed))
+        assert topology_of(new) == topology_of(robot)
+        assert_backends_agree(rp.CompiledDynamics(new))
+
+
+def closed_again(robot: Robot) -> Robot:
+    """Return a robot with its reference closed, its independent joints as they were."""
+    system = ConstraintSystem(robot)
+    state = assemble(system, np.array(robot.q_reference)[None], zoo.home_of(robot)[None])
+    assert state.closed.all()
+    return dataclasses.replace(robot, q_reference=state.q[0])
 
 
 def test_every_role_is_part_of_a_topology() -> None:

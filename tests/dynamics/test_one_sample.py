@@ -97,7 +97,7 @@ def test_samples_are_rows_of_a_whole_motion_in_any_order(backend: Backend, name:
         samples = one_by_one(dynamics, motion, carriers, order)
         assert_rows(samples, whole, order)
         if backend is rp.RneaDynamics:
-            assert all(sample.gap < 1e-11 for sample in samples)
+            assert all(sample.residual < 1e-11 for sample in samples)
     parked = dynamics.sample(motion.x[7], motion.xd[7], motion.xdd[7])  # whatever the carriers did before
     assert_rows([parked], rp.RneaDynamics(robot).reduce(motion[7:8]), [0])
 
@@ -580,6 +580,28 @@ def test_carriers_that_a_robot_does_not_have_are_refused(backend: type[Dynamics]
             dynamics.acceleration(q, v, zero, [1.0])
         with pytest.raises(InputError, match="s has shape"):
             dynamics.joint_state(zero, zero, [0.1])
+
+
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+def test_masked_numbers_are_refused(backend: type[Dynamics]) -> None:
+    dynamics = backend(machine("five_bar"))
+    robot, masked = dynamics.robot, np.ma.masked_array
+    home, zero, track = zoo.home_of(robot), np.zeros(robot.n), np.zeros(robot.k)
+    given = {"x": home, "xd": zero, "xdd": zero, "s": track, "sd": track, "sdd": track, "start": robot.q_reference}
+    calls: list[tuple[Any, dict[str, Any]]] = [(dynamics.torque, given)]
+    if isinstance(dynamics, rp.CompiledDynamics):
+        q, v = np.array(robot.q_reference), np.zeros(robot.model.nv)
+        motors = {"position": q[actuated_positions(robot)], "velocity": np.zeros(robot.m), "s": track, "sd": track}
+        calls += [
+            (dynamics.joint_state, {**motors, "start": q}),
+            (dynamics.acceleration, {"q": q, "v": v, "tau": np.zeros(robot.m), "carrier_force": track}),
+        ]
+    for call, values in calls:
+        assert call(**values).status is SampleStatus.OK
+        for name, value in values.items():
+            with pytest.raises(InputError, match="masked"):
+                call(**{**values, name: masked(value, mask=np.arange(len(value)) == 0)})
+            assert call(**{**values, name: masked(value)}).status is SampleStatus.OK
 
 
 # --- memory

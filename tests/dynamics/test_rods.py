@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
+from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled.parameters import topology_of
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.simulation.state import closed_state
-from redundancy_pin.status import SampleStatus
+from redundancy_pin.status import ResultStatus, SampleStatus
 
 End = tuple[str, tuple[float, float, float]]
 Rods = list[tuple[End, End, float]]
@@ -206,6 +208,28 @@ def test_a_machine_that_swings_freely_keeps_its_energy(name: str) -> None:
     assert np.ptp(run.energy) < 1e-8 * np.abs(run.energy).max()
     assert np.abs(run.v[-1] - run.v[0]).max() > 0.1
     assert run.gap.max() < 1e-9
+
+
+@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
+def test_a_parallelogram_on_a_rod_turns_through_its_flat_poses(backend: type, tmp_path: Path) -> None:
+    """There the only row of the closures is zero, and the branch on which the rod turns too begins."""
+    cranks = [J("crank", "revolute", "base", "crank"), J("rocker", "revolute", "base", "rocker", (0.3, 0, 0))]
+    declaration = {
+        "gravity": [0, -9.81, 0],
+        "closures": [{"rod": ["crank", "rocker"], "at": [[0.2, 0, 0], [0.2, 0, 0]], "length": 0.3}],
+        "actuated": ["crank"],
+        "independent": {"joints": ["crank"]},
+        "reference": {"joints": {"crank": 1.0}, "guess": {"rocker": 1.0}},
+    }
+    robot = rp.load_robot(write_robot(tmp_path, urdf_of(cranks), declaration))
+    start = closed_state(robot, xd=[-9.0])
+    run = rp.simulate(robot, start=start, duration=2.0, stop_at=(), dynamics=backend(robot))
+    assert run.status is ResultStatus.OK
+    assert run.q[-1, 0] < -6.0 * np.pi
+    flat = 1 - int(np.ceil(run.q[-1, 0] / np.pi))  # multiples of π from 0 downwards
+    assert [event.kind for event in run.events].count("closure_rank") == flat
+    np.testing.assert_allclose(run.q[:, 1], run.q[:, 0], atol=1e-9)
+    assert np.ptp(run.energy) < 1e-9 * np.abs(run.energy).max()
 
 
 def test_derivatives_by_the_length_are_differences_of_robots() -> None:

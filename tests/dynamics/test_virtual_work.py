@@ -49,7 +49,7 @@ def test_legs_of_the_two_rpr_close_the_loops_in_their_mode(x, y, mode):
     np.testing.assert_array_equal(np.sign(legs.d[away, 0]), np.array(mode)[away])
     tip = np.array([[0.0, 0.0], [0.5, 0.0]]) + legs.d * u(np.angle(legs.u[:, 0]))
     np.testing.assert_allclose(tip[away], np.tile([x, y], (2, 1))[away], atol=ROUNDING)
-    assert np.all(legs.gap[away] < ROUNDING)
+    assert np.all(legs.residual[away] < ROUNDING)
 
 
 @given(
@@ -69,7 +69,7 @@ def test_all_modes_of_the_three_rrr_close_or_report_how_far_the_corner_is(pose, 
         np.testing.assert_allclose(tip[within], A[within], atol=ROUNDING)
         np.testing.assert_allclose(np.abs(legs.b)[within], l1, atol=ROUNDING)
         np.testing.assert_allclose(np.abs(legs.e)[within], l2, atol=ROUNDING)
-        np.testing.assert_allclose(legs.gap[:, 0], short, atol=GAP_ROUNDING)
+        np.testing.assert_allclose(legs.residual[:, 0], short, atol=GAP_ROUNDING)
         # θ = γ ± ψ: the mode is the side of the line G A on which the elbow lies
         side = np.sin(legs.theta[:, 0] - np.arctan2(*(A - G).T[::-1]))
         clear = within & (np.abs(side) > 1e-6)
@@ -125,7 +125,7 @@ def test_reach_ends_at_the_stretched_leg(beyond, reached):
     legs = inverse_displacement(THESIS, np.append((2.0 + 0.25 + beyond) * u(np.pi / 6), 0.0)[None])
     assert legs.reachable[0, 0] == reached
     assert np.isnan(legs.b[0, 0]) != reached
-    np.testing.assert_allclose(legs.gap[0, 0], beyond, atol=1e-14)  # roundings of 2 m
+    np.testing.assert_allclose(legs.residual[0, 0], beyond, atol=1e-14)  # roundings of 2 m
 
 
 def test_legs_without_a_direction_give_no_warning():
@@ -133,11 +133,11 @@ def test_legs_without_a_direction_give_no_warning():
     short = two_rpr.inverse_displacement(0.5, [[0.0, 0.0]])
     assert np.isnan(short.u[0, 0])
     assert short.u[1, 0] == -1.0
-    np.testing.assert_array_equal(short.gap, 0.0)
+    np.testing.assert_array_equal(short.residual, 0.0)
     folded = inverse_displacement(THESIS, np.append(0.25 * u(np.pi / 6), 0.0)[None])
     assert abs(folded.margin[0, 0]) < 1e-12
     assert folded.reachable[0, 0]
-    for array in (short.d, short.u, short.jacobian, folded.b, folded.gap, folded.theta, folded.jacobian):
+    for array in (short.d, short.u, short.jacobian, folded.b, folded.residual, folded.theta, folded.jacobian):
         assert not array.flags.writeable
 
 

@@ -130,7 +130,7 @@ def test_the_gap_that_is_left_is_what_bars_lack(tmp_path: Path) -> None:
     with pytest.raises(DeclarationError, match="do not close") as caught:
         two_bars(tmp_path, (3.0, 0.0))
     # a gap is the largest part along an axis of the frame, which in a plane is no less than the whole over root 2
-    assert 1.0 / np.sqrt(2.0) <= caught.value.details["gap"] <= 1.01
+    assert 1.0 / np.sqrt(2.0) <= caught.value.details["residual"] <= 1.01
 
 
 def test_behind_an_obstacle_the_search_takes_over() -> None:

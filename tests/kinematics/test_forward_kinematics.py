@@ -84,7 +84,7 @@ def test_motors_out_of_reach_end_the_branch(five_bar: rp.Robot) -> None:
     assert 0 < first < 10
     assert (solution.status[:first] == SampleStatus.OK).all()
     assert (solution.status[~possible] == SampleStatus.UNREACHABLE).all()
-    assert (solution.gap[~possible] > 1e-6).all()
+    assert (solution.residual[~possible] > 1e-6).all()
     # back within reach: above or below, nobody knows
     again = possible & (np.arange(len(u)) > first)
     assert again.any()
@@ -232,7 +232,7 @@ def test_redundant_motors_must_agree(five_bar: rp.Robot) -> None:
     u[2, 2] += 1e-3
     solution = rp.forward_kinematics(robot, u)
     assert solution.status.tolist() == [0, 0, SampleStatus.UNREACHABLE, 0, 0]
-    assert solution.gap[2] > 1e-4
+    assert solution.residual[2] > 1e-4
     assert np.isnan(solution.x[2]).all()
     assert np.isfinite(solution.x[3:]).all()
 
@@ -361,7 +361,7 @@ def test_turns_that_never_repeat_lose_the_branch() -> None:
     far = [[0.3], [1e5], [0.4]]
     there = rp.forward_kinematics(robot, far)
     assert there.status_labels.tolist() == ["ok", "branch_lost", "branch_lost"]
-    assert np.isnan(there.gap).tolist() == [False, True, False]
+    assert np.isnan(there.residual).tolist() == [False, True, False]
     motion = rp.PlatformMotion([0.0, 1.0, 2.0], far, np.zeros((3, 1)), np.zeros((3, 1)), check_rates=False)
     driven = replace(robot, platform=None, independent_joints=("motor",))
     marked = rp.inverse_kinematics(driven, motion, mark_unreachable=True)
@@ -380,7 +380,7 @@ def test_motors_that_no_configuration_has_are_given_up(five_bar: rp.Robot, most:
     # with residuals of g, motors are off by g over the length, and a tip by no more than root 2 of g
     length = five_bar.characteristic_length
     least = brentq(lambda g: 0.5 + np.cos(g / length) - (1.0 + np.sqrt(2.0) * g), 0.0, 0.5)
-    assert least < caught.value.details["gap"] < 0.51
+    assert least < caught.value.details["residual"] < 0.51
 
 
 def test_modes_are_said_with_their_ranges_margins_and_hits(five_bar: rp.Robot) -> None:

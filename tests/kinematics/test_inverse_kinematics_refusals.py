@@ -51,7 +51,7 @@ def test_out_of_reach_in_the_middle_is_raised_or_marked_and_right_again_behind()
     assert caught.value.details["sample"] == first
     excess = motion.x[:, 1] - REACH
     # legs at 14.5° to the axis: the shortage along it, shared by the rows of closure and target
-    assert 0.3 * excess[first] < caught.value.details["gap"] < 1.1 * excess[first]
+    assert 0.3 * excess[first] < caught.value.details["residual"] < 1.1 * excess[first]
     assert "inside the workspace" in caught.value.remedy
     tree = inverse_kinematics(robot, motion, mark_unreachable=True)
     np.testing.assert_array_equal(tree.reachable, within)
@@ -59,7 +59,7 @@ def test_out_of_reach_in_the_middle_is_raised_or_marked_and_right_again_behind()
         flat = array.reshape(len(motion), -1)
         assert np.isnan(flat[~within]).all()
         assert np.isfinite(flat[within]).all()
-    assert np.all(tree.gap[~within] > 0.1 * excess[~within])
+    assert np.all(tree.residual[~within] > 0.1 * excess[~within])
     # the path returns on itself: so do the configurations
     np.testing.assert_allclose(tree.q[within], tree.q[::-1][within], atol=1e-7)
 
@@ -71,7 +71,7 @@ def test_a_pose_beyond_all_reach_is_an_error_and_not_a_burden(far: float) -> Non
         inverse_kinematics(robot, along(np.array([[far, 0.0]])))
     assert "workspace" in caught.value.remedy
     # the legs reach one metre from bases half a metre apart: the rest of the way stays open
-    assert caught.value.details["gap"] > 0.1 * far
+    assert caught.value.details["residual"] > 0.1 * far
     with pytest.raises(UnreachablePoseError):
         inverse_kinematics(robot, along(np.array([home, [far, 0.0]])))
     marked = inverse_kinematics(robot, along(np.array([home, [far, 0.0], home])), mark_unreachable=True)
@@ -244,7 +244,7 @@ def test_random_poses_are_closed_or_refused_never_wrong(name: str) -> None:
     tree = inverse_kinematics(robot, along(x), mark_unreachable=True)
     good = tree.reachable
     assert good.sum() > 6
-    assert np.all(tree.gap[good] < CLOSURE_TOLERANCE)
+    assert np.all(tree.residual[good] < CLOSURE_TOLERANCE)
     assert np.all(mode_indicator(robot, tree.q[good]) * np.array(robot.working_mode) > 0.0)
     for k in np.flatnonzero(~good)[:1]:
         with pytest.raises((UnreachablePoseError, WorkingModeError, SingularPoseError)):
@@ -324,7 +324,7 @@ def test_what_is_not_on_the_branch_of_the_start_is_refused() -> None:
     with pytest.raises(UnreachablePoseError, match=r"The pose of sample 0 \(t = 0 s") as caught:
         inverse_kinematics(robot, straight(far, far + 0.01), start=start)
     # legs of 1.1 m at most, to a point as far from both hinges; each loop is open by its share, along an axis
-    assert 0.05 < caught.value.details["gap"] < np.hypot(0.25, 1.4) - 1.0
+    assert 0.05 < caught.value.details["residual"] < np.hypot(0.25, 1.4) - 1.0
     # the first leg is no shorter than 0.2 m, and the straight line leads past its hinge at 0.15 m
     beside, other = np.array([-0.15, 0.25]), np.array([-0.15, -0.25])
     start = inverse_kinematics(robot, straight(home, beside)).state(-1)

@@ -95,7 +95,7 @@ def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
     angle, rate, second = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
     rocker = joint(robot, "rocker")
     assert tree.reachable.all()
-    assert tree.gap.max() < 1e-14
+    assert tree.residual.max() < 1e-14
     assert np.abs(np.sin((tree.q[:, rocker] - angle) / 2.0)).max() < POSITION
     assert np.abs(tree.v[:, rocker] - rate).max() < RATE
     assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION

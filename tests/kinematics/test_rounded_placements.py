@@ -334,6 +334,21 @@ def test_rounded_placements(name: str, kind: str, tmp_path: Path) -> None:
     assert 2e-3 < caught.value.details["gap"] < 0.1
 
 
+@pytest.mark.parametrize(
+    ("name", "kind", "seed"),
+    [("2rpr", "urdf", 1000), ("2rpr", "urdf", 1011), ("five_bar", "sdf", 1002)],
+)
+def test_between_rounded_and_wrong(name: str, kind: str, seed: int, tmp_path: Path) -> None:
+    """Placements off by 1e-3 may be refused or taken, but are never another machine."""
+    exact = drawn(name)
+    try:
+        robot = FORMATS[kind](tmp_path, off(exact, 1e-3, np.random.default_rng(seed)))
+    except DeclarationError:
+        return
+    assert robot.independent_joints == exact.driven
+    assert error(exact, rp.RneaDynamics(robot)) < AMPLIFIED * 1e-3
+
+
 def test_generated_code_and_simulations_of_rounded_placements(tmp_path: Path) -> None:
     """They take the same rows: a five-bar falls as the exact one does."""
     exact = drawn("five_bar")

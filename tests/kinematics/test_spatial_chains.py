@@ -113,7 +113,7 @@ def test_a_hinge_turned_over_is_not_closed() -> None:
     over = rows_vanish & (upright < 0.0)
     assert over.any()
     assert not assembled.closed[over].any()
-    np.testing.assert_allclose(assembled.gap[over], np.pi * robot.characteristic_length, atol=1e-6)
+    np.testing.assert_allclose(assembled.residual[over], np.pi * robot.characteristic_length, atol=1e-6)
     assert assembled.closed[rows_vanish & (upright > 0.0)].all()
 
 

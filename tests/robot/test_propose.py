@@ -191,12 +191,14 @@ def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
     [
         (renamed({}), None),
         (renamed(CLOSING, by=0.05), None),
-        (renamed({"left_tip": "arm_loop", "right_tip": "rod_loop"}, by=0.05), None),
+        (renamed({"left_tip": "arm_loop", "right_tip": "rod_loop"}, by=0.0005), None),
+        (renamed({"left_tip": "closing_left", "right_tip": "closing_right"}, by=0.05), "of the links closing_left"),
         (renamed({}, J("t", "fixed", "link_l1", "tool0", (0.1, 0, 0))), None),
-        (renamed({"left_tip": "loop_of_arm", "right_tip": "rod_loop"}, by=0.05), None),
+        (renamed({"left_tip": "loop_of_arm", "right_tip": "rod_loop"}, by=0.0005), None),
         (renamed(CLOSING, J("s", "fixed", "link_l0", "spare")), None),
         (renamed(CLOSING, J("s", "fixed", "link_l0", "hand_loop")), "of the links hand_loop"),
         (renamed({"pin_l1": "passive_motor"}), None),
+        (renamed({"base": "wall"}, J("w", "fixed", "base", "wall")), None),
         (renamed({}, by=0.05), "--close left_tip,right_tip (the only two)"),
         (renamed({}, by=0.00002), "--close left_tip,right_tip (the only two)"),
         (renamed({}, by=0.000003), None),
@@ -225,6 +227,8 @@ def test_names_and_places_are_certain_or_asked(joints: tuple[J, ...], question: 
         robot = rp.load_robot(path)
         assert (robot.n, len(robot.closures)) == (2, 1)
         assert robot.actuated == proposal.mechanism.actuated
+        heavier = robot.with_parameters(masses={"link_l0": 2.0})
+        assert (heavier.n, heavier.closures) == (2, robot.closures)
     else:
         assert question in " ".join(proposal.questions)
         if "of the links" in question:  # what may be wrong is not written either
@@ -271,6 +275,21 @@ def test_marks_of_a_loop_that_the_file_states_close_no_other(tmp_path: Path) -> 
     proposal, robot = propose_robot(path)
     assert (proposal.questions, proposal.found, robot.n) == ((), {}, 2)
     assert [each.name for each in robot.closures] == ["top"]
+    more = [J("a", "fixed", "link_l0", "plate_1", (0.1, 0, 0)), J("b", "fixed", "base", "plate_2")]
+    place = FIVE_BAR.joints[0]
+    more[1] = replace(more[1], xyz=(0.1 * np.cos(place.rpy[2]), 0.1 * np.sin(place.rpy[2]), 0.0))
+    path = written(tmp_path, *FIVE_BAR.joints, *more)
+    path.write_text(path.read_text().replace("</robot>", stated))
+    assert "Is a loop cut at plate_2,plate_1?" in " ".join(propose_robot(path)[0].questions)
+
+
+def test_one_of_two_loops_is_not_enough(tmp_path: Path) -> None:
+    loops = [loop((f"left{k}", f"right{k}"), (f"motor_{k}", f"b{k}"), links=(1, 2), tag=k, seed=int(k)) for k in "12"]
+    path = written(tmp_path, *(joint for each in loops for joint in displaced(each.joints, 0.05)))
+    asked, _ = propose_robot(path, close=["left1,right1"])
+    assert "of the links left2, right2 close loops: --close left2,right2" in " ".join(asked.questions)
+    decided, robot = propose_robot(path, close=["left1,right1", "left2,right2"])
+    assert (decided.questions, robot.n) == ((), 2)
 
 
 @pytest.mark.parametrize("names", [("left_tip", "right_tip"), ("left_plate", "right_plate"), ("plate", "right_pin")])
@@ -290,6 +309,19 @@ def test_ends_that_weigh_something(names: tuple[str, str], by: float, tmp_path: 
         assert "Which joints are driven" in " ".join(proposal.questions)
     else:
         assert "Where are loops cut?" in " ".join(proposal.questions)
+
+
+def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
+    """The pin of the right end is in the tree, and carries a link that is to be welded to the left one."""
+    joints = [
+        replace(j, kind="revolute") if j.child == "right_tip" else j for j in FIVE_BAR.joints if j.child != "left_tip"
+    ]
+    weight = re.compile(r'(<link name="right_tip">).*?(</link>)', re.DOTALL)
+    path = written(tmp_path, *joints, J("at", "fixed", "link_l1", "plate", FIVE_BAR.joints[2].xyz))
+    path.write_text(weight.sub(r"\1\2", path.read_text()))
+    assert "--close right_tip,plate,weld or --open" in " ".join(propose_robot(path)[0].questions)
+    proposal, robot = propose_robot(path, close=["right_tip,plate,weld"])
+    assert (proposal.questions, robot.n) == ((), 2)
 
 
 def test_fingers_on_slides_that_touch_close_no_loop(tmp_path: Path) -> None:

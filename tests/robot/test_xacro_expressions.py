@@ -192,7 +192,7 @@ BOMBS = {
         "nested too deeply",
     ),
     "large values": ("<xacro:property name='l' value='${[0] * 49000}'/>" + "<a n='${len(l)}'/>" * 9000, "more work"),
-    "a file that includes itself": ('<xacro:include filename="r.urdf.xacro"/>', "levels deep"),
+    "a file that includes itself": ('<xacro:include filename="r.urdf.xacro"/>', "31 levels deep"),
     "one that is large": ("<a/>" * 19_000 + '<xacro:include filename="r.urdf.xacro"/>', "more work"),
 }
 
@@ -201,6 +201,11 @@ BOMBS = {
 def test_files_that_would_take_forever_or_look_around(tmp_path: Path, name: str) -> None:
     body, reason = BOMBS[name]
     assert reason in refused(tmp_path, doc(body))
+
+
+def test_files_that_are_read_often_cost_their_length(tmp_path: Path) -> None:
+    (tmp_path / "long.xacro").write_text(doc(f"<!--{'x' * 1_900_000}-->"))
+    assert "more work" in refused(tmp_path, doc('<xacro:include filename="long.xacro"/>' * 300))
 
 
 @pytest.mark.parametrize("quote", ["x" * 60 + "'", "'a'a" * 40 + "'"])

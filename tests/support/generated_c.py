@@ -71,10 +71,10 @@ class Code:
         carriers = {"s": k, "sd": k, "sdd": k} if k else {}
         self.motion_type = _struct(x=nx, xd=n, xdd=n, **carriers)
         force = {"carrier_force": k} if k else {}
-        scalars = dict.fromkeys(("residual", "margin", "condition", "type_I_margin", "gap"), 0)
+        scalars = dict.fromkeys(("residual", "margin", "condition", "type_I_margin", "closure_residual"), 0)
         self.efforts_type = _struct(tau=m, W=n * m, f=n, **force, **scalars, rank=-1)
         self.drives_type = _struct(position=m, velocity=m)
-        self.platform_type = _struct(x=nx, xd=n, mismatch=0, margin=0, type_I_margin=0, gap=0)
+        self.platform_type = _struct(x=nx, xd=n, mismatch=0, margin=0, type_I_margin=0, closure_residual=0)
         self.jacobians_type = _struct(**({"closure": r * nv} if r else {}), gamma=nv * n, W=n * m)
         self.margins_type = _struct(type_I=0, type_II=0, condition=0, rank=-1)
 

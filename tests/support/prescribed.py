@@ -15,7 +15,7 @@ def reduced(W, f, row_scale=None, column_scale=None, reachable=None):
         W=W,
         carrier_force=np.zeros((samples, 0)),
         reachable=np.ones(samples, bool) if reachable is None else np.asarray(reachable),
-        gap=np.zeros(samples),
+        residual=np.zeros(samples),
         row_scale=np.ones(n) if row_scale is None else np.asarray(row_scale, float),
         column_scale=np.ones(m) if column_scale is None else np.asarray(column_scale, float),
     )

@@ -93,7 +93,7 @@ class CompiledDynamics(Dynamics):
 
         Raises:
             InputError: the motion does not have the robot's coordinates.
-            UnreachablePoseError: no configuration closes the chains; carries sample and gap (unless marked).
+            UnreachablePoseError: no configuration closes the chains; carries sample and residual (unless marked).
             SingularPoseError: a sample is a type I singularity (unless marked).
             WorkingModeError: the motion leaves the working mode, or cannot be followed continuously.
         """
@@ -248,7 +248,7 @@ class CompiledAlongMotion(Frozen):
             W=self._lifted.W,
             carrier_force=read_only(force),
             reachable=self._lifted.reachable,
-            gap=self._lifted.gap,
+            residual=self._lifted.residual,
             row_scale=row_scale(self.robot),
             column_scale=column_scale(self.robot),
             out_of_range=self._out_of_range,

@@ -1,12 +1,5 @@
 /* What Python calls: motions, starts, and many samples of one function. It stands behind driver.c. */
 
-/* The largest rate of the pose columns, rad or characteristic lengths per unit of time. */
-static double largest_rate(const double *numbers, const double *v) {
-  double result = 0.0;
-  for (int i = 0; i < NP; ++i) result = fmax(result, fabs(v[COLUMNS[i]]) / STEP_UNIT[i]);
-  return result;
-}
-
 /* Whether margins, rates and accelerations (sizes, by sample as next_sample writes them) show a rank loss that a motion steps across. A
    configuration that is good to 1e-16 gives accelerations to the square of the rates times 1e-16 / margin^3. A share of 1e-5
    and more of them is too much; towards a stretched leg they are themselves as large as rates squared over the margin squared,
@@ -31,7 +24,7 @@ typedef struct {
 
 /* Goes on to a sample that is dt after the last one, by Newton's method from where rates and accelerations lead, otherwise on the
    straight way. gamma (NV x N) and W (N x M) are those of the sample; sizes: its margin, and the share of the largest rate squared
-   in the largest acceleration, at most 1. Returns CLOSED, or why not. */
+   in the largest acceleration, at most 1. Returns STATUS_OK, or why not. */
 static int next_sample(const double *numbers, Branch *branch, double dt, const double *x, const double *xd, const double *xdd, double *gamma,
                  double *W, double *sizes) {
   int closed = 0;
@@ -51,18 +44,18 @@ static int next_sample(const double *numbers, Branch *branch, double dt, const d
   if (!closed && !follow(numbers, &branch->pose, x)) return LOST;
   if (branch->known) copy(branch->a_before, branch->a, NV);
   sizes[0] = rates(numbers, &branch->pose, xd, xdd, branch->v, branch->a, gamma, W);
-  if (sizes[0] < LEAST_MARGIN) return SINGULAR;
-  if (!in_mode(numbers, &branch->pose)) return OTHER_MODE;
-  double fastest = largest_rate(numbers, branch->v);
-  sizes[1] = fastest > 0.0 ? fastest * fastest / fmax(largest_rate(numbers, branch->a), fastest * fastest) : 0.0;
+  if (sizes[0] < SINGULAR_MARGIN) return STATUS_TYPE_I;
+  if (!in_mode(numbers, &branch->pose)) return STATUS_BRANCH_LOST;
+  double fastest = largest_over(branch->v, VELOCITY_UNIT, NV);
+  sizes[1] = fastest > 0.0 ? fastest * fastest / fmax(largest_over(branch->a, VELOCITY_UNIT, NV), fastest * fastest) : 0.0;
   branch->known = branch->known && dt > 0.0 ? 2 : 1; /* where an instant stands twice the acceleration jumps */
   branch->dt = dt;
-  return CLOSED;
+  return STATUS_OK;
 }
 
-/* A motion of `samples` samples from the configuration q0, closed at x0. Returns CLOSED, or why a sample failed. */
+/* A motion of `samples` samples from the configuration q0, closed at x0. Returns STATUS_OK, or why a sample failed. */
 int rp_lift(const double *numbers, int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
-            const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W, double *gap, double *sizes) {
+            const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W, double *residuals, double *sizes) {
   Branch branch;
   branch.known = 0;
   if (!start_at(numbers, &branch.pose, q0, x0)) return LOST;
@@ -74,9 +67,9 @@ int rp_lift(const double *numbers, int samples, const double *t, const double *x
     copy(trig + k * 2 * NT, branch.pose.trig, 2 * NT);
     copy(v + k * NV, branch.v, NV);
     copy(a + k * NV, branch.a, NV);
-    gap[k] = branch.pose.gap * LENGTH;
+    residuals[k] = branch.pose.residual * LENGTH;
   }
-  return crosses_rank_loss(sizes, samples) ? SINGULAR : CLOSED;
+  return crosses_rank_loss(sizes, samples) ? STATUS_TYPE_I : STATUS_OK;
 }
 
 static double distance(const double *a, const double *b, int size) {
@@ -89,7 +82,7 @@ static double distance(const double *a, const double *b, int size) {
    from one of the configurations near[] with their coordinates (NaN: none), to the first sample by Newton's method alone: a way there
    that is long is for rp_lift. out: W (N, M), constant (N + NK) and terms (NK, TERMS, N + NK) of redundancy_pin.CarrierTerms,
    those of all samples side by side. sizes: two numbers a sample of memory. Afterwards near[] holds the first and the last sample.
-   Returns CLOSED, or why a sample failed. */
+   Returns STATUS_OK, or why a sample failed. */
 int rp_terms(const double *numbers, int samples, const double *in, int width, double *near, double *out, double *sizes) {
   enum { SUM = N + NK, ALL = NK * TERMS * SUM };
   double *W = out, *constant = W + (long)samples * N * M, *terms = constant + (long)samples * SUM;
@@ -106,7 +99,7 @@ int rp_terms(const double *numbers, int samples, const double *in, int width, do
   for (long k = 0; k < samples; ++k) {
     const double *at = in + k * width, *x = at + 1, *xd = x + NX, *xdd = xd + N;
     double dt = k ? at[0] - at[-width] : 0.0;
-    if (!isfinite(at[0]) || dt < 0.0) return NOT_FINITE;
+    if (!isfinite(at[0]) || dt < 0.0) return STATUS_NOT_FINITE;
     int failed = next_sample(numbers, &branch, dt, x, xd, xdd, gamma, W + k * N * M, sizes + 2 * k);
     if (failed) return failed;
     const double *const arg[] = {branch.pose.q, branch.pose.trig, branch.v, branch.a, gamma, xdd + N, numbers};
@@ -117,13 +110,13 @@ int rp_terms(const double *numbers, int samples, const double *in, int width, do
       copy(ends[k > 0] + NQ, x, NX);
     }
   }
-  if (crosses_rank_loss(sizes, samples)) return SINGULAR;
+  if (crosses_rank_loss(sizes, samples)) return STATUS_TYPE_I;
   for (long i = 0; i < (long)samples * (N * M + SUM + ALL); ++i)
-    if (!isfinite(out[i])) return NOT_FINITE;
+    if (!isfinite(out[i])) return STATUS_NOT_FINITE;
   for (int r = NEIGHBOURS - 1; r > 1; --r) copy(near + r * (NQ + NX), near + (r - 2) * (NQ + NX), NQ + NX);
   copy(near, ends[0], NQ + NX);
   copy(near + NQ + NX, ends[samples > 1], NQ + NX);
-  return CLOSED;
+  return STATUS_OK;
 }
 
 /* From one configuration to other coordinates; q is replaced. */
@@ -131,7 +124,7 @@ int rp_follow(const double *numbers, double *q, const double *x0, const double *
   Pose pose;
   if (!start_at(numbers, &pose, q, x0) || !go_far(numbers, &pose, x0, x)) return LOST;
   copy(q, pose.q, NQ);
-  return in_mode(numbers, &pose) ? CLOSED : OTHER_MODE;
+  return in_mode(numbers, &pose) ? STATUS_OK : STATUS_BRANCH_LOST;
 }
 
 /* Many samples of one generated function, its arguments and results one after the other in memory. */

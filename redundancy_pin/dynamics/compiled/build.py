@@ -19,7 +19,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import AGREEMENT_TOLERANCE, CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array
+from redundancy_pin.arrays import (
+    AGREEMENT_TOLERANCE,
+    CLOSURE_TOLERANCE,
+    NEAR_SINGULAR_MARGIN,
+    RANK_TOLERANCE,
+    SINGULAR_MARGIN,
+    Array,
+)
 from redundancy_pin.dynamics.allocation import FORCE_TOLERANCE
 from redundancy_pin.dynamics.base import TERMS
 from redundancy_pin.dynamics.compiled.emit import c_functions
@@ -35,10 +42,6 @@ from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.whole_turns import EXACT, FARTHEST, MOST_TURNS, TURN, WHOLE, counted_turns
 from redundancy_pin.status import SampleStatus
 
-LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
-"""Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
-one that is closed to within the tolerance is known no better than this."""
-
 NEIGHBOURS = 8
 """Configurations from the nearest of which a batch of carrier terms begins: first and last of each of four batches; a
 control update has two or three."""
@@ -51,7 +54,7 @@ _CONSTANTS = {
     "TERMS": TERMS,
     "TOLERANCE": CLOSURE_TOLERANCE,
     "AGREEMENT": AGREEMENT_TOLERANCE,
-    "LEAST_MARGIN": LEAST_MARGIN,
+    "SINGULAR_MARGIN": SINGULAR_MARGIN,
     "RANK_TOLERANCE": RANK_TOLERANCE,
     "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
     "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
@@ -200,7 +203,7 @@ def source(robot: Robot) -> str:
         [
             driver_source(definition, definition.functions.values()),
             text_of("sample.c"),
-            *carrier_tables(robot),
+            carried_table(robot),
             text_of("calls.c"),
             text_of("batch.c"),
         ]
@@ -250,17 +253,17 @@ def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list
     tables = {
         "static const int COLUMNS": chain.pose_columns,
         "static const int ACTUATED": robot.actuated_velocity,
+        "static const int CARRIERS": robot.carrier_velocity,
     }
-    text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
+    text = ["#include <math.h>", c_functions(functions, storage)]
     text += [f"#define {name} {value!r}" for name, value in {**sizes, **_CONSTANTS}.items()]
     text += [f"enum {{ {_STATUSES}, STATUSES }};", *chain.layout.macros]
     return [*text, *(_table(name, values) for name, values in tables.items()), text_of("tree.c")]
 
 
-def carrier_tables(robot: Robot) -> list[str]:
-    """Return the C of two more tables, the indices of the carriers in v and in q."""
-    indices = {"CARRIERS": robot.carrier_velocity, "CARRIED": robot.carrier_position}
-    return [_table(f"static const int {name}", values) for name, values in indices.items()]
+def carried_table(robot: Robot) -> str:
+    """Return the C of one more table, the indices of the carriers in q, which controllers do not need."""
+    return _table("static const int CARRIED", robot.carrier_position)
 
 
 def text_of(name: str) -> str:

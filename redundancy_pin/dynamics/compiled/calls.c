@@ -13,8 +13,6 @@ typedef struct {
 #define STALLED 10 /* steps of it; where so many reduce the residual by less than a tenth, no configuration is near */
 #define NEXT_TO_SINGULAR 1e-2 /* margin of K, no unit, at the end of a way: it may be zero within the shortest step, 3e-3 of 30 rad */
 
-enum { OUT_OF_REACH = NO_POSE + 1 };
-
 static int in_ranges(const double *q, const Range *ranges, int count) {
   for (int i = 0; i < count; ++i) {
     const Range *range = ranges + i;
@@ -75,7 +73,7 @@ static double least_residual(const double *numbers, double *q, const double *x) 
     double longest = largest(step, NP);
     int last = longest <= FLOOR; /* a step of rounding is taken whole */
     for (share = fmin(1.0, LONGEST / longest); share > SHORTEST; share *= 0.5) {
-      for (int i = 0; i < NP; ++i) part[i] = share * step[i] * STEP_UNIT[i];
+      for (int i = 0; i < NP; ++i) part[i] = share * step[i] * VELOCITY_UNIT[COLUMNS[i]];
       copy(q, from, NQ);
       move(q, part);
       turns_of(q, trig);
@@ -108,7 +106,7 @@ static void keep(const Pose *pose, double *state) {
 
 /* One sample; in and out as rp_sample. Where Newton's method does not get there in one step, the branch of the state is followed, on the
    straight way, however many turns away. The state is moved where the sample is closed; reached, of the same size, is the last
-   configuration on the way, or the first next to a rank loss. Returns a status of the driver, or OUT_OF_REACH with the closure residual among out. */
+   configuration on the way, or the first next to a rank loss. Returns as rp_sample, or OUT_OF_REACH with the closure residual among out. */
 int rp_reach(const double *numbers, double *state, double *reached, const double *in, double *out) {
   double here[NX], from[NQ + 1];
   Pose pose;
@@ -134,21 +132,19 @@ int rp_reach(const double *numbers, double *state, double *reached, const double
       if (residual > TOLERANCE) closed = OUT_OF_REACH;
     }
   }
-  if (closed == CLOSED) copy(state, from, NQ + 1);
+  if (closed == STATUS_OK) copy(state, from, NQ + 1);
   return closed;
 }
 
 #if M
-enum { STATUS_NO_POSE = STATUSES };
-
-/* Torques of one sample. out: as rp_sample, then tau (M) and the type II margin. Returns a status, or STATUS_NO_POSE. */
+/* Torques of one sample. out: as rp_sample, then tau (M) and the type II margin. Returns a status, or NO_POSE. */
 int rp_torque(const double *numbers, double *state, double *reached, const double *in, double *out, const Range *ranges, int count) {
   double q[NQ], *const f = out + N * M, *const tau = f + N + NK + 2;
   Efforts efforts;
   int closed = rp_reach(numbers, state, reached, in, out);
-  if (closed == NO_POSE) return STATUS_NO_POSE;
   if (closed == OUT_OF_REACH) return STATUS_UNREACHABLE;
-  if (closed != CLOSED) return closed == LOST ? STATUS_BRANCH_LOST : status_of(closed);
+  if (closed == LOST) return STATUS_BRANCH_LOST;
+  if (closed) return closed;
   int status = distribute(numbers, out, f, force_size_of(numbers, in), &efforts);
   if (status == STATUS_NOT_FINITE) { /* efforts overflow: a sample without results moves no state */
     copy(state, reached, NQ + 1);
@@ -246,7 +242,7 @@ int rp_joint_state(const double *numbers, double *state, double *reached, const 
   for (int i = 0; i < NK; ++i) q[CARRIED[i]] = s[i], v[CARRIERS[i]] = sd[i];
   if (!finite(v, NV)) return STATUS_NOT_FINITE;
   v[NV + NX + N] = platform.margin;
-  v[NV + NX + N + 1] = fmax(platform.gap, platform.mismatch);
+  v[NV + NX + N + 1] = fmax(platform.residual, platform.mismatch);
   if (M > N && (platform.mismatch > AGREEMENT * LENGTH || !velocities_agree(numbers, &platform, velocity))) return STATUS_UNREACHABLE;
   copy(v + NV, platform.x, NX);
   copy(v + NV + NX, platform.xd, N);

@@ -16,12 +16,13 @@ import numpy as np
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import TERMS, CarrierTerms, terms_along
 from redundancy_pin.dynamics.compiled.build import NEIGHBOURS
-from redundancy_pin.dynamics.compiled.closing import CLOSED, branch_ends
+from redundancy_pin.dynamics.compiled.closing import branch_ends
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit
+from redundancy_pin.status import SampleStatus
 
 if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled import CompiledDynamics
@@ -92,7 +93,7 @@ class Continued:
         given, result, sizes = self._addresses
         start = ctypes.c_void_p(near.ctypes.data)
         status = self._function(self._numbers, samples, given, self._width, start, result, sizes)
-        return bool(status == CLOSED)
+        return bool(status == SampleStatus.OK)
 
     def _up_to_the_end(self, x: Array) -> int | None:
         """Return how many samples are before the end of the branch, whose neighbours are kept; None where it goes on.

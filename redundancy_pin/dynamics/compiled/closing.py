@@ -19,14 +19,12 @@ from redundancy_pin.dynamics.compiled.build import LARGEST_TURN, Library
 from redundancy_pin.dynamics.compiled.parameters import trig_at, turning_joints
 from redundancy_pin.errors import WorkingModeError
 from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower, known_state
-from redundancy_pin.kinematics.coordinates import with_independent_joints
+from redundancy_pin.kinematics.coordinates import coordinates, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import column_scale, row_scale
-
-CLOSED, _LOST = range(2)
-"""Statuses of the driver: CLOSED, and the one of samples that it has not come to."""
+from redundancy_pin.status import SampleStatus
 
 _PER_THREAD = 400
 """Samples below which a second thread costs more than it brings."""
@@ -49,7 +47,7 @@ class Lifted(NamedTuple):
     a: Array
     gamma: Array
     W: Array
-    gap: Array
+    residual: Array
     margin: Array
     reachable: BoolArray
 
@@ -75,15 +73,14 @@ def lifted(robot: Robot, kernel: Library, motion: PlatformMotion, *, mark: bool,
         nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
         shapes = ((nq,), (2 * len(turning_joints(robot)),), (nv,), (nv,), (nv, n), (n, m), (), (2,))
         arrays = [np.empty((samples, *shape)) for shape in shapes]
-        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == CLOSED:
-            q, trig, v, a, gamma, W, gap, sizes = (read_only(array) for array in arrays)
-            return Lifted(motion, q, trig, v, a, gamma, W, gap, sizes[:, 0], read_only(np.ones(samples, dtype=bool)))
+        if kernel.call("rp_lift", samples, *given, q0, given[1], *arrays) == SampleStatus.OK:
+            q, trig, v, a, gamma, W, residual, sizes = (read_only(array) for array in arrays)
+            everywhere = read_only(np.ones(samples, dtype=bool))
+            return Lifted(motion, q, trig, v, a, gamma, W, residual, sizes[:, 0], everywhere)
     state = None if start is None else _state_at(robot, start)
     tree = inverse_kinematics(robot, motion, mark_unreachable=mark, start=state)
-    trig = read_only(trig_at(robot, tree.q))
-    return Lifted(
-        motion, tree.q, trig, tree.v, tree.a, tree.gamma, tree.W, tree.gap, tree.serial_margin_bound, tree.reachable
-    )
+    trig, rates = read_only(trig_at(robot, tree.q)), (tree.v, tree.a, tree.gamma, tree.W)
+    return Lifted(motion, tree.q, trig, *rates, tree.residual, tree.serial_margin_bound, tree.reachable)
 
 
 def _start(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | None:
@@ -97,9 +94,9 @@ def _start(robot: Robot, kernel: Library, motion: PlatformMotion) -> Array | Non
     for target in waypoints(here, x, motion.is_pose):
         status = kernel.call("rp_follow", q, here, target)
         here = target
-        if status == _LOST:
+        if status not in (SampleStatus.OK, SampleStatus.BRANCH_LOST):  # the mode may be the robot's again farther on
             break
-    if status == CLOSED:
+    if status == SampleStatus.OK:
         return q
     if len(motion) == 1:
         return None
@@ -112,8 +109,7 @@ def _state_at(robot: Robot, start: Start) -> ClosedState:
     own, q = follower(robot), start.q.copy()
     q[robot.carrier_position] = 0.0
     if start.gamma is not None:
-        own.chain.place(q)
-        return known_state(robot, read_only(own.chain.coordinates(q)), q, start.gamma)
+        return known_state(robot, own.coordinates_at(q), q, start.gamma)
     closed = own.state_at(q)
     if closed is None:
         raise WorkingModeError(
@@ -161,7 +157,7 @@ def follow_motors(robot: Robot, start: Start, position: Array, velocity: Array) 
     by_motors = own.chain.platform_jacobian() @ gamma
     sizes = np.linalg.svd(by_motors * row_scale(robot)[:, None] / column_scale(robot), compute_uv=False)
     margins = 1.0 / float(sizes[0]), float(sizes[-1]), closing_margin
-    return Driven(q, v, own.chain.coordinates(q), by_motors @ velocity, gamma, *margins, float(tree.gap[0]))
+    return Driven(q, v, coordinates(robot, own.chain), by_motors @ velocity, gamma, *margins, float(tree.residual[0]))
 
 
 def parts_of(samples: int, threads: int) -> list[slice]:

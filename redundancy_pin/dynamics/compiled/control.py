@@ -18,9 +18,9 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, numbers
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, SINGULAR_MARGIN, Array, numbers
 from redundancy_pin.dynamics.base import AccelerationSample, JointStateSample, ReducedDynamics, Sample, TorqueSample
-from redundancy_pin.dynamics.compiled.build import LEAST_MARGIN, Code
+from redundancy_pin.dynamics.compiled.build import Code
 from redundancy_pin.dynamics.compiled.closing import Driven, Lifted, Start
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.dynamics.compiled.parameters import layout_of, parameter_vector, places_of, topology_of
@@ -40,7 +40,7 @@ _STATUSES = tuple(SampleStatus)
 """By code: an index takes a fifth of the time of ``SampleStatus(code)``."""
 
 _NO_POSE = len(_STATUSES)
-"""Code of ``rp_torque``: x is a matrix, but no homogeneous pose."""
+"""NO_POSE of the C: x is a matrix, but no homogeneous pose."""
 
 _FOR_KINEMATICS = len(_STATUSES)
 """Code of ``rp_joint_state``: K is next to singular where the C ends, and kinematics may go on."""
@@ -60,9 +60,6 @@ _OPTIONAL = frozenset({"s", "sd", "sdd", "carrier_force", "velocity"})
 _LEFT_OUT: tuple[()] = ()
 """Default of arguments of carriers; there is one empty tuple."""
 
-_NEEDS_CONVERTING = (TypeError, ValueError, AttributeError)
-"""What ``_Arguments.views`` raise for lists, other numbers than doubles, and arguments that are left out."""
-
 
 class _Arguments:
     """Arguments of a call, one behind the other in memory that stays where it is.
@@ -77,14 +74,29 @@ class _Arguments:
         self.memory = np.zeros(ends[-1])
         self.parts = [self.memory[a:b] for a, b in pairwise(ends)]
         # a view takes arrays of doubles of its own length and refuses all else, in half the time of numpy's assignment
-        self.views: list[Any] = [memoryview(cast(Any, part)) for part in self.parts]
+        views = [memoryview(cast(Any, part)) for part in self.parts]
+        absent = [np.zeros(shape) if name in _OPTIONAL else None for name, shape in shapes.items()]
+        matrices = [shape if len(shape) > 1 else None for shape in shapes.values()]
+        self._slots: list[Any] = list(zip(views, absent, matrices, strict=True))
 
-    def convert(self, *values: ArrayLike) -> None:
-        """Copy arguments of any kind.
+    def take(self, *values: Any) -> None:
+        """Copy arguments, the first ones of all: arrays of doubles as they are, others are converted.
 
         Raises:
-            InputError: one of them does not have its shape. Numbers that are not finite are left to the call.
+            InputError: one of them does not have its shape, or is masked. Numbers that are not finite are left to the
+                call.
         """
+        try:
+            for value, (view, absent, matrix) in zip(values, self._slots, strict=False):
+                if value is _LEFT_OUT:
+                    value = absent
+                if type(value) is not np.ndarray or (matrix and value.shape != matrix):
+                    raise TypeError
+                view[:] = value.ravel() if matrix else value
+        except (TypeError, ValueError):
+            self._convert(*values)
+
+    def _convert(self, *values: ArrayLike) -> None:
         for part, value, (name, shape) in zip(self.parts, values, self._shapes.items(), strict=False):
             if name in _OPTIONAL and (np.ndim(value) == 0 or not np.size(value)) and value is not None:
                 value = np.full(shape, value if np.ndim(value) == 0 else 0.0)
@@ -116,7 +128,7 @@ class _Branch:
     """
 
     def __init__(self, robot: Robot, code: Code) -> None:
-        self._shape, self.known = robot.q_reference.shape, False
+        self.known = False
         self.passed: Start | None = None
         self._refusal: tuple[bytes, SampleStatus, float] | None = None
         self._pose = np.setdiff1d(np.arange(robot.model.nq), robot.carrier_position)
@@ -125,10 +137,10 @@ class _Branch:
         places = places_of(robot)["mode",]
         begin = layout_of(topology).starts["MODEL"] + int(topology.free[: places.start].sum())
         signs = slice(begin, begin + places.stop - places.start)
-        self.numbers, self._start = own.copy(), np.zeros(robot.model.nq)
-        self._signs, self._given = self.numbers[signs], memoryview(cast(Any, self._start))
+        self.numbers, self._start = own.copy(), _Arguments({"start": (robot.model.nq,)})
+        self._signs = self.numbers[signs]
         self._own = own, own[signs]  # which the C reads
-        self._begin = _caller(code, "rp_begin", *self._own, self._start, self._signs, self.state)
+        self._begin = _caller(code, "rp_begin", *self._own, self._start.memory, self._signs, self.state)
 
     def begin(self, start: ArrayLike) -> bool:
         """Go on from a configuration (nq,), m and rad; returns False, and does nothing, where it is not finite.
@@ -136,10 +148,7 @@ class _Branch:
         Raises:
             InputError: another shape.
         """
-        try:
-            self._given[:] = cast(Any, start)
-        except _NEEDS_CONVERTING:
-            self._start[:] = numbers(start, "start", self._shape)
+        self._start.take(start)
         begun = bool(self._begin())
         self.known = self.known or begun
         if self.passed is not None and np.array_equal(self.passed.q[self._pose], self.state[self._pose]):
@@ -148,7 +157,7 @@ class _Branch:
 
     def move(self, q: Array, gamma: Array, margin: float) -> None:
         """Go on from a sample that kinematics have solved, with Γ where its margin is too small for the C."""
-        self.passed = Start(q, gamma) if margin < LEAST_MARGIN else None
+        self.passed = Start(q, gamma) if margin < SINGULAR_MARGIN else None
         self.begin(q)
 
     def next_start(self) -> Start | None:
@@ -190,11 +199,9 @@ class SampleCall:
     def __init__(self, robot: Robot, code: Code, follow: Follow) -> None:
         n, m, k, wrenches = robot.n, robot.m, robot.k, 6 * len(of_kind(robot.loads, Wrench))
         self._robot, self._follow, self._loaded = robot, follow, bool(wrenches)
-        self._carriers, self._none = bool(k), np.zeros(k)
-        self._pose, self._shape = is_pose(robot), (4, 4) if is_pose(robot) else (n,)
+        self._shape = (4, 4) if is_pose(robot) else (n,)
         sizes = (self._shape, (n,), (n,), (k,), (k,), (k,), (wrenches,))
         self._arguments = _Arguments(dict(zip(("x", "xd", "xdd", "s", "sd", "sdd", "wrench"), sizes, strict=True)))
-        self._x, self._xd, self._xdd, self._s, self._sd, self._sdd, _ = self._arguments.views
         self._branch = _Branch(robot, code)
         ends = np.cumsum([n * m, n, k, 2, m, 1]).tolist()
         self._results = np.zeros(ends[-1])
@@ -227,23 +234,7 @@ class SampleCall:
         Raises:
             InputError: wrong shapes.
         """
-        try:
-            if not self._pose:
-                self._x[:] = x
-            elif x.shape == (4, 4):
-                self._x[:] = x.ravel()
-            else:
-                raise ValueError
-            self._xd[:], self._xdd[:] = xd, xdd
-            if self._carriers:
-                none = self._none
-                self._s[:] = none if s is _LEFT_OUT else s
-                self._sd[:] = none if sd is _LEFT_OUT else sd
-                self._sdd[:] = none if sdd is _LEFT_OUT else sdd
-            elif not s is sd is sdd is _LEFT_OUT:
-                raise ValueError
-        except _NEEDS_CONVERTING:
-            self._arguments.convert(x, xd, xdd, s, sd, sdd)
+        self._arguments.take(x, xd, xdd, s, sd, sdd)
         if t != 0.0 and not isfinite(t):
             self._arguments.memory[0] = np.nan
         if self._loaded:
@@ -325,7 +316,7 @@ class TorqueCall(SampleCall):
         x, xd, xdd, s, sd, sdd, _ = self._arguments.parts
         branch.move(tree.q[0], tree.gamma[0], float(tree.margin[0]))
         sample = Sample(reduced.W[0], reduced.f[0], reduced.carrier_force[0])
-        kinematics = float(tree.gap[0]), float(tree.margin[0])
+        kinematics = float(tree.residual[0]), float(tree.margin[0])
         return solve_sample(robot, sample, tree.q[0], kinematics, (x.reshape(self._shape), xd, xdd, s, sd, sdd), t)
 
 
@@ -348,9 +339,7 @@ class JointStateCall:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
         m, k, model = robot.m, robot.k, robot.model
         self._shape: tuple[int, ...] = (4, 4) if is_pose(robot) else (robot.n,)
-        self._carriers, self._none = bool(k), np.zeros(k)
         self._arguments = _Arguments({"position": (m,), "velocity": (m,), "s": (k,), "sd": (k,)})
-        self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
         self._results = np.zeros(self._ends[-1] + 2)
         branch = self._branch = _Branch(robot, code)
@@ -360,15 +349,7 @@ class JointStateCall:
 
     def __call__(self, position: Any, velocity: Any, s: Any, sd: Any, start: ArrayLike | None) -> JointStateSample:
         """Return joints and platform; see ``Dynamics.joint_state``."""
-        try:
-            self._position[:], self._velocity[:] = position, velocity
-            if self._carriers:
-                self._s[:] = self._none if s is _LEFT_OUT else s
-                self._sd[:] = self._none if sd is _LEFT_OUT else sd
-            elif not s is sd is _LEFT_OUT:
-                raise ValueError
-        except _NEEDS_CONVERTING:
-            self._arguments.convert(position, velocity, s, sd)
+        self._arguments.take(position, velocity, s, sd)
         branch = self._branch
         saved = None if start is None else branch.save()
         finite = start is None or branch.begin(start)
@@ -412,7 +393,7 @@ class JointStateCall:
             branch.refuse(given, status, residual)
             self._results[-1] = residual
             return int(status)
-        if found.serial_margin < LEAST_MARGIN:
+        if found.serial_margin < SINGULAR_MARGIN:
             return int(SampleStatus.TYPE_I)
         branch.move(found.q, found.gamma, found.closing_margin)
         q, v = found.q.copy(), found.v.copy()
@@ -435,23 +416,14 @@ class AccelerationCall:
         wrenches = 6 * len(of_kind(robot.loads, Wrench))
         sizes = {"q": model.nq, "v": model.nv, "tau": robot.m, "carrier_force": robot.k, "wrench": wrenches}
         self._arguments = _Arguments({name: (size,) for name, size in sizes.items()})
-        self._q, self._v, self._tau, self._force, _ = self._arguments.views
-        self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
-        self._forward, self._loaded = forward, bool(wrenches)  # it keeps its numbers
+        self._forward, self._loads, self._loaded = forward, robot.loads, bool(wrenches)  # it keeps its numbers
         self._a = np.zeros(model.nv)
         given = forward.numbers, self._arguments.memory, self._a
         self._call = _caller(forward, "rp_acceleration", *given)
 
     def __call__(self, q: Any, v: Any, tau: Any, carrier_force: Any, t: float) -> AccelerationSample:
         """Return the accelerations; see ``Dynamics.acceleration``."""
-        try:
-            self._q[:], self._v[:], self._tau[:] = q, v, tau
-            if self._carriers:
-                self._force[:] = self._none if carrier_force is _LEFT_OUT else carrier_force
-            elif carrier_force is not _LEFT_OUT:
-                raise ValueError
-        except _NEEDS_CONVERTING:
-            self._arguments.convert(q, v, tau, carrier_force)
+        self._arguments.take(q, v, tau, carrier_force)
         if t != 0.0 and not isfinite(t):
             self._arguments.memory[0] = np.nan
         if self._loaded and np.isfinite(self._arguments.memory[: -len(self._arguments.parts[-1])]).all():

@@ -1,11 +1,11 @@
-/* Closing the loops of one robot. The functions rp_rows, rp_bias, rp_modes and rp_project, and the sizes, tables and EXPORTED in
+/* Closing the loops of one robot. The functions rp_rows, rp_bias, rp_modes and rp_project, and the sizes and tables in
    capitals, are generated in front of this text, see build.py; so is tree.c.
 
    Newton's method is trusted only while it contracts: each step at most CONTRACTION times the one before. Inside that
    radius there is one solution, so that a sample cannot land on another branch (Deuflhard, "Newton Methods for Nonlinear
    Problems", 2004, section 2.1); where it does not contract, the way to the sample is halved.
 
-   Residuals, K and Newton's steps have no unit: lengths are over the characteristic length (EQUATION_UNIT, STEP_UNIT). */
+   Residuals, K and Newton's steps have no unit: lengths are over the characteristic length (EQUATION_UNIT, VELOCITY_UNIT). */
 
 
 #define CONTRACTION 0.3 /* ratio of two steps of Newton's method, no unit; below 1/2 one solution is in reach (Deuflhard) */
@@ -18,7 +18,9 @@
 #define ROUNDED_MARGIN 2e-4 /* margin of K, no unit, next to a rank loss of the closures: below, rounding takes 1e-5 and more of accelerations */
 #define ITERATIONS 15   /* three times as many as quadratic convergence takes from LONGEST to SETTLED */
 
-enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3, NOT_FINITE = 4, NO_POSE = 5 };
+/* What functions here return beside the statuses of redundancy_pin.status: a matrix that is no pose; coordinates that Newton's method
+   does not get to; and those to which it closes the loops nowhere. */
+enum { NO_POSE = STATUSES, LOST, OUT_OF_REACH };
 
 typedef struct {
   double q[NQ];
@@ -26,7 +28,7 @@ typedef struct {
   double lu[NP * NP + 1];
   int pivot[NP + 1];
   double sign; /* of det K: it changes across a type I singularity */
-  double gap; /* largest residual, in characteristic lengths or rad */
+  double residual; /* largest residual, in characteristic lengths or rad */
 } Pose;
 
 static void rows(const double *numbers, const double *q, const double *trig, const double *x, double *residual, double *K, double *alignment) {
@@ -41,13 +43,6 @@ static void bias_of(const double *numbers, const double *q, const double *trig, 
   rp_bias(arg, res);
 }
 
-/* The largest coordinate of a configuration, rad or characteristic lengths. */
-static double largest_position(const double *numbers, const double *q) {
-  double result = 0.0;
-  for (int i = 0; i < NQ; ++i) result = fmax(result, fabs(q[i]) / POSITION_UNIT[i]);
-  return result;
-}
-
 /* Newton's method from q, to coordinates that miss x by left (N); returns whether each step was at most a ratio of the one before. */
 static int newton_by(double ratio, const double *numbers, const double *q, const double *x, const double *left, Pose *out) {
   double step[NP + 1], alignment[NALIGN], last = LONGEST / ratio;
@@ -57,13 +52,13 @@ static int newton_by(double ratio, const double *numbers, const double *q, const
     rows(numbers, out->q, out->trig, x, step, out->lu, alignment);
     if (left)
       for (int i = 0; i < N; ++i) step[R + i] -= left[i];
-    out->gap = largest(step, NP);
+    out->residual = largest(step, NP);
     out->sign = decompose(out->lu, out->pivot);
     if (out->sign == 0.0) return 0;
     solve(out->lu, out->pivot, step);
     double size = largest(step, NP);
     int stalled = size > ratio * last && size <= FLOOR;
-    int settled = size <= SETTLED || (stalled && (out->gap < TOLERANCE || size <= ROUNDED * largest_position(numbers, out->q)));
+    int settled = size <= SETTLED || (stalled && (out->residual < TOLERANCE || size <= ROUNDED * largest_over(out->q, POSITION_UNIT, NQ)));
     if (settled) {
       if (!left)
         for (int i = 0; i < NALIGN; ++i)
@@ -71,7 +66,7 @@ static int newton_by(double ratio, const double *numbers, const double *q, const
       return 1;
     }
     if (!(size <= ratio * last)) return 0;
-    for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
+    for (int i = 0; i < NP; ++i) step[i] *= VELOCITY_UNIT[COLUMNS[i]];
     move(out->q, step);
     last = size;
   }
@@ -85,7 +80,7 @@ static int newton(const double *numbers, const double *q, const double *x, const
 
 /* From a closed pose to a goal, on the straight way (`size` numbers) there, in as many steps as Newton's method needs to contract. close
    brings a pose to the goal, of which it misses `left` (null: nothing), the determinant's sign kept, or does not move it. Returns
-   CLOSED, or why the last step failed; the pose is then the last one on the way. */
+   STATUS_OK, or why the last step failed; the pose is then the last one on the way. */
 static int follow_way(const double *numbers, Pose *pose, int (*close)(const double *, Pose *, const double *, const double *),
                       const double *goal, const double *way, int size) {
   double left[NV + 1], done = 0.0, share = 1.0;
@@ -101,21 +96,21 @@ static int follow_way(const double *numbers, Pose *pose, int (*close)(const doub
       if (share < SHORTEST) return failed;
     }
   }
-  return CLOSED;
+  return STATUS_OK;
 }
 
 static int close_at(const double *numbers, Pose *pose, const double *x, const double *left) {
   Pose next;
   if (!newton(numbers, pose->q, x, left, &next) || next.sign != pose->sign) return LOST;
   *pose = next;
-  return CLOSED;
+  return STATUS_OK;
 }
 
 /* From a closed pose to the coordinates x, on the straight way there; returns whether it comes there. */
 static int follow(const double *numbers, Pose *pose, const double *x) {
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN];
   rows(numbers, pose->q, pose->trig, x, residual, K, alignment);
-  return follow_way(numbers, pose, close_at, x, residual + R, N) == CLOSED;
+  return follow_way(numbers, pose, close_at, x, residual + R, N) == STATUS_OK;
 }
 
 /* --- whole turns: as in robot/whole_turns.py ----------------------------------------------------------------------- */
@@ -198,7 +193,7 @@ static double rates(const double *numbers, const Pose *pose, const double *xd, c
     double sum = 0.0, speed = 0.0, *of = gamma + COLUMNS[i] * N;
     for (int j = 0; j < NP; ++j) sum += X[i][j] * X[i][j];
     for (int j = 0; j < N; ++j) {
-      of[j] = X[i][R + j] * (STEP_UNIT[i] * inverse_unit[R + j]);
+      of[j] = X[i][R + j] * (VELOCITY_UNIT[COLUMNS[i]] * inverse_unit[R + j]);
       speed += of[j] * xd[j];
     }
     v[COLUMNS[i]] = speed;
@@ -211,7 +206,7 @@ static double rates(const double *numbers, const Pose *pose, const double *xd, c
   for (int i = 0; i < NP; ++i) {
     double sum = 0.0;
     for (int j = 0; j < NP; ++j) sum += X[i][j] * rest[j];
-    a[COLUMNS[i]] = sum * STEP_UNIT[i];
+    a[COLUMNS[i]] = sum * VELOCITY_UNIT[COLUMNS[i]];
   }
   return size > 0.0 ? 1.0 / sqrt(size) : INFINITY;
 }
@@ -271,15 +266,16 @@ static int is_pose(const double *x) {
 #endif
 }
 
-/* Why a sample cannot be evaluated whatever the robot: NOT_FINITE or NO_POSE, or CLOSED where nothing is wrong with it. */
+/* Why a sample cannot be evaluated whatever the robot: STATUS_NOT_FINITE or NO_POSE, or STATUS_OK where nothing is wrong with it. */
 static int refusal_of(const double *in) {
-  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH)) return NOT_FINITE;
-  return is_pose(in) ? CLOSED : NO_POSE;
+  if (!finite(in, NX + 2 * N + 3 * NK + NWRENCH)) return STATUS_NOT_FINITE;
+  if (!is_pose(in)) return NO_POSE;
+  return STATUS_OK;
 }
 
-/* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
+/* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, residual, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
-   sample is closed on the same side of every type I singularity. */
+   sample is closed on the same side of every type I singularity. Returns a status, NO_POSE or LOST. */
 static int rp_sample(const double *numbers, double *state, const double *in, double *out) {
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
@@ -288,18 +284,18 @@ static int rp_sample(const double *numbers, double *state, const double *in, dou
   if (refused) return refused;
   if (!newton(numbers, state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(numbers, &pose, xd, xdd, v, a, gamma, W);
-  if (margin < LEAST_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return SINGULAR;
-  if (!in_mode(numbers, &pose)) return OTHER_MODE;
+  if (margin < SINGULAR_MARGIN || (margin < ROUNDED_MARGIN && may_go_on(&pose))) return STATUS_TYPE_I;
+  if (!in_mode(numbers, &pose)) return STATUS_BRANCH_LOST;
   const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK, numbers};
   double *const res[] = {f, force};
   rp_project(arg, res);
-  if (!finite(f, N) || !finite(force, NK)) return NOT_FINITE; /* rates so large that forces overflow */
+  if (!finite(f, N) || !finite(force, NK)) return STATUS_NOT_FINITE; /* rates so large that forces overflow */
   copy(state, pose.q, NQ);
   state[NQ] = pose.sign;
   copy(out, W, N * M);
   copy(out + N * M, f, N);
   copy(out + N * M + N, force, NK);
-  out[N * M + N + NK] = pose.gap * LENGTH;
+  out[N * M + N + NK] = pose.residual * LENGTH;
   out[N * M + N + NK + 1] = margin;
-  return CLOSED;
+  return STATUS_OK;
 }

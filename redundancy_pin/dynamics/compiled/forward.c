@@ -6,8 +6,8 @@
 
        (N' M N) z = N' (u - rnea(q, v, a0)),   J N = 0,   a = N z + a0,
 
-   which velocities are independent being decided anew at each state, by complete pivoting. Everything is in scaled
-   velocities: rotations times the characteristic length.
+   which velocities are independent being decided anew at each state, by complete pivoting. Rows and velocities have no units:
+   lengths are over the characteristic length (EQUATION_UNIT, VELOCITY_UNIT).
 
    The integration takes what is ordinary: steps in which nothing happens. Before a step in which something may (an event,
    closures that come near a rank loss, a step that fails or shrinks) it stops, and leaves that one to its caller. */
@@ -28,16 +28,11 @@ static void closures(const double *numbers, const double *q, double *residual, d
   rp_closures(arg, res);
 }
 
-/* Residuals of the closures (R) in m: angles count times the characteristic length. */
-static void scale_residual(const double *numbers, double *residual) {
-  for (int i = 0; i < R; ++i) residual[i] *= LENGTH / EQUATION_UNIT[i];
-}
-
-/* The first rows of K (NP x NP, column by column) without units, row by row, `width` numbers apart: each in m/s, of scaled
-   velocities. Ranks and determinants are judged by these: an angle beside a length says something about units only. */
+/* The first rows of K (NP x NP, column by column) without units, row by row, `width` numbers apart. Ranks and determinants are
+   judged by these: an angle beside a length says something about units only. */
 static void scale_rows(const double *numbers, const double *K, int rows, int width, double *scaled) {
   for (int i = 0; i < rows; ++i)
-    for (int j = 0; j < NP; ++j) scaled[i * width + j] = K[i + j * NP] * (LENGTH / EQUATION_UNIT[i]) / VELOCITY_SCALE[COLUMNS[j]];
+    for (int j = 0; j < NP; ++j) scaled[i * width + j] = K[i + j * NP] * (VELOCITY_UNIT[COLUMNS[j]] / EQUATION_UNIT[i]);
 }
 
 /* Gauss and Jordan's elimination of rows (R x width), pivots among the first NP columns; the columns of the pivots come in
@@ -136,10 +131,9 @@ int rp_accelerations(const double *numbers, const double *q, const double *v, co
   int order[R + 1], dependent[NP + 1] = {0}, width = NP + 1 + (closure_force ? R : 0), d = 0;
   equations(numbers, q, v, wrenches, K, bias, mass, effort);
   scale_rows(numbers, K, R, width, A);
-  scale_residual(numbers, bias);
   for (int i = 0; i < R; ++i) {
-    A[i * width + NP] = bias[i];
-    for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1 ? LENGTH / EQUATION_UNIT[i] : 0.0;
+    A[i * width + NP] = bias[i] / EQUATION_UNIT[i];
+    for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1 ? 1.0 / EQUATION_UNIT[i] : 0.0;
   }
   double ratio = eliminate(A, width, order);
   if (ratio != ratio) return STATUS_NOT_FINITE;
@@ -147,19 +141,19 @@ int rp_accelerations(const double *numbers, const double *q, const double *v, co
   for (int i = 0; i < NV; ++i) a[i] = 0.0;
   for (int k = 0; k < R; ++k) {
     dependent[order[k]] = 1;
-    a[COLUMNS[order[k]]] = -A[k * width + NP] / VELOCITY_SCALE[COLUMNS[order[k]]];
+    a[COLUMNS[order[k]]] = -A[k * width + NP] * VELOCITY_UNIT[COLUMNS[order[k]]];
   }
   for (int j = 0; j < NP; ++j)
     if (!dependent[j]) {
-      basis[COLUMNS[j]][d] = 1.0 / VELOCITY_SCALE[COLUMNS[j]];
-      for (int k = 0; k < R; ++k) basis[COLUMNS[order[k]]][d] = -A[k * width + j] / VELOCITY_SCALE[COLUMNS[order[k]]];
+      basis[COLUMNS[j]][d] = VELOCITY_UNIT[COLUMNS[j]];
+      for (int k = 0; k < R; ++k) basis[COLUMNS[order[k]]][d] = -A[k * width + j] * VELOCITY_UNIT[COLUMNS[order[k]]];
       ++d;
     }
   for (int j = 0; j < NK; ++j) {
     if (given)
       a[CARRIERS[j]] = given[j];
     else
-      basis[CARRIERS[j]][d++] = 1.0 / VELOCITY_SCALE[CARRIERS[j]];
+      basis[CARRIERS[j]][d++] = VELOCITY_UNIT[CARRIERS[j]];
   }
   for (int i = 0; i < NV; ++i) {
     double sum = force[i] - effort[i];
@@ -204,7 +198,7 @@ int rp_accelerations(const double *numbers, const double *q, const double *v, co
     closure_force[i] = 0.0;
     for (int k = 0; k < R; ++k) {
       int column = COLUMNS[order[k]];
-      closure_force[i] += A[k * width + NP + 1 + i] * missing[column] / VELOCITY_SCALE[column];
+      closure_force[i] += A[k * width + NP + 1 + i] * missing[column] * VELOCITY_UNIT[column];
     }
   }
   return STATUS_OK;
@@ -277,17 +271,17 @@ static void rate(const double *numbers, const Run *run, Progress *at, double t, 
   rp_rates(arg, res);
 }
 
-/* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; gaps: closure residual before and after, m. */
-int rp_projected(const double *numbers, double *y, double wanted, double *gaps) {
+/* Onto the closures, at the level of positions and of rates, by the shortest steps without units; residuals: of the closures, before and after, m. */
+int rp_projected(const double *numbers, double *y, double wanted, double *residuals) {
   double residual[R + 1], K[NP * NP + 1], S[R * NP + 1], G[R * R + 1], step[NP + 1] = {0.0}, *v = y + NQ;
   for (int iteration = 0; iteration < 9; ++iteration) {
     if (!iteration && NQ != NV) move(y, step); /* which normalises */
     closures(numbers, y, residual, K);
-    scale_residual(numbers, residual);
-    gaps[1] = largest(residual, R);
-    if (!isfinite(gaps[1])) return 0;
-    if (!iteration) gaps[0] = gaps[1];
-    int last = gaps[1] <= wanted || iteration == 8;
+    for (int i = 0; i < R; ++i) residual[i] /= EQUATION_UNIT[i];
+    residuals[1] = largest(residual, R) * LENGTH;
+    if (!isfinite(residuals[1])) return 0;
+    if (!iteration) residuals[0] = residuals[1];
+    int last = residuals[1] <= wanted || iteration == 8;
     scale_rows(numbers, K, R, NP, S);
     for (int i = 0; i < R; ++i)
       for (int k = 0; k <= i; ++k) {
@@ -299,13 +293,13 @@ int rp_projected(const double *numbers, double *y, double wanted, double *gaps) 
     if (last)
       for (int i = 0; i < R; ++i) {
         residual[i] = 0.0;
-        for (int j = 0; j < NP; ++j) residual[i] += S[i * NP + j] * v[COLUMNS[j]] * VELOCITY_SCALE[COLUMNS[j]];
+        for (int j = 0; j < NP; ++j) residual[i] += S[i * NP + j] * v[COLUMNS[j]] / VELOCITY_UNIT[COLUMNS[j]];
       }
     solve_factorised(G, R, residual);
     for (int j = 0; j < NP; ++j) {
       double sum = 0.0;
       for (int i = 0; i < R; ++i) sum += S[i * NP + j] * residual[i];
-      step[j] = -sum / VELOCITY_SCALE[COLUMNS[j]];
+      step[j] = -sum * VELOCITY_UNIT[COLUMNS[j]];
     }
     if (last) {
       for (int j = 0; j < NP; ++j) v[COLUMNS[j]] += step[j];
@@ -316,12 +310,12 @@ int rp_projected(const double *numbers, double *y, double wanted, double *gaps) 
   return 0;
 }
 
-/* Smallest over largest singular value of rows S (R x NP), which are overwritten. */
+/* Smallest over largest singular value of rows S (R x NP), which are overwritten; of a single row its length. */
 static double rank_ratio(double *S) {
   double square[R + 1], least = INFINITY, most = 0.0;
   orthogonalise(S, R, NP, NP, square);
   for (int i = 0; i < R; ++i) least = fmin(least, square[i]), most = fmax(most, square[i]);
-  return R ? sqrt(least / most) : 1.0;
+  return R > 1 ? sqrt(least / most) : R ? sqrt(most) : 1.0;
 }
 
 /* Determinant of a matrix (NP x NP), or of its transpose; it is overwritten. */
@@ -435,20 +429,14 @@ static int may_touch_zero(const double *ratios, int count, double near) {
   return !(least > 1.5 * change);
 }
 
-/* The largest of velocities (NV) without units, 1/s. */
-static double largest_rate(const double *numbers, const double *v) {
-  double most = 0.0;
-  for (int i = 0; i < NV; ++i) most = fmax(most, fabs(v[i]) * VELOCITY_SCALE[i] / LENGTH);
-  return most;
-}
-
 /* Whether nothing happens in a step: no sign of a function changes, no joint turns back near its stop, the closures keep
-   away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end. */
+   away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end; so is near, the ratio below
+   which a rank loss is looked for. */
 static int ordinary(const double *numbers, const Run *run, Progress *at, double h, double end, const double *y, const double *y1, double *K,
-                    double *values, int *dense) {
-  double speed = fmax(1.0 / run->time, fmax(largest_rate(numbers, y + NQ), largest_rate(numbers, y1 + NQ)));
+                    double *values, double *near, int *dense) {
+  double speed = fmax(1.0 / run->time, fmax(largest_over(y + NQ, VELOCITY_UNIT, NV), largest_over(y1 + NQ, VELOCITY_UNIT, NV)));
   int fine = !(h * speed < run->brief) || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
-  double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0, near = at->near;
+  double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0;
   const double *f0 = K, *f1 = K + run->stages * NY;
   int watched = WATCHED(run);
   copy(states[0], y, NY);
@@ -468,11 +456,11 @@ static int ordinary(const double *numbers, const Run *run, Progress *at, double 
   }
   for (int k = 0; k <= looks; ++k) {
     double most = 0.0;
-    for (int j = 0; j < NP; ++j) most = fmax(most, fabs(states[k][NQ + COLUMNS[j]]) * VELOCITY_SCALE[COLUMNS[j]]);
+    for (int j = 0; j < NP; ++j) most = fmax(most, fabs(states[k][NQ + COLUMNS[j]]) / VELOCITY_UNIT[COLUMNS[j]]);
     travel += most / (looks + 1);
     ratios[k] = seen[k][watched - 1];
   }
-  travel *= h / LENGTH;
+  travel *= h;
   if (!(travel / run->check_travel < MOST_LOOKS - 1)) return 0;
   int count = (int)(travel / run->check_travel);
   if (count > looks) {
@@ -485,26 +473,26 @@ static int ordinary(const double *numbers, const Run *run, Progress *at, double 
     }
   } else
     count = looks;
-  if (may_touch_zero(ratios, count + 1, near)) return 0;
-  at->near = ratios[count] < run->near_rank ? near : run->near_rank;
+  if (may_touch_zero(ratios, count + 1, *near)) return 0;
+  if (!(ratios[count] < run->near_rank)) *near = run->near_rank;
   copy(values, seen[looks], watched);
   return 1;
 }
 
 /* Onto the closures, carriers where their motion is given. */
-static int placed(const double *numbers, const Run *run, Progress *at, double t, double end, double *y, double *gaps) {
+static int placed(const double *numbers, const Run *run, Progress *at, double t, double end, double *y, double *residuals) {
   double out[NV + 3 * NK + 1];
   if (run->prescribed) {
     if (!loads_at(run, at, t, end, y, y + NQ, out)) return 0;
     for (int i = 0; i < NK; ++i) y[CARRIED[i]] = out[NV + i], y[NQ + CARRIERS[i]] = out[NV + NK + i];
   }
-  return rp_projected(numbers, y, run->tolerance, gaps);
+  return rp_projected(numbers, y, run->tolerance, residuals);
 }
 
 /* From a closed state y over at most `most` ordinary steps. Returns 1 before a step that its caller must take, 0 at the end or
    after that many steps. y, the functions `values` and the progress are those of the last state. */
 int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, double *values, long most) {
-  double *const K = run->rates, y1[NY], next[NY], sample[NY], gaps[2], other[2];
+  double *const K = run->rates, y1[NY], next[NY], sample[NY], residuals[2], other[2];
   long limit = at->steps + most;
   int known = 0;
   while (at->next_break < run->breaks) {
@@ -524,19 +512,16 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     known = 1;
     double h = at->next_step, t1 = take(numbers, run, at, end, y, &h, y1, K), length = t1 - at->t;
     if (!(length > 0.0)) return 1;
-    double shown[MOST_WATCHED], was_near = at->near;
+    double shown[MOST_WATCHED], near = at->near;
     int dense = 0;
     if (length < run->shortest && t1 < end) return 1;
     copy(shown, values, WATCHED(run));
-    if (!ordinary(numbers, run, at, length, end, y, y1, K, shown, &dense)) return 1;
+    if (!ordinary(numbers, run, at, length, end, y, y1, K, shown, &near, &dense)) return 1;
     copy(next, y1, NY);
-    double change[NV], fastest = fmax(largest_rate(numbers, y + NQ), largest_rate(numbers, y1 + NQ));
-    int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, gaps) && gaps[1] <= run->largest_residual;
+    double change[NV], fastest = fmax(largest_over(y + NQ, VELOCITY_UNIT, NV), largest_over(y1 + NQ, VELOCITY_UNIT, NV));
+    int good = placed(numbers, run, at, t1, t1 < end ? end : INFINITY, next, residuals) && residuals[1] <= run->largest_residual;
     for (int i = 0; i < NV; ++i) change[i] = next[NQ + i] - y1[NQ + i];
-    if (!good || !(largest_rate(numbers, change) <= run->velocity_change * fastest + run->velocity_floor / run->time)) {
-      at->near = was_near;
-      return 1;
-    }
+    if (!good || !(largest_over(change, VELOCITY_UNIT, NV) <= run->velocity_change * fastest + run->velocity_floor / run->time)) return 1;
     while (at->sample < run->samples && run->sample_at[at->sample] < t1 - run->time_tolerance) {
       double t = run->sample_at[at->sample];
       copy(sample, y, NY);
@@ -550,9 +535,10 @@ int rp_advance(const double *numbers, const Run *run, Progress *at, double *y, d
     copy(y, next, NY);
     copy(values, shown, WATCHED(run));
     at->t = t1;
+    at->near = near;
     at->next_step = h;
     ++at->steps;
-    at->largest_correction = fmax(at->largest_correction, gaps[0]);
+    at->largest_correction = fmax(at->largest_correction, residuals[0]);
     if (t1 < end) {
       rate(numbers, run, at, t1, end, y, K);
       if (K[NQ] != K[NQ]) return 1;

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import accumulate
 from typing import Any
 
@@ -19,7 +19,7 @@ from redundancy_pin.dynamics.compiled.build import (
     Code,
     Recipe,
     address,
-    carrier_tables,
+    carried_table,
     function_of,
     tables,
     text_of,
@@ -31,10 +31,11 @@ from redundancy_pin.dynamics.compiled.layout import Member, Struct
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
 from redundancy_pin.dynamics.forward import (
     Accelerations,
-    Advance,
     Equations,
     LinearParts,
     Loads,
+    P,
+    Progress,
     Rules,
 )
 from redundancy_pin.errors import UnsupportedRobotError
@@ -109,8 +110,8 @@ _PROGRESS = Struct(
     ),
 )
 
-_SHARED = tuple(field.name for field in fields(Advance) if field.name not in ("y", "values"))
-"""Members of ``Progress`` that ``dynamics.forward.Advance`` has too."""
+_SHARED = tuple(field.name for field in fields(Progress) if field.name not in ("y", "values"))
+"""Members of ``dynamics.forward.Progress`` that the structure has too."""
 
 _DECLARATIONS = "\n".join(
     [
@@ -138,7 +139,7 @@ def source(robot: Robot) -> str:
         "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
     }
     functions = [function_of(chain, f"rp_{name}", inputs, outputs) for name, (inputs, outputs) in definitions.items()]
-    text = [*tables(chain, functions, "static"), *carrier_tables(robot)]
+    text = [*tables(chain, functions, "static"), carried_table(robot)]
     return "\n".join([*text, _DECLARATIONS, text_of("forward.c")])
 
 
@@ -248,7 +249,7 @@ class CompiledIntegration:
         self._forward, self._rules = forward, rules
         robot = forward.robot
         self._width, self._loads = forward._nq + forward._nv, robot.m + robot.k
-        self.recorded = np.full((len(rules.grid), self._width), np.nan)
+        self._recorded = np.full((len(rules.grid), self._width), np.nan)
         self._run, self._at = _RUN.type(), _PROGRESS.type()
         self._kept: dict[str, Any] = {}
         self._views: dict[int, Array] = {}
@@ -262,7 +263,7 @@ class CompiledIntegration:
         self._point("stop", rules.stops.T)
         self._point("mode", np.array(robot.working_mode, dtype=np.float64))
         self._point("limits", rules.limits)
-        self._run.recorded = self.recorded.ctypes.data
+        self._run.recorded = self._recorded.ctypes.data
         self._run.samples, self._run.breaks = len(rules.grid), len(rules.breaks)
         self._run.stops, self._run.prescribed = rules.stops.shape[1], int(rules.prescribed)
         if rules.efforts is not None:
@@ -277,18 +278,19 @@ class CompiledIntegration:
         """Let constant efforts (m + k,) act."""
         self._act(self._rules.grid[[0, -1]], command[None, None])
 
-    def advance(self, at: Advance, end: float, most: int) -> bool:
-        """Take ordinary steps up to a time, s, at most so many; return whether the next one is not ordinary."""
-        progress, rules = self._at, self._rules
+    def advance(self, progress: P, recorded: int, end: float, most: int) -> tuple[P, Array, bool]:
+        """Take ordinary steps; see ``dynamics.forward.Integration.advance``."""
+        at, breaks = self._at, self._rules.breaks
         for name in _SHARED:
-            setattr(progress, name, getattr(at, name))
-        progress.next_break = int(np.searchsorted(rules.breaks, at.t, side="right"))
-        self._run.breaks = int(np.searchsorted(rules.breaks, end, side="right"))
-        y, values = np.array(at.y, dtype=np.float64), np.array(at.values, dtype=np.float64)
+            setattr(at, name, getattr(progress, name))
+        at.sample = recorded
+        at.next_break = int(np.searchsorted(breaks, progress.t, side="right"))
+        self._run.breaks = int(np.searchsorted(breaks, end, side="right"))
+        y, values = np.array(progress.y, dtype=np.float64), np.array(progress.values, dtype=np.float64)
         status = self._forward._advance(
             self._forward.numbers,
             ctypes.byref(self._run),
-            ctypes.byref(progress),
+            ctypes.byref(at),
             address(y),
             address(values),
             ctypes.c_long(most),
@@ -296,10 +298,8 @@ class CompiledIntegration:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-        at.y, at.values = y, values
-        for name in _SHARED:
-            setattr(at, name, getattr(progress, name))
-        return bool(status)
+        progress = replace(progress, y=y, values=values, **{name: getattr(at, name) for name in _SHARED})
+        return progress, self._recorded[recorded : at.sample].copy(), bool(status)
 
     def _act(self, edges: Array, coefficients: Array) -> None:
         """Let polynomials act: coefficients (pieces, terms, m + k)."""

@@ -241,13 +241,11 @@ def layout_of(topology: Topology) -> Layout:
     for joint in itertools.islice(robot.model.joints, 1, None):  # translations come first, in q as in v
         position[joint.idx_q : joint.idx_q + int(slide[joint.idx_v : joint.idx_v + joint.nv].sum())] = True
     is_length = {
-        "STEP_UNIT": slide[pose_columns(robot)],
+        "VELOCITY_UNIT": slide,
         "EQUATION_UNIT": np.concatenate([slide_rows, slide_coordinates]),
         "POSITION_UNIT": position,
-        "VELOCITY_SCALE": ~slide,
         "ROW_SCALE": ~slide_coordinates,
         "COLUMN_SCALE": ~np.array(actuated, dtype=bool),
-        "CARRIER_UNIT": slide[robot.carrier_velocity],
     }
     sizes = {name: len(which) for name, which in is_length.items()}
     whole = {**dict.fromkeys(_SCALARS, 1), **sizes, "MODEL": int(topology.free.sum())}

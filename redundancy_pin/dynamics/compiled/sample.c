@@ -5,13 +5,6 @@
 #define SHORT (N < M ? N : M)
 #define LONG (N < M ? M : N)
 
-/* The status of a sample that the driver did not close. */
-static int status_of(int closed) {
-  static const int STATUS[] = {STATUS_OK,          STATUS_UNREACHABLE, STATUS_TYPE_I,
-                               STATUS_BRANCH_LOST, STATUS_NOT_FINITE,  STATUS_UNREACHABLE}; /* what is no pose is out of reach */
-  return STATUS[closed];
-}
-
 static void coordinates_of(const double *numbers, const double *q, const double *trig, double *x) {
   const double *const arg[] = {q, trig, numbers};
   double *const res[] = {x};
@@ -130,8 +123,8 @@ static double force_size_of(const double *numbers, const double *in) {
     acceleration = fmax(acceleration, fabs(xdd[i]) / EQUATION_UNIT[R + i]);
   }
   for (int i = 0; i < NK; ++i) {
-    rate = fmax(rate, fabs(sd[i]) / CARRIER_UNIT[i]);
-    acceleration = fmax(acceleration, fabs(sdd[i]) / CARRIER_UNIT[i]);
+    rate = fmax(rate, fabs(sd[i]) / VELOCITY_UNIT[CARRIERS[i]]);
+    acceleration = fmax(acceleration, fabs(sdd[i]) / VELOCITY_UNIT[CARRIERS[i]]);
   }
   double external = 0.0;
   for (const double *wrench = sdd + NK; wrench < sdd + NK + NWRENCH; wrench += 6)
@@ -203,7 +196,7 @@ static void actuation(const double *numbers, const Pose *pose, double X[NP + 1][
   for (int i = 0; i < NP; ++i)
     for (int j = 0; j < M; ++j)
       if (ACTUATED[j] == COLUMNS[i])
-        for (int c = 0; c < N; ++c) W[c * M + j] = X[i][R + c] * (STEP_UNIT[i] / EQUATION_UNIT[R + c]);
+        for (int c = 0; c < N; ++c) W[c * M + j] = X[i][R + c] * (VELOCITY_UNIT[COLUMNS[i]] / EQUATION_UNIT[R + c]);
 }
 
 /* [J_c; S] without unit, decomposed; it serves for steps so small that its own change does not slow them down. */
@@ -221,7 +214,7 @@ static int actuated_step(const double *numbers, Pose *pose, const double *off, d
     for (int j = 0; j < M; ++j) {
       int drives_it = ACTUATED[j] == COLUMNS[i];
       if (!driven->known) driven->A[R + j + i * NP] = drives_it;
-      if (drives_it) step[R + j] = off[j] / STEP_UNIT[i];
+      if (drives_it) step[R + j] = off[j] / VELOCITY_UNIT[COLUMNS[i]];
     }
   if (!driven->known && decompose(driven->A, driven->pivot) == 0.0) return 0;
   driven->known = 1;
@@ -241,11 +234,11 @@ static int actuated_step(const double *numbers, Pose *pose, const double *off, d
   spectrum_of(numbers, W, &s);
   if (s.rank < N) return 0;
   clear(closing, NV);
-  for (int i = 0; i < NP; ++i) closing[COLUMNS[i]] = dot(X[i], step, R) * STEP_UNIT[i];
+  for (int i = 0; i < NP; ++i) closing[COLUMNS[i]] = dot(X[i], step, R) * VELOCITY_UNIT[COLUMNS[i]];
   for (int j = 0; j < M; ++j) rest[j] = off[j] - closing[ACTUATED[j]];
   back(numbers, &s, rest, dx);
   for (int c = 0; c < N; ++c) dx[c] /= EQUATION_UNIT[R + c];
-  for (int i = 0; i < NP; ++i) step[i] = closing[COLUMNS[i]] / STEP_UNIT[i] + dot(X[i] + R, dx, N);
+  for (int i = 0; i < NP; ++i) step[i] = closing[COLUMNS[i]] / VELOCITY_UNIT[COLUMNS[i]] + dot(X[i] + R, dx, N);
   return 1;
 }
 #endif
@@ -270,14 +263,14 @@ static int forward(const double *numbers, Pose *pose, const double *position, co
   coordinates_of(numbers, pose->q, pose->trig, x);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
     rows(numbers, pose->q, pose->trig, x, step, pose->lu, alignment);
-    pose->gap = largest(step, R);
+    pose->residual = largest(step, R);
     drives(pose->q, position, off);
     if (left)
       for (int j = 0; j < M; ++j) off[j] -= left[j];
     int reused = driven.known = driven.known && last * last <= FLOOR;
     if (!actuated_step(numbers, pose, off, step, &driven)) return failure_at(numbers, pose);
     double size = largest(step, NP);
-    if (size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && pose->gap < TOLERANCE)) {
+    if (size <= SETTLED || (size <= FLOOR && size > CONTRACTION * last && pose->residual < TOLERANCE)) {
       for (int i = 0; i < NALIGN; ++i)
         if (!(alignment[i] > 0.0)) return STATUS_UNREACHABLE; /* a hinge the wrong way round */
       pose->sign = decompose(pose->lu, pose->pivot);
@@ -288,7 +281,7 @@ static int forward(const double *numbers, Pose *pose, const double *position, co
       driven.known = 0; /* again with its own matrix */
       continue;
     }
-    for (int i = 0; i < NP; ++i) step[i] *= STEP_UNIT[i];
+    for (int i = 0; i < NP; ++i) step[i] *= VELOCITY_UNIT[COLUMNS[i]];
     move(pose->q, step);
     turns_of(pose->q, pose->trig);
     last = size;
@@ -298,7 +291,7 @@ static int forward(const double *numbers, Pose *pose, const double *position, co
 
 /* The platform at the pose of its actuators; gamma (NV x N), others as in robot_platform of generated headers. */
 typedef struct {
-  double x[NX], xd[N], gamma[NV * N], mismatch, gap, margin, type_I_margin;
+  double x[NX], xd[N], gamma[NV * N], mismatch, residual, margin, type_I_margin;
 } Platform;
 
 /* The platform from positions and velocities (M each) of its actuators, on the branch of the pose, which is moved there.
@@ -308,13 +301,13 @@ static int platform_of(const double *numbers, Pose *pose, const double *position
   double none[N], off[M], rate[M], v[NV], a[NV], W[N * M];
   clear(out->x, NX);
   clear(out->xd, N);
-  out->mismatch = out->gap = out->margin = out->type_I_margin = 0.0;
+  out->mismatch = out->residual = out->margin = out->type_I_margin = 0.0;
   int status = forward(numbers, pose, position, 0, off);
   if (status) return status;
   coordinates_of(numbers, pose->q, pose->trig, out->x);
   clear(none, N);
   out->type_I_margin = rates(numbers, pose, none, none, v, a, out->gamma, W);
-  if (!(out->type_I_margin >= LEAST_MARGIN)) return STATUS_TYPE_I;
+  if (!(out->type_I_margin >= SINGULAR_MARGIN)) return STATUS_TYPE_I;
   if (!in_mode(numbers, pose)) return STATUS_BRANCH_LOST;
   spectrum_of(numbers, W, &s);
   if (s.rank < N) return STATUS_TYPE_II;
@@ -325,7 +318,7 @@ static int platform_of(const double *numbers, Pose *pose, const double *position
   if (!finite(out->xd, N)) return STATUS_NOT_FINITE;
   for (int j = 0; j < M; ++j) off[j] *= COLUMN_SCALE[j];
   out->mismatch = sqrt(dot(off, off, M));
-  out->gap = pose->gap * LENGTH;
+  out->residual = pose->residual * LENGTH;
   out->margin = s.margin;
   return s.margin < NEAR_SINGULAR ? STATUS_NEAR_SINGULAR : STATUS_OK;
 }

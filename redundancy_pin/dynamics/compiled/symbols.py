@@ -116,7 +116,8 @@ class SymbolicChain:
         self.trig = ca.SX.sym("trig", 2 * len(self.turning))
         self._joints = [self._joint(index) for index in range(1, self.model.njoints)]
         self.pose_columns: IntArray = pose_columns(robot)
-        self.equation_unit, self.step_unit = (self._section(name) for name in ("EQUATION_UNIT", "STEP_UNIT"))
+        self.equation_unit = self._section("EQUATION_UNIT")
+        self.step_unit = self._section("VELOCITY_UNIT")[self.pose_columns.tolist()]
         self.rows = self.equation_unit.numel() - robot.n
         self._place()
 

@@ -101,6 +101,13 @@ static double largest(const double *values, int size) {
   return result;
 }
 
+/* The largest of values without units, each over its own. */
+static double largest_over(const double *values, const double *unit, int size) {
+  double result = 0.0;
+  for (int i = 0; i < size; ++i) result = fmax(result, fabs(values[i]) / unit[i]);
+  return result;
+}
+
 static void turns_of(const double *q, double *trig) {
   const double *const arg[] = {q};
   double *const res[] = {trig};

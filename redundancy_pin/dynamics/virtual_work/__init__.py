@@ -36,7 +36,7 @@ from redundancy_pin.robot.scales import column_scale, force_sizes, is_revolute, 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
 Mechanism = TwoRprMechanism | ThreeRrrMechanism
-"""A mechanism in one working mode: ``legs`` solves the inverse displacement at (N, n) coordinates (gap, margin and
+"""A mechanism in one working mode: ``legs`` solves the inverse displacement at (N, n) coordinates (residual, margin and
 Jacobian of each leg; NaN passes through), ``along`` returns the dynamics along a motion through them. Arrays are
 leg-major, (legs, N). Carrier i rides on leg i and acts on no other leg."""
 
@@ -82,15 +82,15 @@ class VirtualWork(Dynamics):
         require_choice(unreachable)
         require_matching(self._robot, motion)
         legs = self._mechanism.legs(motion.x)
-        gap = legs.gap.max(axis=0)
-        bad_leg = (legs.gap > self._mechanism.tolerance) | (legs.margin <= self._mechanism.least_margin)
+        residual = legs.residual.max(axis=0)
+        bad_leg = (legs.residual > self._mechanism.tolerance) | (legs.margin <= self._mechanism.least_margin)
         reachable: BoolArray = np.logical_not(bad_leg.any(axis=0))
         if not reachable.all():
             if unreachable == "raise":
                 _refuse(legs, int(reachable.argmin()), self._robot, self._mechanism)
             # NaN in, NaN out: the samples to blank take part in the arithmetic, and in no warning.
             legs = self._mechanism.legs(np.where(reachable[:, None], motion.x, np.nan))
-        return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, gap, reachable)
+        return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, residual, reachable)
 
     def _torque(self, given: SampleArguments, t: float, start: ArrayLike | None) -> TorqueSample:
         # the closed form has one branch, given by the working mode, and needs no start
@@ -115,11 +115,17 @@ class VirtualWorkAlongMotion(Frozen):
     """
 
     def __init__(
-        self, robot: Robot, mechanism: Mechanism, motion: PlatformMotion, legs: Any, gap: Array, reachable: BoolArray
+        self,
+        robot: Robot,
+        mechanism: Mechanism,
+        motion: PlatformMotion,
+        legs: Any,
+        residual: Array,
+        reachable: BoolArray,
     ) -> None:
         self.robot, self.motion = robot, motion
         self.q = self.gamma = None
-        self._reachable, self._gap = read_only(reachable), read_only(gap)
+        self._reachable, self._residual = read_only(reachable), read_only(residual)
         self._dynamics = mechanism.along(legs, motion.x, motion.xd, motion.xdd)
         self._W = read_only(np.ascontiguousarray(legs.jacobian.transpose(2, 0, 1)))
 
@@ -133,7 +139,7 @@ class VirtualWorkAlongMotion(Frozen):
             W=self._W,
             carrier_force=self._result(np.ascontiguousarray(efforts.force[:k].T)),
             reachable=self._reachable,
-            gap=self._gap,
+            residual=self._residual,
             row_scale=row_scale(self.robot),
             column_scale=column_scale(self.robot),
             out_of_range=self._out_of_range,
@@ -208,16 +214,16 @@ def _mechanism_of(robot: Robot) -> Mechanism:
 
 
 def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, mechanism: Mechanism) -> None:
-    gap, margin = legs.gap[:, sample], legs.margin[:, sample]
-    if gap.max() > mechanism.tolerance:
-        leg = int(gap.argmax())
+    residual, margin = legs.residual[:, sample], legs.margin[:, sample]
+    if residual.max() > mechanism.tolerance:
+        leg = int(residual.argmax())
         raise UnreachablePoseError(
-            f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {gap[leg]:.3g} m."
-            f"{millimetres(float(gap[leg]), robot.characteristic_length)}",
+            f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {residual[leg]:.3g} m."
+            f"{millimetres(float(residual[leg]), robot.characteristic_length)}",
             remedy='Move the motion into the workspace, or pass unreachable="mark".',
             sample=sample,
             leg=leg,
-            gap=float(gap[leg]),
+            residual=float(residual[leg]),
         )
     leg = int(margin.argmin())
     raise SingularPoseError(

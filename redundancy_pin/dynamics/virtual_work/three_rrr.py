@@ -89,7 +89,7 @@ class ThreeRrrLegs(Frozen):
         e: distal link A - B, m; NaN out of reach.
         c: (A - G) x b, m²: minus l1 l2 times the sine of the elbow angle β - θ, zero at a type I
             singularity (Parsa 2014, eq. 2.37); its sign is the mode. NaN out of reach.
-        gap: distance of the corner from the leg's reach, m; within reach the residual of
+        residual: distance of the corner from the leg's reach, m; within reach the residual of
             |A - B| = l2 (a few roundings).
     """
 
@@ -98,12 +98,12 @@ class ThreeRrrLegs(Frozen):
     b: ComplexArray
     e: ComplexArray
     c: Array
-    gap: Array
+    residual: Array
 
     @property
     def reachable(self) -> BoolArray:
         """(3, N) whether the leg reaches its corner, to within the closure tolerance."""
-        return read_only(self.gap <= self.geometry.tolerance)
+        return read_only(self.residual <= self.geometry.tolerance)
 
     @property
     def theta(self) -> Array:
@@ -158,8 +158,8 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
         b = (q / rho_squared + 1j * (c / rho_squared)) * span
     e = span - b
     # fmax: the shortage where e is NaN
-    gap = np.fmax(np.abs(np.sqrt(e.real**2 + e.imag**2) - l2), shortage)
-    return ThreeRrrLegs(geometry, *map(read_only, (arm, b, e, c, gap)))
+    residual = np.fmax(np.abs(np.sqrt(e.real**2 + e.imag**2) - l2), shortage)
+    return ThreeRrrLegs(geometry, *map(read_only, (arm, b, e, c, residual)))
 
 
 class ThreeRrrMechanism:

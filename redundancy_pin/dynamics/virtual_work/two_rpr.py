@@ -42,12 +42,12 @@ class TwoRprLegs(Frozen):
     Attributes:
         d: (2, N) signed leg length, m.
         u: (2, N) direction of the leg in the base frame, complex; NaN where d = 0.
-        gap: (2, N) what the closure A + d u = B leaves, m; a few roundings, and 0 where d = 0.
+        residual: (2, N) what the closure A + d u = B leaves, m; a few roundings, and 0 where d = 0.
     """
 
     d: Array
     u: ComplexArray
-    gap: Array
+    residual: Array
 
     @property
     def margin(self) -> Array:
@@ -79,9 +79,9 @@ def inverse_displacement(base_distance: float, point: ArrayLike, mode: Sequence[
     d = np.abs(span) * sign
     with np.errstate(divide="ignore", invalid="ignore"):  # d = 0 has no direction: NaN
         u = span / d
-    gap = np.abs(d * u - span)
-    gap[d == 0.0] = 0.0  # whatever its direction
-    return TwoRprLegs(*map(read_only, (d, u, gap)))
+    residual = np.abs(d * u - span)
+    residual[d == 0.0] = 0.0  # whatever its direction
+    return TwoRprLegs(*map(read_only, (d, u, residual)))
 
 
 class TwoRprMechanism:

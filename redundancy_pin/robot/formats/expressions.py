@@ -158,7 +158,7 @@ class Evaluator:
         match node:
             case ast.Constant(value=int() | float() | str() | None):
                 return node.value
-            case ast.Name() if not node.id.startswith("__"):
+            case ast.Name():
                 return _look_up(node.id, names)
             case ast.List():
                 return self.checked([value(each) for each in node.elts])
@@ -182,7 +182,7 @@ class Evaluator:
                 return self._compare(node, value)
             case ast.Attribute():
                 owner = value(node.value)
-                if isinstance(owner, dict) and type(owner) is not dict and not node.attr.startswith("__"):
+                if isinstance(owner, dict) and type(owner) is not dict:
                     return _look_up(node.attr, owner)
             case ast.Call() if all(keyword.arg for keyword in node.keywords):
                 function = self._function(node.func, value)

@@ -18,6 +18,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.mechanism import MOST_LINKS
+from redundancy_pin.robot.formats.packages import is_within
 from redundancy_pin.robot.formats.urdf_loops import not_understood
 from redundancy_pin.robot.formats.urdf_parts import DRAKE, Part, short
 from redundancy_pin.robot.formats.xml_files import MOST_ELEMENTS, parsed
@@ -320,7 +321,7 @@ class Frames:
                 inside = folder
             else:
                 continue
-            if not file.resolve().is_relative_to(inside.resolve()):
+            if not is_within(file, (inside.resolve(),)):
                 part.refuse(f"{part.owner} includes {shown(uri)}, which leads out of {inside}", "Put the file there.")
             return file
         if scope.frame == WORLD and name.parts[-1] in _MODELS_OF_GAZEBO:
