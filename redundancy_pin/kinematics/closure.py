@@ -45,7 +45,7 @@ from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, BoolArr
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics import angles
 from redundancy_pin.kinematics.coupling import CouplingRows
-from redundancy_pin.kinematics.tree import TreePlacement, covered_joints, frame_placement
+from redundancy_pin.kinematics.tree import TreePlacement, frame_placement, is_covered
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_link_index
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
@@ -340,10 +340,9 @@ class ConstraintSystem:
         at = {name: i for i, name in enumerate(dict.fromkeys(frames))}
         # the world is one more frame, which nothing moves: Pinocchio's first
         support, ids = np.zeros((len(at) + 1, nv)), np.zeros(len(at) + 1, dtype=np.intp)
-        covered = covered_joints(robot.model)
         for name, i in at.items():
             ids[i] = frame = find_link_index(robot.model, name)
-            support[i] = _moves(robot.model, int(robot.model.frames[frame].parentJoint), covered)
+            support[i] = _moves(robot.model, int(robot.model.frames[frame].parentJoint))
         self.support, self._frames = {name: support[i] for name, i in at.items()}, at
         closures = [_row(closure, axis, at) for closure in robot.closures for axis in closure.axes]
         world = len(at)
@@ -469,15 +468,15 @@ def _placement(robot: Robot, thread: int) -> TreePlacement:
     return TreePlacement(robot.model)
 
 
-def _moves(model: pin.Model, joint: int, covered: BoolArray) -> Array:
-    """Return (nv,) 1 for each velocity that moves what a joint carries; ``covered`` (njoints,) by closed chains.
+def _moves(model: pin.Model, joint: int) -> Array:
+    """Return (nv,) 1 for each velocity that moves what a joint carries.
 
     Raises:
         UnsupportedRobotError: one of the joints on the way is not covered.
     """
     moves = np.zeros(model.nv)
     for index in model.supports[joint].tolist()[1:]:
-        if not covered[index]:
+        if not is_covered(model, index):
             raise UnsupportedRobotError(
                 f"Joint {model.names[index]!r} has type {model.joints[index].shortname()}, which closed-chain "
                 "kinematics does not cover.",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array
 
 _FRAME = 12
 """Numbers of a frame: three axes, then its origin."""
@@ -71,18 +71,10 @@ def frame_placement(vectors: Array, frame: int) -> tuple[Array, Array]:
     return block[:3].swapaxes(0, 1), block[3]
 
 
-def covered_joints(model: pin.Model) -> BoolArray:
-    """Return (njoints,) which joints have constant axes and a known order of q: no helical, composite or Euler ones."""
-    data, covered = model.createData(), np.ones(model.njoints, dtype=bool)
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    for index in range(1, model.njoints):
-        kind = str(model.joints[index].shortname())
-        if not kind.startswith(_COVERED) or kind == "JointModelSphericalZYX":
-            covered[index] = False
-            continue
-        sliding, turning = np.any(motion_subspace(model, data, index).reshape(2, 3, -1), axis=1)
-        covered[index] = not (sliding & turning).any()
-    return covered
+def is_covered(model: pin.Model, index: int) -> bool:
+    """Return whether a joint has constant axes and a known order of q: no helical, composite or Euler-angle joint."""
+    kind = str(model.joints[index].shortname())
+    return kind.startswith(_COVERED) and kind != "JointModelSphericalZYX"
 
 
 def motion_subspace(model: pin.Model, data: pin.Data, index: int) -> Array:
