@@ -53,8 +53,8 @@ def rank_ratio(scaled: Array) -> Array:
     if not np.isfinite(scaled).all():
         return np.full(len(scaled), np.nan)
     values = np.linalg.svd(scaled, compute_uv=False)
-    ratio: Array = values[:, -1] / (values[:, 0] if len(scaled[0]) > 1 else 1.0)
-    return ratio
+    single = scaled.shape[1] == 1
+    return np.asarray(values[:, 0] if single else values[:, -1] / values[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
