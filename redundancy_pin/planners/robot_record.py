@@ -17,8 +17,8 @@ from pydantic import ConfigDict, Field
 from redundancy_pin.arrays import Frozen, assign
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, PlanFileError, RedundancyPinError, shown
 from redundancy_pin.io.schema import Schema, validated
-from redundancy_pin.loading import load_with
-from redundancy_pin.robot import CarrierLimits, Coupling, Robot, RobotLike, as_robot
+from redundancy_pin.loading import RobotLike, as_robot, load_with
+from redundancy_pin.robot import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
