@@ -317,7 +317,7 @@ def propose_robot(
     try:
         robot = _robot_of(mechanism, _Request(path, "", {}, None, None, trust, untrusted=False), path, {}, parameters)
     except DeclarationError as error:
-        return proposal.asking(str(error)), None
+        return proposal.refused(str(error)), None
     proposal = proposal.settled(robot, _turning(proposal, robot))
     if FLAT in robot.notes:
         proposal = proposal.asking(f"Which branch? {FLAT} --guess JOINT=VALUE,... decides.")
