@@ -19,7 +19,7 @@ from typing import Any
 from redundancy_pin.errors import shortened
 
 LONGEST = 10_000
-"""Characters of an expression. The parser of CPython takes minutes for longer rows of brackets and signs."""
+"""Characters of an expression: its tree takes memory before its work is counted."""
 
 LARGEST = 50_000
 """Characters of a text, or elements of a container, those of the containers in it included."""
