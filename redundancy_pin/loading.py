@@ -230,8 +230,11 @@ def with_parameters(
             robot.parameters,
             None if file is None else declaration.joint_types,
         )
-        if file is None:  # without a declaration the reference is the nearest closed configuration
-            mechanism = replace(propose(mechanism).mechanism, start=np.array(robot.q_reference))
+        if file is None:  # ends of loops that were found stay ends; the reference is the nearest closed configuration
+            stated = {joint.name for joint in mechanism.loop_joints}
+            found = [f"{each.frame_a},{each.frame_b}" for each in robot.closures if each.name not in stated]
+            mechanism = propose(mechanism, close=found, is_open=True).mechanism
+            mechanism = replace(mechanism, start=np.array(robot.q_reference))
         new, dropped = _joined(
             declaration,
             mechanism,
@@ -366,7 +369,7 @@ def propose_robot(
     try:
         robot = _robot_of(mechanism, _Request(path, "", {}, None, None, trust, untrusted=False), path, {}, parameters)
     except DeclarationError as error:
-        return proposal.asking(str(error)), None
+        return proposal.refused(str(error)), None
     proposal = proposal.settled(robot, _turning(proposal, robot))
     if FLAT in robot.notes:
         proposal = proposal.asking(f"Which branch? {FLAT} --guess JOINT=VALUE,... decides.")
