@@ -169,6 +169,7 @@ def test_a_tendon_that_drives_is_a_joint_without_mass():
     model = mechanism.model
     column = model.joints[model.getJointId("split")].idx_v
     assert mechanism.actuated == ("split",)
+    assert not any("range of" in note for note in mechanism.notes)
     assert (model.lowerEffortLimit[column], model.upperEffortLimit[column]) == (-10.0, 20.0)
     assert (model.lowerPositionLimit[column], model.upperPositionLimit[column]) == (-1.0, 2.0)
     assert JointForces("split", 0.3, 0.2, stiffness=2.0, rest=0.1) in mechanism.forces
@@ -368,6 +369,18 @@ def test_contacts_and_what_is_not_active_are_noted(given, colliding, tmp_path):
     notes = rp.load_robot(write(tmp_path, text)).notes
     assert ("Contacts between geoms are not modelled." in notes) is colliding
     assert "The equality 'off' is not active, and left out." in notes
+
+
+def test_stated_pairs_are_contacts(tmp_path):
+    idle = 'size="0.1" contype="0" conaffinity="0"'
+    text = hinge().replace('size="0.1"', f'name="ball" {idle}')
+    text = text.replace("<worldbody>", f'<worldbody><geom name="floor" {idle}/>')
+    pair = '<contact><pair geom1="ball" geom2="floor"/></contact></mujoco>'
+    noted = [
+        "not modelled" in str(read_mjcf(write(tmp_path, text.replace("</mujoco>", end))).notes)
+        for end in (pair, "</mujoco>")
+    ]
+    assert noted == [True, False]
 
 
 ROPE = """<mujoco><worldbody><site name="wall" pos="0 0 1"/><body name="arm"><joint name="arm"/>

@@ -114,8 +114,8 @@ class _Reader:
                 self._joint_of_tendon(tendon)
         loop_joints = tuple(self._equalities())
         actuated = self._actuators()
-        for tendon in np.flatnonzero(self.m["tendon_limited"]):
-            if tendon not in self.tendons:
+        for tendon, is_limited in enumerate(self.m["tendon_limited"]):
+            if is_limited and tendon not in self.tendons:
                 self._leave_out("range", self._label(tendon))
         model = self.model
         model.gravity.linear = np.zeros(3) if self._is_disabled("gravity") else self.m["gravity"]
