@@ -144,12 +144,13 @@ class Proposal:
             elif self.motors and len(motors) > robot.n and loop in self.doubtful:
                 asked.append(_is_cut(loop.links, f"Closing it leaves {robot.n} DOF to {len(motors)} motors"))
             elif loop.name in self.mechanism.presumed and (loop.name in turning or (how and len(motors) < robot.n)):
-                why = (
-                    "Its links turn about several axes, so a hinge about z of these frames is not the same as a ball"
-                    if loop.name in turning
-                    else f"With a ball or hinge the mechanism has {robot.n} DOF and {len(motors)} motor(s)"
-                )
-                ways = " or ".join(f"{flag},{kind}" for kind in ("ball", "hinge", "weld"))
+                kinds, why = ["ball", "weld"], f"With a ball the mechanism has {robot.n} DOF and {len(motors)} motor(s)"
+                if loop.name in turning:
+                    kinds.insert(1, "hinge")
+                    why = "Its links turn about several axes, so a hinge about z of these frames is not a ball"
+                ways = " or ".join(f"{flag},{kind}" for kind in kinds)
+                if loop.name not in turning and (marks := [mark for mark in self.frames if not _is_frame(mark)]):
+                    ways += f", or --close A,B of another loop, of {', '.join(marks)}"
                 asked.append(f"Which joint closes the loop at {ends}? {why}: {ways}.")
         if not how:
             asked.append(which_motors(self.mechanism, robot.n))
@@ -191,13 +192,13 @@ def propose(
     own = {frozenset(joint.links) for joint in given}
     loops = [joint for joint in mechanism.loop_joints if frozenset(joint.links) not in own]
     found = {joint.name: BY_NAME for joint in loops if joint.name in mechanism.presumed}
-    is_certain = bool(loops)
+    is_stated = bool(loops)
     presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
     loops += given
     found |= {joint.name: _BY_FLAG for joint in given}
     questions = list[str]()
     if not is_open:
-        pairs, questions = _cut_ends(mechanism, loops, is_certain=is_certain)
+        pairs, questions = _cut_ends(mechanism, loops, is_stated=is_stated)
         for pair, how in pairs.items():
             joint = _between(pair, "ball")
             loops.append(joint)
@@ -277,11 +278,11 @@ class _Tree:
 
 
 def _cut_ends(
-    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_certain: bool
+    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_stated: bool
 ) -> tuple[dict[tuple[str, str], str], list[str]]:
     """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked.
 
-    ``is_certain``: the file has loops, so that marks that are not named as ends are none.
+    ``is_stated``: the file has loops, so that marks that are not named as ends are none.
     """
     tree = _Tree(mechanism.model)
     all_marks, joined = _marks(mechanism, tree), tree.join(loops)
@@ -292,7 +293,6 @@ def _cut_ends(
     named = near if len(cuts) == 2 else _only_ones(near)
     pairs, questions = dict.fromkeys(named, _MEETING_ENDS), _idle_ends(tree, joined)
     used |= {mark for pair in named for mark in pair}
-    is_certain |= bool(pairs)
     at_zero = list[tuple[str, str]]()
     for mark in marks:
         meeting = [other for other in all_marks if tree.meet(mark, other)]
@@ -309,7 +309,7 @@ def _cut_ends(
             pair = min(product(here, meeting), key=lambda each: (not _difference(*each), *map(_is_frame, each)))
             used |= {*here, *meeting}
             is_named = bool(_difference(*pair)) or any(map(_is_end, pair))
-            if is_certain or not is_named or any(map(_is_frame, pair)):
+            if is_stated or named or not is_named or any(map(_is_frame, pair)):
                 questions.append(_is_cut(pair, "They only meet at zero"))
             else:
                 at_zero.append(pair)
@@ -321,8 +321,11 @@ def _cut_ends(
         else:
             questions.append(_is_cut(pair, "Others named so meet"))
     asked = [mark for mark in marks if mark not in used and not _is_frame(mark)]
-    if is_certain or likewise:  # the file says which marks are ends: the others are none
+    if is_stated:  # the file says which marks are ends: the others are none
         asked = [mark for mark in asked if _CUTS.intersection(_words(mark))]
+    elif pairs or likewise:  # names say which marks are ends
+        alike = {mark for pair in _apart(asked, tree) if _difference(*pair) for mark in pair}
+        asked = [mark for mark in asked if mark in alike or (_CUTS | _ENDS).intersection(_words(mark))]
     if asked:
         questions.append(_which_meet(asked, at_zero, tree))
         at_zero = []
