@@ -402,7 +402,7 @@ def test_a_link_that_is_cut_in_two_is_asked_about_where_motors_are_too_few(tmp_p
     proposal, _ = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip"], is_open=True)
     assert "2 DOF and 1 motor(s): --close left_tip,right_tip,ball or" in " ".join(proposal.questions)
     assert proposal.questions[0].endswith(",weld, or --close A,B of another loop, of spare.")
-    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"])
+    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"], is_open=True)
     assert (proposal.questions, robot.n) == ((), 1)
 
 
