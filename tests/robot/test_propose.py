@@ -345,6 +345,27 @@ def test_a_loop_between_driven_joints_is_asked_about(by: float, tmp_path: Path) 
     assert (closed.questions, robot.n, robot.m) == ((), 2, 4)
 
 
+@pytest.mark.parametrize(
+    ("marks", "asked_of"),
+    [
+        ((("l2", "plate", 0.1),), ()),
+        ((("l2", "arm_tip", 0.1),), ("no motors",)),
+        ((("l0", "rib_2", 0.1), ("l2", "rib_3", 0.1)), ("no motors",)),
+        ((("l0", "pin_a", 0.3), ("l1", "pin_b", 0.0)), ("no motors",)),  # on one axis, wherever the joints are
+        ((("l0", "loop_a", 0.1), ("l2", "loop_b", 0.1)), ("no motors", "all motors")),
+    ],
+)
+def test_frames_of_an_open_arm(marks, asked_of: tuple[str, ...], tmp_path: Path) -> None:
+    """Loops are asked about where names or places suggest any; where all joints are driven, only named ends do."""
+    links = ["base", "l0", "l1", "l2"]
+    joints = [J(f"j{k}", "revolute", *links[k : k + 2], (0.3 * (k > 0), 0.0, 0.0), (0.0, 0.0, 0.4)) for k in range(3)]
+    path = written(tmp_path, *joints, *(J(f"at_{name}", "fixed", link, name, (x, 0, 0)) for link, name, x in marks))
+    for motors, actuate in (("no motors", ()), ("all motors", ("j0", "j1", "j2"))):
+        proposal, _ = propose_robot(path, actuate=actuate)
+        assert any("loops cut" in each for each in proposal.questions) is (motors in asked_of)
+        assert bool(proposal.questions) is (not actuate or motors in asked_of)
+
+
 def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
     """The pin of the right end is in the tree, and carries a link that is to be welded to the left one."""
     joints = [
@@ -356,6 +377,9 @@ def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
     assert "--close right_tip,plate,weld or --open" in " ".join(propose_robot(path)[0].questions)
     proposal, robot = propose_robot(path, close=["right_tip,plate,weld"])
     assert (proposal.questions, robot.n) == ((), 2)
+    end = re.compile(r'(<joint name="at_right_tip".*?)(</joint>)', re.DOTALL)
+    path.write_text(end.sub(r'\1<mimic joint="motor_2"/>\2', path.read_text()))
+    assert "is massless" not in " ".join(propose_robot(path)[0].questions)
 
 
 def test_fingers_on_slides_that_touch_close_no_loop(tmp_path: Path) -> None:
