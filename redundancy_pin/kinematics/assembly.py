@@ -14,7 +14,14 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, SINGULAR_MARGIN, Array, BoolArray
+from redundancy_pin.arrays import (
+    CLOSURE_TOLERANCE,
+    FILE_TOLERANCE,
+    RANK_TOLERANCE,
+    SINGULAR_MARGIN,
+    Array,
+    BoolArray,
+)
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
@@ -239,11 +246,22 @@ def _newton_step(system: ConstraintSystem, matrix: Array, residual: Array, rank_
         solution = _solve(matrix, residual)
     else:
         left, values, right = np.linalg.svd(matrix, full_matrices=False)
-        count = values > rank_tolerance * np.minimum(values.max(axis=1, initial=0.0, keepdims=True), 1.0)
+        count = values > smallest_independent(values.max(axis=1, initial=0.0, keepdims=True), rank_tolerance)
         parts = np.einsum("ner,ne->nr", left, residual) * count / np.where(count, values, 1.0)
         solution = np.einsum("nrp,nr->np", right, parts)
     step[:, system.pose_columns] = solution * system.step_unit
     return step
+
+
+def smallest_independent(largest: Array, tolerance: float) -> Array:
+    """Return below which size combinations of rows, rad or characteristic lengths, count as redundant.
+
+    Args:
+        largest: (...) size of the largest of them. Where all are contradictions of a file (a door on two hinges whose
+            axes coincide except for rounding), all are redundant.
+        tolerance: relative to the largest, where that is smaller than 1.
+    """
+    return np.where(largest > min(tolerance, FILE_TOLERANCE), tolerance * np.minimum(largest, 1.0), np.inf)
 
 
 def _solve(matrix: Array, rhs: Array) -> Array:
