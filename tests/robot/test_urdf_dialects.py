@@ -159,6 +159,16 @@ def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: P
         ),
         ('<limit lower="-2"', '<backlash/><limit lower="-2"', "Passed over: <backlash>"),
         (
+            '<limit lower="-2"',
+            '<dynamics damping="0" spring="2"/><limit lower="-2"',
+            "Passed over: 'spring' of <dynamics>",
+        ),
+        (
+            '<limit lower="-2"',
+            '<limit soft_effort="2" lower="-2"',
+            "Passed over: 'soft_effort' of <limit>",
+        ),
+        (
             "</robot>",
             '<gazebo reference="motor"><springStiffness>2</springStiffness></gazebo></robot>',
             "Not in force, though the file says it: <springStiffness>",

@@ -134,14 +134,17 @@ def read_urdf(text: str, path: Path) -> Urdf:
 
 def _passed_over(parts: Mapping[str, Mapping[str, Part]]) -> tuple[str, ...]:
     """Return notes on what links and joints have beside what the specification knows."""
-    notes = []
+    notes, lines = [], dict[str, list[str]]()
     for part in (*parts["link"].values(), *parts["joint"].values()):
         inertial = part.one("inertial")
+        for key, tag, line in (*part.unknown_attributes(), *(inertial.unknown_attributes() if inertial else ())):
+            lines.setdefault(f"{key!r} of <{tag}>", []).append(str(line))
         for each in (*part.unknown_parts(), *(inertial.unknown_parts() if inertial else ())):
             if each.tag != "joint_properties":
-                notes.append(not_understood(each))
+                notes.append(not_understood(each.place))
             elif any(each.text_of(key) not in ("", "0", "0.0") for key in FRICTION):  # of onshape-to-robot
                 notes.append(f"{NOT_IN_FORCE} friction by {each.place}.")
+    notes += [not_understood(f"{what} in line {', '.join(where)}") for what, where in lines.items()]
     return tuple(notes)
 
 

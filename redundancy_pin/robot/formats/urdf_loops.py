@@ -121,7 +121,7 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
         elif tag in _FORCES:
             notes.append(f"{NOT_IN_FORCE} {part.place} of Drake.")
         elif tag not in ("link", "joint", *_WITHOUT_MECHANICS):
-            notes.append(not_understood(part))
+            notes.append(not_understood(part.place))
     for name in motors:
         if name not in moving:
             remedy = did_you_mean(name, sorted(moving)).strip() or "Name a joint that moves."
@@ -133,9 +133,9 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
     return Loops(tuple(joints), tuple(couplings), tuple(motors), armature, closing, tuple(notes))
 
 
-def not_understood(part: Part) -> str:
-    """Return a note on an element that is passed over."""
-    return f"{PASSED_OVER} {part.place}, which is not understood."
+def not_understood(what: str) -> str:
+    """Return a note on an element or attribute that is passed over."""
+    return f"{PASSED_OVER} {what}, which is not understood."
 
 
 PASSED_OVER = "Passed over:"
