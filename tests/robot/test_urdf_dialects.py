@@ -143,6 +143,29 @@ def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: P
     assert torque(robot) - torque(plain) == pytest.approx(30.0**2 * 2e-5 * MOTION[2], rel=1e-9)
 
 
+def test_the_world_of_drake_needs_no_link(tmp_path: Path) -> None:
+    plain = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
+    onto_world = [('<parent link="ground"/>', '<parent link="world"/>')] * 2
+    robot = rp.load_robot(changed(tmp_path, ('<link name="ground"/>', ""), *onto_world), gravity=GRAVITY)
+    assert torque(robot) == torque(plain)
+    assert "The link 'world', which the file does not have, is the ground." in robot.notes
+
+
+def test_a_motor_of_a_joint_that_is_fixed_is_noted(tmp_path: Path) -> None:
+    more = """<link name="cover"/><joint name="lid" type="fixed"><parent link="bar"/><child link="cover"/></joint>
+    <transmission name="opens"><joint name="lid"/></transmission></robot>"""
+    robot = rp.load_robot(changed(tmp_path, ("</robot>", more)))
+    assert robot.actuated == ("motor",)
+    assert any("'lid', which a transmission" in note for note in robot.notes)
+
+
+@pytest.mark.parametrize("word", ["false", "False"])
+def test_marks_of_independent_joints_may_have_capitals(word: str, tmp_path: Path) -> None:
+    marks = [(f'<joint name="{name}"', f'<joint name="{name}" independent="{word}"') for name in ("motor", "foot")]
+    path = changed(tmp_path, *marks, ('<joint name="knee"', '<joint name="knee" independent="True"'))
+    assert rp.load_robot(path).independent_joints == ("knee",)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "note"),
     [
@@ -157,6 +180,7 @@ def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: P
             '<joint_properties friction="0.1"/><limit lower="-2"',
             "friction by <joint_prop",
         ),
+        ("</loop>", '<dynamics damping="3"/></loop>', "Not in force, though the file says it: <dynamics>"),
         ('<limit lower="-2"', '<backlash/><limit lower="-2"', "Passed over: <backlash>"),
         (
             '<limit lower="-2"',

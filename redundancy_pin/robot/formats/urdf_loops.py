@@ -56,6 +56,9 @@ _ENDS = {
 _WITHOUT_MECHANICS = ("material", "sensor", "fixed_frame", "plugin", "collision_filter_group")
 """Elements beside links and joints that change nothing in the mechanics."""
 
+_ZEROS = ("", "0", "0.0", "false")
+"""Texts of elements that change nothing."""
+
 _FORCES = ("linear_spring_damper", "linear_bushing_rpy")
 """Forces of Drake between two links."""
 
@@ -105,6 +108,8 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
         tag = part.tag.removeprefix(DRAKE)
         if tag in _ENDS and part.tag == tag:
             joints.append(_loop(part, links))
+            ends = ("parent", "child", *_ENDS[tag])
+            notes += _left_out(part, (*ends, "parent_origin", "child_origin", "parent_axis", "child_axis", "axis"))
         elif tag == "coupling":
             couplings.append(_coupling(part, carriers, moving))
         elif tag in ("ball_constraint", "distance_constraint") and part.tag != tag:
@@ -115,15 +120,21 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
             if inertia := _rotor_inertia(part):
                 armature |= dict.fromkeys(driven, inertia)
         elif tag == "gazebo":
-            joints += [_of_gazebo(each, model, links) for each in part.parts("joint")]
+            for each in part.parts("joint"):
+                joints.append(_of_gazebo(each, model, links))
+                notes += _left_out(each, ("parent", "child", "pose", "axis"))
+                notes += [note for axis in each.parts("axis") for note in _left_out(axis, ("xyz",))]
             forces = [each.place for each in part.parts() if each.tag in _FORCES_OF_GAZEBO]
             notes += [f"{NOT_IN_FORCE} {place} of Gazebo." for place in forces]
         elif tag in _FORCES:
             notes.append(f"{NOT_IN_FORCE} {part.place} of Drake.")
         elif tag not in ("link", "joint", *_WITHOUT_MECHANICS):
             notes.append(not_understood(part.place))
-    for name in motors:
-        if name not in moving:
+    for name in [name for name in motors if name not in moving]:
+        if name in {joint for joint, _ in carriers.values()}:
+            motors.remove(name)
+            notes.append(f"The joint {name!r}, which a transmission or ros2_control drives, is fixed here.")
+        else:
             remedy = did_you_mean(name, sorted(moving)).strip() or "Name a joint that moves."
             robot.refuse(f"A transmission or ros2_control drives {name!r}, which is no joint that moves", remedy)
     names = [joint.name for joint in joints]
@@ -131,6 +142,20 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
         robot.refuse(f"Two loops have the name {sorted(twice)[0]!r}")
     closing = _closing(robot, links)
     return Loops(tuple(joints), tuple(couplings), tuple(motors), armature, closing, tuple(notes))
+
+
+def _left_out(part: Part, known: tuple[str, ...]) -> list[str]:
+    """Return notes on elements of a joint that closes a loop, such as limits and friction, except those of zeros."""
+    return [
+        f"{NOT_IN_FORCE} {each.place}, of a joint that closes a loop."
+        for each in part.parts()
+        if each.tag not in (*known, *_WITHOUT_MECHANICS)
+        and any(
+            text not in _ZEROS
+            for inner in each.element.iter()
+            for text in (*inner.attrib.values(), (inner.text or "").strip())
+        )
+    ]
 
 
 def not_understood(what: str) -> str:
