@@ -17,6 +17,7 @@ elements that a program has added are passed over with a note.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -52,6 +53,9 @@ _ENDS = {
     "loop_joint": ("link1", "link2"),
 }
 """Elements that are loops, and those in them that name the two links."""
+
+_STATED = (*_ENDS, "coupling", "drake:ball_constraint", "drake:distance_constraint", "transmission", "ros2_control")
+"""Elements beside links and joints that are read: one that is nearly called so is an error."""
 
 _WITHOUT_MECHANICS = ("material", "sensor", "fixed_frame", "plugin", "collision_filter_group")
 """Elements beside links and joints that change nothing in the mechanics."""
@@ -129,6 +133,8 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
         elif tag in _FORCES:
             notes.append(f"{NOT_IN_FORCE} {part.place} of Drake.")
         elif tag not in ("link", "joint", *_WITHOUT_MECHANICS):
+            if near := difflib.get_close_matches(tag.lower(), _STATED, n=1, cutoff=0.8):
+                robot.refuse(f"The robot has an element {part.place}", f"Did you mean {near[0]!r}?")
             notes.append(not_understood(part.place))
     for name in [name for name in motors if name not in moving]:
         if name in {joint for joint, _ in carriers.values()}:
