@@ -177,12 +177,26 @@ def test_one_of_two_loops_is_not_enough(tmp_path: Path) -> None:
     assert (decided.questions, robot.n) == ((), 2)
 
 
+SPARE = J("s", "fixed", "link_l0", "spare")
+
+
+def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
+    """Return the joints of the five-bar with other names of joints and links, and more joints."""
+    joints = displaced(FIVE_BAR.joints, by)
+    new = [
+        replace(j, **{key: names.get(getattr(j, key), getattr(j, key)) for key in ("name", "parent", "child")})
+        for j in joints
+    ]
+    return (*new, *more)
+
+
 def test_a_link_that_is_cut_in_two_is_asked_about_where_motors_are_too_few(tmp_path: Path) -> None:
     """The pins of a four-bar are all in the tree, and its coupler is cut: a ball would leave two degrees of freedom."""
-    path = written(tmp_path, *FIVE_BAR.joints)
-    proposal, _ = propose_robot(path, actuate=["motor_1"])
+    path = written(tmp_path, *FIVE_BAR.joints, SPARE, J("t", "fixed", "link_r1", "camera"))
+    proposal, _ = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip"], is_open=True)
     assert "2 DOF and 1 motor(s): --close left_tip,right_tip,ball or" in " ".join(proposal.questions)
-    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"])
+    assert proposal.questions[0].endswith(",weld, or --close A,B of another loop, of spare.")
+    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"], is_open=True)
     assert (proposal.questions, robot.n) == ((), 1)
 
 
@@ -211,3 +225,37 @@ def test_shipped_urdfs_are_closed_as_declared_or_asked(name: str, tmp_path: Path
 def test_unknown_names_are_refused(given: dict, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
         propose_robot(written(tmp_path, *FIVE_BAR.joints), **given)
+
+
+@pytest.mark.parametrize("by", [0.0, 0.0005])
+def test_a_loop_between_driven_joints_is_asked_about(by: float, tmp_path: Path) -> None:
+    """Two arms whose tips meet at zero have four motors; closed there they had two degrees of freedom."""
+    names = {"left_tip": "arm_loop", "right_tip": "rod_loop"} if by else {}
+    path = written(tmp_path, *renamed(names, by=by))
+    motors = ["motor_1", "pin_l1", "motor_2", "pin_r1"]
+    proposal, _ = propose_robot(path, actuate=motors)
+    assert "Closing it leaves 2 DOF to 4 motors" in " ".join(proposal.questions)
+    assert propose_robot(path, actuate=motors, is_open=True)[1].n == 4
+    closed, robot = propose_robot(path, actuate=motors, close=[",".join(names.values()) or "left_tip,right_tip"])
+    assert (closed.questions, robot.n, robot.m) == ((), 2, 4)
+
+
+@pytest.mark.parametrize(
+    ("marks", "asked_of"),
+    [
+        ((("l2", "plate", 0.1),), ()),
+        ((("l2", "arm_tip", 0.1),), ("no motors",)),
+        ((("l0", "rib_2", 0.1), ("l2", "rib_3", 0.1)), ("no motors",)),
+        ((("l0", "pin_a", 0.3), ("l1", "pin_b", 0.0)), ("no motors",)),  # on one axis, wherever the joints are
+        ((("l0", "loop_a", 0.1), ("l2", "loop_b", 0.1)), ("no motors", "all motors")),
+    ],
+)
+def test_frames_of_an_open_arm(marks, asked_of: tuple[str, ...], tmp_path: Path) -> None:
+    """Loops are asked about where names or places suggest any; where all joints are driven, only named ends do."""
+    links = ["base", "l0", "l1", "l2"]
+    joints = [J(f"j{k}", "revolute", *links[k : k + 2], (0.3 * (k > 0), 0.0, 0.0), (0.0, 0.0, 0.4)) for k in range(3)]
+    path = written(tmp_path, *joints, *(J(f"at_{name}", "fixed", link, name, (x, 0, 0)) for link, name, x in marks))
+    for motors, actuate in (("no motors", ()), ("all motors", ("j0", "j1", "j2"))):
+        proposal, _ = propose_robot(path, actuate=actuate)
+        assert any("loops cut" in each for each in proposal.questions) is (motors in asked_of)
+        assert bool(proposal.questions) is (not actuate or motors in asked_of)

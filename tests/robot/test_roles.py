@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from written import J, urdf_of, write_robot
 
@@ -119,3 +120,13 @@ def test_freedoms_are_counted_alike_in_any_unit_of_length(tmp_path: Path, size: 
     with pytest.raises(DeclarationError, match=r"these joints still move: rider\. Add") as caught:
         load(tmp_path, [*joints, *held, RIDER], **given)
     assert [caught.value.details[key] for key in ("freedoms", "declared", "rank")] == [3, 2, 3]
+
+
+def test_indices_of_roles_are_those_of_the_model() -> None:
+    """A continuous joint has two coordinates and one velocity: behind it q and v are counted apart."""
+    model = pin.Model()
+    for kind, name in ((pin.JointModelRUBZ(), "spin"), (pin.JointModelPX(), "slide"), (pin.JointModelRZ(), "arm")):
+        model.addJoint(0, kind, pin.SE3.Identity(), name)
+    robot = replace(rp.load_robot("four_bar"), model=model, actuated=("arm", "spin"), carriers=("slide",))
+    assert robot.actuated_velocity.tolist() == [2, 0]
+    assert (robot.carrier_velocity.tolist(), robot.carrier_position.tolist()) == ([1], [2])

@@ -111,7 +111,7 @@ def test_points_of_a_pinocchio_model_may_be_called_as_joints() -> None:
     bare.addFrame(pin.Frame("rocker", tip.parentJoint, tip.placement, pin.FrameType.SENSOR))
     loop = ("coupler", "rocker", ["x", "y"])
     given = {"actuated": ["crank"], "closures": [loop], "independent": ["crank"], "reference": plain.q_reference}
-    same_dynamics(plain, rp.Robot.from_model(bare, **given))
+    same_dynamics(plain, rp.robot_from_model(bare, **given))
 
 
 def test_only_one_module_searches_a_model_by_name() -> None:

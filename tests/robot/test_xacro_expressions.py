@@ -77,6 +77,18 @@ def test_shipped_models_are_those_of_plain_xacro(path: Path) -> None:
     assert render(path, {})[0] == by_xacro(path) == render(path, {}, trust=True)[0]
 
 
+def test_the_standard_library_stays_as_it_is(tmp_path: Path) -> None:
+    """xacro replaces the function of minidom that writes an element; a copy of it must not."""
+    path = written(tmp_path, doc(""))
+    program = (
+        "from pathlib import Path; from xml.dom.minidom import Element; before = Element.writexml\n"
+        "from redundancy_pin.robot.formats.xacro_engine import expand\n"
+        f"for trust in (False, True): expand(Path({str(path)!r}), {{}}, trust=trust)\n"
+        "assert Element.writexml is before"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
 def test_expressions_of_the_kinds_that_models_have(tmp_path: Path) -> None:
     path = written(tmp_path, expressions(*TABLE["allowed"]))
     assert render(path, {})[0] == by_xacro(path)
@@ -139,7 +151,7 @@ def test_elements_that_are_refused_at_once(tmp_path: Path, element: str, reason:
 def test_an_error_names_expression_file_and_line_of_macros_too(tmp_path: Path) -> None:
     inner = "<xacro:property name='v' value='${1 + nothing}'/>\n<a n='${2 * v}'/>"
     (tmp_path / "m.xacro").write_text(doc(f"\n\n<xacro:macro name='m'>\n{inner}</xacro:macro>"))
-    message = refused(tmp_path, doc("<xacro:include filename='m.xacro'/>\n<xacro:m/>"))
+    message = refused(tmp_path, doc("<!-- ${1 + nothing} --><xacro:include filename='m.xacro'/>\n<xacro:m/>"))
     assert f"in {tmp_path / 'm.xacro'}, line 4: `1 + nothing`: the name 'nothing' is not defined" in message
 
 
