@@ -14,7 +14,14 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, SINGULAR_MARGIN, Array, BoolArray
+from redundancy_pin.arrays import (
+    CLOSURE_TOLERANCE,
+    FILE_TOLERANCE,
+    RANK_TOLERANCE,
+    SINGULAR_MARGIN,
+    Array,
+    BoolArray,
+)
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode
 from redundancy_pin.robot.scales import closure_tolerance, velocity_unit
@@ -130,7 +137,7 @@ def assemble(
         target: (N, n) coordinates or (N, 4, 4) poses, base frame, m and rad.
         rank_tolerance: of loops alone: rows may depend on one another, and frames may be turned far away from each
             other. Combinations of rows with smaller singular values, without unit, count as redundant. The
-            configuration closes all others, and the residual says how far it misses these.
+            configuration closes the others, and the residual says how far it misses these.
         max_iterations: bound on Newton iterations.
         shortest_step: fraction of a Newton step below which the line search gives up on a sample.
 
@@ -142,29 +149,28 @@ def assemble(
     active, taken = np.arange(len(q)), np.zeros(len(q), dtype=np.intp)
     far = rank_tolerance is not None
     residual, matrix, state = _linearise(system, q, target, far)
-    reduced = residual.shape[1] if far else 0
-    end, span = residual.copy(), np.zeros((len(q), reduced, reduced))
+    end = residual.copy()
     finished = np.full(len(q), max_iterations == 0)
     step, longest, scale, size = np.zeros((len(q), robot.model.nv)), *np.ones((3, len(q)))
     begins = ~finished
     while True:
         if begins.any():
-            step[begins], span[begins] = _newton_step(system, matrix[begins], residual[begins], rank_tolerance)
+            step[begins] = _newton_step(system, matrix[begins], residual[begins], rank_tolerance)
             before = longest[begins]
             longest[begins] = np.abs(step[begins] / velocity_unit(robot)).max(axis=1, initial=0.0)
             # steps that halve lead to a double root, a leg at full stretch, which is twice as far (Rall 1966)
             double = np.abs(longest[begins] - 0.5 * before) < _HALVED * before
             # beyond 1 rad or characteristic length the linear model of a turn is useless
             scale[begins] = np.where(double, 2.0, 1.0) / np.maximum(longest[begins], 1.0)
-            size[begins] = _size(residual[begins], span[begins])
-        active, taken, step, longest, scale, size, span = (
-            part[~finished] for part in (active, taken, step, longest, scale, size, span)
+            size[begins] = np.linalg.norm(residual[begins], axis=1)
+        active, taken, step, longest, scale, size = (
+            part[~finished] for part in (active, taken, step, longest, scale, size)
         )
         if not len(active):
             break
         tried = integrate(robot.model, q[active], step * scale[:, None])
         residual, matrix, new = _linearise(system, tried, None if target is None else target[active], far)
-        decrease = _size(residual, span) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
+        decrease = np.linalg.norm(residual, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size
         decrease |= longest < SETTLED_STEP  # a step at rounding level is taken whole
         stalled = ~decrease & ((scale < shortest_step) | (size < _ROUNDED))
         accepted = decrease | stalled
@@ -233,31 +239,29 @@ def _linearise(
     return residual / unit, rows * (system.step_unit / unit[:, None]), state
 
 
-def _newton_step(
-    system: ConstraintSystem, matrix: Array, residual: Array, rank_tolerance: float | None
-) -> tuple[Array, Array]:
-    """Return (N, nv) steps, rad and m, carriers stay; and the projector (N, e, e) on the residuals that they reduce.
-
-    Without a tolerance that is all of them, and the projector is empty.
-    """
-    step, span = np.zeros((len(residual), system.robot.model.nv)), np.zeros((len(residual), 0, 0))
+def _newton_step(system: ConstraintSystem, matrix: Array, residual: Array, rank_tolerance: float | None) -> Array:
+    """Return (N, nv) steps, rad and m; carriers stay. With a tolerance, smaller singular values count as zero."""
+    step = np.zeros((len(residual), system.robot.model.nv))
     if rank_tolerance is None:
         solution = _solve(matrix, residual)
     else:
         left, values, right = np.linalg.svd(matrix, full_matrices=False)
-        count = values > rank_tolerance * np.minimum(values.max(axis=1, initial=0.0, keepdims=True), 1.0)
-        left = left * count[:, None]
-        span = left @ left.transpose(0, 2, 1)
-        parts = np.einsum("ner,ne->nr", left, residual) / np.where(count, values, 1.0)
+        count = values > smallest_independent(values.max(axis=1, initial=0.0, keepdims=True), rank_tolerance)
+        parts = np.einsum("ner,ne->nr", left, residual) * count / np.where(count, values, 1.0)
         solution = np.einsum("nrp,nr->np", right, parts)
     step[:, system.pose_columns] = solution * system.step_unit
-    return step, span
+    return step
 
 
-def _size(residual: Array, span: Array) -> Array:
-    """Return (N,) the norms of residuals (N, e), of their projections where ``span`` (N, e, e) is not empty."""
-    size: Array = np.linalg.norm(np.einsum("nij,nj->ni", span, residual) if span.size else residual, axis=1)
-    return size
+def smallest_independent(largest: Array, tolerance: float) -> Array:
+    """Return below which size combinations of rows, rad or characteristic lengths, count as redundant.
+
+    Args:
+        largest: (...) size of the largest of them. Where all are contradictions of a file (a door on two hinges whose
+            axes coincide except for rounding), all are redundant.
+        tolerance: relative to the largest, where that is smaller than 1.
+    """
+    return np.where(largest > min(tolerance, FILE_TOLERANCE), tolerance * np.minimum(largest, 1.0), np.inf)
 
 
 def _solve(matrix: Array, rhs: Array) -> Array:

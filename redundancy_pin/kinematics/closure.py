@@ -588,7 +588,7 @@ def dependent_rows_restore_rank(robot: Robot, q: Array) -> bool:
     smoothly through such a place, and it is no singularity. Rows that contradict each other by the rounding of a file
     restore nothing.
     """
-    if not robot.all_closures:
+    if not robot.all_closures or not (robot.closures or robot.couplings):  # without independent rows none are lost
         return False
     some, every = constraint_system(robot), constraint_system(with_all_rows(robot))
     least, least_of_all = (np.linalg.svd(each.closure_rows(q), compute_uv=False) for each in (some, every))

@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import assemble, project
+from redundancy_pin.kinematics.assembly import assemble, project, smallest_independent
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import with_pointer
@@ -28,7 +28,8 @@ def check_mobility(system: ConstraintSystem, *, dropped: bool = False) -> None:
         raise DeclarationError(
             f"{robot.name} does not move: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
             "freedoms.",
-            remedy="Add a joint, or take a closure, or axes of one, out.",
+            remedy="Add a joint, take a closure, or axes of one, out, or correct placements at which redundant rows "
+            "contradict each other.",
             freedoms=freedoms,
         )
     if freedoms == robot.n:
@@ -170,8 +171,7 @@ def independent_columns(
 
     Args:
         matrix: (r, c).
-        apart: smallest distance of a column from the span of the others; relative to the longest column, where that is
-            shorter than 1.
+        apart: smallest distance of a column from the span of the others; as of ``smallest_independent``.
         taken: columns that are chosen already; they come first.
         among: columns to choose from, all when left out.
         most: number of columns at which to stop.
@@ -182,7 +182,7 @@ def independent_columns(
     """
     basis, longest = np.zeros((len(matrix), 0)), np.linalg.norm(matrix, axis=0).max(initial=0.0)
     chosen, waiting = list(taken), list(range(matrix.shape[1]) if among is None else among)
-    most = min(matrix.shape) if most is None else most
+    most, apart = min(matrix.shape) if most is None else most, float(smallest_independent(longest, apart))
 
     def extend(column: Array) -> None:
         nonlocal basis
@@ -197,7 +197,7 @@ def independent_columns(
         waiting = [index for index in waiting if index not in chosen]
         rest = matrix[:, waiting] - basis @ (basis.T @ matrix[:, waiting])
         lengths = np.linalg.norm(rest, axis=0)
-        if not lengths.max(initial=0.0) > apart * min(longest, 1.0):
+        if not lengths.max(initial=0.0) > apart:
             break
         # the first of equals, whatever their rounding
         chosen.append(waiting[int(np.argmax(lengths > (1.0 - RANK_TOLERANCE) * lengths.max()))])

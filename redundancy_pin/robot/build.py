@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import FILE_TOLERANCE, Array, read_only
 from redundancy_pin.errors import DeclarationError, InputError, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, Mechanism
@@ -323,6 +323,8 @@ _IN_PLANE = 0.5
 def characteristic_length(model: pin.Model, q: Array, carriers: Sequence[str]) -> float:
     """Return one size for one machine: the root mean square distance of its joints from their mean.
 
+    It is 1 m where all joints are at one point, except for the rounding of a file.
+
     Args:
         model: the tree.
         q: (nq,) closed configuration.
@@ -333,7 +335,9 @@ def characteristic_length(model: pin.Model, q: Array, carriers: Sequence[str]) -
     counted = [index for index in range(1, model.njoints) if model.names[index] not in carriers]
     origins = np.array([data.oMi[index].translation for index in counted])
     spread = float(np.sqrt(((origins - origins.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    return spread if spread > 0 else 1.0
+    parts = [origins, *(model.jointPlacements[index].translation[None] for index in counted)]
+    reach = max(float(np.linalg.norm(part, axis=1).max()) for part in parts)
+    return spread if spread > FILE_TOLERANCE * reach else 1.0
 
 
 def _check_carriers_carry(robot: Robot) -> None:

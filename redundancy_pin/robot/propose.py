@@ -6,14 +6,16 @@ Loops and motors that a file states are taken as they stand. Where it states non
 |---|---|
 | ends ``closing_NAME_1`` and ``closing_NAME_2`` | always |
 | ends such as ``rod_loop`` and ``rocker_loop`` | nearly at one point when all joints are at zero |
-| marks at one point when all joints are at zero | two of them; every other mark is paired, or a frame by its name |
+| marks at one point when all joints are at zero | two named alike or as ends; every other mark is paired, or a frame |
 | other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool |
-| motors by name: ``motor1``, or all joints but ``passive1`` | independent, and as many as the degrees of freedom |
+| motors by name: ``motor1``, on the ground or a slide | independent, and as many as the degrees of freedom |
+| motors by name: all joints but ``passive1`` | likewise |
 | motors by place: joints on the ground, slides | never |
 
 A mark is a link that is fixed to another one and carries none that moves; it weighs nothing, meets another one when all
-joints are at zero, or is named as an end. What is not certain is a question, with the flag of ``redundancy-pin new``
-that answers it.
+joints are at zero, or is named as an end. Loops of marks that meet are not certain where they leave fewer degrees of
+freedom than there are motors: arms have marks to park at. What is not certain is a question, with the flag of
+``redundancy-pin new`` that answers it.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ from redundancy_pin.robot.lookup import (
     link_names,
 )
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
-from redundancy_pin.robot.types import Robot
+from redundancy_pin.robot.types import Robot, slides
 
 _COINCIDE = 1e-4
 """Distance of two marks, in characteristic lengths, up to which they are one point: files are rounded."""
@@ -59,14 +61,22 @@ _NO_MASS = 1e-6
 _FRAMES = frozenset(
     (
         *("base", "world", "tool", "tcp", "ee", "eef", "effector", "flange", "imu", "camera", "optical", "laser"),
-        *("lidar", "sensor", "com", "finger", "fingers", "fingertip", "gripper", "jaw", "hand", "foot", "toe", "sole"),
+        *("lidar", "sensor", "com", "finger", "fingers", "fingertip", "gripper", "jaw", "hand", "palm", "pad", "foot"),
+        *("toe", "heel", "sole", "contact", "dock", "nest", "goal", "target"),
     )
 )
 """Words in names of marks that have another use, even where two of them meet, as fingers do."""
 
-_MOTORS = frozenset(("motor", "actuator", "actuated", "servo", "drive", "driven", "active"))
+_MOTORS = frozenset(("motor", "actuator", "actuated", "servo", "drive", "active"))
+"""Words in names of joints that are driven. The driven link of a four-bar is the one that follows."""
+
+_SIDES = frozenset(
+    ("joint", "left", "right", "front", "rear", "back", "upper", "lower", "top", "bottom", "inner", "outer")
+)
+"""Words that may follow those, beside numbers and letters: ``motor_side_elbow`` is an elbow."""
+
 _PASSIVE = frozenset(("passive", "unactuated", "free", "idle"))
-"""Words in names of joints."""
+"""Words in names of joints that nothing drives."""
 
 _KINDS = ("ball", "hinge", "cylinder", "slider", "planar", "weld")
 """Kinds of joints that the frames of two links determine."""
@@ -76,6 +86,8 @@ _FEWEST_ROWS = 2
 
 BY_NAME = "by their names"
 _BY_FLAG = "by --close"
+_MEETING_ENDS = "named as ends that meet when all joints are at zero"
+_MEETING = "at one point when all joints are at zero"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +113,15 @@ class Proposal:
         """The loop joints that the file states."""
         return tuple(joint for joint in self.mechanism.loop_joints if joint.name not in self.found)
 
+    @property
+    def doubtful(self) -> list[LoopJoint]:
+        """The loop joints whose ends were found by their places."""
+        return [loop for loop in self.mechanism.loop_joints if self.found.get(loop.name) in (_MEETING, _MEETING_ENDS)]
+
+    def refused(self, why: str) -> Proposal:
+        """Return the proposal with the question that is left where no robot can be made of it, and why not."""
+        return self.asking(*(_is_cut(loop.links, "They only meet at zero") for loop in self.doubtful), why)
+
     def asking(self, *questions: str) -> Proposal:
         """Return the proposal with more questions."""
         return replace(self, questions=(*self.questions, *questions))
@@ -119,7 +140,9 @@ class Proposal:
         for loop in self.mechanism.loop_joints:
             ends, flag, held = ",".join(loop.links), _close(loop.links), rows.get(loop.name, 0)
             if self.found.get(loop.name, _BY_FLAG) != _BY_FLAG and held < _FEWEST_ROWS:
-                asked.append(f"Is a loop cut at {ends}? Closing it holds {held} direction(s) only: {flag} or --open.")
+                asked.append(_is_cut(loop.links, f"Closing it holds {held} direction(s) only"))
+            elif self.motors and len(motors) > robot.n and loop in self.doubtful:
+                asked.append(_is_cut(loop.links, f"Closing it leaves {robot.n} DOF to {len(motors)} motors"))
             elif loop.name in self.mechanism.presumed and (loop.name in turning or (how and len(motors) < robot.n)):
                 why = (
                     "Its links turn about several axes, so a hinge about z of these frames is not the same as a ball"
@@ -207,6 +230,11 @@ def _close(pair: Iterable[str]) -> str:
     return f"--close {','.join(pair)}"
 
 
+def _is_cut(pair: Iterable[str], why: str) -> str:
+    """Return the question whether a loop is cut at a pair of links."""
+    return f"Is a loop cut at {','.join(pair)}? {why}: {_close(pair)} or --open."
+
+
 # --- ends of loops ----------------------------------------------------------------------------------------------------
 
 
@@ -262,7 +290,7 @@ def _cut_ends(
     cuts = [mark for mark in marks if _CUTS.intersection(_words(mark))]
     near = [pair for pair in _apart(cuts, tree) if tree.meet(*pair, _NEARLY)]
     named = near if len(cuts) == 2 else _only_ones(near)
-    pairs, questions = dict.fromkeys(named, BY_NAME), _idle_ends(tree, joined)
+    pairs, questions = dict.fromkeys(named, _MEETING_ENDS), _idle_ends(tree, joined)
     used |= {mark for pair in named for mark in pair}
     is_certain |= bool(pairs)
     at_zero = list[tuple[str, str]]()
@@ -280,26 +308,25 @@ def _cut_ends(
             ]
             pair = min(product(here, meeting), key=lambda each: (not _difference(*each), *map(_is_frame, each)))
             used |= {*here, *meeting}
-            if is_certain or any(map(_is_frame, pair)):
-                questions.append(
-                    f"Is a loop cut at {','.join(pair)}? They only meet at zero: {_close(pair)} or --open."
-                )
+            is_named = bool(_difference(*pair)) or any(map(_is_end, pair))
+            if is_certain or not is_named or any(map(_is_frame, pair)):
+                questions.append(_is_cut(pair, "They only meet at zero"))
             else:
                 at_zero.append(pair)
     likewise = {difference for pair in at_zero if (difference := _difference(*pair))}
     for pair in _only_ones(_apart([mark for mark in marks if mark not in used], tree), likewise):
         used |= {*pair}
         if tree.meet(*pair, _NEARLY):
-            pairs[pair] = "named as ends that meet when all joints are at zero"
+            pairs[pair] = _MEETING_ENDS
         else:
-            questions.append(f"Is a loop cut at {','.join(pair)}? Others named so meet: {_close(pair)} or --open.")
+            questions.append(_is_cut(pair, "Others named so meet"))
     asked = [mark for mark in marks if mark not in used and not _is_frame(mark)]
     if is_certain or likewise:  # the file says which marks are ends: the others are none
         asked = [mark for mark in asked if _CUTS.intersection(_words(mark))]
     if asked:
         questions.append(_which_meet(asked, at_zero, tree))
         at_zero = []
-    pairs |= dict.fromkeys(at_zero, "at one point when all joints are at zero")
+    pairs |= dict.fromkeys(at_zero, _MEETING)
     return pairs, sorted(set(questions))
 
 
@@ -338,6 +365,10 @@ def _idle_ends(tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
         for pair in pairs
         if not any(tree.bodies[pair[0]] in each for each in joined)
     ]
+
+
+def _is_end(mark: str) -> bool:
+    return any(word.endswith(end) for word in _words(mark) for end in _CUTS | _ENDS)
 
 
 def _is_frame(mark: str) -> bool:
@@ -393,13 +424,21 @@ def _with_motors(mechanism: Mechanism, actuate: Sequence[str]) -> tuple[Mechanis
         return mechanism, "marked as independent by the file"
     joints = _could_be_driven(mechanism)
     passive = {name for name in joints if _PASSIVE.intersection(_words(name))}
-    named = [name for name in joints if _MOTORS.intersection(_words(name)) and name not in passive]
-    if not named and passive:
-        named = [name for name in joints if name not in passive]
-    if not named:
+    named = [name for name in joints if _is_motor(name) and name not in passive]
+    others = [name for name in joints if name not in passive]
+    if passive and not named:
+        named = others
+    places = _usual_places(mechanism.model, joints)
+    if not named or not (named == others or set(named) <= {name for group in places.values() for name in group}):
         return replace(mechanism, actuated=joints, drives_declared=False), ""
     notes = (*mechanism.notes, f"The file does not say what is driven: taken are {', '.join(named)}, {BY_NAME}.")
     return replace(mechanism, actuated=tuple(named), drives_declared=True, notes=notes), BY_NAME
+
+
+def _is_motor(joint: str) -> bool:
+    """Return whether a name says that a joint is driven: hip_motor_1 does, motor_side_elbow does not."""
+    words = [word for word in _words(joint) if len(word) > 1 and not word.isdigit() and word not in _SIDES]
+    return bool(words) and words[-1] in _MOTORS
 
 
 def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
@@ -409,15 +448,20 @@ def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
     return tuple(name for name in joint_names(model) if find_joint(model, name).nv == 1 and name not in follow)
 
 
+def _usual_places(model: pin.Model, joints: Sequence[str]) -> dict[str, list[str]]:
+    """Return the joints that motors are usually at, by what they are."""
+    indices = {name: find_joint_index(model, name) for name in joints}
+    return {
+        "on the ground": [name for name in joints if model.parents[indices[name]] == 0],
+        "slides": [name for name in joints if slides(model.joints[indices[name]])],
+    }
+
+
 def which_motors(mechanism: Mechanism, count: int | None = None) -> str:
     """Return the question which joints are driven, with what suggests itself for a number of degrees of freedom."""
-    model, joints = mechanism.model, _could_be_driven(mechanism)
-    indices = {name: find_joint_index(model, name) for name in joints}
-    likely = {
-        "by name": [name for name in joints if _MOTORS.intersection(_words(name))],
-        "on the ground": [name for name in joints if model.parents[indices[name]] == 0],
-        "slides": [name for name in joints if "JointModelP" in model.joints[indices[name]].shortname()],
-    }
+    joints = _could_be_driven(mechanism)
+    by_name = [name for name in joints if _is_motor(name)]
+    likely = {"by name": by_name, **_usual_places(mechanism.model, joints)}
     ways = [f"--actuate {','.join(names)} ({why})" for why, names in likely.items() if len(names) == count]
     degrees = "" if count is None else f" The mechanism has {count} DOF."
     return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B,...'}."

@@ -162,7 +162,7 @@ def test_a_length_that_is_left_out_is_measured_where_the_reference_puts_the_join
     (rod,) = robot.closures
     one, other = (data.oMf[model.getFrameId(name)].translation for name in (rod.frame_a, rod.frame_b))
     assert rod.length == pytest.approx(np.linalg.norm(other - one), rel=1e-14)
-    assert robot.with_parameters(lengths={"rocker": 0.6}).closures == robot.closures
+    assert rp.with_parameters(robot, lengths={"rocker": 0.6}).closures == robot.closures
 
 
 @pytest.mark.parametrize(

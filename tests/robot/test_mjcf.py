@@ -313,7 +313,7 @@ def test_forces_of_joints_are_those_of_mujoco(joint, flags, tmp_path):
     ],
 )  # fmt: skip
 def test_limits_of_efforts_are_what_mujoco_reaches(motors, driven, tmp_path):
-    """At the end of forty time constants of the activation; and they are the same after ``to_mjcf``."""
+    """At the end of forty time constants of the activation; and they are the same after ``write_mjcf``."""
     joint = f'actuatorfrcrange="{driven}"' if driven else ""
     text = hinge(joint, "".join(motors), '<option timestep="0.01"/>')
     engine, reached = mujoco.MjModel.from_xml_string(text), []
@@ -327,7 +327,7 @@ def test_limits_of_efforts_are_what_mujoco_reaches(motors, driven, tmp_path):
     robot = rp.load_robot(write(tmp_path, text))
     assert robot.effort_limits[:, 0].tolist() == sorted(reached)
     assert sum(note.startswith("Efforts of j") for note in robot.notes) == (sum(reached) != 0.0)
-    again = rp.load_robot(robot.to_mjcf(tmp_path / "again.xml"))
+    again = rp.load_robot(rp.write_mjcf(robot, tmp_path / "again.xml"))
     if reached[0] != reached[1]:
         assert again.effort_limits[:, 0].tolist() == sorted(reached)
 

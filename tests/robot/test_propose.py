@@ -172,6 +172,7 @@ FIVE_BAR = loop(("left_tip", "right_tip"), ("motor_1", "motor_2"))
 CLOSING = {"left_tip": "closing_a_1", "right_tip": "closing_a_2"}
 
 
+UNNAMED = {"motor_1": "a", "motor_2": "b"}
 LOOP_1 = {"left_tip": "loop_1_1", "right_tip": "loop_1_2"}
 LOOP_2 = (J("s", "fixed", "link_l0", "loop_2_1"), J("t", "fixed", "link_r0", "loop_2_2"))
 
@@ -213,6 +214,15 @@ def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
         ),
         (renamed({"right_tip": "arm_loop"}, by=0.05), "of the links left_tip, arm_loop"),
         (renamed(LOOP_1, *LOOP_2, by=0.05), "of the links loop_2_1, loop_2_2, loop_1_1, loop_1_2"),
+        (renamed({"left_tip": "plug", "right_tip": "socket"}), "Is a loop cut at plug,socket? They only meet at zero"),
+        (renamed({"left_tip": "left_palm", "right_tip": "right_palm"}), "Is a loop cut at left_palm,right_palm"),
+        (renamed({"motor_1": "driven_a", "motor_2": "driven_b"}), "--actuate driven_a,driven_b (on the ground)"),
+        (
+            renamed({**UNNAMED, "pin_l1": "servo_horn_link", "pin_r1": "motor_side_elbow"}),
+            "--actuate a,b (on the ground)",
+        ),
+        (renamed({"motor_1": "motor_side_bearing", "motor_2": "servo_horn_link"}), "Which joints are driven"),
+        (renamed({**UNNAMED, "pin_l1": "left_motor", "pin_r1": "right_motor"}), "--actuate a,b (on the ground)"),
         (renamed({"motor_1": "a"}), "The mechanism has 2 DOF. --actuate a,motor_2 (on the ground)"),
         (renamed({"pin_l1": "motor_3"}), "2 DOF"),
         (renamed({"motor_1": "passive_a", "motor_2": "passive_b"}), None),
@@ -227,8 +237,11 @@ def test_names_and_places_are_certain_or_asked(joints: tuple[J, ...], question: 
         robot = rp.load_robot(path)
         assert (robot.n, len(robot.closures)) == (2, 1)
         assert robot.actuated == proposal.mechanism.actuated
-        heavier = robot.with_parameters(masses={"link_l0": 2.0})
+        heavier = rp.with_parameters(robot, masses={"link_l0": 2.0})
         assert (heavier.n, heavier.closures) == (2, robot.closures)
+        length = next(float(joint.xyz[0]) for joint in joints if joint.name == "pin_r1")
+        longer = robot.with_parameters(lengths={"pin_r1": 1.01 * length})  # whose ends do not meet at zero any more
+        assert (longer.n, longer.closures) == (2, robot.closures)
     else:
         assert question in " ".join(proposal.questions)
         if "of the links" in question:  # what may be wrong is not written either
@@ -311,6 +324,19 @@ def test_ends_that_weigh_something(names: tuple[str, str], by: float, tmp_path: 
         assert "Where are loops cut?" in " ".join(proposal.questions)
 
 
+@pytest.mark.parametrize("by", [0.0, 0.0005])
+def test_a_loop_between_driven_joints_is_asked_about(by: float, tmp_path: Path) -> None:
+    """Two arms whose tips meet at zero have four motors; closed there they had two degrees of freedom."""
+    names = {"left_tip": "arm_loop", "right_tip": "rod_loop"} if by else {}
+    path = written(tmp_path, *renamed(names, by=by))
+    motors = ["motor_1", "pin_l1", "motor_2", "pin_r1"]
+    proposal, _ = propose_robot(path, actuate=motors)
+    assert "Closing it leaves 2 DOF to 4 motors" in " ".join(proposal.questions)
+    assert propose_robot(path, actuate=motors, is_open=True)[1].n == 4
+    closed, robot = propose_robot(path, actuate=motors, close=[",".join(names.values()) or "left_tip,right_tip"])
+    assert (closed.questions, robot.n, robot.m) == ((), 2, 4)
+
+
 def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
     """The pin of the right end is in the tree, and carries a link that is to be welded to the left one."""
     joints = [
@@ -327,12 +353,13 @@ def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
 def test_fingers_on_slides_that_touch_close_no_loop(tmp_path: Path) -> None:
     """Their tips meet at zero, but a pin there would hold one direction only."""
     jaws = [J(f"motor_{side}", "prismatic", "base", side, axis=(1.0, 0.0, 0.0)) for side in "ab"]
-    path = written(tmp_path, *jaws, *(J(f"at_{side}", "fixed", side, f"pad_{side}", (0, 0.1, 0)) for side in "ab"))
+    path = written(tmp_path, *jaws, *(J(f"at_{side}", "fixed", side, f"plate_{side}", (0, 0.1, 0)) for side in "ab"))
     assert any(
-        "holds 1 direction(s) only: --close pad_a,pad_b or --open" in each for each in propose_robot(path)[0].questions
+        "holds 1 direction(s) only: --close plate_a,plate_b or --open" in each
+        for each in propose_robot(path)[0].questions
     )
     proposal, robot = propose_robot(path, is_open=True)
-    assert (proposal.questions, robot.n, proposal.frames) == ((), 2, ("pad_a", "pad_b"))
+    assert (proposal.questions, robot.n, proposal.frames) == ((), 2, ("plate_a", "plate_b"))
 
 
 @pytest.mark.parametrize(("turn", "kind", "n"), [(0.0, "", 1), (0.4, "ball", 3), (0.4, "hinge", 1)])

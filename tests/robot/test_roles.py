@@ -306,3 +306,13 @@ def test_a_platform_without_axes_leaves_freedoms_and_does_move(tmp_path: Path) -
     with pytest.raises(DeclarationError, match="under-constrained") as caught:
         load(tmp_path, FIVE_BAR, independent={"platform": "tip_1"})
     assert "does not move" not in str(caught.value)
+
+
+def test_indices_of_roles_are_those_of_the_model() -> None:
+    """A continuous joint has two coordinates and one velocity: behind it q and v are counted apart."""
+    model = pin.Model()
+    for kind, name in ((pin.JointModelRUBZ(), "spin"), (pin.JointModelPX(), "slide"), (pin.JointModelRZ(), "arm")):
+        model.addJoint(0, kind, pin.SE3.Identity(), name)
+    robot = replace(rp.load_robot("four_bar"), model=model, actuated=("arm", "spin"), carriers=("slide",))
+    assert robot.actuated_velocity.tolist() == [2, 0]
+    assert (robot.carrier_velocity.tolist(), robot.carrier_position.tolist()) == ([1], [2])

@@ -301,6 +301,35 @@ def test_a_joint_that_is_driven_closes_the_loop_too(tmp_path: Path) -> None:
     assert other[0] * speed == pytest.approx(efforts(crank, x, xd, xdd)[0] * xd, rel=1e-9)
 
 
+@pytest.mark.parametrize("wrong", [0.0, 1e-5])
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "screw", "universal"])
+def test_two_equal_joints_do_as_one(kind: str, swapped: bool, wrong: float, tmp_path: Path) -> None:
+    """A door on two hinges, a carriage on two rails, in tilted frames: no row is independent, all are rounding."""
+    ends, axes = ("door", "frame") if swapped else ("frame", "door"), "<axis><xyz>0.6 0.8 0</xyz></axis>"
+    more = "<screw_thread_pitch>0.5</screw_thread_pitch>" if kind == "screw" else ""
+    if kind == "universal":
+        axes += "<axis2><xyz>0 0 1</xyz></axis2>"
+        ends = "frame", "door"  # its axes belong to its ends
+    parts = [
+        "<pose>0.1 0.2 0.3 0.4 0.5 0.6</pose>",
+        link("frame", "0 0 0 0.3 0.1 0"),
+        link("door", "0.4 0 0.3 0.3 0.1 0"),
+        joint("one", kind, "frame", "door", f"{axes}<pose>-0.4 0.1 0 0.2 0 0</pose>{more}"),
+    ]
+    # of two joints the second is where the first is, off by the rounding of a file
+    place = f"<pose relative_to='one'>{wrong} 0 {-wrong} 0 {wrong} 0</pose>"
+    two = joint("two", kind, *ends, f"{axes}{place}{more}")
+    alone = rp.load_robot(written(tmp_path, *parts))
+    robot = rp.load_robot(written(tmp_path, *parts, two))
+    assert robot.n == alone.n == (2 if kind == "universal" else 1)
+    x = np.full(robot.n, 0.3)
+    tau, want = (rp.RneaDynamics(each).torque(x, 2.0 * x, 3.0 * x).tau for each in (robot, alone))
+    np.testing.assert_allclose(tau, want, rtol=1e-9 + 10.0 * wrong)
+    ends = [rp.simulate(each, duration=0.1, dt=0.1).x[-1] for each in (robot, alone)]
+    np.testing.assert_allclose(*ends, rtol=1e-6 + 100.0 * wrong)
+
+
 def hooke(axis2: str) -> list[str]:
     """Two shafts that meet at 0.4 rad, and a cross between them."""
     arms = f"<axis><xyz>0 0 1</xyz></axis><axis2><xyz>{axis2}</xyz></axis2>"

@@ -302,11 +302,11 @@ def test_a_file_without_a_declaration_takes_other_masses_and_lengths(tmp_path: P
     other = rp.load_robot(mass, gravity=GRAVITY)
     names = [name for name in ("crank", "bar", "arm") if _mass(other, name) != _mass(robot, name)]
     assert len(names) == 1
-    scaled = robot.with_parameters(masses={names[0]: 0.6})
+    scaled = rp.with_parameters(robot, masses={names[0]: 0.6})
     assert scaled.actuated == robot.actuated
     np.testing.assert_array_equal(scaled.q_reference, robot.q_reference)
     assert _mass(scaled, names[0]) == pytest.approx(0.6)
-    longer = robot.with_parameters(lengths={"knee": 0.13})
+    longer = rp.with_parameters(robot, lengths={"knee": 0.13})
     assert longer.n == 1
     placements = [one.model.jointPlacements[one.model.getJointId("knee")].translation for one in (longer, robot)]
     assert [np.linalg.norm(place) for place in placements] == pytest.approx([0.13, 0.12])

@@ -140,7 +140,7 @@ def test_elements_that_are_refused_at_once(tmp_path: Path, element: str, reason:
 def test_an_error_names_expression_file_and_line_of_macros_too(tmp_path: Path) -> None:
     inner = "<xacro:property name='v' value='${1 + nothing}'/>\n<a n='${2 * v}'/>"
     (tmp_path / "m.xacro").write_text(doc(f"\n\n<xacro:macro name='m'>\n{inner}</xacro:macro>"))
-    message = refused(tmp_path, doc("<xacro:include filename='m.xacro'/>\n<xacro:m/>"))
+    message = refused(tmp_path, doc("<!-- ${1 + nothing} --><xacro:include filename='m.xacro'/>\n<xacro:m/>"))
     assert f"in {tmp_path / 'm.xacro'}, line 4: `1 + nothing`: the name 'nothing' is not defined" in message
 
 

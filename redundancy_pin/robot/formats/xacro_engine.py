@@ -14,7 +14,6 @@ import importlib
 import importlib.util
 import io
 import json
-import keyword
 import logging
 import os
 import re
@@ -108,7 +107,6 @@ class _Engine:
         module.open = self._open
         module.load_yaml = self._load_yaml
         module.glob = SimpleNamespace(glob=self._glob)
-        module.is_valid_name = lambda name: name.isidentifier() and not keyword.iskeyword(name)
         # xacro's own pattern takes forever over an open quote: each character is matched in many ways
         default = r"""\$\{.*?\}|\$\(.*?\)|(?:'[^'\n]*'|"[^"\n]*"|[^\s'"])+|"""
         module.re_macro_arg = re.compile(r"^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(" + default + r")(?:\s+|$)(.*)")
@@ -222,7 +220,7 @@ class _Engine:
         match chain[-1]:
             case RedundancyPinError() as own:
                 return ModelFileError(own.message, remedy=own.remedy, **own.details)
-            case RecursionError():
+            case RecursionError() | MemoryError():
                 reason = "its macros, properties or files are nested too deeply, or without end"
             case ExpressionError() as reason:
                 remedy = "Change the model, or load it with trust=True (--trust) if you trust who wrote it."
