@@ -34,7 +34,7 @@ FREE = {
 DRAKE = "{http://drake.mit.edu}"
 
 
-class NotJudged(Exception):
+class NotJudgedError(Exception):
     """What this reading does not cover."""
 
 
@@ -62,6 +62,8 @@ class File:
     """Pairs ({joint: factor}, offset): Σ factor · q = offset."""
     poses: dict = field(default_factory=dict)
     """SDF: where links are at zero."""
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    """m/s²; files without a world do not say it."""
 
 
 def numbers(text, default):
@@ -129,8 +131,8 @@ def read_urdf(path):
         at = [numbers(ball.find(f"{DRAKE}ball_constraint_p_{end}").get("value"), [0, 0, 0]) for end in ("AP", "BQ")]
         places = tuple(placement(point, np.zeros(3)) for point in at)
         file.joints[f"ball {len(file.joints)}"] = Joint("ball", tuple(ends), places)
-    for loop in root.findall("gazebo/joint"):
-        raise NotJudged("a joint of Gazebo")
+    if root.find("gazebo/joint") is not None:
+        raise NotJudgedError("a joint of Gazebo")
     parents = {joint.links[1]: (name, joint.links[0]) for name, joint in reversed(file.joints.items())}
     for coupling in root.findall("coupling"):
         factors = {}
@@ -164,7 +166,7 @@ def _shared(parents, one, other):
 def _urdf_joint(file, joint):
     kind = joint.get("type")
     if kind not in FREE:
-        raise NotJudged(f"a joint of type {kind}")
+        raise NotJudgedError(f"a joint of type {kind}")
     axis = joint.find("axis")
     turn = along(numbers(None if axis is None else axis.get("xyz"), [1, 0, 0]))
     links = joint.find("parent").get("link"), joint.find("child").get("link")
@@ -201,17 +203,17 @@ def read_sdf(path):
     root = ElementTree.parse(path).getroot()
     models = [each for each in root.iter("model") if each.find("joint") is not None]
     if len(models) != 1 or models[0].find("model") is not None or models[0].find("include") is not None:
-        raise NotJudged("several models")
+        raise NotJudgedError("several models")
     (model,) = models
     if root.find("world") is not None and model not in list(root.find("world")):
-        raise NotJudged("several models")
+        raise NotJudgedError("several models")
     raw = {each.get("name"): each for tag in ("joint", "frame", "link") for each in model.findall(tag)}
     old = float(root.get("version").replace("1.10", "1.91").replace("1.11", "1.92").replace("1.12", "1.93")) < 1.65
 
     def own(element):
         pose = None if element is None else element.find("pose")
         if pose is not None and pose.get("rotation_format", "euler_rpy") != "euler_rpy":
-            raise NotJudged("quaternions")
+            raise NotJudgedError("quaternions")
         values = numbers(None if pose is None else pose.text, [0] * 6)
         degrees = pose is not None and pose.get("degrees") == "true"
         return placement(values[:3], np.deg2rad(values[3:]) if degrees else values[3:]), pose
@@ -223,7 +225,7 @@ def read_sdf(path):
         if name == "world":
             return np.linalg.inv(base)
         if name not in raw:
-            raise NotJudged(f"the frame {name}")
+            raise NotJudgedError(f"the frame {name}")
         return of(raw[name])
 
     def of(element):
@@ -237,6 +239,8 @@ def read_sdf(path):
 
     base, _ = own(model)
     file = File(links={"world": Link(0.0, np.zeros(3), np.zeros((3, 3)))}, poses={"world": np.eye(4)})
+    if (world := root.find("world")) is not None:
+        file.gravity = numbers(world.findtext("gravity"), [0, 0, -9.8])
     for link in model.findall("link"):
         name, inertial = link.get("name"), link.find("inertial")
         i = {key: float(d) for key, d in (("xx", 1), ("yy", 1), ("zz", 1), ("xy", 0), ("xz", 0), ("yz", 0))}
@@ -255,7 +259,7 @@ def read_sdf(path):
             gears.append(joint)
             continue
         if kind not in (*FREE, "revolute2"):
-            raise NotJudged(f"a joint of type {kind}")
+            raise NotJudgedError(f"a joint of type {kind}")
         ends = [joint.findtext(end).strip() for end in ("parent", "child")]
         for number, end in enumerate(ends):  # frames at the ends stand for the links that they are attached to
             while end in raw and raw[end].tag != "link":
@@ -303,14 +307,13 @@ def read_sdf(path):
 # --- mechanics --------------------------------------------------------------------------------------------------------
 
 
-def judge(file, robot, kinematics, gravity):
+def judge(file, robot, kinematics):
     """Return the generalised forces (n,) of one state, efforts (m,) or None, and the largest error of a joint.
 
     Args:
         file: what was read here.
         robot: of the package, for names, and the axes of joints that it made of others.
         kinematics: q, v, a of the state.
-        gravity: (3,), m/s².
     """
     q, v, a = kinematics
     model = robot.model
@@ -336,7 +339,7 @@ def judge(file, robot, kinematics, gravity):
         arm, turn = pose[:3, :3] @ link.centre, pose[:3, :3]
         inertia, w, dw = turn @ link.inertia @ turn.T, speed[3:], rate[3:]
         acceleration = rate[:3] + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
-        need[row[name] : row[name] + 3] = link.mass * (acceleration - gravity)
+        need[row[name] : row[name] + 3] = link.mass * (acceleration - file.gravity)
         need[row[name] + 3 : row[name] + 6] = inertia @ dw + np.cross(w, inertia @ w)
         centres[name] = pose[:3, 3] + arm
 
@@ -351,7 +354,6 @@ def judge(file, robot, kinematics, gravity):
     zero, held, errors, drives, angles = np.zeros(3), [], [0.0], {}, {}
     for name, (pose, _, _, carrier) in state.items():
         if carrier == 0:  # on the ground
-            held += [column((name,) * 2, centres[name], zero, zero)] * 0
             for unit in np.eye(6):
                 made = np.zeros(len(need))
                 made[row[name] : row[name] + 6] = unit
@@ -413,7 +415,7 @@ def judge(file, robot, kinematics, gravity):
 
     def efforts(names):
         if missing := [name for name in names if name not in drives]:
-            raise NotJudged(f"the joint {missing[0]}")
+            raise NotJudgedError(f"the joint {missing[0]}")
         matrix = np.column_stack([*(drives[name] for name in names), *held])
         solution, *_ = np.linalg.lstsq(matrix, need, rcond=1e-10)
         left = np.abs(matrix @ solution - need).max() / max(1e-9, np.abs(need).max())

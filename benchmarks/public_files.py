@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 import redundancy_pin as rp
-from redundancy_pin.errors import DeclarationError, RedundancyPinError
+from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.loading import propose_robot
@@ -51,7 +51,8 @@ FILES = [
         "variable_four_bar_urdf/four_bar_branch_1_1 variable_four_bar_urdf/four_bar_branch_2_2 "
         "variable_revolute_urdf/revolute_rotor_branch_1_2 variable_revolute_pair_urdf/revolute_rotor_pair_branch_2_1 "
         "parallel_chains/Implicit/depth5/loop_size3 parallel_chains/Implicit/depth5/loop_size7 "
-        "parallel_chains/Explicit/depth5/loop_size2",
+        "parallel_chains/Implicit/depth10/loop_size3 parallel_chains/Explicit/depth5/loop_size2 "
+        "parallel_chains/Explicit/depth5/loop_size4 parallel_chains/Explicit/depth10/loop_size2",
     ),
     (
         "placo-examples/models",
@@ -86,8 +87,8 @@ FILES = [
         "drake/examples/multibody/strandbeest/model/StrandbeestConstraints "
         "drake/examples/multibody/strandbeest/model/StrandbeestBushings "
         "Universal_Robots_ROS2_Description/urdf/ur franka_description/robots/fr3/fr3 "
-        "franka_description/robots/fp3/fp3 husky/husky_description/urdf/husky ros2_kortex/kortex_description/robots/gen3 "
-        "pr2_common/pr2_description/robots/pr2 sawyer_robot/sawyer_description/urdf/sawyer",
+        "franka_description/robots/fp3/fp3 husky/husky_description/urdf/husky "
+        "ros2_kortex/kortex_description/robots/gen3 pr2_common/pr2_description/robots/pr2",
     ),
     (
         "example-parallel-robots/robots",
@@ -139,9 +140,9 @@ FILES = [
     (
         "sdformat/test",
         "SDF",
-        "sdf/double_pendulum sdf/joint_axis_in_rotated_frame sdf/model_joint_axis_expressed_in sdf/ball_prismatic_joint "
-        "sdf/joint_screw_thread_pitch sdf/joint_complete sdf/world_joint_child_frame sdf/placement_frame "
-        "sdf/nested_model integration/model/pr2 integration/model/turtlebot",
+        "sdf/double_pendulum sdf/joint_axis_in_rotated_frame sdf/model_joint_axis_expressed_in "
+        "sdf/ball_prismatic_joint sdf/joint_screw_thread_pitch sdf/joint_complete sdf/world_joint_child_frame "
+        "sdf/placement_frame sdf/nested_model integration/model/pr2 integration/model/turtlebot",
     ),
     (
         "gz-physics",
@@ -172,9 +173,9 @@ ARGUMENTS = {
     "spm/": {"actuated": "m1,m2,m3"},
     "megabot": {"actuated": ",".join(f"l{leg}_c{joint}" for leg in "1234" for joint in "123")},
     "urdf/ur.": {"name": "ur", "ur_type": "ur5e"},
-    "robots/gen3.": {"gripper": ""},
+    "robots/gen3.": {"dof": "7"},
 }
-"""Of ``load_robot``, by a part of the path. A URDF that names no motors is asked for a second time with all joints driven."""
+"""Of ``load_robot``, by a part of the path."""
 
 
 def states(robot):
@@ -182,7 +183,9 @@ def states(robot):
     rng = np.random.default_rng(7)
     system = ConstraintSystem(robot)
     home = coordinates(robot, system.evaluate(robot.q_reference[None]))[0]
-    size = [AMPLITUDE * (1.0 if turns(robot, name) else robot.characteristic_length) for name in robot.independent_joints]
+    size = [
+        AMPLITUDE * (1.0 if turns(robot, name) else robot.characteristic_length) for name in robot.independent_joints
+    ]
     x = home + np.array(size) * rng.uniform(-1.0, 1.0, (STATES, robot.n))
     rates = [np.array(size) / AMPLITUDE * rng.normal(size=x.shape) for _ in range(2)]
     motion = rp.PlatformMotion(np.arange(float(STATES)), x, *rates, check_rates=False)
@@ -244,7 +247,7 @@ def by_mujoco(path, robot):
                 T[dof : dof + 3, [j.idx_v for j in angles]] = pin.rpy.computeRpyJacobian(rpy, pin.LOCAL)
                 bias[dof : dof + 3] = pin.rpy.computeRpyJacobianTimeDerivative(rpy, speed, pin.LOCAL) @ speed
             elif robot.parameters.get("base") != "fixed":
-                raise free_bodies.NotJudged(f"the joint {name}")
+                raise free_bodies.NotJudgedError(f"the joint {name}")
         data.qvel[:] = T @ v
         mujoco.mj_forward(model, data)
         mass = np.zeros((model.nv, model.nv))
@@ -262,7 +265,7 @@ def by_mujoco(path, robot):
                 elif name in own and np.any(T[:, own[name].idx_v]):
                     drive[own[name].idx_v, number] = 1.0
                 else:
-                    raise free_bodies.NotJudged(f"the joint {name}")
+                    raise free_bodies.NotJudgedError(f"the joint {name}")
             matrix = np.concatenate([drive, (J @ T).T], axis=1)
             # joints of tendons have no mass and are not in MuJoCo: no row
             kept = np.any(T, axis=0)
@@ -294,8 +297,7 @@ def by_free_bodies(path, robot, kind, arguments, folder):
     else:
         readers = {"URDF": free_bodies.read_urdf, "SDF": free_bodies.read_sdf, "yaml": free_bodies.read_parallel}
         file = readers[kind](path)
-    gravity = np.array(robot.gravity)
-    return lambda q, v, a: free_bodies.judge(file, robot, (q, v, a), gravity)
+    return lambda q, v, a: free_bodies.judge(file, robot, (q, v, a))
 
 
 def expanded(path, arguments, folder):
@@ -361,7 +363,7 @@ def tried(path, kind, arguments, folder):
                 if singular[-1] > 1e-6 * singular[0]:
                     worst = max(worst, np.abs(tau[i] - expected).max() / max(np.abs(expected).max(), 1e-9))
         row |= {"difference": worst, "error": error}
-    except free_bodies.NotJudged as reason:
+    except free_bodies.NotJudgedError as reason:
         row |= {"unjudged": str(reason)}
     return row
 
