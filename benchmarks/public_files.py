@@ -307,8 +307,15 @@ def expanded(path, arguments, folder):
     import xacro
     import xacro.substitution_args
 
+    repository = (folder / path.relative_to(folder).parts[0]).resolve()
+
     def find(package):
-        return str(next(folder.glob(f"**/{package}/package.xml")).parent)
+        places = (each.parent for each in repository.glob("**/package.xml") if each.parent.name == package)
+        if (place := next(places, None)) is None:
+            place = repository if (repository / "package.xml").is_file() else None
+        if place is None:
+            raise free_bodies.NotJudgedError(f"the package {package}")
+        return str(place)
 
     xacro.substitution_args._eval_find = find
     xacro.substitution_args._eval_dict["find"] = find
