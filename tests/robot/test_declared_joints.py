@@ -162,7 +162,21 @@ def test_a_length_that_is_left_out_is_measured_where_the_reference_puts_the_join
     (rod,) = robot.closures
     one, other = (data.oMf[model.getFrameId(name)].translation for name in (rod.frame_a, rod.frame_b))
     assert rod.length == pytest.approx(np.linalg.norm(other - one), rel=1e-14)
+    assert f"The rod {rod.name!r} is {rod.length:.6g} m long, as its ends are apart at the reference." in robot.notes
     assert rp.with_parameters(robot, lengths={"rocker": 0.6}).closures == robot.closures
+
+
+def test_a_pose_of_the_platform_measures_no_rod(tmp_path: Path) -> None:
+    """It puts no joint anywhere: a length that is left out was the distance at the guess, whatever the pose."""
+    joints, closure, _ = MACHINES["rod"]
+    declaration = {
+        "closures": [{**closure, "length": None}],
+        "actuated": ["crank"],
+        "independent": {"platform": "rocker", "axes": ["rx"]},
+        "reference": {"platform": [0.3], "guess": {"crank": 0.6}},
+    }
+    with pytest.raises(DeclarationError, match=r"has no length, and `reference\.platform` puts no joints"):
+        rp.load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
 
 
 @pytest.mark.parametrize(
@@ -172,6 +186,11 @@ def test_a_length_that_is_left_out_is_measured_where_the_reference_puts_the_join
         ("rod", {"axis": "z"}, "with rod, at, length"),
         ("rod", {"rod": ["crank", "crank"]}, "without repetitions"),
         ("rod", {"rod": ["crank", "base"], "at": [[0, 0, 0]] * 2, "length": None}, "ends of the rod .* coincide"),
+        (
+            "rod",
+            {"rod": ["base", "crank"], "at": [[1e-17, 0, 0], [0, 0, 0]], "length": None},
+            "ends of the rod .* coincide",
+        ),
         ("rod", {"length": 3.0}, "do not close near the reference: the closure residual is 1.27 m"),
         ("ball", {"length": 0.3}, "with ball, at"),
         ("slider", {"axis": ["x", "y"]}, "two axes"),

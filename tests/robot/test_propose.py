@@ -240,7 +240,7 @@ def test_names_and_places_are_certain_or_asked(joints: tuple[J, ...], question: 
         heavier = rp.with_parameters(robot, masses={"link_l0": 2.0})
         assert (heavier.n, heavier.closures) == (2, robot.closures)
         length = next(float(joint.xyz[0]) for joint in joints if joint.name == "pin_r1")
-        longer = robot.with_parameters(lengths={"pin_r1": 1.01 * length})  # whose ends do not meet at zero any more
+        longer = rp.with_parameters(robot, lengths={"pin_r1": 1.01 * length})  # whose ends do not meet at zero any more
         assert (longer.n, longer.closures) == (2, robot.closures)
     else:
         assert question in " ".join(proposal.questions)
