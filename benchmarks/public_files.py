@@ -3,7 +3,8 @@
 python benchmarks/public_files.py FOLDER [WORD ...]
 
 FOLDER holds checkouts or unpacked packages by the names of ``FILES``; with words, only files whose path has one of them
-are tried, and the table is printed instead of written. Each file is read in a process of its own, for ``SECONDS``.
+are tried, and their results are printed, but not written. Each file is read in a process of its own, for ``SECONDS``.
+Plain xacro evaluates the expressions of xacro files as Python: try files whose authors you trust.
 
 Files of MuJoCo are judged by MuJoCo: its masses, bias, dampers, springs and equalities, and the forces of its
 constraints by least squares. URDF and SDF are judged link by link (``free_bodies``).
@@ -193,7 +194,7 @@ def states(robot):
 
 
 def turns(robot, name):
-    return "P" not in robot.model.joints[robot.model.getJointId(name)].shortname().removeprefix("JointModelRP")
+    return not robot.model.joints[robot.model.getJointId(name)].shortname().startswith("JointModelP")
 
 
 def without_coulomb(robot):
@@ -212,6 +213,7 @@ def by_mujoco(path, robot):
     model = mujoco.MjModel.from_xml_path(str(path))
     model.dof_frictionloss[:] = 0.0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     data = mujoco.MjData(model)
     named = {}
     for joint in range(model.njnt):
