@@ -132,6 +132,11 @@ def read_urdf(text: str, path: Path) -> Urdf:
         robot.refuse(f"The joints have {freedoms} freedoms, more than the {MOST_FREEDOMS} of a model")
     ordered = _in_order(robot, links, joints, parts["joint"])
     marks = {name: part.text_of("independent").lower() for name, part in parts["joint"].items()}
+    for name, mark in marks.items():
+        if mark not in ("", "true", "false"):
+            parts["joint"][name].refuse(
+                f"{parts['joint'][name].owner} has independent={mark!r}", "Write true or false."
+            )
     # a joint without a mark is independent where some are marked as not, and is not where some are marked as such
     allowed = ("true", "") if "false" in marks.values() else ("true",)
     independent = [j.name for j in ordered[2] if _FREEDOMS.get(j.kind, 3) and marks[j.name] in allowed]
