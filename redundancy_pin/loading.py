@@ -641,7 +641,12 @@ def _joined(
     robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
     if selection.left_out:
         # rows that are left say less of the side on which a weld closes: what follows starts on the right one
-        robot = replace(robot, q_reference=frozen(selection.q), all_closures=_with_redundant_rows(kept.closures, every))
+        robot = replace(
+            robot,
+            q_reference=frozen(selection.q),
+            all_closures=_with_redundant_rows(kept.closures, every),
+            dependent_residual=selection.opened,
+        )
     if choose:
         notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
         robot = replace(robot, independent_joints=selection.independent)

@@ -191,6 +191,8 @@ class Robot(Frozen):
         loads: forces it meets beside gravity and inertia; ``model`` has the payloads among them.
         couplings: joints whose positions follow those of others; each is one constraint more.
         all_closures: ``closures`` with their redundant rows, which were left out; empty where none were.
+        dependent_residual: largest residual of the rows left out, near the reference, rad or characteristic lengths:
+            the rounding of a file.
     """
 
     name: str
@@ -215,6 +217,7 @@ class Robot(Frozen):
     loads: tuple[Load, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     all_closures: tuple[Closure, ...] = ()
+    dependent_residual: float = 0.0
 
     @classmethod
     def from_model(

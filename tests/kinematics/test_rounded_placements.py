@@ -353,6 +353,27 @@ def test_between_rounded_and_wrong(name: str, kind: str, seed: int, tmp_path: Pa
     assert error(exact, rp.RneaDynamics(robot)) < AMPLIFIED * 1e-3
 
 
+@pytest.mark.parametrize("kind", ["urdf", "yaml", "sdf"])
+def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
+    """A tilted coupler, drawn with its loop open: refused, or the machine of the file with efforts all round."""
+    exact = drawn("four_bar")
+    x, one = np.linspace(-3.0, 3.0, 13)[:, None], np.ones((13, 1))
+    motion, taken, want = rp.PlatformMotion(x[:, 0], x, one, 0.0 * one), [], np.zeros(0)
+    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 18), 1e-2):
+        off_by = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.0 if kind == "sdf" else 0.2])), np.zeros(3))
+        bodies = [each._replace(place=each.place * off_by) if each.name == "coupler" else each for each in exact.bodies]
+        try:
+            robot = FORMATS[kind](tmp_path, exact._replace(bodies=tuple(bodies)))
+        except DeclarationError:
+            continue
+        tau = rp.distribute(rp.RneaDynamics(robot).along(motion).reduce()).tau
+        want = tau if tilt == 0.0 else want
+        np.testing.assert_allclose(tau, want, atol=AMPLIFIED * tilt * np.abs(want).max())
+        taken.append(tilt)
+    assert taken[:2] == [0.0, 2e-4]
+    assert taken[-1] < 1e-2
+
+
 def test_generated_code_and_simulations_of_rounded_placements(tmp_path: Path) -> None:
     """They take the same rows: a five-bar falls as the exact one does."""
     exact = drawn("five_bar")
