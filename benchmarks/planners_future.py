@@ -106,7 +106,7 @@ def gradient():
     robot = rp.load_robot("2rpr", end_effector_mass=0.5)
 
     def value(**changed):
-        dynamics = rp.VirtualWork(robot.with_parameters(**changed))
+        dynamics = rp.VirtualWork(rp.with_parameters(robot, **changed))
         return rp.plan_whole_trajectory(dynamics, circle, **options).diagnostics["objective"]["effort"]
 
     def differences():

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.virtual_work import VirtualWork
     from redundancy_pin.kinematics.forward_kinematics import assembly_modes, forward_kinematics
     from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-    from redundancy_pin.loading import load_robot
+    from redundancy_pin.loading import load_robot, robot_from_model, with_parameters
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.planners.check import check_plan
     from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
     from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
     from redundancy_pin.robot import Robot
+    from redundancy_pin.robot.changes import with_limits
     from redundancy_pin.robot.loads import JointForces, Payload, Spring, Wrench
     from redundancy_pin.simulation import simulate
     from redundancy_pin.singularities.classify import classify, classify_motion
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from redundancy_pin.studies.co_design import co_design
     from redundancy_pin.view import show
     from redundancy_pin.visualisation.figures import plots as plot
+    from redundancy_pin.writers import write_mjcf
 
 _PLACES = {
     name: place
@@ -60,7 +62,7 @@ _PLACES = {
         "dynamics.virtual_work": "VirtualWork",
         "kinematics.forward_kinematics": "assembly_modes forward_kinematics",
         "kinematics.inverse_kinematics": "inverse_kinematics",
-        "loading": "load_robot",
+        "loading": "load_robot robot_from_model with_parameters",
         "motion": "CarrierMotion PlatformMotion",
         "planners.check": "check_plan",
         "planners.plan": "Plan load_plan load_robot_of",
@@ -70,6 +72,7 @@ _PLACES = {
         "planners.time_optimal.planner": "plan_time_optimal",
         "planners.whole_trajectory.planner": "plan_whole_trajectory",
         "robot": "Robot",
+        "robot.changes": "with_limits",
         "robot.loads": "JointForces Payload Spring Wrench",
         "simulation": "simulate",
         "singularities.classify": "classify classify_motion",
@@ -79,6 +82,7 @@ _PLACES = {
         "singularities.workspace": "workspace",
         "studies.co_design": "co_design",
         "view": "show",
+        "writers": "write_mjcf",
     }.items()
     for name in names.split()
 }
@@ -122,14 +126,18 @@ __all__ = [
     "platform_play",
     "platform_stiffness",
     "plot",
+    "robot_from_model",
     "show",
     "simulate",
     "simulation",
     "singular_locus",
     "symbolic",
     "trajectory",
+    "with_limits",
+    "with_parameters",
     "workspace",
     "write_c",
+    "write_mjcf",
 ]
 __version__ = "0.1.0"
 

@@ -1,4 +1,4 @@
-"""Load a robot: read its files, close its reference configuration, check its mobility."""
+"""Load or make a robot: read its files, close its reference configuration, check its mobility."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import AGREEMENT_TOLERANCE, Array, checked, frozen
+from redundancy_pin.arrays import AGREEMENT_TOLERANCE, Array, checked, frozen, require_type
 from redundancy_pin.errors import DeclarationError, InputError, millimetres
 from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
@@ -30,9 +31,10 @@ from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.selection import Selection, selected
-from redundancy_pin.robot import Closure, Robot
+from redundancy_pin.robot import Closure, Coupling, Platform, Robot
 from redundancy_pin.robot.build import characteristic_length, configuration, read_robot
 from redundancy_pin.robot.changes import changed_urdf, require_still_joined
+from redundancy_pin.robot.checks import too_few_motors
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
@@ -41,13 +43,32 @@ from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
-from redundancy_pin.robot.named import too_few_motors
 from redundancy_pin.robot.propose import Proposal, propose, which_motors
 from redundancy_pin.robot.rebuild import rebuilt, span
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, source_of
 
 _LOG = logging.getLogger(__name__)
+
+RobotLike: TypeAlias = Robot | str | Path
+"""A robot, the name of a shipped one, or the path of a declaration or of its folder."""
+
+
+def as_robot(robot: RobotLike) -> Robot:
+    """Return a robot, loaded as ``load_robot`` does if it is named: the first line of every function that takes one.
+
+    Raises:
+        InputError: neither a robot nor a name or path.
+        RedundancyPinError: what ``load_robot`` raises.
+
+    Example:
+        >>> as_robot("3rrr").n
+        3
+    """
+    if isinstance(robot, (str, Path)):
+        return load_robot(robot)
+    require_type(robot, Robot, "A robot", "Pass load_robot(...), or the name or path of one.")
+    return robot
 
 
 def load_robot(
@@ -147,10 +168,38 @@ def _declared(request: _Request) -> Robot:
 _shipped = lru_cache(maxsize=64)(_declared)
 
 
-def robot_with(
-    robot: Robot, masses: Mapping[str, float], lengths: Mapping[str, Any], arguments: Mapping[str, object]
+def with_parameters(
+    robot: RobotLike,
+    /,
+    *,
+    masses: Mapping[str, float] | None = None,
+    lengths: Mapping[str, Any] | None = None,
+    **arguments: object,
 ) -> Robot:
-    """Return a robot with other parameters; see ``Robot.with_parameters``."""
+    """Return a robot with other masses, lengths or xacro arguments, closed and checked as when it was loaded.
+
+    Gravity, working mode and loads stay; limits too, unless xacro arguments are given. A robot whose masses or
+    lengths are changed has no closed form any more (``VirtualWork`` refuses it): that is written in the arguments.
+
+    Args:
+        robot: a robot, or its name or path.
+        masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays. (Derivatives
+            by ``"JOINT.mass"`` hold the inertia about the centre: ``dynamics.compiled.design_of``.)
+        lengths: by joint, its distance from the joint before it, m; or (3,) its place in the frame of its parent
+            link, m. This moves joints and frames only: masses, centres and moments of inertia of the links stay as
+            they were, which ``notes`` and the log say. Xacro arguments of a file change both.
+        **arguments: xacro arguments, as of ``load_robot``; the others stay.
+
+    Raises:
+        InputError: unknown names, values out of their domain, a robot that was not loaded from a URDF, or lengths
+            that part a frame of a closure or the platform from a joint or frame at the same place.
+        DeclarationError: the chains do not close at the declared reference any more.
+
+    Example:
+        >>> heavier = with_parameters(load_robot("four_bar"), masses={"rocker_link": 2.5})
+    """
+    robot = as_robot(robot)
+    masses, lengths = {} if masses is None else masses, {} if lengths is None else lengths
     path = declaration_path(robot.source) if robot.source else Path()
     if not robot.source or not is_urdf(path if is_model_file(path) else Path(read_declaration(path).data["urdf"])):
         raise InputError(
@@ -181,8 +230,11 @@ def robot_with(
             robot.parameters,
             None if file is None else declaration.joint_types,
         )
-        if file is None:  # without a declaration the reference is the nearest closed configuration
-            mechanism = replace(propose(mechanism).mechanism, start=np.array(robot.q_reference))
+        if file is None:  # ends of loops that were found stay ends; the reference is the nearest closed configuration
+            stated = {joint.name for joint in mechanism.loop_joints}
+            found = [f"{each.frame_a},{each.frame_b}" for each in robot.closures if each.name not in stated]
+            mechanism = propose(mechanism, close=found, is_open=True).mechanism
+            mechanism = replace(mechanism, start=np.array(robot.q_reference))
         new, dropped = _joined(
             declaration,
             mechanism,
@@ -317,7 +369,7 @@ def propose_robot(
     try:
         robot = _robot_of(mechanism, _Request(path, "", {}, None, None, trust, untrusted=False), path, {}, parameters)
     except DeclarationError as error:
-        return proposal.asking(str(error)), None
+        return proposal.refused(str(error)), None
     proposal = proposal.settled(robot, _turning(proposal, robot))
     if FLAT in robot.notes:
         proposal = proposal.asking(f"Which branch? {FLAT} --guess JOINT=VALUE,... decides.")
@@ -532,8 +584,14 @@ def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> 
 
 def robot_from_model(
     model: pin.Model,
-    arguments: Mapping[str, Any],
     *,
+    actuated: Sequence[str],
+    closures: Sequence[Any] = (),
+    carriers: Sequence[Any] = (),
+    independent: Sequence[str] | Platform | Mapping[str, Any] | None = None,
+    reference: ArrayLike | Mapping[str, Any] | None = None,
+    name: str = "",
+    couplings: Sequence[Coupling | Mapping[str, Any] | tuple[str, str, Sequence[float]]] = (),
     working_modes: Any = None,
     working_mode: Sequence[int] | None = None,
     characteristic_length: float | None = None,
@@ -541,23 +599,57 @@ def robot_from_model(
     urdf: str = "",
     urdf_folder: str = "",
 ) -> Robot:
-    """Return a robot as ``Robot.from_model`` says, which has its named ``arguments`` here."""
-    reference, closures = arguments["reference"], arguments["closures"]
+    """Return a closed-chain robot made of a Pinocchio tree, with the checks that a file goes through.
+
+    Args:
+        model: the tree; it is copied. Its gravity counts. Frames of any type may be named, and what a joint carries
+            by the joint's name where it has no link, "universe" for the ground.
+        actuated: names of the main actuators.
+        closures: the loops, each a ``Closure``, a mapping ``{"frames": [a, b], "axes": ["x", "y"]}``, a tuple
+            ``(a, b, axes)``, or a constraint model of Pinocchio; of the latter, rows that are redundant all along
+            the motion are left out, and ``notes`` says which.
+        carriers: names of carrier joints, or mappings as in a ``robot.yaml`` (``{"joint": ..., "speed": ...}``).
+        independent: names of joints, a ``Platform``, a mapping ``{"platform": frame, "axes": [...]}``; left out:
+            joints are chosen, actuated ones first.
+        reference: (nq,) a configuration near which the closed one is, a mapping ``{"platform": [...], "guess":
+            {...}}`` or ``{"joints": {...}, "guess": {...}}`` as in a ``robot.yaml``; left out: near the neutral
+            configuration of Pinocchio.
+        name: what to call it; the model's own name when left out.
+        couplings: joints that follow others, each a ``Coupling``, a mapping ``{"joint": ..., "of": ...,
+            "polynomial": [...]}``, or a tuple of the three.
+        working_modes: as in a ``robot.yaml``.
+        working_mode: ±1 a leg.
+        characteristic_length: as in a ``robot.yaml``, m.
+        redundant_rows: as in a ``robot.yaml``, for closures of any kind.
+        urdf: text of the URDF that its shapes are drawn from.
+        urdf_folder: folder of the mesh files of that URDF.
+
+    Raises:
+        InputError: no Pinocchio model, or arguments of the wrong form.
+        DeclarationError: names that are not in the model, joints in two roles, over- or under-constrained chains, a
+            reference that does not close.
+        UnsupportedRobotError: a joint of a type that closed chains do not cover.
+
+    Example:
+        >>> robot_from_model(load_robot("four_bar").model, actuated=["crank"], closures=load_robot("four_bar").closures)
+    """
     given, (model, at) = model, rebuilt(model)
+    roles = {"actuated": actuated, "closures": closures, "carriers": carriers, "couplings": couplings}
     data: dict[str, Any] = {
-        "name": arguments["name"] or str(getattr(model, "name", "")) or "robot",
+        "name": name or str(getattr(model, "name", "")) or "robot",
         "urdf": "model",
-        **declared(model, arguments, at),
+        **declared(model, {**roles, "independent": independent}, at),
         "working_modes": working_modes,
         "characteristic_length": characteristic_length,
         "redundant_rows": redundant_rows,
         "reference": reference if isinstance(reference, Mapping) else {},
         "gravity": model.gravity.linear.tolist(),
     }
-    near = not (reference is None or isinstance(reference, Mapping))
-    start = in_order_of(model, given, at, checked(reference, "reference", (model.nq,))) if near else None
+    start = pin.neutral(model)
+    if not (reference is None or isinstance(reference, Mapping)):
+        start = in_order_of(model, given, at, checked(reference, "reference", (model.nq,)))
     loose = any(hasattr(each, "joint1_placement") for each in closures)
-    mechanism = Mechanism(data["name"], model, pin.neutral(model) if start is None else start, shapes=urdf)
+    mechanism = Mechanism(data["name"], model, start, shapes=urdf)
     robot = build_robot(data, mechanism, loose=loose, mode=working_mode, own_model=True)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
     if note := too_few_motors(robot):

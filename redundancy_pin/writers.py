@@ -24,6 +24,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.kinematics.selection import UNIVERSAL
 from redundancy_pin.kinematics.tree import motion_subspace
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import AXES, Closure, Coupling, JointForces, Payload, Robot
 from redundancy_pin.robot.lookup import find_joint_index, find_link
 from redundancy_pin.robot.loop_joints import ends_of
@@ -61,9 +62,30 @@ _MOST_COUPLED = 5
 """Numbers of the polynomial of an equality of MuJoCo."""
 
 
-def write_mjcf(robot: Robot, path: str | Path, step: float = 1e-3, *, reflected: bool = False) -> Path:
-    """Write a robot as MJCF; see ``Robot.to_mjcf``."""
-    step = positive(step, "step", "s")
+def write_mjcf(robot: RobotLike, path: str | Path, *, step: float = 1e-3, reflected: bool = False) -> Path:
+    """Write a robot as MJCF that MuJoCo runs: loops, couplings, motors, damping, and its reference as a keyframe.
+
+    Joints and motors have the names of the robot's, main actuators first: ``data.ctrl`` are efforts, their limits
+    ranges that cut nothing off. MuJoCo's constraints are soft; they are as stiff as it takes at that step.
+
+    Args:
+        robot: a robot, or its name or path.
+        path: the file.
+        step: of the integration, s.
+        reflected: write the inertia of every rotor as armature, gear² · inertia. MJCF has no other, which is
+            all there is to it where what carries the rotor cannot turn about its axis; others are refused without.
+
+    Returns:
+        The path that was written.
+
+    Raises:
+        UnsupportedRobotError: a joint, closure or load that MJCF does not say; a joint that moves no mass.
+        OutputError: the file cannot be written.
+
+    Example:
+        >>> write_mjcf("four_bar", "four_bar.xml")
+    """
+    robot, step = as_robot(robot), positive(step, "step", "s")
     target = require_writable(path)
     root = mjcf(robot, step, 2.0 * step, reflected=reflected)
     write_text(target, _xml(root))
@@ -87,7 +109,7 @@ def mjcf(
         time_constant: of the soft constraints, s, critically damped.
         impedance: of the soft constraints.
         integrator: MuJoCo's name of the integrator.
-        reflected: see ``Robot.to_mjcf``.
+        reflected: see ``write_mjcf``.
 
     Raises:
         UnsupportedRobotError: a joint or a closure that MuJoCo has not, loads that MJCF does not say, or an open tree

@@ -173,7 +173,7 @@ def in_pictures(one: Named, folder: Path) -> None:
 
 def in_mjcf(one: Named, folder: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_path(str(one.robot.to_mjcf(folder / "robot.xml")))
+    model = mujoco.MjModel.from_xml_path(str(rp.write_mjcf(one.robot, folder / "robot.xml")))
     assert {model.joint(i).name for i in range(model.njnt)} == {
         *one.joints,
         joints_of(one.name)["swivel_1"],

@@ -46,14 +46,14 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def changed(kind: str) -> Robot:
     plain = rp.load_robot("3rrr")
     if kind == "masses":
-        return plain.with_parameters(masses={"platform": 0.7})
+        return rp.with_parameters(plain, masses={"platform": 0.7})
     if kind == "lengths":
-        return plain.with_parameters(lengths={"elbow_1": 0.31})
+        return rp.with_parameters(plain, lengths={"elbow_1": 0.31})
     if kind == "limits":
-        return plain.with_limits(lower=-0.2, upper=0.25)
+        return rp.with_limits(plain, lower=-0.2, upper=0.25)
     if kind == "payload":
         return plain.loaded(rp.Payload("platform", 0.3))
-    return rp.Robot.from_model(
+    return rp.robot_from_model(
         plain.model, closures=plain.closures, actuated=plain.actuated, carriers=plain.carriers,
         independent=plain.platform, reference=np.array(plain.q_reference),
     )  # fmt: skip
@@ -273,8 +273,8 @@ def test_a_plain_urdf_has_no_arguments(tmp_path: Path) -> None:
     line = refused("info", "--robot", robot, "--set", "load=2.5")
     assert "four_bar.urdf has no argument 'load', nor any other." in line
     loaded = rp.load_robot(robot)
-    assert "robot.with_parameters(masses={...}, lengths={...})" in line
-    heavy = loaded.with_parameters(masses={"rocker_link": 2.5}, lengths={"rocker": 0.41})
+    assert "rp.with_parameters(robot, masses={...}, lengths={...})" in line
+    heavy = rp.with_parameters(loaded, masses={"rocker_link": 2.5}, lengths={"rocker": 0.41})
     assert heavy.model.inertias[heavy.model.getJointId("rocker")].mass == 2.5
     # as the other half says: renamed, a namespace, an argument
     (name,) = re.findall(r"rename it (\S+),", line)

@@ -49,7 +49,7 @@ def elbow_of(robot: Robot) -> str:
 
 def run(robot: Robot, path: Path) -> float:
     """Return how far MuJoCo's motion is from the planned one at the end, under efforts held over each step."""
-    model = mujoco.MjModel.from_xml_path(str(robot.to_mjcf(path, step=STEP)))
+    model = mujoco.MjModel.from_xml_path(str(rp.write_mjcf(robot, path, step=STEP)))
     data = mujoco.MjData(model)
     t = np.linspace(0.0, DURATION, int(DURATION / STEP) + 1)
     middle, _ = efforts_of(robot, t[:-1] + 0.5 * STEP)
@@ -84,7 +84,7 @@ def test_mujoco_has_the_rotors_and_the_springs_of_joints(tmp_path: Path) -> None
     loaded = robot.loaded(*loads)
     assert run(loaded, tmp_path / "robot.xml") < MOTION_TOLERANCE
     with pytest.raises(UnsupportedRobotError, match="reflected=True"):
-        loaded.loaded(JointForces(elbow_of(robot), rotor_inertia=1e-3)).to_mjcf(tmp_path / "robot.xml")
+        rp.write_mjcf(loaded.loaded(JointForces(elbow_of(robot), rotor_inertia=1e-3)), tmp_path / "robot.xml")
 
 
 @pytest.mark.engines
@@ -113,7 +113,7 @@ def test_efforts_of_a_written_robot_are_mujocos_and_those_of_the_robot_that_is_r
 ) -> None:
     """At random accelerations and rates: M a + h of MuJoCo less what its equalities can do, and this package's RNEA."""
     robot = written(name, tmp_path)
-    path = robot.to_mjcf(tmp_path / "again.xml")
+    path = rp.write_mjcf(robot, tmp_path / "again.xml")
     rng = np.random.default_rng(1)
     x, rates = home_of(robot)[None], rng.normal(size=(2, 1, robot.n))
     motion = rp.PlatformMotion([0.0], x, *rates)
@@ -154,7 +154,7 @@ def test_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
     also = Coupling("train", "rotor", "rocker", (0.2, -12.0, 0.3), (("cam", 4.0), ("crank", 0.7)))
     lever = Coupling("lever", "cam", "crank", (0.1, 0.5), (("rocker", -0.2),))
     robot = dataclasses.replace(robot, closures=(), couplings=(also, lever))
-    path = robot.to_mjcf(tmp_path / "again.xml")
+    path = rp.write_mjcf(robot, tmp_path / "again.xml")
     engine = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(engine)
     place = {name: float(data.joint(name).qpos[0]) for name in ("crank", "elbow", "rocker")}
@@ -175,7 +175,9 @@ def test_couplings_of_several_joints_are_tendons(tmp_path: Path) -> None:
 def test_closures_of_one_name_have_sites_of_their_own(tmp_path: Path) -> None:
     robot = robot_of("3rrr")
     named = dataclasses.replace(robot, closures=tuple(dataclasses.replace(each, name="pin") for each in robot.closures))
-    model, own = (mujoco.MjModel.from_xml_path(str(each.to_mjcf(tmp_path / "own.xml"))) for each in (named, robot))
+    model, own = (
+        mujoco.MjModel.from_xml_path(str(rp.write_mjcf(each, tmp_path / "own.xml"))) for each in (named, robot)
+    )
     assert (model.nsite, model.neq) == (own.nsite, own.neq)
     np.testing.assert_array_equal(model.site_pos, own.site_pos)
 
@@ -183,7 +185,7 @@ def test_closures_of_one_name_have_sites_of_their_own(tmp_path: Path) -> None:
 def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
     """The quaternion is w, x, y, z there; their armature and damping are those of the model."""
     robot = dataclasses.replace(rp.load_robot(write(tmp_path, SPATIAL), keyframe="bent"), closures=())
-    model = mujoco.MjModel.from_xml_path(str(robot.to_mjcf(tmp_path / "open.xml")))
+    model = mujoco.MjModel.from_xml_path(str(rp.write_mjcf(robot, tmp_path / "open.xml")))
     dof = int(model.joint("ball").dofadr[0])
     assert model.dof_armature[dof : dof + 3].tolist() == [0.02] * 3
     assert model.dof_damping[dof : dof + 3].tolist() == [0.3] * 3
@@ -200,34 +202,36 @@ def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
 def test_what_mjcf_does_not_say_is_refused_by_name(tmp_path: Path) -> None:
     robot, path = robot_of("five_bar"), tmp_path / "robot.xml"
     with pytest.raises(UnsupportedRobotError, match="Spring"):
-        robot.loaded(Spring(robot.closures[0].frame_a, "base", 10.0)).to_mjcf(path)
+        rp.write_mjcf(robot.loaded(Spring(robot.closures[0].frame_a, "base", 10.0)), path)
     with pytest.raises(UnsupportedRobotError, match="carried by a link that turns about its axis"):
-        robot.loaded(JointForces(elbow_of(robot), rotor_inertia=0.1)).to_mjcf(path)
+        rp.write_mjcf(robot.loaded(JointForces(elbow_of(robot), rotor_inertia=0.1)), path)
     with pytest.raises(UnsupportedRobotError, match="moves \\(nearly\\) no mass"):
-        robot_of("2rpr", end_effector_mass=0.5).to_mjcf(path)
+        rp.write_mjcf(robot_of("2rpr", end_effector_mass=0.5), path)
+    with pytest.raises(UnsupportedRobotError, match="moves \\(nearly\\) no mass"):
+        rp.write_mjcf("2rpr", path)
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "speck")
     model.appendBodyToJoint(joint, pin.Inertia(1e-10, np.zeros(3), 1e-10 * np.eye(3)), pin.SE3.Identity())
     with pytest.raises(UnsupportedRobotError, match="MuJoCo takes nothing below"):
-        Robot.from_model(model, actuated=["speck"]).to_mjcf(path)
+        rp.write_mjcf(rp.robot_from_model(model, actuated=["speck"]), path)
     ball = pin.Model()
     joint = ball.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
     ball.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
     ball.armature = np.array([0.1, 0.1, 0.2])
     with pytest.raises(UnsupportedRobotError, match="MuJoCo has one a joint"):
-        dataclasses.replace(robot, model=ball, loads=(), q_reference=pin.neutral(ball)).to_mjcf(path)
+        rp.write_mjcf(dataclasses.replace(robot, model=ball, loads=(), q_reference=pin.neutral(ball)), path)
     steep = Coupling("steep", robot.actuated[0], robot.actuated[1], (0.0,) * 5 + (1.0,))
     with pytest.raises(UnsupportedRobotError, match="'steep' has a polynomial of degree 5"):
-        dataclasses.replace(robot, couplings=(steep,)).to_mjcf(path)
+        rp.write_mjcf(dataclasses.replace(robot, couplings=(steep,)), path)
     for step in (0.0, "x", None, [1.0], np.nan):
         with pytest.raises(InputError, match="step is"):
-            robot.to_mjcf(path, step=step)
+            rp.write_mjcf(robot, path, step=step)
     for name in ("two\nlines", "bell\x07", "half\ud800"):
         with pytest.raises(InputError, match="control characters"):
-            dataclasses.replace(robot, name=name).to_mjcf(path)
+            rp.write_mjcf(dataclasses.replace(robot, name=name), path)
     for wrong in (None, 3.0, [], tmp_path / "no" / "robot.xml"):
         with pytest.raises(OutputError):
-            robot.to_mjcf(wrong)
+            rp.write_mjcf(robot, wrong)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -240,7 +244,7 @@ def test_limits_of_effort_are_said_in_mjcf_and_cut_nothing_off(tmp_path: Path) -
         array = np.array(getattr(robot.model, name))
         array[columns] = values
         setattr(robot.model, name, array)
-    path = robot.to_mjcf(tmp_path / "robot.xml")
+    path = rp.write_mjcf(robot, tmp_path / "robot.xml")
     again = rp.load_robot(path).effort_limits
     np.testing.assert_array_equal(again[:, 0], limits[:, 0])
     assert (again[0, 1], again[1, 1] > 1e9) == (1.0, True)
@@ -258,13 +262,13 @@ def test_joints_without_limits_have_none_in_mjcf(tmp_path: Path) -> None:
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "arm")  # its limits are the largest doubles
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.1, 0.0, 0.0]), 0.1 * np.eye(3)), pin.SE3.Identity())
-    path = Robot.from_model(model, actuated=["arm"], closures=[]).to_mjcf(tmp_path / "arm.xml")
+    path = rp.write_mjcf(rp.robot_from_model(model, actuated=["arm"], closures=[]), tmp_path / "arm.xml")
     assert "range" not in path.read_text()
     limits = rp.load_robot(path).model
     assert (np.abs([limits.lowerPositionLimit, limits.upperPositionLimit]) > 1e300).all()
     # a limit to one side is kept
     model.lowerPositionLimit[0], model.upperPositionLimit[0] = -np.inf, 1.25
-    robot = Robot.from_model(model, actuated=["arm"], closures=[])
-    limits = rp.load_robot(robot.to_mjcf(tmp_path / "arm.xml")).model
+    robot = rp.robot_from_model(model, actuated=["arm"], closures=[])
+    limits = rp.load_robot(rp.write_mjcf(robot, tmp_path / "arm.xml")).model
     assert limits.upperPositionLimit[0] == 1.25
     assert limits.lowerPositionLimit[0] < -1e9

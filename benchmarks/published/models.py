@@ -62,7 +62,7 @@ def andrews() -> Robot:
     link(model, k7, at(0.0, -p["u"]), "omega", tip=(p["zf"],), **flat("m6", "i6", p["zf"] - p["fa"]))
     guess = dict(zip(("beta", "theta", "gamma", "phi", "delta", "omega", "epsilon"), ANDREWS_START, strict=True))
     model.addFrame(pin.Frame("ground", 0, 0, at(0.0), pin.FrameType.BODY))
-    return rp.Robot.from_model(
+    return rp.robot_from_model(
         model,
         closures=[("theta_tip", f"{other}_tip", ["x", "y"]) for other in ("gamma", "phi", "omega")],
         actuated=["beta"],
@@ -100,7 +100,7 @@ def four_bars(count, crank=1.0, coupler=1.0, mass=(1.0, 1.0), height=0.0) -> Rob
         link(model, cranks[i - 1], at(crank), f"coupler_{i}", **rod(mass[1], coupler, height))
     guess = {f"crank_{i}": 0.5 * np.pi for i in range(1, count + 1)}
     guess |= {f"coupler_{i}": -0.5 * np.pi for i in range(1, count + 1)}
-    return rp.Robot.from_model(
+    return rp.robot_from_model(
         model,
         closures=[(f"coupler_{i}_tip", f"crank_{i}_tip", ["x", "y"]) for i in range(1, count + 1)],
         actuated=["crank_0"],
@@ -122,7 +122,7 @@ def drake() -> Robot:
     a = link(model, 0, at(0.0), "joint_WA", pin.JointModelRY(), **body)
     link(model, a, at(4.0), "joint_AB", pin.JointModelRY(), **body)
     link(model, 0, at(-2.0), "joint_WC", pin.JointModelRY(), **body)
-    return rp.Robot.from_model(
+    return rp.robot_from_model(
         model,
         closures=[("joint_AB_tip", "joint_WC_tip", ["x", "z"])],
         actuated=["joint_WA"],
@@ -146,7 +146,7 @@ def slider_crank() -> Robot:
     cross = link(model, slider, at(0.0), "roll", pin.JointModelRX())
     link(model, cross, at(0.0), "swing", pin.JointModelRY(), 0.5, (-0.15, 0, 0), (4e-4, 4e-3, 4e-3), (-0.3,))
     guess = {"slider": 0.2, "roll": np.arctan2(-0.1, 0.2), "swing": np.arcsin(np.sqrt(0.05) / 0.3)}
-    return rp.Robot.from_model(
+    return rp.robot_from_model(
         model,
         closures=[("swing_tip", "crank_tip", ["x", "y", "z"])],
         actuated=["crank"],
@@ -171,7 +171,7 @@ def bricard() -> Robot:
         parent = link(model, parent, place, f"hinge_{i}", axes[axis], length, 0.5 * np.array(step), inertia)
         place = at(*step)
     weld = pin.FrameAnchorConstraintModel(model, parent - 1, at(0, 0.5, 0), parent, place)
-    return rp.Robot.from_model(model, closures=[weld], actuated=["hinge_1"], reference=np.zeros(6))
+    return rp.robot_from_model(model, closures=[weld], actuated=["hinge_1"], reference=np.zeros(6))
 
 
 @functools.cache
@@ -191,4 +191,4 @@ def governor() -> Robot:
         springs.append(rp.Spring("slider_link", f"arm_{i}_link", 8e5, 4e4, 0.5, (0.05 * side, 0, 0), (0, 0, -0.5)))
     home = {"shaft": 0.0, "slider": 0.5, "arm_1": -np.pi / 3, "arm_2": np.pi / 3}
     free = list(home)
-    return rp.Robot.from_model(model, actuated=["shaft"], independent=free, reference={"joints": home}).loaded(*springs)
+    return rp.robot_from_model(model, actuated=["shaft"], independent=free, reference={"joints": home}).loaded(*springs)

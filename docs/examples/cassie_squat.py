@@ -69,7 +69,7 @@ def load() -> Robot:
     single = [joint for joint in list(model.joints)[1:] if joint.nq == 1]  # the balls of the rods follow
     guess = {str(model.names[joint.id]): float(q[joint.idx_q]) for joint in single}
     guess |= {f"pelvis_{axis}": guess[f"pelvis_{axis}"] - float(middle[k]) for k, axis in ((0, "x"), (2, "z"))}
-    standing = rp.Robot.from_model(
+    standing = rp.robot_from_model(
         model,
         name="cassie_squat",
         closures=[{"name": name, "frames": frames, "axes": axes} for name, frames, axes in loops],

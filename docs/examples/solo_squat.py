@@ -52,7 +52,7 @@ def load() -> Robot:
     for leg in LEGS:
         place = data.oMf[model.getFrameId(f"{leg}_FOOT")].translation.copy()
         model.addFrame(pin.Frame(f"ground_{leg}", 0, 0, pin.SE3(np.eye(3), place), pin.FrameType.BODY))
-    return rp.Robot.from_model(
+    return rp.robot_from_model(
         model,
         name="solo_squat",
         closures=[{"name": leg, "frames": [f"ground_{leg}", f"{leg}_FOOT"], "axes": ["x", "y", "z"]} for leg in LEGS],

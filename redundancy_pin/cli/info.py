@@ -45,9 +45,9 @@ def info(robot: RobotOptions, as_json: bool) -> None:
 def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str, Any]:
     """Return what there is to know about a robot as plain data."""
     from redundancy_pin.kinematics.coordinates import all_working_modes, gravity_acts, mode_name
+    from redundancy_pin.robot.checks import too_few_motors
     from redundancy_pin.robot.declaration import read_declaration
     from redundancy_pin.robot.model_files import is_model_file, open_model
-    from redundancy_pin.robot.named import too_few_motors
 
     # once more from the files: a robot knows its parameters' values, but not which of them are defaults
     data = {} if is_model_file(declaration) else read_declaration(declaration).data

@@ -57,8 +57,8 @@ def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) 
       redundancy-pin new machine.urdf --close left_tip,right_tip --actuate motor_1,motor_2
     """
     from redundancy_pin.loading import load_with, propose_robot
+    from redundancy_pin.robot.checks import too_few_motors
     from redundancy_pin.robot.model_files import is_model_file, is_urdf
-    from redundancy_pin.robot.named import too_few_motors
 
     source = Path(path)
     target = require_writable(out or source.parent / "robot.yaml")

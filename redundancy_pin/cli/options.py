@@ -40,7 +40,7 @@ class RobotOptions:
     def load(self) -> Robot:
         """Load the robot."""
         from redundancy_pin.loading import idle_gravity, load_with
-        from redundancy_pin.robot.named import too_few_motors
+        from redundancy_pin.robot.checks import too_few_motors
 
         mode, gravity = self.mode, self.gravity
         robot = load_with(self.source, self.settings, gravity=gravity, working_mode=mode, trust=self.trust)

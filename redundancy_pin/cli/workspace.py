@@ -14,7 +14,7 @@ from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import write_text
 from redundancy_pin.kinematics.coordinates import mode_name
-from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.singularities.workspace import Workspace
 from redundancy_pin.singularities.workspace import workspace as reached
 from redundancy_pin.trajectory.csv_file import checked_poses, coordinate_names, csv_rows, unit_of

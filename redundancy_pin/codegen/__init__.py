@@ -15,8 +15,9 @@ from redundancy_pin.codegen.pages import pages
 from redundancy_pin.codegen.recorded import record
 from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import RobotLike, Wrench, as_robot
+from redundancy_pin.robot import Wrench
 from redundancy_pin.robot.loads import of_kind
 
 __all__ = ["GeneratedCode", "write_c"]

@@ -21,8 +21,8 @@ from redundancy_pin.motion import (
     require_sampled,
 )
 from redundancy_pin.robot import Load, Robot
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.joint_ranges import track_slack
-from redundancy_pin.robot.named import is_pose
 from redundancy_pin.status import SampleStatus
 
 OnUnreachable = Literal["raise", "mark"]

@@ -14,7 +14,8 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import CompilerError, InputError, UnsupportedRobotError
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.loading import RobotLike, as_robot
+from redundancy_pin.robot import Robot
 
 DynamicsLike: TypeAlias = Dynamics | RobotLike
 """A backend; or a robot, its name or its path, for which ``as_dynamics`` chooses the backend."""

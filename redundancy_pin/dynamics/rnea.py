@@ -42,8 +42,9 @@ from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import in_working_mode
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_poses
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale, velocity_unit
 from redundancy_pin.robot.whole_turns import TURN, counted_turns

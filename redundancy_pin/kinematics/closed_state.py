@@ -37,7 +37,7 @@ from redundancy_pin.kinematics.closure import constraint_system, dependent_row_t
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.named import is_pose
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, velocity_unit
 
 CONTINUITY = 0.25

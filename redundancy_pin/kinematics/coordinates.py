@@ -17,8 +17,8 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, BoolArray, IntArray, checked
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.lookup import find_joint
-from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import is_revolute, row_scale
 
 

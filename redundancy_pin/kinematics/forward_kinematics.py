@@ -37,11 +37,12 @@ from redundancy_pin.kinematics.coordinates import angle_columns, coordinates, jo
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.mobility import independent_columns
 from redundancy_pin.kinematics.multistart import SEED, SHORTEST_STEP, draw_starts, wrapped
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.joint_ranges import out_of_range, range_excess, range_slack
 from redundancy_pin.robot.lookup import find_link_index
-from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import turning_velocities, velocity_unit
 from redundancy_pin.robot.whole_turns import FARTHEST, TURN, are_too_many_turns_away, counted_turns
 from redundancy_pin.status import SampleStatus, solved_status

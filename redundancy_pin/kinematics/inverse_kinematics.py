@@ -32,10 +32,11 @@ from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_re
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.kinematics.mobility import worst_dependent_row
 from redundancy_pin.kinematics.multistart import multistart
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.robot.joint_ranges import out_of_range
-from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import closure_tolerance, coordinate_unit, velocity_unit
 from redundancy_pin.robot.whole_turns import are_too_many_turns_away, follow_whole_turns
 from redundancy_pin.status import SampleStatus

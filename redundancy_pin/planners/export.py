@@ -21,11 +21,12 @@ from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, write_text
 from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import RobotRecord, robot_of_record
-from redundancy_pin.robot import Robot, RobotLike
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint
 from redundancy_pin.trajectory.csv_file import csv_rows, motion_columns
 from redundancy_pin.trajectory.trajectory import sample_times

@@ -16,12 +16,13 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.io.schema import record_of
+from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DenseCheck, PlanFunctions
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
 from redundancy_pin.planners.samples_only import functions_of_samples
-from redundancy_pin.robot import CarrierLimits, Robot, RobotLike
+from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial

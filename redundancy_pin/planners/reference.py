@@ -21,10 +21,11 @@ from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_effort
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory, inverse_kinematics
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.robot_record import robot_of_record
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion

@@ -17,8 +17,8 @@ from pydantic import ConfigDict, Field
 from redundancy_pin.arrays import Frozen, assign
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, PlanFileError, RedundancyPinError, shown
 from redundancy_pin.io.schema import Schema, validated
-from redundancy_pin.loading import load_with
-from redundancy_pin.robot import CarrierLimits, Coupling, Robot, RobotLike, as_robot
+from redundancy_pin.loading import RobotLike, as_robot, load_with
+from redundancy_pin.robot import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
@@ -89,11 +89,16 @@ class RobotRecord(Frozen):
     def describes(self, robot: Robot) -> bool:
         """Return whether the record is of that very robot, wherever its files are."""
         now = robot_record(robot)
-        own = {*self.actuated, *self.carriers}  # older files say of these alone which rotate
-        same = own.intersection(now.rotating) == own.intersection(self.rotating)
+        driven = {*self.actuated, *self.carriers}  # older files say of these alone which rotate
+        same = driven.intersection(now.rotating) == driven.intersection(self.rotating)
         unsaid: dict[str, Any] = {name: None for name in ("couplings", "ranges") if getattr(self, name) is None}
-        arguments = self.known_arguments(now)
-        return same and replace(now, source=self.source, rotating=self.rotating, arguments=arguments, **unsaid) == self
+        arguments, reference = self.known_arguments(now), now.q_reference
+        if np.shape(reference) == np.shape(self.q_reference) and np.allclose(
+            reference, self.q_reference, rtol=0.0, atol=_SAME_REFERENCE
+        ):
+            reference = self.q_reference  # closed by iterations
+        own = replace(now, source=self.source, rotating=self.rotating, arguments=arguments, q_reference=reference)
+        return same and replace(own, **unsaid) == self
 
     def known_arguments(self, now: RobotRecord) -> dict[str, float | bool | str]:
         """Return the arguments of a newer record but for those that came since and have their defaults."""

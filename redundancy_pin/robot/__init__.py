@@ -1,7 +1,6 @@
 """Robots: URDF or xacro plus a declaration, read into a frozen description."""
 
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
-from redundancy_pin.robot.named import RobotLike, as_robot
 from redundancy_pin.robot.types import AXES, Body, CarrierLimits, Closure, Coupling, Platform, Robot, WorkingModes
 
 __all__ = [
@@ -15,9 +14,7 @@ __all__ = [
     "Payload",
     "Platform",
     "Robot",
-    "RobotLike",
     "Spring",
     "WorkingModes",
     "Wrench",
-    "as_robot",
 ]

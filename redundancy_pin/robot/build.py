@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import FILE_TOLERANCE, Array, read_only
+from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, read_only
 from redundancy_pin.errors import DeclarationError, InputError, shown
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES, CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.formats.mechanism import MOST_FREEDOMS, Mechanism
@@ -35,8 +35,8 @@ def read_robot(
 ) -> Robot:
     """Return the robot that a declaration makes of a mechanism, its names and roles checked.
 
-    The reference configuration is the declared guess; it is not closed yet, and an undeclared characteristic length is
-    provisional.
+    The reference configuration has the joints where the declaration puts them; it is not closed yet. An undeclared
+    characteristic length is provisional.
 
     Args:
         declaration: what it says counts before what the mechanism says of the same joints.
@@ -48,8 +48,8 @@ def read_robot(
         rods: lengths of rods by name, m, where nothing else says them.
 
     Raises:
-        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose, a rod between
-            two points that coincide.
+        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose, a rod whose
+            length is not known.
         InputError: a working mode of the wrong form.
     """
     if not own_model:
@@ -68,13 +68,14 @@ def read_robot(
         add_frames(model, (*file_joints, *declaration.loop_joints))
         _check_roles(declaration, closures, carriers, model)
         _check_couplings(couplings, declaration, carriers, model)
-    guess = configuration(model, declaration.reference.guess, mechanism.start)
+    guess = configuration(model, _positions(declaration, parameters), mechanism.start)
+    sized, sizes = _with_lengths(closures, declaration, model, guess, rods)
     robot = Robot(
         name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
         urdf=mechanism.shapes,
         model=model,
-        closures=_with_lengths(closures, declaration, parameters, model, guess, rods),
+        closures=sized,
         couplings=couplings,
         platform=with_pointer(declaration.platform, model, guess),
         independent_joints=declaration.independent.joints,
@@ -92,7 +93,7 @@ def read_robot(
     forces, notes = _forces(declaration, mechanism)
     with _names_of_declaration():
         robot = robot.loaded(*declaration.loads, *forces)
-    return replace(robot, notes=(*notes, *mechanism.notes))
+    return replace(robot, notes=(*sizes, *notes, *mechanism.notes))
 
 
 @contextmanager
@@ -199,34 +200,47 @@ def _check_couplings(
         raise _refused(couplings[0].joint, what, "Leave `closed_form` out: RneaDynamics covers every robot.")
 
 
+def _positions(declaration: Declaration, parameters: Mapping[str, Argument]) -> dict[str, float]:
+    """Return positions of joints, rad or m, from which the reference is closed: its own count before the guess's."""
+    positions = dict(declaration.reference.guess)
+    if declaration.reference.joints is not None:
+        given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
+        positions.update(given)
+    return positions
+
+
 def _with_lengths(
     closures: Sequence[Closure],
     declaration: Declaration,
-    parameters: Mapping[str, Argument],
     model: pin.Model,
     guess: Array,
     known: Mapping[str, float],
-) -> tuple[Closure, ...]:
-    """Return closures whose rods have lengths: their own, those known by name, or the distances of their ends.
+) -> tuple[tuple[Closure, ...], tuple[str, ...]]:
+    """Return closures whose rods have lengths, and notes of those that are measured.
 
-    Ends are where the guess (nq,) and the reference of independent joints put them.
+    A length is the rod's own, the one known by name, or the distance of its ends at the guess (nq,), which has the
+    reference of independent joints. A platform's pose puts no joint anywhere: lengths are not measured there.
     """
     if not any(each.is_rod for each in closures):
-        return tuple(closures)
-    data, q = model.createData(), guess
-    if declaration.platform is None and declaration.reference.joints is not None:
-        given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
-        q = configuration(model, dict(given), guess)
-    pin.forwardKinematics(model, data, q)
-    measured = []
+        return tuple(closures), ()
+    data = model.createData()
+    pin.forwardKinematics(model, data, guess)
+    sized, notes = [], []
     for each in closures:
-        apart = float(np.linalg.norm(np.subtract(*ends_of(each, model, data))))
-        length = each.length or known.get(each.name) or apart
-        if each.is_rod and not length > 0.0:
-            remedy = "Give its `length`, or a `reference.guess` in which they are apart."
-            raise _refused(each.name, f"The ends of the rod {each.name!r} coincide at the reference.", remedy)
-        measured.append(replace(each, length=length) if each.is_rod else each)
-    return tuple(measured)
+        length = each.length or known.get(each.name, 0.0)
+        if each.is_rod and not length:
+            if declaration.reference.platform is not None:
+                what = (
+                    f"The rod {each.name!r} has no length, and `reference.platform` puts no joints where to measure it."
+                )
+                raise _refused(each.name, what, "Give its `length`, or a `reference` of joints.")
+            length = float(np.linalg.norm(np.subtract(*ends_of(each, model, data))))
+            if length <= RANK_TOLERANCE * characteristic_length(model, guess, ()):
+                what = f"The ends of the rod {each.name!r} coincide at the reference."
+                raise _refused(each.name, what, "Give its `length`, or a `reference.guess` in which they are apart.")
+            notes.append(f"The rod {each.name!r} is {length:.6g} m long, as its ends are apart at the reference.")
+        sized.append(replace(each, length=length) if each.is_rod else each)
+    return tuple(sized), tuple(notes)
 
 
 def _refused(name: str, what: str, remedy: str) -> DeclarationError:

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import Array, checked, require_type
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.robot.joint_ranges import ROUNDING
 from redundancy_pin.robot.lookup import find_joint, find_link
@@ -149,18 +149,37 @@ def _places(model: pin.Model) -> dict[str, tuple[int, Array]]:
     return {**places, **{frame.name: (int(frame.parentJoint), frame.placement.translation) for frame in fixed}}
 
 
-def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mapping[str, ArrayLike | None]) -> Robot:
-    """Return the robot with other limits.
+def with_limits(
+    robot: Robot,
+    limits: Mapping[str, Mapping[str, float]] | None = None,
+    *,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    speed: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    force: ArrayLike | None = None,
+) -> Robot:
+    """Return a robot with other limits of its carriers and joints; what is left out stays.
 
     Args:
-        robot: the robot.
-        limits: by joint, its limits by name: of a carrier those of ``CarrierLimits``; of any other joint "lower",
-            "upper", "speed", "effort".
-        each: of the carriers, by name, scalar or (k,).
+        robot: the robot, as ``load_robot`` returns it.
+        limits: by joint, such as ``{"carrier_1": {"upper": 0.3}, "elbow_1": {"lower": -2.5, "effort": 20.0}}``: of
+            a carrier "lower", "upper", "speed", "acceleration", "force"; of another joint "lower", "upper",
+            "speed", "effort".
+        lower: scalar or (k,) where the tracks of all carriers begin, m.
+        upper: scalar or (k,) where they end, m.
+        speed: scalar or (k,) their largest |ṡ|, m/s; infinite for no limit.
+        acceleration: scalar or (k,) their largest |s̈|, m/s².
+        force: scalar or (k,) their largest force, N.
 
     Raises:
-        InputError: an unknown name, a track that ends before it begins, a limit that is not positive.
+        InputError: unknown names, tracks that end before they begin, or limits that are not positive.
+
+    Example:
+        >>> slow = with_limits(load_robot("3rrr"), {"elbow_1": {"upper": 2.5}}, speed=0.5)
     """
+    require_type(robot, Robot, "A robot", "Pass load_robot(...).")
+    each = {"lower": lower, "upper": upper, "speed": speed, "acceleration": acceleration, "force": force}
     wanted: dict[str, dict[str, Any]] = {name: {} for name in robot.carriers}
     for key, numbers in each.items():
         if numbers is None:
@@ -174,7 +193,7 @@ def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mappi
             )
         for name, value in zip(robot.carriers, np.broadcast_to(given, (robot.k,)), strict=True):
             wanted[name][key] = value
-    for name, entries in _items(limits, "limits"):
+    for name, entries in _items(limits or {}, "limits"):
         wanted.setdefault(name, {}).update(_items(entries, f"The limits of {name}"))
     model, tracks = robot.model.copy(), dict(zip(robot.carriers, robot.carrier_limits, strict=True))
     for name, entries in wanted.items():

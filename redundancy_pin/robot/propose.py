@@ -6,14 +6,17 @@ Loops and motors that a file states are taken as they stand. Where it states non
 |---|---|
 | ends ``closing_NAME_1`` and ``closing_NAME_2`` | always |
 | ends such as ``rod_loop`` and ``rocker_loop`` | nearly at one point when all joints are at zero |
-| marks at one point when all joints are at zero | two of them; every other mark is paired, or a frame by its name |
-| other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool |
-| motors by name: ``motor1``, or all joints but ``passive1`` | independent, and as many as the degrees of freedom |
+| marks at one point when all joints are at zero | two named alike or as ends; every other mark is paired, or a frame |
+| other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool. They are frames where |
+| | every joint is driven, or where neither names nor places suggest a pair |
+| motors by name: ``motor1``, on the ground or a slide | independent, and as many as the degrees of freedom |
+| motors by name: all joints but ``passive1`` | likewise |
 | motors by place: joints on the ground, slides | never |
 
 A mark is a link that is fixed to another one and carries none that moves; it weighs nothing, meets another one when all
-joints are at zero, or is named as an end. What is not certain is a question, with the flag of ``redundancy-pin new``
-that answers it.
+joints are at zero, or is named as an end. Loops of marks that meet are not certain where they leave fewer degrees of
+freedom than there are motors: arms have marks to park at. What is not certain is a question, with the flag of
+``redundancy-pin new`` that answers it.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.robot.build import characteristic_length
 from redundancy_pin.robot.formats.mechanism import Mechanism
@@ -39,7 +43,7 @@ from redundancy_pin.robot.lookup import (
     link_names,
 )
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
-from redundancy_pin.robot.types import Robot
+from redundancy_pin.robot.types import Robot, slides
 
 _COINCIDE = 1e-4
 """Distance of two marks, in characteristic lengths, up to which they are one point: files are rounded."""
@@ -59,14 +63,22 @@ _NO_MASS = 1e-6
 _FRAMES = frozenset(
     (
         *("base", "world", "tool", "tcp", "ee", "eef", "effector", "flange", "imu", "camera", "optical", "laser"),
-        *("lidar", "sensor", "com", "finger", "fingers", "fingertip", "gripper", "jaw", "hand", "foot", "toe", "sole"),
+        *("lidar", "sensor", "com", "finger", "fingers", "fingertip", "gripper", "jaw", "hand", "palm", "pad", "foot"),
+        *("toe", "heel", "sole", "contact", "dock", "nest", "goal", "target"),
     )
 )
 """Words in names of marks that have another use, even where two of them meet, as fingers do."""
 
-_MOTORS = frozenset(("motor", "actuator", "actuated", "servo", "drive", "driven", "active"))
+_MOTORS = frozenset(("motor", "actuator", "actuated", "servo", "drive", "active"))
+"""Words in names of joints that are driven. The driven link of a four-bar is the one that follows."""
+
+_SIDES = frozenset(
+    ("joint", "left", "right", "front", "rear", "back", "upper", "lower", "top", "bottom", "inner", "outer")
+)
+"""Words that may follow those, beside numbers and letters: ``motor_side_elbow`` is an elbow."""
+
 _PASSIVE = frozenset(("passive", "unactuated", "free", "idle"))
-"""Words in names of joints."""
+"""Words in names of joints that nothing drives."""
 
 _KINDS = ("ball", "hinge", "cylinder", "slider", "planar", "weld")
 """Kinds of joints that the frames of two links determine."""
@@ -76,6 +88,8 @@ _FEWEST_ROWS = 2
 
 BY_NAME = "by their names"
 _BY_FLAG = "by --close"
+_MEETING_ENDS = "named as ends that meet when all joints are at zero"
+_MEETING = "at one point when all joints are at zero"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +115,15 @@ class Proposal:
         """The loop joints that the file states."""
         return tuple(joint for joint in self.mechanism.loop_joints if joint.name not in self.found)
 
+    @property
+    def doubtful(self) -> list[LoopJoint]:
+        """The loop joints whose ends were found by their places."""
+        return [loop for loop in self.mechanism.loop_joints if self.found.get(loop.name) in (_MEETING, _MEETING_ENDS)]
+
+    def refused(self, why: str) -> Proposal:
+        """Return the proposal with the question that is left where no robot can be made of it, and why not."""
+        return self.asking(*(_is_cut(loop.links, "They only meet at zero") for loop in self.doubtful), why)
+
     def asking(self, *questions: str) -> Proposal:
         """Return the proposal with more questions."""
         return replace(self, questions=(*self.questions, *questions))
@@ -119,14 +142,17 @@ class Proposal:
         for loop in self.mechanism.loop_joints:
             ends, flag, held = ",".join(loop.links), _close(loop.links), rows.get(loop.name, 0)
             if self.found.get(loop.name, _BY_FLAG) != _BY_FLAG and held < _FEWEST_ROWS:
-                asked.append(f"Is a loop cut at {ends}? Closing it holds {held} direction(s) only: {flag} or --open.")
+                asked.append(_is_cut(loop.links, f"Closing it holds {held} direction(s) only"))
+            elif self.motors and len(motors) > robot.n and loop in self.doubtful:
+                asked.append(_is_cut(loop.links, f"Closing it leaves {robot.n} DOF to {len(motors)} motors"))
             elif loop.name in self.mechanism.presumed and (loop.name in turning or (how and len(motors) < robot.n)):
-                why = (
-                    "Its links turn about several axes, so a hinge about z of these frames is not the same as a ball"
-                    if loop.name in turning
-                    else f"With a ball or hinge the mechanism has {robot.n} DOF and {len(motors)} motor(s)"
-                )
-                ways = " or ".join(f"{flag},{kind}" for kind in ("ball", "hinge", "weld"))
+                kinds, why = ["ball", "weld"], f"With a ball the mechanism has {robot.n} DOF and {len(motors)} motor(s)"
+                if loop.name in turning:
+                    kinds.insert(1, "hinge")
+                    why = "Its links turn about several axes, so a hinge about z of these frames is not a ball"
+                ways = " or ".join(f"{flag},{kind}" for kind in kinds)
+                if loop.name not in turning and (marks := [mark for mark in self.frames if not _is_frame(mark)]):
+                    ways += f", or --close A,B of another loop, of {', '.join(marks)}"
                 asked.append(f"Which joint closes the loop at {ends}? {why}: {ways}.")
         if not how:
             asked.append(which_motors(self.mechanism, robot.n))
@@ -168,13 +194,15 @@ def propose(
     own = {frozenset(joint.links) for joint in given}
     loops = [joint for joint in mechanism.loop_joints if frozenset(joint.links) not in own]
     found = {joint.name: BY_NAME for joint in loops if joint.name in mechanism.presumed}
-    is_certain = bool(loops)
+    is_stated = bool(loops)
     presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
     loops += given
     found |= {joint.name: _BY_FLAG for joint in given}
     questions = list[str]()
+    mechanism, motors = _with_motors(mechanism, actuate)
     if not is_open:
-        pairs, questions = _cut_ends(mechanism, loops, is_certain=is_certain)
+        is_driven = bool(motors) and len(mechanism.actuated) >= mechanism.model.nv - len(mechanism.couplings)
+        pairs, questions = _cut_ends(mechanism, loops, is_stated=is_stated, is_driven=is_driven)
         for pair, how in pairs.items():
             joint = _between(pair, "ball")
             loops.append(joint)
@@ -182,7 +210,6 @@ def propose(
             found[joint.name] = how
     ends = {link for joint in loops for link in joint.links}
     complete = replace(mechanism, loop_joints=tuple(loops), presumed=tuple(presumed))
-    complete, motors = _with_motors(complete, actuate)
     frames = () if questions else tuple(mark for mark in mechanism.marks if mark not in ends)
     return Proposal(complete, found, motors, frames, tuple(questions))
 
@@ -207,6 +234,11 @@ def _close(pair: Iterable[str]) -> str:
     return f"--close {','.join(pair)}"
 
 
+def _is_cut(pair: Iterable[str], why: str) -> str:
+    """Return the question whether a loop is cut at a pair of links."""
+    return f"Is a loop cut at {','.join(pair)}? {why}: {_close(pair)} or --open."
+
+
 # --- ends of loops ----------------------------------------------------------------------------------------------------
 
 
@@ -228,20 +260,26 @@ def _difference(one: str, other: str) -> tuple[int, int, frozenset[str]] | None:
 
 
 class _Tree:
-    """Where links are when all joints are at zero."""
+    """Where links are when all joints are at zero, and elsewhere."""
 
     def __init__(self, model: pin.Model) -> None:
         self.model, data = model, model.createData()
-        pin.framesForwardKinematics(model, data, pin.neutral(model))
         indices = {name: find_link_index(model, name) for name in link_names(model)}
-        self.places = {name: data.oMf[index].translation.copy() for name, index in indices.items()}
+        self.places = dict[str, Array]()
+        for q in (pin.neutral(model), pin.integrate(model, pin.neutral(model), np.linspace(0.2, 0.7, model.nv))):
+            pin.framesForwardKinematics(model, data, q)
+            for name, index in indices.items():
+                self.places[name] = np.array([*self.places.get(name, ()), data.oMf[index].translation])
         self.bodies = {name: int(model.frames[index].parentJoint) for name, index in indices.items()}
         self.size = characteristic_length(model, pin.neutral(model), ())
 
     def meet(self, one: str, other: str, tolerance: float = _COINCIDE) -> bool:
-        """Return whether links of two bodies are at one point."""
-        distance = float(np.linalg.norm(self.places[one] - self.places[other]))
-        return self.bodies[one] != self.bodies[other] and distance <= tolerance * self.size
+        """Return whether links of two bodies are at one point when all joints are at zero, and not wherever these are.
+
+        On the axis of a joint between them they always are.
+        """
+        at_zero, elsewhere = np.linalg.norm(self.places[one] - self.places[other], axis=1) <= tolerance * self.size
+        return self.bodies[one] != self.bodies[other] and bool(at_zero) and not elsewhere
 
     def join(self, joints: Iterable[LoopJoint]) -> set[frozenset[int]]:
         """Return the pairs of bodies that joints join."""
@@ -249,11 +287,11 @@ class _Tree:
 
 
 def _cut_ends(
-    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_certain: bool
+    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_stated: bool, is_driven: bool
 ) -> tuple[dict[tuple[str, str], str], list[str]]:
     """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked.
 
-    ``is_certain``: the file has loops, so that marks that are not named as ends are none.
+    ``is_stated``: the file has loops, so that marks that are not named as ends are none.
     """
     tree = _Tree(mechanism.model)
     all_marks, joined = _marks(mechanism, tree), tree.join(loops)
@@ -262,9 +300,8 @@ def _cut_ends(
     cuts = [mark for mark in marks if _CUTS.intersection(_words(mark))]
     near = [pair for pair in _apart(cuts, tree) if tree.meet(*pair, _NEARLY)]
     named = near if len(cuts) == 2 else _only_ones(near)
-    pairs, questions = dict.fromkeys(named, BY_NAME), _idle_ends(tree, joined)
+    pairs, questions = dict.fromkeys(named, _MEETING_ENDS), _idle_ends(mechanism, tree, joined)
     used |= {mark for pair in named for mark in pair}
-    is_certain |= bool(pairs)
     at_zero = list[tuple[str, str]]()
     for mark in marks:
         meeting = [other for other in all_marks if tree.meet(mark, other)]
@@ -280,26 +317,30 @@ def _cut_ends(
             ]
             pair = min(product(here, meeting), key=lambda each: (not _difference(*each), *map(_is_frame, each)))
             used |= {*here, *meeting}
-            if is_certain or any(map(_is_frame, pair)):
-                questions.append(
-                    f"Is a loop cut at {','.join(pair)}? They only meet at zero: {_close(pair)} or --open."
-                )
+            is_named = bool(_difference(*pair)) or any(_has(mark, _CUTS | _ENDS) for mark in pair)
+            if is_stated or named or not is_named or any(map(_is_frame, pair)):
+                questions.append(_is_cut(pair, "They only meet at zero"))
             else:
                 at_zero.append(pair)
     likewise = {difference for pair in at_zero if (difference := _difference(*pair))}
     for pair in _only_ones(_apart([mark for mark in marks if mark not in used], tree), likewise):
         used |= {*pair}
         if tree.meet(*pair, _NEARLY):
-            pairs[pair] = "named as ends that meet when all joints are at zero"
+            pairs[pair] = _MEETING_ENDS
         else:
-            questions.append(f"Is a loop cut at {','.join(pair)}? Others named so meet: {_close(pair)} or --open.")
+            questions.append(_is_cut(pair, "Others named so meet"))
     asked = [mark for mark in marks if mark not in used and not _is_frame(mark)]
-    if is_certain or likewise:  # the file says which marks are ends: the others are none
+    if is_stated:  # the file says which marks are ends: the others are none
         asked = [mark for mark in asked if _CUTS.intersection(_words(mark))]
-    if asked:
-        questions.append(_which_meet(asked, at_zero, tree))
+    elif pairs or likewise:  # names say which marks are ends
+        alike = {mark for pair in _apart(asked, tree) if _difference(*pair) for mark in pair}
+        asked = [mark for mark in asked if mark in alike or (_CUTS | _ENDS).intersection(_words(mark))]
+    question, suggests = _which_meet(asked, at_zero, tree)
+    words = _CUTS if is_driven else _CUTS | _ENDS  # where every joint is driven, other marks are frames
+    if asked and (at_zero or (suggests and not is_driven) or any(_has(mark, words) for mark in asked)):
+        questions.append(question)
         at_zero = []
-    pairs |= dict.fromkeys(at_zero, "at one point when all joints are at zero")
+    pairs |= dict.fromkeys(at_zero, _MEETING)
     return pairs, sorted(set(questions))
 
 
@@ -315,13 +356,14 @@ def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
     ]
 
 
-def _idle_ends(tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
+def _idle_ends(mechanism: Mechanism, tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
     """Return questions on links that move, weigh nothing and carry nothing, where they meet another body at zero.
 
-    Such a link may be the far half of a joint of the loop: what is cut there is a weld.
+    Such a link may be the far half of a joint of the loop: what is cut there is a weld. Coupled rotors are not.
     """
     model, total = tree.model, pin.computeTotalMass(tree.model)
-    carriers = set(model.parents)
+    coupled = {find_joint_index(model, name) for each in mechanism.couplings for name in each.joints}
+    carriers = {*model.parents, *coupled}
     idle = {
         link: body
         for link, body in tree.bodies.items()
@@ -338,6 +380,11 @@ def _idle_ends(tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
         for pair in pairs
         if not any(tree.bodies[pair[0]] in each for each in joined)
     ]
+
+
+def _has(mark: str, ends: Iterable[str]) -> bool:
+    """Return whether a word of a name ends in one of some words."""
+    return any(word.endswith(tuple(ends)) for word in _words(mark))
 
 
 def _is_frame(mark: str) -> bool:
@@ -357,8 +404,8 @@ def _only_ones(pairs: Iterable[tuple[str, str]], differences: Collection[Any] | 
     return [pair for pair in alike if sum(bool({*pair} & {*other}) for other in alike) == 1]
 
 
-def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: _Tree) -> str:
-    """Return the question which of some marks are ends of loops, with what suggests itself."""
+def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: _Tree) -> tuple[str, bool]:
+    """Return the question which of some marks are ends of loops, with what suggests itself; whether anything does."""
     likely = dict.fromkeys(at_zero, "they meet at zero")
     apart = _apart(marks, tree)
     if len(marks) == 2:
@@ -371,7 +418,8 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
     suggested = "; ".join(f"{_close(pair)} ({why})" for pair, why in likely.items()) or "--close A,B"
     return (
         f"Where are loops cut? The file does not say which of the links {', '.join(marks)} close loops: {suggested}, "
-        "or --open if none does."
+        "or --open if none does.",
+        bool(likely),
     )
 
 
@@ -393,13 +441,21 @@ def _with_motors(mechanism: Mechanism, actuate: Sequence[str]) -> tuple[Mechanis
         return mechanism, "marked as independent by the file"
     joints = _could_be_driven(mechanism)
     passive = {name for name in joints if _PASSIVE.intersection(_words(name))}
-    named = [name for name in joints if _MOTORS.intersection(_words(name)) and name not in passive]
-    if not named and passive:
-        named = [name for name in joints if name not in passive]
-    if not named:
+    named = [name for name in joints if _is_motor(name) and name not in passive]
+    others = [name for name in joints if name not in passive]
+    if passive and not named:
+        named = others
+    places = _usual_places(mechanism.model, joints)
+    if not named or not (named == others or set(named) <= {name for group in places.values() for name in group}):
         return replace(mechanism, actuated=joints, drives_declared=False), ""
     notes = (*mechanism.notes, f"The file does not say what is driven: taken are {', '.join(named)}, {BY_NAME}.")
     return replace(mechanism, actuated=tuple(named), drives_declared=True, notes=notes), BY_NAME
+
+
+def _is_motor(joint: str) -> bool:
+    """Return whether a name says that a joint is driven: hip_motor_1 does, motor_side_elbow does not."""
+    words = [word for word in _words(joint) if len(word) > 1 and not word.isdigit() and word not in _SIDES]
+    return bool(words) and words[-1] in _MOTORS
 
 
 def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
@@ -409,15 +465,20 @@ def _could_be_driven(mechanism: Mechanism) -> tuple[str, ...]:
     return tuple(name for name in joint_names(model) if find_joint(model, name).nv == 1 and name not in follow)
 
 
+def _usual_places(model: pin.Model, joints: Sequence[str]) -> dict[str, list[str]]:
+    """Return the joints that motors are usually at, by what they are."""
+    indices = {name: find_joint_index(model, name) for name in joints}
+    return {
+        "on the ground": [name for name in joints if model.parents[indices[name]] == 0],
+        "slides": [name for name in joints if slides(model.joints[indices[name]])],
+    }
+
+
 def which_motors(mechanism: Mechanism, count: int | None = None) -> str:
     """Return the question which joints are driven, with what suggests itself for a number of degrees of freedom."""
-    model, joints = mechanism.model, _could_be_driven(mechanism)
-    indices = {name: find_joint_index(model, name) for name in joints}
-    likely = {
-        "by name": [name for name in joints if _MOTORS.intersection(_words(name))],
-        "on the ground": [name for name in joints if model.parents[indices[name]] == 0],
-        "slides": [name for name in joints if "JointModelP" in model.joints[indices[name]].shortname()],
-    }
+    joints = _could_be_driven(mechanism)
+    by_name = [name for name in joints if _is_motor(name)]
+    likely = {"by name": by_name, **_usual_places(mechanism.model, joints)}
     ways = [f"--actuate {','.join(names)} ({why})" for why, names in likely.items() if len(names) == count]
     degrees = "" if count is None else f" The mechanism has {count} DOF."
     return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B,...'}."

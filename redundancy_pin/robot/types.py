@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen, read_only
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
@@ -219,113 +215,6 @@ class Robot(Frozen):
     all_closures: tuple[Closure, ...] = ()
     dependent_residual: float = 0.0
 
-    @classmethod
-    def from_model(
-        cls,
-        model: pin.Model,
-        *,
-        actuated: Sequence[str],
-        closures: Sequence[Any] = (),
-        carriers: Sequence[Any] = (),
-        independent: Any = None,
-        reference: Any = None,
-        name: str = "",
-        couplings: Sequence[Any] = (),
-        **more: Any,
-    ) -> Robot:
-        """Return a closed-chain robot made of a Pinocchio tree, with the checks that a file goes through.
-
-        Args:
-            model: the tree; it is copied. Its gravity counts. Frames of any type may be named, and what a joint carries
-                by the joint's name where it has no link, "universe" for the ground.
-            actuated: names of the main actuators.
-            closures: the loops, each a ``Closure``, a mapping ``{"frames": [a, b], "axes": ["x", "y"]}``, a tuple
-                ``(a, b, axes)``, or a constraint model of Pinocchio; of the latter, rows that are redundant all along
-                the motion are left out, and ``notes`` says which.
-            carriers: names of carrier joints, or mappings as in a ``robot.yaml`` (``{"joint": ..., "speed": ...}``).
-            independent: names of joints, a ``Platform``, a mapping ``{"platform": frame, "axes": [...]}``; left out:
-                joints are chosen, actuated ones first.
-            reference: (nq,) a configuration near which the closed one is, a mapping ``{"platform": [...], "guess":
-                {...}}`` or ``{"joints": {...}, "guess": {...}}`` as in a ``robot.yaml``; left out: near the neutral
-                configuration of Pinocchio.
-            name: what to call it; the model's own name when left out.
-            couplings: joints that follow others, each a ``Coupling``, a mapping ``{"joint": ..., "of": ...,
-                "polynomial": [...]}``, or a tuple of the three.
-            **more: ``working_modes``, ``characteristic_length``, ``redundant_rows`` as in a ``robot.yaml``, the latter
-                for closures of any kind; ``working_mode``, ±1 a leg;
-                ``urdf``, text of the URDF that its shapes are drawn from, and ``urdf_folder`` of its mesh files.
-
-        Raises:
-            InputError: no Pinocchio model, or arguments of the wrong form.
-            DeclarationError: names that are not in the model, joints in two roles, over- or under-constrained chains, a
-                reference that does not close.
-            UnsupportedRobotError: a joint of a type that closed chains do not cover.
-        """
-        arguments = {"actuated": actuated, "closures": closures, "carriers": carriers, "couplings": couplings}
-        arguments |= {"independent": independent, "reference": reference, "name": name}
-        # a closed reference needs kinematics, which is above this room: looked up when it is called
-        made: Robot = importlib.import_module("redundancy_pin.loading").robot_from_model(model, arguments, **more)
-        return made
-
-    def with_parameters(
-        self,
-        *,
-        masses: Mapping[str, float] | None = None,
-        lengths: Mapping[str, Any] | None = None,
-        **arguments: object,
-    ) -> Robot:
-        """Return the robot with other masses, lengths or xacro arguments, closed and checked as when it was loaded.
-
-        Gravity, working mode and loads stay; limits too, unless xacro arguments are given. A robot whose masses or
-        lengths are changed has no closed form any more (``VirtualWork`` refuses it): that is written in the arguments.
-
-        Args:
-            masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays. (Derivatives
-                by ``"JOINT.mass"`` hold the inertia about the centre: ``dynamics.compiled.design_of``.)
-            lengths: by joint, its distance from the joint before it, m; or (3,) its place in the frame of its parent
-                link, m. This moves joints and frames only: masses, centres and moments of inertia of the links stay as
-                they were, which ``notes`` and the log say. Xacro arguments of a file change both.
-            **arguments: xacro arguments, as of ``load_robot``; the others stay.
-
-        Raises:
-            InputError: unknown names, values out of their domain, a robot that was not loaded from a URDF, or lengths
-                that part a frame of a closure or the platform from a joint or frame at the same place.
-            DeclarationError: the chains do not close at the declared reference any more.
-        """
-        new: Robot = importlib.import_module("redundancy_pin.loading").robot_with(
-            self, {} if masses is None else masses, {} if lengths is None else lengths, arguments
-        )
-        return new
-
-    def with_limits(
-        self,
-        limits: Mapping[str, Mapping[str, float]] | None = None,
-        *,
-        lower: ArrayLike | None = None,
-        upper: ArrayLike | None = None,
-        speed: ArrayLike | None = None,
-        acceleration: ArrayLike | None = None,
-        force: ArrayLike | None = None,
-    ) -> Robot:
-        """Return the robot with other limits of its carriers and joints; what is left out stays.
-
-        Args:
-            limits: by joint, such as ``{"carrier_1": {"upper": 0.3}, "elbow_1": {"lower": -2.5, "effort": 20.0}}``: of
-                a carrier "lower", "upper", "speed", "acceleration", "force"; of another joint "lower", "upper",
-                "speed", "effort".
-            lower: scalar or (k,) where the tracks of all carriers begin, m.
-            upper: scalar or (k,) where they end, m.
-            speed: scalar or (k,) their largest |ṡ|, m/s; infinite for no limit.
-            acceleration: scalar or (k,) their largest |s̈|, m/s².
-            force: scalar or (k,) their largest force, N.
-
-        Raises:
-            InputError: unknown names, tracks that end before they begin, or limits that are not positive.
-        """
-        each = {"lower": lower, "upper": upper, "speed": speed, "acceleration": acceleration, "force": force}
-        new: Robot = importlib.import_module("redundancy_pin.robot.changes").limited(self, limits or {}, each)
-        return new
-
     def __repr__(self) -> str:
         """Return what tells robots apart, not their whole URDF."""
         mode = "".join("+" if sign > 0 else "-" for sign in self.working_mode)
@@ -344,29 +233,6 @@ class Robot(Frozen):
         payloads = of_kind(added, Payload)
         model = carrying(self.model, payloads) if payloads else self.model
         return replace(self, model=model, loads=self.loads + added)
-
-    def to_mjcf(self, path: str | Path, *, step: float = 1e-3, reflected: bool = False) -> Path:
-        """Write the robot as MJCF that MuJoCo runs: loops, couplings, motors, damping, and its reference as a keyframe.
-
-        Joints and motors have the names of the robot's, main actuators first: ``data.ctrl`` are efforts, their limits
-        ranges that cut nothing off. MuJoCo's constraints are soft; they are as stiff as it takes at that step.
-
-        Args:
-            path: the file.
-            step: of the integration, s.
-            reflected: write the inertia of every rotor as armature, gear² · inertia. MJCF has no other, which is
-                all there is to it where what carries the rotor cannot turn about its axis; others are refused without.
-
-        Returns:
-            The path that was written.
-
-        Raises:
-            UnsupportedRobotError: a joint, closure or load that MJCF does not say; a joint that moves no mass.
-            OutputError: the file cannot be written.
-        """
-        writers = importlib.import_module("redundancy_pin.writers")
-        written: Path = writers.write_mjcf(self, path, step, reflected=reflected)
-        return written
 
     @property
     def n(self) -> int:

@@ -69,8 +69,8 @@ def _without_arguments(path: Path, name: str) -> str:
             f'xmlns:xacro="{_XACRO}" to its <robot>, {declared}'
         )
     return (
-        "In Python masses and lengths change without arguments: robot.with_parameters(masses={...}, lengths={...}). "
-        f"For an argument, {declared}."
+        "In Python masses and lengths change without arguments: "
+        f"rp.with_parameters(robot, masses={{...}}, lengths={{...}}). For an argument, {declared}."
     )
 
 

@@ -16,10 +16,11 @@ from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import force_terms, position_unit, velocity_unit
 from redundancy_pin.simulation.controllers.base import (
     Amplifiers,

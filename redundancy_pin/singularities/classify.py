@@ -41,7 +41,8 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import inverses
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system, with_all_rows
 from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.loading import RobotLike, as_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, column_scale, row_scale, velocity_scale
 from redundancy_pin.spectrum import oriented, spectrum_of
 

@@ -26,8 +26,9 @@ from redundancy_pin.kinematics.branch import BranchEnd, ClosedState, follower
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import coordinate_unit, row_scale
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
 from redundancy_pin.singularities.roots import ZOOM, Zero, zeros

@@ -25,8 +25,8 @@ from redundancy_pin.kinematics.coordinates import coordinates, difference, moved
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.kinematics.multistart import draw_starts
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.joint_ranges import out_of_range
-from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit, is_revolute
 from redundancy_pin.singularities.classify import Margins, margins_of
 

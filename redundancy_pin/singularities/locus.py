@@ -28,7 +28,8 @@ from redundancy_pin.kinematics.assembly import SETTLED_STEP, configuration_diffe
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.loading import RobotLike, as_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import (
     column_scale,
     coordinate_unit,

@@ -29,7 +29,8 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, each, read_only
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.kinematics.assembly import inverses, project
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.loading import RobotLike, as_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.scales import column_scale, row_scale
 from redundancy_pin.singularities.classify import closed_state

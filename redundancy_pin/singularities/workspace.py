@@ -33,7 +33,8 @@ from redundancy_pin.errors import (
     shown,
 )
 from redundancy_pin.kinematics.coordinates import all_working_modes
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.loading import RobotLike, as_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.grid import (
     Slice,
     axes_between,

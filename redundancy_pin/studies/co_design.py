@@ -36,6 +36,7 @@ from redundancy_pin.errors import (
     did_you_mean,
     shown,
 )
+from redundancy_pin.loading import with_parameters
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.plan import Plan
@@ -281,7 +282,7 @@ class _Machine:
 
 
 def _with(robot: Robot, parameters: Mapping[str, Any]) -> Robot:
-    return robot.with_parameters(**parameters)
+    return with_parameters(robot, **parameters)
 
 
 def _slopes(

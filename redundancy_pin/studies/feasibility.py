@@ -21,7 +21,7 @@ from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.io.files import write_text
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.named import require_matching
+from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.studies.case import STEPWISE, SWITCH_OFF, WHOLE
 from redundancy_pin.studies.map_problem import LIMITS, OTHER, PRESETS, Axis, MapProblem, Preset, parse_axis, spaced

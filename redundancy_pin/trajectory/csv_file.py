@@ -36,8 +36,9 @@ from redundancy_pin.arrays import LARGEST, Array, decimal
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.csv_cells import escape_formula, escape_value, unescape_formula
 from redundancy_pin.io.reading import opened
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
-from redundancy_pin.robot import AXES, Robot, RobotLike, as_robot
+from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.scales import is_revolute
 from redundancy_pin.trajectory.quaternions import poses_of, quaternions_of
 

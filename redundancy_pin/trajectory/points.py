@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, checked, positive
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.reading import LARGEST_TEXT, read_json, read_text
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.robot import RobotLike, as_robot
 from redundancy_pin.trajectory.csv_file import (
     MotionTable,
     checked_poses,

@@ -7,7 +7,7 @@ import numpy as np
 from redundancy_pin.kinematics.coordinates import difference, pose_rows
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.named import require_matching
+from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 
 

@@ -494,7 +494,7 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: p
 
 
 def test_joints_beyond_their_ranges_have_efforts(tmp_path: Path) -> None:
-    robot, t = machine("four_bar").with_limits({"crank": {"upper": 1.1}}), np.linspace(0.0, 1.0, 20)[:, None]
+    robot, t = rp.with_limits(machine("four_bar"), {"crank": {"upper": 1.1}}), np.linspace(0.0, 1.0, 20)[:, None]
     motion = rp.PlatformMotion(t[:, 0], 1.0 + 0.2 * np.sin(6.0 * t), 1.2 * np.cos(6.0 * t), -7.2 * np.sin(6.0 * t))
     assert 0 < rp.RneaDynamics(robot).reduce(motion).out_of_range.sum() < len(t)
     codegen.write_c(robot, tmp_path / "code", prefix="bar", motion=motion)

@@ -317,7 +317,7 @@ def beyond(motion: rp.PlatformMotion) -> Array:
 
 @pytest.fixture(scope="module")
 def robot() -> rp.Robot:
-    return zoo.robot_of("2rpr").with_limits({"swivel_1": RANGE})
+    return rp.with_limits(zoo.robot_of("2rpr"), {"swivel_1": RANGE})
 
 
 @pytest.mark.parametrize("backend", ["RneaDynamics", "VirtualWork", "CompiledDynamics"])

@@ -26,7 +26,6 @@ from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, waypoints
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.machine_code import CACHE
-from redundancy_pin.robot import Robot
 
 EQUAL = 1e-11
 """Relative to the largest value of the motion: what the issue of this backend asks for. Rounding is 1e-14."""
@@ -81,10 +80,10 @@ def test_a_carrier_that_turns_moves_as_with_rnea() -> None:
     place = pin.SE3(np.eye(3), np.array([0.1, 0.05, 0.0]))
     rotor = model.addJoint(2, pin.JointModelRZ(), place, "rotor")
     model.appendBodyToJoint(rotor, pin.Inertia(0.4, np.array([0.03, 0.01, 0.0]), 0.002 * np.eye(3)), pin.SE3.Identity())
-    robot = Robot.from_model(
+    robot = rp.with_limits(rp.robot_from_model(
         model, closures=base.closures, actuated=base.actuated, carriers=["rotor"], independent=base.independent_joints,
         reference=np.append(base.q_reference, 0.0),
-    ).with_limits(lower=-3.0, upper=3.0)  # fmt: skip
+    ), lower=-3.0, upper=3.0)  # fmt: skip
     t = np.linspace(0.0, 1.0, 20)
     assert_same_dynamics(rp.CompiledDynamics(robot), zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1))
 

@@ -27,7 +27,7 @@ Gripping = tuple[RneaAlongMotion, ReducedDynamics, ClosureForces, EffortRows]
 def gripping() -> Gripping:
     """A five-bar with all four hinges driven: two arms that hold a point between them, and squeeze it."""
     five_bar = zoo.robot_of("five_bar")
-    robot = rp.Robot.from_model(
+    robot = rp.robot_from_model(
         five_bar.model,
         closures=[{"name": "grip", "frames": ["tip_2", "end_effector"], "axes": ["x", "y"]}],
         actuated=["base_1", "elbow_1", "base_2", "elbow_2"],

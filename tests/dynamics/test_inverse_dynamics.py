@@ -148,7 +148,7 @@ def test_the_command_says_the_instants_and_has_an_exit_code(tmp_path: Path) -> N
 @pytest.fixture(scope="module")
 def limited() -> rp.Robot:
     """The four-bar with a rocker, which is passive, that may turn from 1.5 to 2.0 rad."""
-    return zoo.robot_of("four_bar").with_limits({"rocker": {"lower": 1.5, "upper": 2.0}})
+    return rp.with_limits(zoo.robot_of("four_bar"), {"rocker": {"lower": 1.5, "upper": 2.0}})
 
 
 def crank(start: float, end: float, samples: int = 201) -> PlatformMotion:
@@ -247,7 +247,7 @@ def test_what_is_no_backend_is_refused() -> None:
 @pytest.mark.parametrize(("start", "turns", "leaves"), [(2.0 * np.pi + 0.1, 0.9, False), (0.1, 1.4, True)])
 def test_whole_turns_of_a_limited_crank_are_counted_once_per_motion(start: float, turns: float, leaves: bool) -> None:
     crank = zoo.robot_of("four_bar").independent_joints[0]
-    robot = zoo.robot_of("four_bar").with_limits({crank: {"lower": 0.0, "upper": 6.2}})
+    robot = rp.with_limits(zoo.robot_of("four_bar"), {crank: {"lower": 0.0, "upper": 6.2}})
     angle = start + turns * 2.0 * np.pi * np.linspace(0.0, 1.0, 201)[:, None]
     rate = np.full_like(angle, turns * 2.0 * np.pi)
     turning = PlatformMotion(np.linspace(0.0, 1.0, 201), angle, rate, 0.0 * rate)

@@ -238,7 +238,7 @@ def test_failures_are_statuses_and_the_next_sample_is_as_before(backend: Backend
 def test_ranges_of_passive_joints_may_be_counted_from_another_turn(backend: Backend) -> None:
     """The first leg of the 2-RPR swings between 11 and 80 degrees, written a whole turn further."""
     turn = 2.0 * np.pi
-    dynamics = backend(zoo.robot_of("2rpr").with_limits({"swivel_1": {"lower": 0.2 + turn, "upper": 1.4 + turn}}))
+    dynamics = backend(rp.with_limits(zoo.robot_of("2rpr"), {"swivel_1": {"lower": 0.2 + turn, "upper": 1.4 + turn}}))
     for angle, status in (
         (0.1, SampleStatus.OUT_OF_RANGE),
         (0.3, SampleStatus.OK),

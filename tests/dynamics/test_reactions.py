@@ -124,7 +124,7 @@ def test_a_chain_without_loops_has_reactions_too():
         parent = model.addJoint(parent, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.3])), name)
         inertia = pin.Inertia(2.0, np.array([0.0, 0.0, -0.1]), 0.01 * np.eye(3))
         model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
-    robot = rp.Robot.from_model(model, actuated=["upper", "lower"])
+    robot = rp.robot_from_model(model, actuated=["upper", "lower"])
     still = np.zeros((2, 2))
     along = RneaDynamics(robot).along(rp.PlatformMotion([0.0, 1.0], still, still, still))
     reactions = joint_reactions(along, rp.distribute(along.reduce()).tau)

@@ -19,6 +19,7 @@ from written import J, urdf_of, write_robot
 
 from redundancy_pin import CarrierMotion, JointForces, PlatformMotion, Spring, Wrench, load_robot, trajectory
 from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.loading import robot_from_model
 from redundancy_pin.robot import Robot
 
 ROBOTS = sorted(MASSIVE)
@@ -78,7 +79,7 @@ def test_armature_about_a_skew_axis_is_in_the_energy() -> None:
         joint = model.addJoint(model.njoints - 1, kind, pin.SE3.Random(), f"joint_{model.njoints}")
         model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
     model.armature = np.array([2.0, 0.5])
-    robot = Robot.from_model(model, closures=[], actuated=["joint_1", "joint_2"])
+    robot = robot_from_model(model, closures=[], actuated=["joint_1", "joint_2"])
     q, v, still = np.array([0.3, -0.4]), np.array([1.5, -0.7]), np.zeros(2)
     data = model.createData()
     effort = pin.rnea(model, data, q, still, v) - pin.rnea(model, data, q, still, still)

@@ -106,7 +106,7 @@ def robot_of(name: str, *, rods: bool, driven: str = "", left_out: bool = False)
             ball = model.addJoint(a, pin.JointModelSpherical(), place, f"ball_{number}")
             model.addBodyFrame(f"a_{number}", ball, pin.SE3(np.eye(3), np.array([length, 0, 0])), 0)
             closures.append((f"a_{number}", f"b_{number}", ["x", "y", "z"]))
-    return Robot.from_model(
+    return rp.robot_from_model(
         model,
         actuated=[driven] if driven else DRIVEN[name],
         closures=closures,
@@ -263,7 +263,7 @@ def test_a_delta_on_rods_is_the_shipped_one_with_rods_of_mass_zero() -> None:
     passive = [model.getJointId(f"{name}_{leg}") for leg in (1, 2, 3) for name in ("swing", "sway")]
     tree = pin.buildReducedModel(model, passive, np.array(shipped.q_reference))
     kept = [model.joints[model.getJointId(name)].idx_q for name in list(tree.names)[1:]]
-    robot = Robot.from_model(
+    robot = rp.robot_from_model(
         tree,
         actuated=list(shipped.actuated),
         closures=[Closure(f"rod {i}", f"arm_{i}_end", f"corner_{i}", ("distance",), length) for i in (1, 2, 3)],

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin import CompiledDynamics, RneaDynamics, inverse_kinematics, joint_reactions, symbolic
 from redundancy_pin.dynamics.compiled.symbolic import SymbolicRobot
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
+from redundancy_pin.loading import robot_from_model
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
@@ -109,7 +110,7 @@ def test_a_weld_whose_axes_changed_places_is_told_from_a_true_one() -> None:
     for name, joint in (("hand", 1), ("end", 5)):
         model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
     weld = ("hand", "end", ["x", "y", "z", "rx", "ry", "rz"])
-    robot = Robot.from_model(model, closures=[weld], actuated=["turn"])
+    robot = robot_from_model(model, closures=[weld], actuated=["turn"])
     functions, rng = symbolic(robot), np.random.default_rng(0)
     assert (np.array(functions.alignment(np.array(robot.q_reference))) > 0.0).all()
     false = np.concatenate([np.zeros(4), [-0.5, -0.5, -0.5, 0.5]])

@@ -48,7 +48,7 @@ def near(found: object, expected: object, x: float, scale: float = 1.0) -> None:
 
 @cache
 def crank_rocker() -> Robot:
-    return rp.load_robot("four_bar").with_limits({"crank": {"lower": -1e7, "upper": 1e7}})
+    return rp.with_limits(rp.load_robot("four_bar"), {"crank": {"lower": -1e7, "upper": 1e7}})
 
 
 @cache

@@ -62,7 +62,7 @@ def test_a_chain_without_closures_is_followed(independent: dict[str, Any]) -> No
         zoo.add_body(model, parent, pin.JointModelRZ(), float(parent), 0.0, name)
     model.addBodyFrame("tip", 2, pin.SE3(np.eye(3), np.array([0.8, 0.0, 0.0])), 0)
     reference = {"guess": {"a": 0.3, "b": 0.5}, **({} if "joints" in independent else {"platform": [1.5, 0.9]})}
-    robot = Robot.from_model(model, actuated=["a", "b"], independent=independent, reference=reference)
+    robot = rp.robot_from_model(model, actuated=["a", "b"], independent=independent, reference=reference)
     own = follower(robot)
     x = own.home.x + np.array([0.02, -0.01])
     reached = own.advance(own.home, x)

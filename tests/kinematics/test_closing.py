@@ -23,6 +23,7 @@ from redundancy_pin.kinematics.coordinates import in_working_mode, working_modes
 from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.kinematics.multistart import draw_starts, mixed_legs, multistart, wrapped
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.changes import with_limits
 from redundancy_pin.robot.scales import position_unit
 
 TURN = 2.0 * np.pi
@@ -244,7 +245,7 @@ def test_legs_are_not_mixed_where_one_is_right_in_none() -> None:
 )
 def test_passive_angles_are_of_the_turn_that_is_allowed(limits, angle, guess, expected):
     """Exactly at limits the numbers are moved by their own rounding, so that these are of whole floats."""
-    robot = zoo.robot_of("five_bar").with_limits({"elbow_1": {"lower": limits[0], "upper": limits[1]}})
+    robot = with_limits(zoo.robot_of("five_bar"), {"elbow_1": {"lower": limits[0], "upper": limits[1]}})
     at = zoo.index(robot, "elbow_1")
     q = np.array(robot.q_reference)[None].copy()
     q[0, at] = angle

@@ -189,17 +189,17 @@ def test_a_gear_counts_turns(robot: Robot) -> None:
 def test_from_a_model_and_held_joints(robot: Robot) -> None:
     given = [("slide", "arm", CAM.coef), robot.couplings[1], {"joint": "elbow", "of": "arm", "polynomial": [0.1, -2.0]}]
     roles = {"actuated": ["arm", "rotor"], "independent": ["arm", "lid"]}
-    made = rp.Robot.from_model(robot.model, couplings=given, reference={"joints": {"arm": 0.3, "lid": 0.2}}, **roles)
+    made = rp.robot_from_model(robot.model, couplings=given, reference={"joints": {"arm": 0.3, "lid": 0.2}}, **roles)
     assert made.couplings == robot.couplings
     np.testing.assert_allclose(made.q_reference, robot.q_reference, atol=1e-12)
-    fixed = rp.Robot.from_model(robot.model, couplings=[*given, ("lid", "", [0.7])], actuated=["arm"])
+    fixed = rp.robot_from_model(robot.model, couplings=[*given, ("lid", "", [0.7])], actuated=["arm"])
     assert fixed.independent_joints == ("arm",)
     assert fixed.q_reference[3:] == pytest.approx([0.7, 0.5 + GEAR * 0.7 + FURTHER * fixed.q_reference[1]])
     with pytest.raises(InputError, match=r"couplings\[0\] is 'slide'"):
-        rp.Robot.from_model(robot.model, couplings=["slide"], **roles)
+        rp.robot_from_model(robot.model, couplings=["slide"], **roles)
     twice = [*given, ("slide", "arm", CAM.coef)]
     with pytest.raises(DeclarationError, match=r"the coupling 'slide of arm'"):
-        rp.Robot.from_model(robot.model, couplings=twice, **roles)
+        rp.robot_from_model(robot.model, couplings=twice, **roles)
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_a_coupled_continuous_joint_counts_its_turns(folder: Path, tmp_path: Pat
     assert robot.couplings == plain.couplings
     model = pin.buildModelFromXML(urdf)
     with pytest.raises(DeclarationError, match=r"'rotor' is continuous.*wide"):
-        rp.Robot.from_model(model, actuated=["arm"], couplings=[("rotor", "lid", [0.5, GEAR])])
+        rp.robot_from_model(model, actuated=["arm"], couplings=[("rotor", "lid", [0.5, GEAR])])
 
 
 def test_the_command_line_shows_and_proposes_them(folder: Path, tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ def test_joint_range_of_a_passive_joint(five_bar: rp.Robot) -> None:
     joint = five_bar.model.getJointId("elbow_2")
     elbow = free.q[:, five_bar.model.joints[joint].idx_q]
     limit = float(np.median(elbow))
-    limited = rp.forward_kinematics(five_bar.with_limits({"elbow_2": {"upper": limit}}), u)
+    limited = rp.forward_kinematics(rp.with_limits(five_bar, {"elbow_2": {"upper": limit}}), u)
     assert ((limited.status == SampleStatus.OUT_OF_RANGE) == (elbow > limit + 1e-9)).all()
     assert limited.known.all()
     assert (limited.x == free.x).all()
@@ -295,7 +295,7 @@ def test_angles_of_the_platform_count_the_turns_between_far_samples_and_from_cal
     for parent, (name, place) in enumerate((("base", 0.0), ("wrist", 0.4))):
         zoo.add_body(model, parent, pin.JointModelRZ(), place, 0.0, name)
     model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
-    robot = rp.Robot.from_model(
+    robot = rp.robot_from_model(
         model,
         actuated=["base", "wrist"],
         closures=[],
@@ -335,7 +335,7 @@ def geared(ratio: float) -> rp.Robot:
     for parent, name in enumerate(("motor", "geared")):
         zoo.add_body(model, parent, pin.JointModelRZ(), 0.0, 0.0, name)
     model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
-    return rp.Robot.from_model(
+    return rp.robot_from_model(
         model,
         actuated=["motor"],
         closures=[],
@@ -403,7 +403,7 @@ def test_modes_are_said_with_their_ranges_margins_and_hits(five_bar: rp.Robot) -
     elbow = next(str(name) for name in five_bar.model.names if str(name).startswith("elbow"))
     at = zoo.index(five_bar, elbow)
     low, high = sorted(modes.q[:, at])
-    narrow = five_bar.with_limits({elbow: {"lower": 0.5 * (low + high), "upper": high + 0.1}})
+    narrow = rp.with_limits(five_bar, {elbow: {"lower": 0.5 * (low + high), "upper": high + 0.1}})
     again = rp.assembly_modes(narrow, u)
     assert again.in_range.tolist() == (again.q[:, at] > 0.5 * (low + high)).tolist()
     assert sorted(again.in_range) == [False, True]

@@ -9,9 +9,10 @@ import pinocchio as pin
 import pytest
 import zoo
 
-from redundancy_pin import PlatformMotion, RneaDynamics, Robot, VirtualWork, plan_stepwise, plan_whole_trajectory
+from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, plan_stepwise, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.loading import robot_from_model
 from redundancy_pin.planners.base_wrench import base_wrench
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory import from_points, reference
@@ -181,7 +182,7 @@ def test_a_bound_counts_what_no_carrier_changes() -> None:
         model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
     model.gravity.linear = np.zeros(3)
     carrier = {"joint": "c", "position": [-1.0, 1.0], "speed": 5.0, "acceleration": 50.0}
-    gantry = RneaDynamics(Robot.from_model(model, actuated=["x", "y"], carriers=[carrier], independent=["x", "y"]))
+    gantry = RneaDynamics(robot_from_model(model, actuated=["x", "y"], carriers=[carrier], independent=["x", "y"]))
     assert gantry.robot.carrier_limits[0].force == np.inf  # Pinocchio's largest number is no limit
     line = from_points([[0.0, 0.0], [0.1, 0.2]], speed=0.5, ramp_time=0.2)
     made = plan_whole_trajectory(gantry, line, at_most={"base_force": 1e3}, end="free", dt=0.02)

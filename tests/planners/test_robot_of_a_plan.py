@@ -59,7 +59,7 @@ def outside(plan: Plan) -> str:
 def test_a_robot_made_in_python_is_passed() -> None:
     """The message named ``source=`` and a robot.yaml that there is not, and ``rp.show`` has no such argument."""
     plain = rp.load_robot("3rrr")
-    robot = rp.Robot.from_model(
+    robot = rp.robot_from_model(
         plain.model, closures=plain.closures, actuated=plain.actuated, carriers=plain.carriers,
         independent=plain.platform, reference=np.array(plain.q_reference),
     )  # fmt: skip

@@ -64,7 +64,7 @@ def coupled(ratio: float = 2.0, upper: float = 1.5) -> rp.Robot:
         model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
     model.lowerPositionLimit[:], model.upperPositionLimit[:] = [-1.0, -np.inf], [1.0, upper]
     couplings = [Coupling("gears", "geared", "motor", (0.0, ratio))]
-    return rp.Robot.from_model(model, name="coupled", actuated=["motor"], closures=[], couplings=couplings)
+    return rp.robot_from_model(model, name="coupled", actuated=["motor"], closures=[], couplings=couplings)
 
 
 def test_couplings_and_ranges_tell_robots_apart() -> None:

@@ -1,4 +1,4 @@
-"""``Robot.with_parameters`` and ``with_limits``: as if the files had said so, and checked as they are."""
+"""``with_parameters`` and ``with_limits``: as if the files had said so, and checked as they are."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_masses_of_links_are_those_of_the_argument(robot: Robot) -> None:
     """The xacro file makes a rod of the same form, whose moments grow as its mass."""
     other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, proximal_mass=1.7, distal_mass=0.3)
     masses = {"proximal_1": 1.7, "proximal_2": 1.7, "distal_1": 0.3, "distal_2": 0.3}
-    changed = robot.with_parameters(masses=masses)
+    changed = rp.with_parameters(robot, masses=masses)
     for name in ("f", "carrier_force"):
         np.testing.assert_allclose(getattr(reduced(changed), name), getattr(reduced(other), name), rtol=1e-9, atol=1e-9)
     assert np.abs(reduced(changed).f - reduced(robot).f).max() > 0.1
@@ -50,7 +50,7 @@ def test_masses_of_links_are_those_of_the_argument(robot: Robot) -> None:
 def test_lengths_move_the_joints(robot: Robot) -> None:
     """W is kinematics alone; the links keep their masses, which the argument does not."""
     other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, proximal_length=0.6)
-    changed = robot.with_parameters(lengths={"elbow_1": 0.6, "elbow_2": (0.6, 0.0, 0.0)})
+    changed = rp.with_parameters(robot, lengths={"elbow_1": 0.6, "elbow_2": (0.6, 0.0, 0.0)})
     np.testing.assert_allclose(reduced(changed).W, reduced(other).W, atol=1e-9)
     assert np.abs(reduced(changed).W - reduced(robot).W).max() > 0.01
     masses = [[body.mass for body in list(one.model.inertias)[1:]] for one in (changed, robot)]
@@ -61,13 +61,13 @@ def test_lengths_move_the_joints(robot: Robot) -> None:
     np.testing.assert_allclose(tips[0][:2], tips[1][:2], atol=1e-10)
     assert np.abs(changed.q_reference - robot.q_reference).max() > 0.05
     with pytest.raises(DeclarationError, match="does not close"):
-        robot.with_parameters(lengths={"elbow_1": 0.1})
+        rp.with_parameters(robot, lengths={"elbow_1": 0.1})
 
 
 def test_lengths_change_no_masses_and_say_so(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "redundancy_pin"):
-        changed = [robot.with_parameters(lengths={"elbow_1": length, "elbow_2": length}) for length in (0.61, 0.62)]
-        robot.with_parameters(masses={"distal_1": 0.6})
+        changed = [rp.with_parameters(robot, lengths={"elbow_1": length, "elbow_2": length}) for length in (0.61, 0.62)]
+        rp.with_parameters(robot, masses={"distal_1": 0.6})
     said = [record.getMessage() for record in caplog.records]
     assert len(said) <= 1  # once a process
     for one in (changed[0].notes[-1], *said):
@@ -100,11 +100,13 @@ def test_lengths_may_not_part_a_tool_from_its_closure(tmp_path: Path) -> None:
         ({"pendulum": 0.22}, "rocker_tip", "pendulum"),
     ):
         with pytest.raises(InputError, match=f"'{frame}' and the joint '{other}' .* 0.02 m apart") as refusal:
-            robot.with_parameters(lengths=parted)
+            rp.with_parameters(robot, lengths=parted)
         assert refusal.value.details["distance"] == pytest.approx(0.02, rel=1e-9)
         assert all(repr(name) in refusal.value.remedy for name in parted)
     # the remedy: both; and what was nowhere else may go alone
-    changed = robot.with_parameters(lengths={"coupler_end": 0.32, "tool_mount": 0.32, "far_mount": 0.5, "knee": 0.11})
+    changed = rp.with_parameters(
+        robot, lengths={"coupler_end": 0.32, "tool_mount": 0.32, "far_mount": 0.5, "knee": 0.11}
+    )
     data = changed.model.createData()
     pin.framesForwardKinematics(changed.model, data, np.array(changed.q_reference))
     tips = [data.oMf[changed.model.getFrameId(name)].translation for name in ("coupler_tip", "tool", "rocker_tip")]
@@ -112,28 +114,28 @@ def test_lengths_may_not_part_a_tool_from_its_closure(tmp_path: Path) -> None:
 
 
 def test_arguments_are_those_of_load_robot(robot: Robot) -> None:
-    changed = robot.with_parameters(carrier_mass=2.0)
+    changed = rp.with_parameters(robot, carrier_mass=2.0)
     other = rp.load_robot("five_bar", carriers=True, gravity=GRAVITY, carrier_mass=2.0)
     np.testing.assert_array_equal(reduced(changed).f, reduced(other).f)
-    both = robot.with_parameters(carrier_mass=2.0, masses={"distal_1": 0.9})
-    after = changed.with_parameters(masses={"distal_1": 0.9})
+    both = rp.with_parameters(robot, carrier_mass=2.0, masses={"distal_1": 0.9})
+    after = rp.with_parameters(changed, masses={"distal_1": 0.9})
     np.testing.assert_array_equal(reduced(both).f, reduced(after).f)
     with pytest.raises(InputError, match="no argument 'carier_mass'"):
-        robot.with_parameters(carier_mass=1.0)
+        rp.with_parameters(robot, carier_mass=1.0)
     with pytest.raises(InputError, match="changed already"):
-        after.with_parameters(carrier_mass=3.0)
+        rp.with_parameters(after, carrier_mass=3.0)
 
 
 def test_a_closed_form_does_not_stand_for_a_changed_robot() -> None:
     two_rpr = rp.load_robot("2rpr")
-    rp.VirtualWork(two_rpr.with_parameters(carrier_mass=2.0))
-    rp.VirtualWork(two_rpr.with_limits(speed=1.0))
+    rp.VirtualWork(rp.with_parameters(two_rpr, carrier_mass=2.0))
+    rp.VirtualWork(rp.with_limits(two_rpr, speed=1.0))
     with pytest.raises(UnsupportedRobotError):
-        rp.VirtualWork(two_rpr.with_parameters(masses={"mass_1": 3.0}))
+        rp.VirtualWork(rp.with_parameters(two_rpr, masses={"mass_1": 3.0}))
 
 
 def test_a_plan_of_a_changed_robot_is_not_taken_for_one_of_its_files() -> None:
-    changed = rp.load_robot("2rpr").with_parameters(masses={"mass_1": 3.0})
+    changed = rp.with_parameters(rp.load_robot("2rpr"), masses={"mass_1": 3.0})
     plan = rp.plan_switch_off(rp.RneaDynamics(changed), rp.trajectory.reference.circle(), threshold=20.0, dt=0.1)
     with pytest.raises(PlanFileError, match="mass properties"):
         rp.load_robot_of(plan)
@@ -156,7 +158,7 @@ def test_plain_urdfs_take_changes(tmp_path: Path) -> None:
         "gravity": [0, -9.81, 0],
     }
     robot = rp.load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
-    heavy = robot.with_parameters(masses={"arm": 2.5}, lengths={"tip_mount": 0.7})
+    heavy = rp.with_parameters(robot, masses={"arm": 2.5}, lengths={"tip_mount": 0.7})
     q, qdd = 0.3, 2.0
     still = rp.PlatformMotion([0.0], [[q]], [[0.0]], [[qdd]])
     for one, mass, length in ((robot, 1.0, 0.5), (heavy, 2.5, 0.7)):
@@ -165,8 +167,8 @@ def test_plain_urdfs_take_changes(tmp_path: Path) -> None:
         assert rp.RneaDynamics(one).reduce(still).f[0, 0] == pytest.approx(inertia * qdd + weight, rel=1e-12)
     frame = heavy.model.frames[heavy.model.getFrameId("tip")]
     np.testing.assert_allclose(frame.placement.translation, [0.7, 0.0, 0.0])
-    limited = heavy.with_limits({"crank": {"lower": -1.0, "upper": 2.0, "speed": 3.0, "effort": 4.0}})
-    again = limited.with_parameters(masses={"arm": 1.0})
+    limited = rp.with_limits(heavy, {"crank": {"lower": -1.0, "upper": 2.0, "speed": 3.0, "effort": 4.0}})
+    again = rp.with_parameters(limited, masses={"arm": 1.0})
     crank = heavy.model.joints[heavy.model.getJointId("crank")].idx_q
     for model in (limited.model, again.model):
         assert (model.lowerPositionLimit[crank], model.upperPositionLimit[crank]) == (-1.0, 2.0)
@@ -177,13 +179,13 @@ def test_plain_urdfs_take_changes(tmp_path: Path) -> None:
 
 def test_limits_of_carriers(robot: Robot) -> None:
     own = robot.carrier_limits
-    limited = robot.with_limits({"carrier_2": {"upper": 0.05, "force": 9.0}}, speed=[1.0, 2.0], acceleration=np.inf)
+    limited = rp.with_limits(robot, {"carrier_2": {"upper": 0.05, "force": 9.0}}, speed=[1.0, 2.0], acceleration=np.inf)
     first, second = limited.carrier_limits
     assert (first.lower, first.upper, first.force) == (own[0].lower, own[0].upper, own[0].force)
     assert (first.speed, second.speed) == (1.0, 2.0)
     assert first.acceleration == second.acceleration == np.inf
     assert (second.lower, second.upper, second.force) == (own[1].lower, 0.05, 9.0)
-    assert limited.with_parameters(masses={"distal_1": 1.0}).carrier_limits == limited.carrier_limits
+    assert rp.with_parameters(limited, masses={"distal_1": 1.0}).carrier_limits == limited.carrier_limits
     parked = rp.CarrierMotion.parked(len(MOTION), 2, 0.06)
     with pytest.raises(rp.errors.CarrierLimitError, match="carrier_2"):
         rp.RneaDynamics(limited).reduce(MOTION, parked)
@@ -192,26 +194,29 @@ def test_limits_of_carriers(robot: Robot) -> None:
 
 MISTAKES: dict[str, tuple[Callable[[Robot], Any], str]] = {
     "mass of a joint": (
-        lambda r: r.with_parameters(masses={"elbow_1": 1.0}),
+        lambda r: rp.with_parameters(r, masses={"elbow_1": 1.0}),
         "no link 'elbow_1'.*The joint elbow_1 moves distal_1",
     ),
-    "link": (lambda r: r.with_parameters(masses={"proximal": 1.0}), "no link 'proximal'.*Did you mean 'proximal_"),
-    "joint": (lambda r: r.with_parameters(lengths={"elbow": 1.0}), "no joint 'elbow'"),
-    "negative mass": (lambda r: r.with_parameters(masses={"distal_1": -1.0}), "mass of distal_1 is -1.0"),
-    "text": (lambda r: r.with_parameters(masses={"distal_1": "1 kg"}), "mass of distal_1 is '1 kg'"),
-    "massless": (lambda r: r.with_parameters(masses={"tip_2": 1.0}), "'tip_2' has no mass"),
-    "no mapping": (lambda r: r.with_parameters(masses=[1.0]), "masses is"),
-    "direction": (lambda r: r.with_parameters(lengths={"base_1": 0.1}), "no direction"),
-    "place": (lambda r: r.with_parameters(lengths={"elbow_1": (0.1, 0.2)}), r"shape \(2,\)"),
-    "track": (lambda r: r.with_limits(lower=1.0, upper=0.5), "runs from 1 to 0.5"),
-    "speed": (lambda r: r.with_limits(speed=0.0), "speed of carrier_1 is 0.0"),
-    "three": (lambda r: r.with_limits(speed=[1.0] * 3), "2 carrier"),
-    "unknown": (lambda r: r.with_limits({"carrier_3": {}}), "no moving joint 'carrier_3'"),
-    "unknown limit": (lambda r: r.with_limits({"carrier_1": {"effort": 1.0}}), "no limit 'effort'"),
-    "backwards": (lambda r: r.with_limits({"elbow_1": {"lower": 9.0, "upper": -9.0}}), "runs from"),
-    "effort": (lambda r: r.with_limits({"elbow_1": {"effort": -1.0}}), "effort of elbow_1 is -1.0"),
-    "ragged speeds": (lambda r: r.with_limits(speed=[[1], [2, 3]]), r"speed of carrier_1 is \[1\]"),
-    "ragged place": (lambda r: r.with_parameters(lengths={"elbow_1": [1, [2]]}), "place of elbow_1 is not an array"),
+    "link": (lambda r: rp.with_parameters(r, masses={"proximal": 1.0}), "no link 'proximal'.*Did you mean 'proximal_"),
+    "joint": (lambda r: rp.with_parameters(r, lengths={"elbow": 1.0}), "no joint 'elbow'"),
+    "negative mass": (lambda r: rp.with_parameters(r, masses={"distal_1": -1.0}), "mass of distal_1 is -1.0"),
+    "text": (lambda r: rp.with_parameters(r, masses={"distal_1": "1 kg"}), "mass of distal_1 is '1 kg'"),
+    "massless": (lambda r: rp.with_parameters(r, masses={"tip_2": 1.0}), "'tip_2' has no mass"),
+    "no mapping": (lambda r: rp.with_parameters(r, masses=[1.0]), "masses is"),
+    "direction": (lambda r: rp.with_parameters(r, lengths={"base_1": 0.1}), "no direction"),
+    "place": (lambda r: rp.with_parameters(r, lengths={"elbow_1": (0.1, 0.2)}), r"shape \(2,\)"),
+    "track": (lambda r: rp.with_limits(r, lower=1.0, upper=0.5), "runs from 1 to 0.5"),
+    "speed": (lambda r: rp.with_limits(r, speed=0.0), "speed of carrier_1 is 0.0"),
+    "three": (lambda r: rp.with_limits(r, speed=[1.0] * 3), "2 carrier"),
+    "unknown": (lambda r: rp.with_limits(r, {"carrier_3": {}}), "no moving joint 'carrier_3'"),
+    "unknown limit": (lambda r: rp.with_limits(r, {"carrier_1": {"effort": 1.0}}), "no limit 'effort'"),
+    "backwards": (lambda r: rp.with_limits(r, {"elbow_1": {"lower": 9.0, "upper": -9.0}}), "runs from"),
+    "effort": (lambda r: rp.with_limits(r, {"elbow_1": {"effort": -1.0}}), "effort of elbow_1 is -1.0"),
+    "ragged speeds": (lambda r: rp.with_limits(r, speed=[[1], [2, 3]]), r"speed of carrier_1 is \[1\]"),
+    "ragged place": (
+        lambda r: rp.with_parameters(r, lengths={"elbow_1": [1, [2]]}),
+        "place of elbow_1 is not an array",
+    ),
 }
 
 
@@ -223,17 +228,17 @@ def test_mistakes_are_named(name: str, robot: Robot) -> None:
 
 
 def test_both_ends_of_a_joint_are_set_before_they_are_compared() -> None:
-    once = rp.load_robot("four_bar").with_limits({"rocker": {"lower": -1.0, "upper": 1.0}})
+    once = rp.with_limits(rp.load_robot("four_bar"), {"rocker": {"lower": -1.0, "upper": 1.0}})
     at = once.model.joints[once.model.getJointId("rocker")].idx_q
     for ends in ({"lower": 2.0, "upper": 3.0}, {"upper": -2.0, "lower": -3.0}):
-        model = once.with_limits({"rocker": ends}).model
+        model = rp.with_limits(once, {"rocker": ends}).model
         assert (model.lowerPositionLimit[at], model.upperPositionLimit[at]) == (ends["lower"], ends["upper"])
     with pytest.raises(InputError, match="runs from 2 to 1"):
-        once.with_limits({"rocker": {"lower": 2.0}})
+        rp.with_limits(once, {"rocker": {"lower": 2.0}})
     # limits of 0 and 0 are none: a URDF without lower and upper has them
     once.model.lowerPositionLimit[at] = once.model.upperPositionLimit[at] = 0.0
     for name, expected in (("lower", (0.5, np.inf)), ("upper", (-np.inf, 0.5))):
-        model = once.with_limits({"rocker": {name: 0.5}}).model
+        model = rp.with_limits(once, {"rocker": {name: 0.5}}).model
         assert (model.lowerPositionLimit[at], model.upperPositionLimit[at]) == expected
 
 
@@ -251,8 +256,8 @@ def test_loads_of_the_files_are_there_once(tmp_path: Path) -> None:
     masses = [body.mass for body in loaded.model.inertias]
     mass = loaded.parameters["crank_mass"]
     for changed in (
-        loaded.with_parameters(crank_mass=mass),
-        loaded.with_parameters(masses={"crank_link": float(mass)}),
+        rp.with_parameters(loaded, crank_mass=mass),
+        rp.with_parameters(loaded, masses={"crank_link": float(mass)}),
     ):
         assert repr(changed.loads) == repr(loaded.loads)
         np.testing.assert_allclose([body.mass for body in changed.model.inertias], masses, rtol=1e-12)

@@ -53,7 +53,7 @@ def made(model=None, **changes):
         "reference": REFERENCE,
         **changes,
     }
-    return rp.Robot.from_model(planar_parallelogram() if model is None else model, **given)
+    return rp.robot_from_model(planar_parallelogram() if model is None else model, **given)
 
 
 @pytest.mark.parametrize("name", ["five_bar", "gough"])
@@ -69,7 +69,7 @@ def test_it_is_the_robot_of_the_files(name):
         for joint, limit in zip(known.carriers, known.carrier_limits, strict=True)
     ]
     modes = known.working_modes
-    robot = rp.Robot.from_model(
+    robot = rp.robot_from_model(
         known.model,
         closures=known.closures,
         actuated=known.actuated,
@@ -113,7 +113,7 @@ def test_a_constraint_model_of_pinocchio_closes_a_loop(tilt, kind):
             pin.ContactType.CONTACT_3D, model, ends[0].parentJoint, turned[0], ends[1].parentJoint, turned[1]
         )
         start = REFERENCE
-    robot = rp.Robot.from_model(model, closures=[constraint], actuated=["crank"], reference=start)
+    robot = rp.robot_from_model(model, closures=[constraint], actuated=["crank"], reference=start)
     assert robot.independent_joints == ("crank",)
     (closure,) = robot.closures
     assert len(closure.axes) == kind - (1 if kind == 3 else 3)
@@ -209,7 +209,7 @@ def test_joints_in_any_order_are_numbered_depth_first():
         model.addFrame(pin.Frame(name, joint, place, pin.FrameType.OP_FRAME))
     start = np.array([0.1, 0.3, 0.2, 0.4])
     loop = ("hand", "shoe", ["x", "y"])
-    robot = rp.Robot.from_model(model, closures=[loop], actuated=["left", "left_knee"], reference=start)
+    robot = rp.robot_from_model(model, closures=[loop], actuated=["left", "left_knee"], reference=start)
     own = robot.model
     assert list(own.names)[1:] == ["left", "left_knee", "right", "right_knee"]
     assert own.armature.tolist() == [0.0, 2.0, 1.0, 3.0]
@@ -366,7 +366,7 @@ def test_bricards_six_hinges_stay_closed_in_all_six_rows():
         place = pin.SE3(pin.rpy.rpyToMatrix(turn if i % 2 == 0 else -turn, 0.0, 0.0), np.array([1.0, 0.0, 0.0]))
     weld = pin.FrameAnchorConstraintModel(model, parent, place, 0, pin.SE3.Identity())
     start = (2.0 * np.pi / 3.0) * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
-    robot = rp.Robot.from_model(model, closures=[weld], actuated=["hinge_0"], reference=start)
+    robot = rp.robot_from_model(model, closures=[weld], actuated=["hinge_0"], reference=start)
     assert sum(len(closure.axes) for closure in robot.closures) == 5
     home = robot.q_reference[robot.model.joints[robot.model.getJointId(robot.independent_joints[0])].idx_q]
     x = home - np.linspace(0.0, 0.3, 20)[:, None]  # a hinge opens by 2π/3 and no wider
@@ -387,7 +387,7 @@ def test_rows_that_are_redundant_at_one_pose_only_are_no_redundant_rows():
     pivot = pin.SE3(np.eye(3), np.array([2.0 * SIDE, 0.0, 0.0]))
     point = pin.PointAnchorConstraintModel(model, 2, end, 0, pivot)
     with pytest.raises(DeclarationError, match=r"over-constrained: 3 closure rows have rank 1, .* the loops open, by"):
-        rp.Robot.from_model(model, closures=[point], actuated=["rocker"], reference=np.zeros(3))
+        rp.robot_from_model(model, closures=[point], actuated=["rocker"], reference=np.zeros(3))
 
 
 def test_a_machine_of_one_joint_at_one_instant() -> None:
@@ -395,7 +395,7 @@ def test_a_machine_of_one_joint_at_one_instant() -> None:
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(joint, pin.Inertia(2.0, np.array([0.0, 0.0, -0.5]), np.zeros((3, 3))), pin.SE3.Identity())
-    pendulum = rp.RneaDynamics(rp.Robot.from_model(model, actuated=["hinge"], independent=["hinge"]))
+    pendulum = rp.RneaDynamics(rp.robot_from_model(model, actuated=["hinge"], independent=["hinge"]))
     f = pendulum.reduce(rp.PlatformMotion([0.0], [[0.3]], [[0.7]], [[1.1]])).f
     np.testing.assert_allclose(f, [[2.0 * 9.81 * 0.5 * np.sin(0.3) + 2.0 * 0.25 * 1.1]], rtol=1e-12)
 
@@ -440,9 +440,9 @@ def test_a_ball_that_ends_where_it_begins_is_no_rod(long):
     constraint = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, 2, ends[0], 3, ends[1])
     given = {"closures": [constraint], "actuated": ["crank"], "reference": pin.neutral(model)}
     if long:
-        robot = rp.Robot.from_model(model, **given)
+        robot = rp.robot_from_model(model, **given)
         assert robot.independent_joints == ("crank",)
         assert any("spin of ball" in note for note in robot.notes)
     else:
         with pytest.raises(DeclarationError, match="the joint\\(s\\) 'ball' of several freedoms"):
-            rp.Robot.from_model(model, **given)
+            rp.robot_from_model(model, **given)

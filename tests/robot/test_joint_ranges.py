@@ -26,7 +26,7 @@ def robot():
         place = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
         parent = model.addJoint(parent, joint, place, name, bound, bound, np.array([low]), np.array([high]))
         model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
-    return rp.Robot.from_model(model, actuated=list(ENDS), independent={"joints": list(ENDS)})
+    return rp.robot_from_model(model, actuated=list(ENDS), independent={"joints": list(ENDS)})
 
 
 def at(robot, **places):

@@ -146,6 +146,26 @@ def test_equalities_of_tendons_and_rods_are_where_mujoco_has_no_error(tmp_path):
     assert away - rod.length == pytest.approx(engine.data.efc_pos[0], abs=1e-12)
 
 
+def test_a_weld_that_holds_no_rotation_is_a_ball(tmp_path):
+    """``torquescale="0"``: its ends part as MuJoCo's rows of position say."""
+    (free,) = re.findall("<connect.*?/>", FOUR_BAR)
+    for anchor in ("0 0 0", "0.05 0.1 -0.02"):
+        weld = f'<weld body1="coupler" body2="rocker" anchor="{anchor}" torquescale="0"/>'
+        path = write(tmp_path, FOUR_BAR.replace(free, weld))
+        mechanism, engine = read_mjcf(path), Engine(path)
+        model, q = mechanism.model, np.array(mechanism.start) + 0.3
+        (joint,) = mechanism.loop_joints
+        engine.set(mechanism, q)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        ends = zip(joint.links, joint.placements, strict=True)
+        one, other = (data.oMf[model.getFrameId(link, pin.BODY)] * pin.SE3(place) for link, place in ends)
+        rows = engine.data.efc_pos[engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+        assert joint.kind == "ball"
+        np.testing.assert_allclose(rows[3:6], 0.0, atol=1e-15)
+        np.testing.assert_allclose(np.abs(one.translation - other.translation), np.abs(rows[:3]), atol=1e-12)
+
+
 def test_curved_equalities_of_tendons_are_where_mujoco_has_no_error(tmp_path):
     """They couple joints without mass, whose positions are the lengths of both tendons."""
     text = GOOD["gripper"].replace('polycoef="0.1 5"', 'polycoef="0.1 5 0.3 -0.2 0.4"')
@@ -169,6 +189,7 @@ def test_a_tendon_that_drives_is_a_joint_without_mass():
     model = mechanism.model
     column = model.joints[model.getJointId("split")].idx_v
     assert mechanism.actuated == ("split",)
+    assert not any("range of" in note for note in mechanism.notes)
     assert (model.lowerEffortLimit[column], model.upperEffortLimit[column]) == (-10.0, 20.0)
     assert (model.lowerPositionLimit[column], model.upperPositionLimit[column]) == (-1.0, 2.0)
     assert JointForces("split", 0.3, 0.2, stiffness=2.0, rest=0.1) in mechanism.forces
@@ -313,7 +334,7 @@ def test_forces_of_joints_are_those_of_mujoco(joint, flags, tmp_path):
     ],
 )  # fmt: skip
 def test_limits_of_efforts_are_what_mujoco_reaches(motors, driven, tmp_path):
-    """At the end of forty time constants of the activation; and they are the same after ``to_mjcf``."""
+    """At the end of forty time constants of the activation; and they are the same after ``write_mjcf``."""
     joint = f'actuatorfrcrange="{driven}"' if driven else ""
     text = hinge(joint, "".join(motors), '<option timestep="0.01"/>')
     engine, reached = mujoco.MjModel.from_xml_string(text), []
@@ -327,7 +348,7 @@ def test_limits_of_efforts_are_what_mujoco_reaches(motors, driven, tmp_path):
     robot = rp.load_robot(write(tmp_path, text))
     assert robot.effort_limits[:, 0].tolist() == sorted(reached)
     assert sum(note.startswith("Efforts of j") for note in robot.notes) == (sum(reached) != 0.0)
-    again = rp.load_robot(robot.to_mjcf(tmp_path / "again.xml"))
+    again = rp.load_robot(rp.write_mjcf(robot, tmp_path / "again.xml"))
     if reached[0] != reached[1]:
         assert again.effort_limits[:, 0].tolist() == sorted(reached)
 
@@ -368,6 +389,50 @@ def test_contacts_and_what_is_not_active_are_noted(given, colliding, tmp_path):
     notes = rp.load_robot(write(tmp_path, text)).notes
     assert ("Contacts between geoms are not modelled." in notes) is colliding
     assert "The equality 'off' is not active, and left out." in notes
+
+
+def test_stated_pairs_are_contacts(tmp_path):
+    idle = 'size="0.1" contype="0" conaffinity="0"'
+    text = hinge().replace('size="0.1"', f'name="ball" {idle}')
+    text = text.replace("<worldbody>", f'<worldbody><geom name="floor" {idle}/>')
+    pair = '<contact><pair geom1="ball" geom2="floor"/></contact></mujoco>'
+    noted = [
+        "not modelled" in str(read_mjcf(write(tmp_path, text.replace("</mujoco>", end))).notes)
+        for end in (pair, "</mujoco>")
+    ]
+    assert noted == [True, False]
+
+
+ROPE = """<mujoco><worldbody><site name="wall" pos="0 0 1"/><body name="arm"><joint name="arm"/>
+  <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02"/><site name="tip" pos="0.5 0 0"/></body></worldbody>
+  <tendon><spatial name="rope" {rope}><site site="wall"/><site site="tip"/></spatial>
+  <fixed name="stop" {stop}><joint joint="arm" coef="2"/></fixed></tendon>
+  <equality>{equality}</equality><actuator><motor joint="arm"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("which", ["rope", "stop"])
+def test_ranges_of_tendons_that_drive_nothing_are_noted(which, tmp_path):
+    given = {"rope": "", "stop": "", "equality": "", which: 'limited="true" range="0 1.2"'}
+    robot = rp.load_robot(write(tmp_path, ROPE.format(**given)))
+    assert robot.notes[0] == f"{NOT_IN_FORCE} range of {which}."
+
+
+@pytest.mark.parametrize(
+    ("law", "soft"),
+    [
+        ("", False),
+        ('solref="0.005 1"', False),
+        ('solref="-4e4 -400" solimp="0.95 0.99"', False),
+        ('solref="0.5 0.1"', True),
+        ('solref="-10 -1"', True),
+        ('solimp="0.1 0.95"', True),
+    ],
+)
+@pytest.mark.parametrize("equality", ['connect body1="arm" body2="world" anchor="0 0 0"', 'joint joint1="arm"'])
+def test_equalities_softer_than_the_default_are_noted(equality, law, soft, tmp_path):
+    """A soft one would be a spring; here it is rigid."""
+    mechanism = read_mjcf(write(tmp_path, ROPE.format(rope="", stop="", equality=f'<{equality} name="held" {law}/>')))
+    assert (f"{NOT_IN_FORCE} softness (solref, solimp) of held." in mechanism.notes) is soft
 
 
 def test_a_declaration_may_name_a_model(tmp_path):

@@ -150,7 +150,9 @@ def test_dynamics_pictures_and_files_stay(name: str, tmp_path: Path) -> None:
 
     files = tmp_path / "files"
     files.mkdir()
-    mjcf = [ElementTree.parse(each.to_mjcf(files / f"{k}.xml")).getroot() for k, each in enumerate((plain, robot))]
+    mjcf = [
+        ElementTree.parse(rp.write_mjcf(each, files / f"{k}.xml")).getroot() for k, each in enumerate((plain, robot))
+    ]
     assert numbers_of(mjcf[1]) == numbers_of(mjcf[0])
 
 
@@ -234,7 +236,7 @@ def test_points_of_a_pinocchio_model_may_be_called_as_joints() -> None:
         bare.inertias[index] = model.inertias[index]
     bare.addFrame(pin.Frame("coupler", crank.parentJoint, crank.placement, pin.FrameType.OP_FRAME))
     bare.addFrame(pin.Frame("rocker", tip.parentJoint, tip.placement, pin.FrameType.SENSOR))
-    robot = rp.Robot.from_model(
+    robot = rp.robot_from_model(
         bare,
         actuated=["crank"],
         closures=[("coupler", "rocker", ["x", "y"])],

@@ -33,7 +33,7 @@ def reaches(x: Array) -> Array:
 @pytest.fixture(scope="module")
 def five_bar() -> Workspace:
     """All working modes of the five-bar, whose first elbow may bend by at most 2.4 rad."""
-    robot = zoo.robot_of("five_bar").with_limits({"elbow_1": {"lower": -2.4, "upper": 2.4}})
+    robot = rp.with_limits(zoo.robot_of("five_bar"), {"elbow_1": {"lower": -2.4, "upper": 2.4}})
     return rp.workspace(robot, bounds=AROUND, resolution=22, modes="all")
 
 
@@ -105,7 +105,7 @@ def test_the_default_grid_goes_on_where_a_horn_is_narrow() -> None:
     for name, place in (("hand", [0.0, 0.0]), *((f"corner_{leg}", corners[leg]) for leg in range(3))):
         model.addBodyFrame(name, hand, pin.SE3(np.eye(3), np.array([*place, 0.0])), 0)
     model.lowerPositionLimit, model.upperPositionLimit = -100.0 * np.ones(9), 100.0 * np.ones(9)
-    robot = rp.Robot.from_model(
+    robot = rp.robot_from_model(
         model,
         closures=[(f"tip_{leg}", f"corner_{leg}", ["x", "y"]) for leg in range(3)],
         actuated=[f"crank_{leg}" for leg in range(3)],
@@ -127,7 +127,7 @@ def test_strips_narrower_than_a_cell_are_reached_across_its_corners() -> None:
     model, bases, modes = pin.Model(), np.array([[0.0, 0.0], [0.401, 0.0]]), [1, -1]
     lengths, start = np.array([[0.963, 0.433], [0.426, 0.545]]), np.array([-0.2, 0.75])
     guess = add_legs(model, bases, lengths, start - bases, modes)
-    robot = rp.Robot.from_model(
+    robot = rp.robot_from_model(
         model,
         closures=[("tip_0", "tip_1", ["x", "y"])],
         actuated=["crank_0", "crank_1"],
@@ -155,7 +155,7 @@ def test_an_island_is_not_left_out_for_a_node_at_its_end() -> None:
     for turn in (1.0, -1.0):
         heading = np.arctan2(far[1], far[0]) + turn * spread
         ends = coupler * np.array([np.cos(heading), np.sin(heading)]) - far
-        robot = rp.Robot.from_model(
+        robot = rp.robot_from_model(
             model,
             closures=[("tip", "end", ["x", "y"])],
             actuated=["crank"],
@@ -196,7 +196,7 @@ def test_a_part_that_is_not_connected_is_found(modes: bool) -> None:
 
 @pytest.mark.parametrize("free", [("x", "z"), ("x", "y", "z")])
 def test_gough_is_in_range_where_its_legs_are(free: tuple[str, ...]) -> None:
-    robot = zoo.robot_of("gough").with_limits({f"slide_{i}": {"lower": 0.5, "upper": 0.9} for i in range(1, 7)})
+    robot = rp.with_limits(zoo.robot_of("gough"), {f"slide_{i}": {"lower": 0.5, "upper": 0.9} for i in range(1, 7)})
     bounds = [*[(-0.45, 0.45)] * (len(free) - 1), (0.2, 0.9)]
     space = rp.workspace(robot, free, bounds=bounds, resolution=12 if len(free) == 2 else 6)
     lengths = np.array([zoo.leg_lengths(robot, pose) for pose in space.x])

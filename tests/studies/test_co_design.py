@@ -67,7 +67,7 @@ def test_gradient_of_an_optimum(name: str, objective: str, closeness: dict[str, 
     gradient = search.machine(search.start).gradients[0]
     for i, (key, close) in enumerate(closeness.items()):
         h = 1e-3 * values[key]
-        up, down = (replanned(task, objective, robot.with_parameters(**{key: values[key] + by})) for by in (h, -h))  # type: ignore[arg-type]
+        up, down = (replanned(task, objective, rp.with_parameters(robot, **{key: values[key] + by})) for by in (h, -h))  # type: ignore[arg-type]
         assert gradient[i] == pytest.approx((up - down) / (2.0 * h), rel=close), key
 
 
@@ -76,7 +76,7 @@ def test_gradient_of_the_least_energy() -> None:
     line = rp.trajectory.from_points([[0.15, 0.3], [0.2, -0.2]], speed=0.5, ramp_time=0.2)
     task = DesignTask(heavy().dynamics, line, {"acceleration": 20.0, "dt": 0.1, "objective": "energy"})
     search = Search((task,), {"base_distance": (0.3, 0.7)})
-    machines = (task.dynamics.robot.with_parameters(base_distance=0.5 + by) for by in (1e-4, -1e-4))
+    machines = (rp.with_parameters(task.dynamics.robot, base_distance=0.5 + by) for by in (1e-4, -1e-4))
     up, down = (replanned(task, "energy", robot) for robot in machines)
     assert search.machine(search.start).gradients[0, 0] == pytest.approx((up - down) / 2e-4, rel=1e-4)
 
@@ -92,7 +92,7 @@ def test_gradient_where_the_singular_instant_moves(name: str) -> None:
         task = DesignTask(turning().dynamics, across, {"acceleration": 20.0, "speed": 5.0, "dt": dt})
         search = Search((task,), {name: (0.5, 1.5)})
         got.append(search.machine(search.start).gradients[0, 0])
-        machines = (task.dynamics.robot.with_parameters(**{name: 1.0 + by}) for by in (1e-3, -1e-3))  # type: ignore[arg-type]
+        machines = (rp.with_parameters(task.dynamics.robot, **{name: 1.0 + by}) for by in (1e-3, -1e-3))  # type: ignore[arg-type]
         up, down = (replanned(task, "effort", robot) for robot in machines)
         want.append((up - down) / 2e-3)
     limits = [(4.0 * fine - coarse) / 3.0 for coarse, fine in (got, want)]
@@ -121,7 +121,7 @@ def test_no_neighbour_is_better_and_two_tasks_share_a_machine() -> None:
     robot = tasks[0].dynamics.robot
 
     def cost(**numbers: float) -> float:
-        machine = robot.with_parameters(**{**result.parameters, **numbers})  # type: ignore[arg-type]
+        machine = rp.with_parameters(robot, **{**result.parameters, **numbers})  # type: ignore[arg-type]
         values = [replanned(task, str(task.options["objective"]), machine) for task in tasks]
         return float(np.mean(np.array(values) / result.before))
 

@@ -1,7 +1,7 @@
 """The same machine and motion in other units: lengths times L, masses times M, times times T.
 
 What a robot is, is scaled number by number in its Pinocchio tree, so that nothing of the package takes part in it but
-``Robot.from_model``.
+``robot_from_model``.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.loading import robot_from_model
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring
 from redundancy_pin.robot.types import Robot, slides
@@ -82,7 +83,7 @@ def scaled_robot(robot: Robot, units: Units) -> Robot:
     if robot.working_modes is not None:
         modes = robot.working_modes
         declared = {"joints": list(modes.joints), "signs": list(modes.signs), "default": list(robot.working_mode)}
-    made = Robot.from_model(
+    made = robot_from_model(
         model,
         actuated=robot.actuated,
         closures=[replace(each, length=each.length * units.length) for each in robot.closures],

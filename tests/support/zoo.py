@@ -14,6 +14,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, moved
+from redundancy_pin.loading import robot_from_model
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import row_scale
 from redundancy_pin.robot.urdf import shipped_robots
@@ -52,7 +53,7 @@ def index(robot: Robot, name: str) -> int:
 
 def driven_by(robot: Robot, *joints: str) -> Robot:
     """Return a robot with other main actuators."""
-    return Robot.from_model(
+    return robot_from_model(
         robot.model,
         closures=robot.closures,
         actuated=joints,

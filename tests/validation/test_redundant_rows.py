@@ -35,7 +35,7 @@ def bennett():
     weld = pin.FrameAnchorConstraintModel(model, 0, pin.SE3.Identity(), parent, place)
     first, second = 0.7, 2.0 * np.arctan(RATIO / np.tan(0.35))
     start = np.array([first, second, -first, -second])
-    return rp.Robot.from_model(model, closures=[weld], actuated=["hinge_1"], reference=start)
+    return rp.robot_from_model(model, closures=[weld], actuated=["hinge_1"], reference=start)
 
 
 def open_by(robot, q):
@@ -118,7 +118,7 @@ def test_a_closure_that_is_said_twice_shares_its_forces(bennett):
     """All rows of the second are redundant."""
     roles = {"actuated": ["hinge_1"], "reference": np.array(bennett.q_reference)}
     first = pin.FrameAnchorConstraintModel(bennett.model, *_ends(bennett))
-    once, twice = (rp.Robot.from_model(bennett.model, closures=[first] * n, **roles) for n in (1, 2))
+    once, twice = (rp.robot_from_model(bennett.model, closures=[first] * n, **roles) for n in (1, 2))
     assert [len(each.axes) for each in twice.all_closures] == [6, 6]
     motion = rp.PlatformMotion([0.0], [[1.0]], [[2.0]], [[3.0]])
     forces = []
@@ -139,8 +139,8 @@ def test_redundant_rows_are_allowed_by_name(bennett):
     roles = {"actuated": ["hinge_1"], "independent": ["hinge_1"], "reference": np.array(bennett.q_reference)}
     closures = [("constraint_1_a", "constraint_1_b", ["x", "y", "z", "rx", "ry", "rz"])]
     with pytest.raises(DeclarationError, match=r"over-constrained.*redundant: .*redundant_rows: true"):
-        rp.Robot.from_model(bennett.model, closures=closures, **roles)
-    free = rp.Robot.from_model(bennett.model, closures=closures, redundant_rows=True, **roles)
+        rp.robot_from_model(bennett.model, closures=closures, **roles)
+    free = rp.robot_from_model(bennett.model, closures=closures, redundant_rows=True, **roles)
     assert len(free.all_closures[0].axes) == 6
 
 
@@ -198,7 +198,7 @@ def three_cranks(angle, length=CRANK, wrong=0.0):
     q = np.zeros(model.nq)
     for name, value in start.items():
         q[model.joints[model.getJointId(name)].idx_q] = value
-    return rp.Robot.from_model(
+    return rp.robot_from_model(
         model, closures=closures, actuated=["crank_1"], independent=["crank_1"], reference=q, redundant_rows=True
     )
 

@@ -221,7 +221,7 @@ def free_rod(length: float) -> Robot:
     tip = 0.2 * np.array([np.cos(1.0), np.sin(1.0)])
     q[2:4] = tip * length
     q[7:9] = np.sin(0.15), np.cos(0.15)
-    return Robot.from_model(
+    return rp.robot_from_model(
         model, actuated=["rocker"], independent=["crank"], reference=q,
         closures=[("crank_tip", "rod_start", ["x", "y", "z", "rx", "ry"]), ("rod_end", "rocker_tip", ["x", "y"])],
     )  # fmt: skip

@@ -40,11 +40,12 @@ from redundancy_pin.dynamics.compiled.derivatives import MotionDerivatives, Part
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward
 from redundancy_pin.errors import CompilerError, UnsupportedRobotError
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
+from redundancy_pin.robot import Robot, Wrench
+from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import column_scale, force_sizes, row_scale
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]

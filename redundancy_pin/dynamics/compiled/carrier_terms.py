@@ -19,8 +19,8 @@ from redundancy_pin.dynamics.compiled.build import NEIGHBOURS
 from redundancy_pin.dynamics.compiled.closing import branch_ends
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Wrench
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.scales import coordinate_unit
 from redundancy_pin.status import SampleStatus
 

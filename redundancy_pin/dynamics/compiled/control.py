@@ -28,9 +28,9 @@ from redundancy_pin.dynamics.one_sample import REFUSALS, is_finite, refused, sol
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, Wrench
+from redundancy_pin.robot.checks import is_pose, too_few_motors
 from redundancy_pin.robot.joint_ranges import is_in_range, range_table
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.named import is_pose, too_few_motors
 from redundancy_pin.status import SampleStatus
 
 Follow: TypeAlias = Callable[[PlatformMotion, CarrierMotion, Start | None], tuple[Lifted, ReducedDynamics]]

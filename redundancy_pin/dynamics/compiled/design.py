@@ -53,7 +53,7 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
     A parameter is a number of its xacro file (``"distal_length"``), or one of the model's own:
 
     - ``"JOINT.mass"``, of the body that the joint moves, its centre and inertia about the centre held
-      (``Robot.with_parameters`` takes links, and scales a link's inertia with its mass);
+      (``with_parameters`` takes links, and scales a link's inertia with its mass);
     - ``"JOINT.centre.x"``, ``.y``, ``.z`` in the joint's frame, mass and inertia about the centre held;
     - ``"JOINT.inertia.xx"``, ``.xy``, ... about the centre, axes of the joint's frame;
     - ``"JOINT.origin.x"``, ..., ``.rx``, ``.ry``, ``.rz``: the joint's frame moved along its parent's axes, or turned

@@ -42,8 +42,8 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.machine_code import FLAGS
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot, Wrench
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.loads import of_kind
-from redundancy_pin.robot.named import is_pose
 
 _LOADS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 

@@ -14,7 +14,8 @@ from redundancy_pin.arrays import Frozen
 from redundancy_pin.dynamics.compiled.load_symbols import constant_wrenches
 from redundancy_pin.dynamics.compiled.parameters import parameter_vector
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, ca
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.loading import RobotLike, as_robot
+from redundancy_pin.robot import Robot
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -33,9 +33,9 @@ from redundancy_pin.dynamics.compiled.parameters import (
 )
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.robot import AXES, Closure, Robot, Wrench
+from redundancy_pin.robot.checks import is_pose
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.lookup import find_joint, find_link
-from redundancy_pin.robot.named import is_pose
 from redundancy_pin.robot.types import slides
 
 SX: TypeAlias = Any

@@ -25,12 +25,13 @@ from redundancy_pin.dynamics.virtual_work.mechanism import Carriers, Efforts
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, UnsupportedRobotError, millimetres
+from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import JointForces, Robot, RobotLike, as_robot
+from redundancy_pin.robot import JointForces, Robot
+from redundancy_pin.robot.checks import require_matching
 from redundancy_pin.robot.declaration import CLOSED_FORM_ROLES
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.robot.named import require_matching
 from redundancy_pin.robot.scales import column_scale, force_sizes, is_revolute, row_scale
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]

@@ -47,14 +47,21 @@ def _round(number: Any, ndigits: int | None = None) -> Any:
     return round(number, ndigits)
 
 
+def _sum(numbers: Any, /, start: Any = 0) -> Any:
+    if any(isinstance(each, Collection) for each in (start, *numbers)):  # copies all before each
+        raise ExpressionError("sum adds numbers only")
+    return sum(numbers, start)
+
+
 _MATHEMATICS = (
     "acos acosh asin asinh atan atan2 atanh ceil copysign cos cosh degrees e exp fabs floor fmod fsum hypot inf "
     "isclose isfinite isinf isnan log log10 log2 nan pi pow radians sin sinh sqrt tan tanh tau trunc"
 )
 FUNCTIONS: Mapping[str, Any] = {
     **{each.__name__: each for each in (abs, all, any, bool, dict, float, int, isinstance, len, list, max, min)},
-    **{each.__name__: each for each in (range, sorted, str, sum, tuple)},
+    **{each.__name__: each for each in (range, sorted, str, tuple)},
     "round": _round,
+    "sum": _sum,
     **{name: getattr(math, name) for name in _MATHEMATICS.split()},
 }
 """Functions and constants by their names in Python: none is slow, reaches anything but its arguments, or calls back."""

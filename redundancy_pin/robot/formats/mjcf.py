@@ -37,6 +37,9 @@ _NO_ENDS = np.array([-np.inf, np.inf])
 _UNNAMED = "MuJoCo Model"
 """What MuJoCo calls a model without a name."""
 
+_RIGID_TIME, _RIGID_IMPEDANCE = 0.02, 0.9
+"""Time constant (s) times damping ratio, and impedance (0 to 1), of equalities by MuJoCo's defaults solref, solimp."""
+
 _NO_JOINT = "Drive a joint or a fixed tendon."
 _LAWS = {
     "dyn": ("none", "integrator", "filter", "filterexact", "pid"),
@@ -111,6 +114,9 @@ class _Reader:
                 self._joint_of_tendon(tendon)
         loop_joints = tuple(self._equalities())
         actuated = self._actuators()
+        for tendon, is_limited in enumerate(self.m["tendon_limited"]):
+            if is_limited and tendon not in self.tendons:
+                self._leave_out("range", self._label(tendon))
         model = self.model
         model.gravity.linear = np.zeros(3) if self._is_disabled("gravity") else self.m["gravity"]
         armature, least, most = np.zeros(model.nv), np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
@@ -390,6 +396,8 @@ class _Reader:
         m = self.m
         for number, word in enumerate(m["eq_type"]):
             name = m["equality_names"][number] or f"{word}_{number + 1}"
+            if m["eq_active0"][number] and self._is_soft(number):
+                self._leave_out("softness (solref, solimp)", name)
             one, other, data = int(m["eq_obj1id"][number]), int(m["eq_obj2id"][number]), m["eq_data"][number]
             if not m["eq_active0"][number]:
                 self.notes.append(f"The equality {name!r} is not active, and left out.")
@@ -406,6 +414,13 @@ class _Reader:
                     self._couple_tendons(name, one, other, data)
             else:
                 self._refuse(f"the equality {name!r} is of the kind {word}, which is not covered", "Take it out.")
+
+    def _is_soft(self, number: int) -> bool:
+        """Return whether an equality is softer than by MuJoCo's defaults, so that it may stand for a spring."""
+        time, damping = self.m["eq_solref"][number]
+        # a negative solref is stiffness and damping, in 1/s² and 1/s
+        is_slow = time * damping > _RIGID_TIME if time > 0.0 else -time < _RIGID_TIME**-2
+        return bool(is_slow or min(self.m["eq_solimp"][number][:2]) < _RIGID_IMPEDANCE)
 
     def _couple(self, name: str, ends: list[str], initial: list[float], polycoef: Array) -> None:
         """Add q₁ − r₁ = Σ a_k (q₂ − r₂)^k in powers of q₂; r are positions at the initial configuration."""
@@ -446,16 +461,15 @@ class _Reader:
         return LoopJoint(name, "rod", (first, second), (np.eye(4), np.eye(4)), length)
 
     def _loop_joint(self, number: int, name: str, one: int, other: int, data: Array) -> LoopJoint:
-        kind = "ball" if self.m["eq_type"][number] == "connect" else "weld"
+        is_weld = self.m["eq_type"][number] == "weld"
+        kind = "weld" if is_weld and data[10] else "ball"  # data[10] scales the rows of a weld's rotation
         if self.m["eq_objtype"][number] == "site":
             return LoopJoint(name, kind, (self.sites[one], self.sites[other]), (np.eye(4), np.eye(4)))
         places = np.eye(4), np.eye(4)
         # MuJoCo keeps a connect's points in the order of its bodies, a weld's the other way round
-        for place, point in zip(
-            places, (data[:3], data[3:6]) if kind == "ball" else (data[3:6], data[:3]), strict=True
-        ):
+        for place, point in zip(places, (data[3:6], data[:3]) if is_weld else (data[:3], data[3:6]), strict=True):
             place[:3, 3] = point
-        if kind == "weld":
+        if is_weld:
             places[0][:3, :3] = rotation_of(data[6:10])
         return LoopJoint(name, kind, (self.links[one], self.links[other]), places)
 

@@ -153,7 +153,7 @@ def _compiled(path: Path, trust: bool) -> Compiled:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             spec = mujoco.MjSpec.from_file(str(path))
-            colliding = any(geom.contype or geom.conaffinity for geom in spec.geoms)
+            colliding = bool(spec.pairs) or any(geom.contype or geom.conaffinity for geom in spec.geoms)
             idle = _without_idle_shapes(spec, mujoco.mjtGeom.mjGEOM_SPHERE)
             for mesh in () if trust else spec.meshes:
                 if mesh.file and not _is_within(_mesh_file(mesh, path.parent), path.resolve().parent):
