@@ -374,6 +374,31 @@ def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
     assert taken[-1] < 1e-2
 
 
+def test_rows_that_hardly_hold_and_lock_nothing_are_meant() -> None:
+    """Seven hinges tilted by 0.01 rad in a loop have one degree of freedom; with four motors the plane is wrong."""
+    rng, model, angles = (
+        np.random.default_rng(2),
+        pin.Model(),
+        2.0 * np.pi * np.arange(7) / 7.0 + 0.2 * np.arange(7) ** 2,
+    )
+    places = [
+        pin.SE3(pin.exp3(np.append(rng.uniform(-0.01, 0.01, 2), 0.0)), np.array([np.cos(angle), np.sin(angle), 0.0]))
+        for angle in angles
+    ]
+    joint, before = 0, pin.SE3.Identity()
+    for k, place in enumerate(places[:6]):
+        joint = model.addJoint(joint, pin.JointModelRZ(), before.actInv(place), f"hinge_{k}")
+        model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+        before = place
+    model.addFrame(pin.Frame("end", joint, 0, before.actInv(places[6]), pin.FrameType.BODY))
+    model.addFrame(pin.Frame("start", 0, 0, places[6], pin.FrameType.BODY))
+    closures = [("start", "end", HINGE)]
+    robot = rp.robot_from_model(model, actuated=["hinge_0"], closures=closures, redundant_rows=True)
+    assert (robot.n, robot.closures[0].axes) == (1, tuple(HINGE))
+    with pytest.raises(DeclarationError, match="redundant except for"):
+        rp.robot_from_model(model, actuated=[f"hinge_{k}" for k in range(4)], closures=closures, redundant_rows=True)
+
+
 def test_generated_code_and_simulations_of_rounded_placements(tmp_path: Path) -> None:
     """They take the same rows: a five-bar falls as the exact one does."""
     exact = drawn("five_bar")
