@@ -114,6 +114,8 @@ def read_urdf(path):
     for joint in root.findall("joint"):
         if joint.find("parent") is not None:
             _urdf_joint(file, joint)
+    if any("world" in joint.links for joint in file.joints.values()):  # Drake has it without a word
+        file.links.setdefault("world", Link(0.0, np.zeros(3), np.zeros((3, 3))))
     closing = {}
     for name in file.links:
         head, _, number = name.rpartition("_")
