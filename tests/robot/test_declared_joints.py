@@ -214,7 +214,7 @@ def test_rods_between_the_same_two_links_are_numbered(tmp_path: Path) -> None:
     one, other = robot.closures
     assert [one.name, other.name] == ["rod crank = shoe 1", "rod crank = shoe 2"]
     assert 0.0 < one.length != other.length > 0.0
-    assert robot.with_parameters(masses={"rocker": 2.0}).closures == robot.closures
+    assert rp.with_parameters(robot, masses={"rocker": 2.0}).closures == robot.closures
 
 
 def test_a_pose_of_the_platform_measures_no_rod(tmp_path: Path) -> None:
