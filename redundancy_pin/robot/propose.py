@@ -7,7 +7,8 @@ Loops and motors that a file states are taken as they stand. Where it states non
 | ends ``closing_NAME_1`` and ``closing_NAME_2`` | always |
 | ends such as ``rod_loop`` and ``rocker_loop`` | nearly at one point when all joints are at zero |
 | marks at one point when all joints are at zero | two named alike or as ends; every other mark is paired, or a frame |
-| other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool |
+| other marks, such as the only two | never: a gripper has two tips, an arm a base and a tool. They are frames where |
+| | every joint is driven, or where neither names nor places suggest a pair |
 | motors by name: ``motor1``, on the ground or a slide | independent, and as many as the degrees of freedom |
 | motors by name: all joints but ``passive1`` | likewise |
 | motors by place: joints on the ground, slides | never |
@@ -29,6 +30,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.robot.build import characteristic_length
 from redundancy_pin.robot.formats.mechanism import Mechanism
@@ -144,12 +146,13 @@ class Proposal:
             elif self.motors and len(motors) > robot.n and loop in self.doubtful:
                 asked.append(_is_cut(loop.links, f"Closing it leaves {robot.n} DOF to {len(motors)} motors"))
             elif loop.name in self.mechanism.presumed and (loop.name in turning or (how and len(motors) < robot.n)):
-                why = (
-                    "Its links turn about several axes, so a hinge about z of these frames is not the same as a ball"
-                    if loop.name in turning
-                    else f"With a ball or hinge the mechanism has {robot.n} DOF and {len(motors)} motor(s)"
-                )
-                ways = " or ".join(f"{flag},{kind}" for kind in ("ball", "hinge", "weld"))
+                kinds, why = ["ball", "weld"], f"With a ball the mechanism has {robot.n} DOF and {len(motors)} motor(s)"
+                if loop.name in turning:
+                    kinds.insert(1, "hinge")
+                    why = "Its links turn about several axes, so a hinge about z of these frames is not a ball"
+                ways = " or ".join(f"{flag},{kind}" for kind in kinds)
+                if loop.name not in turning and (marks := [mark for mark in self.frames if not _is_frame(mark)]):
+                    ways += f", or --close A,B of another loop, of {', '.join(marks)}"
                 asked.append(f"Which joint closes the loop at {ends}? {why}: {ways}.")
         if not how:
             asked.append(which_motors(self.mechanism, robot.n))
@@ -191,13 +194,15 @@ def propose(
     own = {frozenset(joint.links) for joint in given}
     loops = [joint for joint in mechanism.loop_joints if frozenset(joint.links) not in own]
     found = {joint.name: BY_NAME for joint in loops if joint.name in mechanism.presumed}
-    is_certain = bool(loops)
+    is_stated = bool(loops)
     presumed = [*found, *(joint.name for joint, text in zip(given, close, strict=True) if text.count(",") == 1)]
     loops += given
     found |= {joint.name: _BY_FLAG for joint in given}
     questions = list[str]()
+    mechanism, motors = _with_motors(mechanism, actuate)
     if not is_open:
-        pairs, questions = _cut_ends(mechanism, loops, is_certain=is_certain)
+        is_driven = bool(motors) and len(mechanism.actuated) >= mechanism.model.nv - len(mechanism.couplings)
+        pairs, questions = _cut_ends(mechanism, loops, is_stated=is_stated, is_driven=is_driven)
         for pair, how in pairs.items():
             joint = _between(pair, "ball")
             loops.append(joint)
@@ -205,7 +210,6 @@ def propose(
             found[joint.name] = how
     ends = {link for joint in loops for link in joint.links}
     complete = replace(mechanism, loop_joints=tuple(loops), presumed=tuple(presumed))
-    complete, motors = _with_motors(complete, actuate)
     frames = () if questions else tuple(mark for mark in mechanism.marks if mark not in ends)
     return Proposal(complete, found, motors, frames, tuple(questions))
 
@@ -256,20 +260,26 @@ def _difference(one: str, other: str) -> tuple[int, int, frozenset[str]] | None:
 
 
 class _Tree:
-    """Where links are when all joints are at zero."""
+    """Where links are when all joints are at zero, and elsewhere."""
 
     def __init__(self, model: pin.Model) -> None:
         self.model, data = model, model.createData()
-        pin.framesForwardKinematics(model, data, pin.neutral(model))
         indices = {name: find_link_index(model, name) for name in link_names(model)}
-        self.places = {name: data.oMf[index].translation.copy() for name, index in indices.items()}
+        self.places = dict[str, Array]()
+        for q in (pin.neutral(model), pin.integrate(model, pin.neutral(model), np.linspace(0.2, 0.7, model.nv))):
+            pin.framesForwardKinematics(model, data, q)
+            for name, index in indices.items():
+                self.places[name] = np.array([*self.places.get(name, ()), data.oMf[index].translation])
         self.bodies = {name: int(model.frames[index].parentJoint) for name, index in indices.items()}
         self.size = characteristic_length(model, pin.neutral(model), ())
 
     def meet(self, one: str, other: str, tolerance: float = _COINCIDE) -> bool:
-        """Return whether links of two bodies are at one point."""
-        distance = float(np.linalg.norm(self.places[one] - self.places[other]))
-        return self.bodies[one] != self.bodies[other] and distance <= tolerance * self.size
+        """Return whether links of two bodies are at one point when all joints are at zero, and not wherever these are.
+
+        On the axis of a joint between them they always are.
+        """
+        at_zero, elsewhere = np.linalg.norm(self.places[one] - self.places[other], axis=1) <= tolerance * self.size
+        return self.bodies[one] != self.bodies[other] and bool(at_zero) and not elsewhere
 
     def join(self, joints: Iterable[LoopJoint]) -> set[frozenset[int]]:
         """Return the pairs of bodies that joints join."""
@@ -277,11 +287,11 @@ class _Tree:
 
 
 def _cut_ends(
-    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_certain: bool
+    mechanism: Mechanism, loops: Sequence[LoopJoint], *, is_stated: bool, is_driven: bool
 ) -> tuple[dict[tuple[str, str], str], list[str]]:
     """Return the pairs of marks that are ends of loops, with how they were found, and what has to be asked.
 
-    ``is_certain``: the file has loops, so that marks that are not named as ends are none.
+    ``is_stated``: the file has loops, so that marks that are not named as ends are none.
     """
     tree = _Tree(mechanism.model)
     all_marks, joined = _marks(mechanism, tree), tree.join(loops)
@@ -290,9 +300,8 @@ def _cut_ends(
     cuts = [mark for mark in marks if _CUTS.intersection(_words(mark))]
     near = [pair for pair in _apart(cuts, tree) if tree.meet(*pair, _NEARLY)]
     named = near if len(cuts) == 2 else _only_ones(near)
-    pairs, questions = dict.fromkeys(named, _MEETING_ENDS), _idle_ends(tree, joined)
+    pairs, questions = dict.fromkeys(named, _MEETING_ENDS), _idle_ends(mechanism, tree, joined)
     used |= {mark for pair in named for mark in pair}
-    is_certain |= bool(pairs)
     at_zero = list[tuple[str, str]]()
     for mark in marks:
         meeting = [other for other in all_marks if tree.meet(mark, other)]
@@ -308,8 +317,8 @@ def _cut_ends(
             ]
             pair = min(product(here, meeting), key=lambda each: (not _difference(*each), *map(_is_frame, each)))
             used |= {*here, *meeting}
-            is_named = bool(_difference(*pair)) or any(map(_is_end, pair))
-            if is_certain or not is_named or any(map(_is_frame, pair)):
+            is_named = bool(_difference(*pair)) or any(_has(mark, _CUTS | _ENDS) for mark in pair)
+            if is_stated or named or not is_named or any(map(_is_frame, pair)):
                 questions.append(_is_cut(pair, "They only meet at zero"))
             else:
                 at_zero.append(pair)
@@ -321,10 +330,15 @@ def _cut_ends(
         else:
             questions.append(_is_cut(pair, "Others named so meet"))
     asked = [mark for mark in marks if mark not in used and not _is_frame(mark)]
-    if is_certain or likewise:  # the file says which marks are ends: the others are none
+    if is_stated:  # the file says which marks are ends: the others are none
         asked = [mark for mark in asked if _CUTS.intersection(_words(mark))]
-    if asked:
-        questions.append(_which_meet(asked, at_zero, tree))
+    elif pairs or likewise:  # names say which marks are ends
+        alike = {mark for pair in _apart(asked, tree) if _difference(*pair) for mark in pair}
+        asked = [mark for mark in asked if mark in alike or (_CUTS | _ENDS).intersection(_words(mark))]
+    question, suggests = _which_meet(asked, at_zero, tree)
+    words = _CUTS if is_driven else _CUTS | _ENDS  # where every joint is driven, other marks are frames
+    if asked and (at_zero or (suggests and not is_driven) or any(_has(mark, words) for mark in asked)):
+        questions.append(question)
         at_zero = []
     pairs |= dict.fromkeys(at_zero, _MEETING)
     return pairs, sorted(set(questions))
@@ -342,13 +356,14 @@ def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
     ]
 
 
-def _idle_ends(tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
+def _idle_ends(mechanism: Mechanism, tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
     """Return questions on links that move, weigh nothing and carry nothing, where they meet another body at zero.
 
-    Such a link may be the far half of a joint of the loop: what is cut there is a weld.
+    Such a link may be the far half of a joint of the loop: what is cut there is a weld. Coupled rotors are not.
     """
     model, total = tree.model, pin.computeTotalMass(tree.model)
-    carriers = set(model.parents)
+    coupled = {find_joint_index(model, name) for each in mechanism.couplings for name in each.joints}
+    carriers = {*model.parents, *coupled}
     idle = {
         link: body
         for link, body in tree.bodies.items()
@@ -367,8 +382,9 @@ def _idle_ends(tree: _Tree, joined: set[frozenset[int]]) -> list[str]:
     ]
 
 
-def _is_end(mark: str) -> bool:
-    return any(word.endswith(end) for word in _words(mark) for end in _CUTS | _ENDS)
+def _has(mark: str, ends: Iterable[str]) -> bool:
+    """Return whether a word of a name ends in one of some words."""
+    return any(word.endswith(tuple(ends)) for word in _words(mark))
 
 
 def _is_frame(mark: str) -> bool:
@@ -388,8 +404,8 @@ def _only_ones(pairs: Iterable[tuple[str, str]], differences: Collection[Any] | 
     return [pair for pair in alike if sum(bool({*pair} & {*other}) for other in alike) == 1]
 
 
-def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: _Tree) -> str:
-    """Return the question which of some marks are ends of loops, with what suggests itself."""
+def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: _Tree) -> tuple[str, bool]:
+    """Return the question which of some marks are ends of loops, with what suggests itself; whether anything does."""
     likely = dict.fromkeys(at_zero, "they meet at zero")
     apart = _apart(marks, tree)
     if len(marks) == 2:
@@ -402,7 +418,8 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
     suggested = "; ".join(f"{_close(pair)} ({why})" for pair, why in likely.items()) or "--close A,B"
     return (
         f"Where are loops cut? The file does not say which of the links {', '.join(marks)} close loops: {suggested}, "
-        "or --open if none does."
+        "or --open if none does.",
+        bool(likely),
     )
 
 

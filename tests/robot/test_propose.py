@@ -172,6 +172,10 @@ FIVE_BAR = loop(("left_tip", "right_tip"), ("motor_1", "motor_2"))
 CLOSING = {"left_tip": "closing_a_1", "right_tip": "closing_a_2"}
 
 
+ENDS_NAMED = {"left_tip": "arm_loop", "right_tip": "rod_loop"}
+SPARE = J("s", "fixed", "link_l0", "spare")
+MORE_ENDS = (J("s", "fixed", "link_l0", "rod_end"), J("t", "fixed", "link_r1", "lever_end"))
+ALIKE = (J("s", "fixed", "link_l0", "rib_2"), J("t", "fixed", "link_r1", "rib_3"))
 UNNAMED = {"motor_1": "a", "motor_2": "b"}
 LOOP_1 = {"left_tip": "loop_1_1", "right_tip": "loop_1_2"}
 LOOP_2 = (J("s", "fixed", "link_l0", "loop_2_1"), J("t", "fixed", "link_r0", "loop_2_2"))
@@ -197,6 +201,10 @@ def renamed(names: dict[str, str], *more: J, by: float = 0.0) -> tuple[J, ...]:
         (renamed({}, J("t", "fixed", "link_l1", "tool0", (0.1, 0, 0))), None),
         (renamed({"left_tip": "loop_of_arm", "right_tip": "rod_loop"}, by=0.0005), None),
         (renamed(CLOSING, J("s", "fixed", "link_l0", "spare")), None),
+        (renamed(ENDS_NAMED, SPARE, by=0.0005), None),
+        (renamed(ENDS_NAMED, *MORE_ENDS, by=0.0005), "of the links rod_end, lever_end"),
+        (renamed(ENDS_NAMED, *ALIKE, by=0.0005), "of the links rib_2, rib_3"),
+        (renamed(CLOSING, *ALIKE), None),
         (renamed(CLOSING, J("s", "fixed", "link_l0", "hand_loop")), "of the links hand_loop"),
         (renamed({"pin_l1": "passive_motor"}), None),
         (renamed({"base": "wall"}, J("w", "fixed", "base", "wall")), None),
@@ -245,7 +253,7 @@ def test_names_and_places_are_certain_or_asked(joints: tuple[J, ...], question: 
     else:
         assert question in " ".join(proposal.questions)
         if "of the links" in question:  # what may be wrong is not written either
-            assert set(proposal.found) <= {"closing_a_1 = closing_a_2"}
+            assert set(proposal.found) <= {"closing_a_1 = closing_a_2", "arm_loop = rod_loop"}
         with pytest.raises(DeclarationError, match=r"does not say it all.*`redundancy-pin new robot.urdf`"):
             rp.load_robot(path)
 
@@ -337,6 +345,27 @@ def test_a_loop_between_driven_joints_is_asked_about(by: float, tmp_path: Path) 
     assert (closed.questions, robot.n, robot.m) == ((), 2, 4)
 
 
+@pytest.mark.parametrize(
+    ("marks", "asked_of"),
+    [
+        ((("l2", "plate", 0.1),), ()),
+        ((("l2", "arm_tip", 0.1),), ("no motors",)),
+        ((("l0", "rib_2", 0.1), ("l2", "rib_3", 0.1)), ("no motors",)),
+        ((("l0", "pin_a", 0.3), ("l1", "pin_b", 0.0)), ("no motors",)),  # on one axis, wherever the joints are
+        ((("l0", "loop_a", 0.1), ("l2", "loop_b", 0.1)), ("no motors", "all motors")),
+    ],
+)
+def test_frames_of_an_open_arm(marks, asked_of: tuple[str, ...], tmp_path: Path) -> None:
+    """Loops are asked about where names or places suggest any; where all joints are driven, only named ends do."""
+    links = ["base", "l0", "l1", "l2"]
+    joints = [J(f"j{k}", "revolute", *links[k : k + 2], (0.3 * (k > 0), 0.0, 0.0), (0.0, 0.0, 0.4)) for k in range(3)]
+    path = written(tmp_path, *joints, *(J(f"at_{name}", "fixed", link, name, (x, 0, 0)) for link, name, x in marks))
+    for motors, actuate in (("no motors", ()), ("all motors", ("j0", "j1", "j2"))):
+        proposal, _ = propose_robot(path, actuate=actuate)
+        assert any("loops cut" in each for each in proposal.questions) is (motors in asked_of)
+        assert bool(proposal.questions) is (not actuate or motors in asked_of)
+
+
 def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
     """The pin of the right end is in the tree, and carries a link that is to be welded to the left one."""
     joints = [
@@ -348,6 +377,9 @@ def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
     assert "--close right_tip,plate,weld or --open" in " ".join(propose_robot(path)[0].questions)
     proposal, robot = propose_robot(path, close=["right_tip,plate,weld"])
     assert (proposal.questions, robot.n) == ((), 2)
+    end = re.compile(r'(<joint name="at_right_tip".*?)(</joint>)', re.DOTALL)
+    path.write_text(end.sub(r'\1<mimic joint="motor_2"/>\2', path.read_text()))
+    assert "is massless" not in " ".join(propose_robot(path)[0].questions)
 
 
 def test_fingers_on_slides_that_touch_close_no_loop(tmp_path: Path) -> None:
@@ -390,10 +422,11 @@ def test_a_ball_or_a_hinge_is_asked_where_they_differ(turn: float, kind: str, n:
 
 def test_a_link_that_is_cut_in_two_is_asked_about_where_motors_are_too_few(tmp_path: Path) -> None:
     """The pins of a four-bar are all in the tree, and its coupler is cut: a ball would leave two degrees of freedom."""
-    path = written(tmp_path, *FIVE_BAR.joints)
-    proposal, _ = propose_robot(path, actuate=["motor_1"])
+    path = written(tmp_path, *FIVE_BAR.joints, SPARE, J("t", "fixed", "link_r1", "camera"))
+    proposal, _ = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip"], is_open=True)
     assert "2 DOF and 1 motor(s): --close left_tip,right_tip,ball or" in " ".join(proposal.questions)
-    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"])
+    assert proposal.questions[0].endswith(",weld, or --close A,B of another loop, of spare.")
+    proposal, robot = propose_robot(path, actuate=["motor_1"], close=["left_tip,right_tip,weld"], is_open=True)
     assert (proposal.questions, robot.n) == ((), 1)
 
 

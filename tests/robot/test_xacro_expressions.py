@@ -78,6 +78,18 @@ def test_shipped_models_are_those_of_plain_xacro(path: Path) -> None:
     assert render(path, {})[0] == by_xacro(path) == render(path, {}, trust=True)[0]
 
 
+def test_the_standard_library_stays_as_it_is(tmp_path: Path) -> None:
+    """xacro replaces the function of minidom that writes an element; a copy of it must not."""
+    path = written(tmp_path, doc(""))
+    program = (
+        "from pathlib import Path; from xml.dom.minidom import Element; before = Element.writexml\n"
+        "from redundancy_pin.robot.formats.xacro_engine import expand\n"
+        f"for trust in (False, True): expand(Path({str(path)!r}), {{}}, trust=trust)\n"
+        "assert Element.writexml is before"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
 def test_expressions_of_the_kinds_that_models_have(tmp_path: Path) -> None:
     path = written(tmp_path, expressions(*TABLE["allowed"]))
     assert render(path, {})[0] == by_xacro(path)

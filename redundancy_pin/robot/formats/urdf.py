@@ -132,6 +132,11 @@ def read_urdf(text: str, path: Path) -> Urdf:
         robot.refuse(f"The joints have {freedoms} freedoms, more than the {MOST_FREEDOMS} of a model")
     ordered = _in_order(robot, links, joints, parts["joint"])
     marks = {name: part.text_of("independent").lower() for name, part in parts["joint"].items()}
+    for name, mark in marks.items():
+        if mark not in ("", "true", "false"):
+            parts["joint"][name].refuse(
+                f"{parts['joint'][name].owner} has independent={mark!r}", "Write true or false."
+            )
     independent = [joint.name for joint in ordered[2] if _FREEDOMS.get(joint.kind, 3) and marks[joint.name] != "false"]
     notes += _passed_over(parts)
     return Urdf(text, robot, *ordered, tuple(independent) if any(marks.values()) else (), tuple(notes))

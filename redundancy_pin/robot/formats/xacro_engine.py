@@ -83,7 +83,7 @@ class _Engine:
     """A copy of xacro; where its files are not trusted, their expressions are data."""
 
     def __init__(self, trust: bool) -> None:
-        self.xacro = _copy_of_xacro("_trusted" if trust else "_closed")
+        self.xacro, self._write = _copy_of_xacro("_trusted" if trust else "_closed")
         self.xacro.substitution_args._eval_find = self._find
         self._path = Path()
         self._folders: tuple[Path, ...] = ()
@@ -96,7 +96,10 @@ class _Engine:
         """Return what a file expands to; arguments that were left out are added to ``resolved``."""
         self._path, self._folders = path, own_folders(path)
         self._evaluator, self._failure = Evaluator({}), None
-        return str(self.xacro.process_file(str(path.resolve()), mappings=resolved).toprettyxml(indent="  "))
+        document = self.xacro.process_file(str(path.resolve()), mappings=resolved)
+        for element in document.getElementsByTagName("*"):  # in the layout of xacro, for these elements alone
+            element.writexml = self._write.__get__(element)
+        return str(document.toprettyxml(indent="  "))
 
     def _close(self) -> None:
         """Put what is ours in the place of what evaluates, opens files, or looks at the machine."""
@@ -249,8 +252,11 @@ class _Engine:
         return (files[len(defined)] if len(files) > len(defined) else self._path.resolve()), 0
 
 
-def _copy_of_xacro(suffix: str) -> Any:
-    """Load the modules of xacro once more, under a name of our own."""
+def _copy_of_xacro(suffix: str) -> tuple[Any, Any]:
+    """Load the modules of xacro once more, under a name of our own, with its function that writes an element.
+
+    xacro puts that function into the standard library, for everybody; here it is taken out again.
+    """
     name = f"redundancy_pin.robot.formats._xacro{suffix}"
     spec = None
     if theirs := importlib.util.find_spec("xacro"):
@@ -260,9 +266,11 @@ def _copy_of_xacro(suffix: str) -> Any:
         raise ModelFileError("xacro is not installed.", remedy="Install it with `pip install xacro`.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # its functions import its other modules when they are called
+    writes = minidom.Element.writexml
     spec.loader.exec_module(module)
+    write, minidom.Element.writexml = minidom.Element.writexml, writes  # type: ignore[method-assign]
     module.__dict__["substitution_args"] = importlib.import_module(f"{name}.substitution_args")
-    return module
+    return module, write
 
 
 def _cost_of_tree(node: Any) -> int:
