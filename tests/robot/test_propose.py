@@ -364,6 +364,7 @@ def test_frames_of_an_open_arm(marks, asked_of: tuple[str, ...], tmp_path: Path)
         proposal, _ = propose_robot(path, actuate=actuate)
         assert any("loops cut" in each for each in proposal.questions) is (motors in asked_of)
         assert bool(proposal.questions) is (not actuate or motors in asked_of)
+        assert actuate or asked_of or "3 DOF. --actuate j0,j1,j2 (all)" in proposal.questions[0]
 
 
 def test_a_massless_half_of_a_joint_is_asked_about(tmp_path: Path) -> None:
