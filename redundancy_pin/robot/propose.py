@@ -481,4 +481,4 @@ def which_motors(mechanism: Mechanism, count: int | None = None) -> str:
     likely = {"by name": by_name, "all": joints, **_usual_places(mechanism.model, joints)}
     ways = [f"--actuate {','.join(names)} ({why})" for why, names in likely.items() if len(names) == count]
     degrees = "" if count is None else f" The mechanism has {count} DOF."
-    return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B,...'}."
+    return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B'}."
