@@ -45,6 +45,7 @@ ROBOTS: dict[str, Callable[[Any], Any]] = {
     "VirtualWork": lambda robot: rp.VirtualWork(robot).reduce(MOTION).f,
     "CompiledDynamics": lambda robot: compiled(robot).reduce(MOTION).f,
     "symbolic": lambda robot: str(symbolic(robot).W),
+    "with_parameters": lambda robot: rp.with_parameters(robot, carrier_mass=2.0).moving_mass,
     "inverse_kinematics": lambda robot: rp.inverse_kinematics(robot, MOTION).q,
     "forward_kinematics": lambda robot: rp.forward_kinematics(robot, [0.4, 0.5]).x,
     "assembly_modes": lambda robot: rp.assembly_modes(robot, [0.4, 0.5]).x,
@@ -108,6 +109,7 @@ OTHERS: dict[str, Callable[[Any, Robot, Plan], Any]] = {
     "Trajectory, timing": lambda wrong, robot, plan: Trajectory(CIRCLE.path, wrong),
     "simulate, drive": lambda wrong, robot, plan: rp.simulate(robot, wrong, duration=0.01),
     "show": lambda wrong, robot, plan: rp.show(wrong),
+    "with_limits": lambda wrong, robot, plan: rp.with_limits(wrong, speed=1.0),
 }
 
 

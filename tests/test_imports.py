@@ -5,14 +5,24 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TypeGuard
 
 import pytest
 
 import redundancy_pin as rp
 
 ROOT = Path(rp.__file__).parent
-BY_NAME = {"import_module", "__import__", "find_spec"}
+BY_NAME = {"import_module", "__import__"}
 """Functions that take the name of a module."""
+
+COMPUTED = {
+    "redundancy_pin": "public names, from its table",
+    "redundancy_pin._moved": "modules under their old names",
+    "redundancy_pin.cli": "commands, from its table",
+    "redundancy_pin.errors": "optional libraries, or the remedy",
+    "redundancy_pin.robot.formats.xacro_engine": "a private copy of the library xacro",
+}
+"""Modules that import by a name that they compute, and what they import."""
 
 
 def files_of(root: Path) -> dict[str, Path]:
@@ -40,11 +50,15 @@ def names_in(node: ast.AST, package: str) -> set[str]:
         above = package.split(".")[: 1 - node.level or None] if node.level else []
         module = ".".join([*above, *([node.module] if node.module else [])])
         return {f"{module}.{alias.name}" for alias in node.names}
-    if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in BY_NAME:
-        given = [*node.args, *(keyword.value for keyword in node.keywords)]
-        texts = [each.value for each in given if isinstance(each, ast.Constant) and isinstance(each.value, str)]
-        return {f"{package}{text}" if text.startswith(".") else text for text in texts}
+    if is_by_name(node):
+        text = ast.literal_eval(node.args[0]) if isinstance(node.args[0], ast.Constant) else ""
+        return {f"{package}{text}" if text.startswith(".") else text}
     return set()
+
+
+def is_by_name(node: ast.AST) -> TypeGuard[ast.Call]:
+    """Return whether a node is a call that imports a module by its name."""
+    return isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in BY_NAME
 
 
 def graph_of(root: Path) -> dict[str, set[str]]:
@@ -82,6 +96,17 @@ def test_no_file_imports_itself_through_others() -> None:
     assert "redundancy_pin.kinematics.selection" in graph["redundancy_pin.loading"]
     # the package's own __init__ names what it offers in a table, and imports it when it is asked for
     assert circle({name: found - {"redundancy_pin"} for name, found in graph.items()}) == []
+
+
+def test_names_of_modules_are_computed_where_it_is_written_down() -> None:
+    """Elsewhere a string names the module, and the test above sees it."""
+    computing = {
+        name
+        for name, path in files_of(ROOT).items()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if is_by_name(node) and not isinstance(node.args[0], ast.Constant)
+    }
+    assert computing == set(COMPUTED)
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,8 @@ def test_what_mjcf_does_not_say_is_refused_by_name(tmp_path: Path) -> None:
         rp.write_mjcf(robot.loaded(JointForces(elbow_of(robot), rotor_inertia=0.1)), path)
     with pytest.raises(UnsupportedRobotError, match="moves \\(nearly\\) no mass"):
         rp.write_mjcf(robot_of("2rpr", end_effector_mass=0.5), path)
+    with pytest.raises(UnsupportedRobotError, match="moves \\(nearly\\) no mass"):
+        rp.write_mjcf("2rpr", path)
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "speck")
     model.appendBodyToJoint(joint, pin.Inertia(1e-10, np.zeros(3), 1e-10 * np.eye(3)), pin.SE3.Identity())

@@ -35,8 +35,8 @@ def read_robot(
 ) -> Robot:
     """Return the robot that a declaration makes of a mechanism, its names and roles checked.
 
-    The reference configuration is the declared guess; it is not closed yet, and an undeclared characteristic length is
-    provisional.
+    The reference configuration has the joints where the declaration puts them; it is not closed yet. An undeclared
+    characteristic length is provisional.
 
     Args:
         declaration: what it says counts before what the mechanism says of the same joints.
@@ -68,8 +68,8 @@ def read_robot(
         add_frames(model, (*file_joints, *declaration.loop_joints))
         _check_roles(declaration, closures, carriers, model)
         _check_couplings(couplings, declaration, carriers, model)
-    guess = configuration(model, declaration.reference.guess, mechanism.start)
-    sized, sizes = _with_lengths(closures, declaration, parameters, model, guess, rods)
+    guess = configuration(model, _positions(declaration, parameters), mechanism.start)
+    sized, sizes = _with_lengths(closures, declaration, model, guess, rods)
     robot = Robot(
         name=str(declaration.name or mechanism.name),
         parameters=MappingProxyType(dict(parameters)),
@@ -200,37 +200,42 @@ def _check_couplings(
         raise _refused(couplings[0].joint, what, "Leave `closed_form` out: RneaDynamics covers every robot.")
 
 
+def _positions(declaration: Declaration, parameters: Mapping[str, Argument]) -> dict[str, float]:
+    """Return positions of joints, rad or m, from which the reference is closed: its own count before the guess's."""
+    positions = dict(declaration.reference.guess)
+    if declaration.reference.joints is not None:
+        given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
+        positions.update(given)
+    return positions
+
+
 def _with_lengths(
     closures: Sequence[Closure],
     declaration: Declaration,
-    parameters: Mapping[str, Argument],
     model: pin.Model,
     guess: Array,
     known: Mapping[str, float],
 ) -> tuple[tuple[Closure, ...], tuple[str, ...]]:
     """Return closures whose rods have lengths, and notes of those that are measured.
 
-    A length is the rod's own, the one known by name, or the distance of its ends where the guess (nq,) and the
-    reference of independent joints put them. A platform's pose puts no joint anywhere: lengths are not measured there.
+    A length is the rod's own, the one known by name, or the distance of its ends at the guess (nq,), which has the
+    reference of independent joints. A platform's pose puts no joint anywhere: lengths are not measured there.
     """
     if not any(each.is_rod for each in closures):
         return tuple(closures), ()
-    data, q, reference = model.createData(), guess, declaration.reference
-    if reference.joints is not None:
-        given = zip(declaration.independent.joints, declaration.coordinates(parameters), strict=True)
-        q = configuration(model, dict(given), guess)
-    pin.forwardKinematics(model, data, q)
+    data = model.createData()
+    pin.forwardKinematics(model, data, guess)
     sized, notes = [], []
     for each in closures:
         length = each.length or known.get(each.name, 0.0)
         if each.is_rod and not length:
-            if reference.platform is not None:
+            if declaration.reference.platform is not None:
                 what = (
                     f"The rod {each.name!r} has no length, and `reference.platform` puts no joints where to measure it."
                 )
                 raise _refused(each.name, what, "Give its `length`, or a `reference` of joints.")
             length = float(np.linalg.norm(np.subtract(*ends_of(each, model, data))))
-            if length <= RANK_TOLERANCE * characteristic_length(model, q, ()):
+            if length <= RANK_TOLERANCE * characteristic_length(model, guess, ()):
                 what = f"The ends of the rod {each.name!r} coincide at the reference."
                 raise _refused(each.name, what, "Give its `length`, or a `reference.guess` in which they are apart.")
             notes.append(f"The rod {each.name!r} is {length:.6g} m long, as its ends are apart at the reference.")

@@ -159,6 +159,12 @@ class ClosureEntry(Schema):
         one, other = (np.eye(3)["xyz".index(each)] if isinstance(each, str) else np.array(each) for each in pair)
         return one, other
 
+    def default_name(self) -> str:
+        """Return what the closure is called where it has no name: its kind and its links, or its frames."""
+        kind = next(kind for kind in _TAKES if getattr(self, kind))
+        ends = " = ".join(getattr(self, kind))
+        return ends if kind == "frames" else f"{kind} {ends}"
+
     def joint(self) -> LoopJoint | None:
         """Return the joint; None where frames and axes are given."""
         kind = next(kind for kind in _TAKES if getattr(self, kind))
@@ -166,7 +172,7 @@ class ClosureEntry(Schema):
             return None
         links = getattr(self, kind)
         places = [placed(pin.rpy.rpyToMatrix(*rpy), at) for at, rpy in zip(self.at, self.rpy, strict=True)]
-        name = self.name or f"{kind} {' = '.join(links)}"
+        name = self.name or self.default_name()
         return joint_between(name, kind, links, places, self._directions(), self.length or 0.0)
 
     def closure(self) -> Closure:
@@ -174,7 +180,17 @@ class ClosureEntry(Schema):
         if joint := self.joint():
             return joint.closure()
         one, other = self.frames or ("", "")
-        return Closure(self.name or f"{one} = {other}", one, other, self.axes)
+        return Closure(self.name or self.default_name(), one, other, self.axes)
+
+
+def _each_with_a_name(closures: tuple[ClosureEntry, ...]) -> tuple[ClosureEntry, ...]:
+    """Return closures with names: those between the same two links, such as rods of a parallelogram, are numbered."""
+    names, numbered = [each.name or each.default_name() for each in closures], list[ClosureEntry]()
+    for place, (each, name) in enumerate(zip(closures, names, strict=True)):
+        is_named = each.name is not None or names.count(name) == 1
+        number = names[: place + 1].count(name)
+        numbered.append(each if is_named else each.model_copy(update={"name": f"{name} {number}"}))
+    return tuple(numbered)
 
 
 _TAKES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -344,7 +360,9 @@ class Declaration(Schema):
     joint_types: dict[str, Literal[KINDS]] = Field(  # type: ignore[valid-type]
         {}, description=f"a mapping of joints of the URDF to {', '.join(KINDS)}"
     )
-    closures: Annotated[tuple[ClosureEntry, ...], Field(description="a list of mappings")] = ()
+    closures: Annotated[
+        tuple[ClosureEntry, ...], Field(description="a list of mappings"), AfterValidator(_each_with_a_name)
+    ] = ()
     redundant_rows: bool = Field(False, description="true or false")
     couplings: Annotated[tuple[CouplingEntry, ...], Field(description="a list of mappings")] = ()
     actuated: Names

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.formats.mjcf import read_mjcf
@@ -72,7 +72,12 @@ def open_model(
     """
     if is_urdf(path):
         return _open_urdf(path, arguments, trust, untrusted)
-    defaults = _ARGUMENTS[_format(path)]
+    if (defaults := _ARGUMENTS.get(found := _format(path))) is None:
+        raise ModelFileError(
+            f"{path} is {found or 'no model'}, and by its name no URDF.",
+            remedy="Models are read by their names: call it .urdf, .xacro, .xml, .mjcf or .sdf.",
+            path=str(path),
+        )
     for name in arguments:
         if name not in defaults:
             remedy = f"{did_you_mean(name, defaults)}Its arguments: {', '.join(defaults)}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -164,6 +165,56 @@ def test_a_length_that_is_left_out_is_measured_where_the_reference_puts_the_join
     assert rod.length == pytest.approx(np.linalg.norm(other - one), rel=1e-14)
     assert f"The rod {rod.name!r} is {rod.length:.6g} m long, as its ends are apart at the reference." in robot.notes
     assert rp.with_parameters(robot, lengths={"rocker": 0.6}).closures == robot.closures
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("angle", [0.6, 2.2, 2.6, 3.4, 3.8, 4.2])
+def test_the_reference_is_on_the_branch_of_its_joints_and_its_guess(angle: float, side: float, tmp_path: Path) -> None:
+    """A guess closed to 1e-3 rad, its crank under ``joints``; by circles of 0.35 and 0.25 m about tip and pivot."""
+    upright = [replace(each, rpy=(np.pi / 2.0, 0.0, 0.0)) for each in (CRANK, ROCKER)]
+    tip = 0.1 * np.array([np.cos(angle), np.sin(angle)])
+    away = np.array([0.4, 0.0]) - tip
+    length = float(np.linalg.norm(away))
+    along = (0.35**2 - 0.25**2 + length**2) / (2.0 * length)
+    bend = np.arctan2(side * np.sqrt(0.35**2 - along**2), along)
+    bar = np.arctan2(away[1], away[0]) + bend
+    pin_at = tip + 0.35 * np.array([np.cos(bar), np.sin(bar)])
+    exact = {"knee": bar - angle, "rocker": np.arctan2(pin_at[1], pin_at[0] - 0.4)}
+    exact = {name: float(np.arctan2(np.sin(value), np.cos(value))) for name, value in exact.items()}
+    declaration = {
+        "closures": [MACHINES["ball"][1]],
+        "actuated": ["crank"],
+        "independent": {"joints": ["crank"]},
+        "reference": {
+            "joints": {"crank": float(angle)},
+            "guess": {name: round(value, 3) for name, value in exact.items()},
+        },
+    }
+    robot = rp.load_robot(write_robot(tmp_path, urdf_of([*upright, KNEE]), declaration))
+    for name, value in exact.items():
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        q = robot.q_reference[joint.idx_q : joint.idx_q + joint.nq]
+        reached = q[0] if joint.nq == 1 else np.arctan2(q[1], q[0])
+        assert np.cos(reached - value) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_rods_between_the_same_two_links_are_numbered(tmp_path: Path) -> None:
+    """As those of a parallelogram; each keeps the length of its own."""
+    joints, closure, _ = MACHINES["rod"]
+    slide = J("slide", "prismatic", "rocker", "shoe", (0.4, 0, 0))
+    first = {**closure, "rod": ["crank", "shoe"], "length": None}
+    second = {"rod": ["crank", "shoe"], "at": [[0.1, 0, 0], [0, 0, 0.01]]}
+    declaration = {
+        "closures": [first, second],
+        "actuated": ["crank"],
+        "independent": {"joints": ["crank"]},
+        "reference": {"joints": {"crank": 0.6}},
+    }
+    robot = rp.load_robot(write_robot(tmp_path, urdf_of([*joints, slide]), declaration))
+    one, other = robot.closures
+    assert [one.name, other.name] == ["rod crank = shoe 1", "rod crank = shoe 2"]
+    assert 0.0 < one.length != other.length > 0.0
+    assert rp.with_parameters(robot, masses={"rocker": 2.0}).closures == robot.closures
 
 
 def test_a_pose_of_the_platform_measures_no_rod(tmp_path: Path) -> None:

@@ -146,6 +146,26 @@ def test_equalities_of_tendons_and_rods_are_where_mujoco_has_no_error(tmp_path):
     assert away - rod.length == pytest.approx(engine.data.efc_pos[0], abs=1e-12)
 
 
+def test_a_weld_that_holds_no_rotation_is_a_ball(tmp_path):
+    """``torquescale="0"``: its ends part as MuJoCo's rows of position say."""
+    (free,) = re.findall("<connect.*?/>", FOUR_BAR)
+    for anchor in ("0 0 0", "0.05 0.1 -0.02"):
+        weld = f'<weld body1="coupler" body2="rocker" anchor="{anchor}" torquescale="0"/>'
+        path = write(tmp_path, FOUR_BAR.replace(free, weld))
+        mechanism, engine = read_mjcf(path), Engine(path)
+        model, q = mechanism.model, np.array(mechanism.start) + 0.3
+        (joint,) = mechanism.loop_joints
+        engine.set(mechanism, q)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        ends = zip(joint.links, joint.placements, strict=True)
+        one, other = (data.oMf[model.getFrameId(link, pin.BODY)] * pin.SE3(place) for link, place in ends)
+        rows = engine.data.efc_pos[engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+        assert joint.kind == "ball"
+        np.testing.assert_allclose(rows[3:6], 0.0, atol=1e-15)
+        np.testing.assert_allclose(np.abs(one.translation - other.translation), np.abs(rows[:3]), atol=1e-12)
+
+
 def test_curved_equalities_of_tendons_are_where_mujoco_has_no_error(tmp_path):
     """They couple joints without mass, whose positions are the lengths of both tendons."""
     text = GOOD["gripper"].replace('polycoef="0.1 5"', 'polycoef="0.1 5 0.3 -0.2 0.4"')

@@ -566,6 +566,13 @@ def test_a_model_that_drives_nothing_is_told_how_to_say_it(tmp_path: Path) -> No
             "<velocity_decay><linear>1</linear></velocity_decay><inertial>",
             "Not in force, though the file says it: velocity decay of base",
         ),
+        ("</joint>", "<physics><ode><cfm>0.1</cfm></ode></physics></joint>", "though the file says it: <ode> of drive"),
+        (
+            "</joint>",
+            "<physics><ode><cfm>0</cfm><suspension><cfm>1</cfm></suspension></ode></physics></joint>",
+            "though the file says it: <ode> of drive",
+        ),
+        ("</axis>", "</axis><axis2><xyz>1 0 0</xyz></axis2>", "second axis of 'drive', which is revolute, is left out"),
     ],
 )
 def test_what_is_left_out_is_noted(old: str, new: str, note: str, tmp_path: Path) -> None:

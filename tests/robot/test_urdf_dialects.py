@@ -143,6 +143,38 @@ def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: P
     assert torque(robot) - torque(plain) == pytest.approx(30.0**2 * 2e-5 * MOTION[2], rel=1e-9)
 
 
+def test_the_world_of_drake_needs_no_link(tmp_path: Path) -> None:
+    plain = rp.load_robot(FILES / "good" / "urdf_plus.urdf", gravity=GRAVITY)
+    onto_world = [('<parent link="ground"/>', '<parent link="world"/>')] * 2
+    robot = rp.load_robot(changed(tmp_path, ('<link name="ground"/>', ""), *onto_world), gravity=GRAVITY)
+    assert torque(robot) == torque(plain)
+    assert "The link 'world', which the file does not have, is the ground." in robot.notes
+
+
+def test_a_motor_of_a_joint_that_is_fixed_is_noted(tmp_path: Path) -> None:
+    more = """<link name="cover"/><joint name="lid" type="fixed"><parent link="bar"/><child link="cover"/></joint>
+    <transmission name="opens"><joint name="lid"/></transmission></robot>"""
+    robot = rp.load_robot(changed(tmp_path, ("</robot>", more)))
+    assert robot.actuated == ("motor",)
+    assert any("'lid', which a transmission" in note for note in robot.notes)
+
+
+@pytest.mark.parametrize(
+    ("tag", "meant"), [("loopjoint", "loop_joint"), ("loops", "loop"), ("ball_constraint", "drake:ball_constraint")]
+)
+def test_misspelt_loops_are_errors(tag: str, meant: str, tmp_path: Path) -> None:
+    with pytest.raises(RedundancyPinError, match=f"<{tag}> in line 20.*Did you mean '{meant}'"):
+        rp.load_robot(changed(tmp_path, ("</robot>", f"<{tag}/></robot>")))
+
+
+@pytest.mark.parametrize("word", ["false", "False", ""])
+def test_marks_of_independent_joints(word: str, tmp_path: Path) -> None:
+    """With or without capitals; joints without a mark are not independent where no mark says "false"."""
+    marks = [(f'<joint name="{name}"', f'<joint name="{name}" independent="{word}"') for name in ("motor", "foot")]
+    path = changed(tmp_path, *marks, ('<joint name="knee"', '<joint name="knee" independent="True"'))
+    assert rp.load_robot(path).independent_joints == ("knee",)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "note"),
     [
@@ -157,7 +189,18 @@ def test_a_rotor_of_drake_adds_its_inertia_by_the_square_of_its_gear(tmp_path: P
             '<joint_properties friction="0.1"/><limit lower="-2"',
             "friction by <joint_prop",
         ),
+        ("</loop>", '<dynamics damping="3"/></loop>', "Not in force, though the file says it: <dynamics>"),
         ('<limit lower="-2"', '<backlash/><limit lower="-2"', "Passed over: <backlash>"),
+        (
+            '<limit lower="-2"',
+            '<dynamics damping="0" spring="2"/><limit lower="-2"',
+            "Passed over: 'spring' of <dynamics>",
+        ),
+        (
+            '<limit lower="-2"',
+            '<limit soft_effort="2" lower="-2"',
+            "Passed over: 'soft_effort' of <limit>",
+        ),
         (
             "</robot>",
             '<gazebo reference="motor"><springStiffness>2</springStiffness></gazebo></robot>',
@@ -335,3 +378,13 @@ def test_a_continuous_joint_that_is_coupled_keeps_its_limits_of_speed_and_effort
     motion = rp.PlatformMotion([0.0], [[0.1]], [[2.0]], [[3.0]])
     tau = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau[0, 0]
     assert tau == pytest.approx(3.0 * (1.0 + 9.0) + 0.5 * 2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "what"), [("robot", "<robot/>", "is a URDF"), ("robot.txt", "root:x:0", "is no model")]
+)
+def test_a_model_is_read_by_its_name(name: str, text: str, what: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    (tmp_path / "robot.yaml").write_text(f"urdf: {name}\nactuated: [a]\nreference: {{}}\n")
+    with pytest.raises(RedundancyPinError, match=f"{what}, and by its name no URDF.*call it .urdf"):
+        rp.load_robot(tmp_path)

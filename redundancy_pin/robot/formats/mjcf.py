@@ -461,16 +461,15 @@ class _Reader:
         return LoopJoint(name, "rod", (first, second), (np.eye(4), np.eye(4)), length)
 
     def _loop_joint(self, number: int, name: str, one: int, other: int, data: Array) -> LoopJoint:
-        kind = "ball" if self.m["eq_type"][number] == "connect" else "weld"
+        is_weld = self.m["eq_type"][number] == "weld"
+        kind = "weld" if is_weld and data[10] else "ball"  # data[10] scales the rows of a weld's rotation
         if self.m["eq_objtype"][number] == "site":
             return LoopJoint(name, kind, (self.sites[one], self.sites[other]), (np.eye(4), np.eye(4)))
         places = np.eye(4), np.eye(4)
         # MuJoCo keeps a connect's points in the order of its bodies, a weld's the other way round
-        for place, point in zip(
-            places, (data[:3], data[3:6]) if kind == "ball" else (data[3:6], data[:3]), strict=True
-        ):
+        for place, point in zip(places, (data[3:6], data[:3]) if is_weld else (data[:3], data[3:6]), strict=True):
             place[:3, 3] = point
-        if kind == "weld":
+        if is_weld:
             places[0][:3, :3] = rotation_of(data[6:10])
         return LoopJoint(name, kind, (self.links[one], self.links[other]), places)
 

@@ -59,6 +59,9 @@ _AXES = {
 }
 """Types of joints, and the number of their axes."""
 
+_SOFT = ("cfm", "cfm_damping", "implicit_spring_damper", "max_force")
+"""Elements of a joint's <physics><ode> that soften or drive it, and of its <suspension>."""
+
 _LOOP_KINDS = {
     "revolute": "hinge",
     "continuous": "hinge",
@@ -217,6 +220,7 @@ class _Reader:
                 inertial.refuse(f"{part.owner} has an inertial by its shapes, or in another frame", remedy)
             place, mass = inertial.pose(), inertial.value("mass", 1.0)
         if tensor:
+            self.frames.pass_over(tensor)
             keys = ["i" + "".join(sorted(one + other)) for one in "xyz" for other in "xyz"]
             values = [tensor.value(key, 1.0 if key in _MOMENTS else 0.0) for key in keys]
             inertia = np.array(values).reshape(3, 3)
@@ -232,6 +236,10 @@ class _Reader:
     def _joint(self, full: str, frame: Frame) -> _Joint:
         part, name = frame.part, self.frames.name(full)
         self.frames.pass_over(part)
+        for ode in part.deep("ode"):
+            softened = [*ode.parts(), *(each for inner in ode.parts("suspension") for each in inner.parts())]
+            if any(each.tag in _SOFT and each.content().lower() not in ("", "0", "0.0", "false") for each in softened):
+                self._ignored.setdefault("<ode>", []).append(name)
         if (kind := part.text_of("type")) not in _AXES:
             what = f"{part.owner} has the type {shown(kind)}, which is not covered"
             part.refuse(what, f"Covered are {', '.join(_AXES)}.")
@@ -251,6 +259,8 @@ class _Reader:
             self._read_forces(axis, name, names[number] if number < len(names) and kind != "gearbox" else "")
             if axis.value("initial_position", 0.0):
                 self.notes.append(f"The initial position of {name!r} is not read: joints are at zero where links are.")
+            if 0 < _AXES[kind] <= number:
+                self.notes.append(f"The second axis of {name!r}, which is {kind}, is left out.")
             if number < _AXES[kind]:  # a ball may have axes, which say its damping
                 axes.append(self._direction(axis, frame, joint.place))
                 limits = self._limits(axis, kind)
@@ -278,6 +288,8 @@ class _Reader:
         if not (length := float(np.linalg.norm(vector))):
             axis.refuse(f"{axis.owner} has an axis of length zero", "Correct it.")
         turn = place[:3, :3]
+        if given and (unknown := set(given.attributes) - {"expressed_in"}):
+            given.refuse(f"{axis.owner} has an axis with {', '.join(sorted(unknown))}", "Write expressed_in.")
         if given and (named := given.text_of("expressed_in")):
             turn = self.frames.place(self.frames.find(frame.scope, named, given), main)[:3, :3]
         if axis.flag("use_parent_model_frame", default=axis.version <= _ALWAYS_IN_MODEL):

@@ -54,6 +54,7 @@ _PARTS = {
         "particle_emitter",
     ),
     "inertial": ("pose", "mass", "inertia", "density"),
+    "inertia": ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"),
     "joint": (
         *("pose", "parent", "child", "axis", "axis2", "physics", "sensor", "gearbox_ratio", "gearbox_reference_body"),
         *("thread_pitch", "screw_thread_pitch"),
@@ -406,7 +407,7 @@ class Frames:
         Raises:
             ModelFileError: as ``SdfPart.unknown_parts``.
         """
-        self.notes += [f"{not_understood(each).rstrip('.')} ({each.path.name})." for each in part.unknown_parts()]
+        self.notes += [f"{not_understood(each.place).rstrip('.')} ({each.path.name})." for each in part.unknown_parts()]
 
     # --- both graphs --------------------------------------------------------------------------------------------------
 

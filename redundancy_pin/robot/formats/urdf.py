@@ -106,7 +106,7 @@ def read_urdf(text: str, path: Path) -> Urdf:
             missing, there twice or misspelt; names that are; negative masses and moments of inertia; links that make no
             tree; a joint that mimics none; more links or freedoms than a model may have.
     """
-    robot = Part(parsed_text(text, str(path)), path, "The robot")
+    robot, notes = Part(parsed_text(text, str(path)), path, "The robot"), list[str]()
     if robot.element.tag != "robot":
         known = FORMATS.get(robot.element.tag)
         what = f": it is {known}" if known else ""
@@ -114,6 +114,10 @@ def read_urdf(text: str, path: Path) -> Urdf:
         robot.refuse(f"The top element of {path.name} is <{short(robot.element.tag)}>, not <robot>{what}", remedy)
     if (version := robot.text_of("version")) not in _VERSIONS:
         robot.refuse(f"The robot has the version {short(version)!r} of URDF", "There are 1.0, 1.1 and 1.2.")
+    if _needs_world(robot):
+        text = '<link name="world"/></robot'.join(text.rsplit("</robot", 1))
+        notes.append("The link 'world', which the file does not have, is the ground.")
+        robot = replace(robot, element=parsed_text(text, str(path)))
     robot.unknown_parts()  # those that are no slips of the pen are read by urdf_loops
     parts = {kind: robot.named(kind) for kind in ("link", "joint")}
     links = {name: _link(name, part) for name, part in parts["link"].items()}
@@ -127,22 +131,40 @@ def read_urdf(text: str, path: Path) -> Urdf:
     if freedoms > MOST_FREEDOMS:
         robot.refuse(f"The joints have {freedoms} freedoms, more than the {MOST_FREEDOMS} of a model")
     ordered = _in_order(robot, links, joints, parts["joint"])
-    marks = {name: part.text_of("independent") for name, part in parts["joint"].items()}
-    independent = [joint.name for joint in ordered[2] if _FREEDOMS.get(joint.kind, 3) and marks[joint.name] != "false"]
-    return Urdf(text, robot, *ordered, tuple(independent) if any(marks.values()) else (), _passed_over(parts))
+    marks = {name: part.text_of("independent").lower() for name, part in parts["joint"].items()}
+    for name, mark in marks.items():
+        if mark not in ("", "true", "false"):
+            parts["joint"][name].refuse(
+                f"{parts['joint'][name].owner} has independent={mark!r}", "Write true or false."
+            )
+    # a joint without a mark is independent where some are marked as not, and is not where some are marked as such
+    allowed = ("true", "") if "false" in marks.values() else ("true",)
+    independent = [j.name for j in ordered[2] if _FREEDOMS.get(j.kind, 3) and marks[j.name] in allowed]
+    notes += _passed_over(parts)
+    return Urdf(text, robot, *ordered, tuple(independent), tuple(notes))
 
 
-def _passed_over(parts: Mapping[str, Mapping[str, Part]]) -> tuple[str, ...]:
+def _needs_world(robot: Part) -> bool:
+    """Return whether a joint is on the link ``world``, which Drake has without a ``<link>``."""
+    joints = (*robot.children("joint"), *robot.children(DRAKE + "joint"))
+    parents = {parent.get("link") for joint in joints for parent in joint.findall("parent")}
+    return "world" in parents and "world" not in {each.get("name") for each in robot.children("link")}
+
+
+def _passed_over(parts: Mapping[str, Mapping[str, Part]]) -> list[str]:
     """Return notes on what links and joints have beside what the specification knows."""
-    notes = []
+    notes, lines = [], dict[str, list[str]]()
     for part in (*parts["link"].values(), *parts["joint"].values()):
         inertial = part.one("inertial")
+        for key, tag, line in (*part.unknown_attributes(), *(inertial.unknown_attributes() if inertial else ())):
+            lines.setdefault(f"{key!r} of <{tag}>", []).append(str(line))
         for each in (*part.unknown_parts(), *(inertial.unknown_parts() if inertial else ())):
             if each.tag != "joint_properties":
-                notes.append(not_understood(each))
+                notes.append(not_understood(each.place))
             elif any(each.text_of(key) not in ("", "0", "0.0") for key in FRICTION):  # of onshape-to-robot
                 notes.append(f"{NOT_IN_FORCE} friction by {each.place}.")
-    return tuple(notes)
+    notes += [not_understood(f"{what} in line {', '.join(where)}") for what, where in lines.items()]
+    return notes
 
 
 WITHOUT_INERTIAL = "Links without <inertial> count as massless:"

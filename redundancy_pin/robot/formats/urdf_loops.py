@@ -17,6 +17,7 @@ elements that a program has added are passed over with a note.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -53,8 +54,14 @@ _ENDS = {
 }
 """Elements that are loops, and those in them that name the two links."""
 
+_STATED = (*_ENDS, "coupling", "drake:ball_constraint", "drake:distance_constraint", "transmission", "ros2_control")
+"""Elements beside links and joints that are read: one that is nearly called so is an error."""
+
 _WITHOUT_MECHANICS = ("material", "sensor", "fixed_frame", "plugin", "collision_filter_group")
 """Elements beside links and joints that change nothing in the mechanics."""
+
+_ZEROS = ("", "0", "0.0", "false")
+"""Texts of elements that change nothing."""
 
 _FORCES = ("linear_spring_damper", "linear_bushing_rpy")
 """Forces of Drake between two links."""
@@ -105,6 +112,8 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
         tag = part.tag.removeprefix(DRAKE)
         if tag in _ENDS and part.tag == tag:
             joints.append(_loop(part, links))
+            ends = ("parent", "child", *_ENDS[tag])
+            notes += _left_out(part, (*ends, "parent_origin", "child_origin", "parent_axis", "child_axis", "axis"))
         elif tag == "coupling":
             couplings.append(_coupling(part, carriers, moving))
         elif tag in ("ball_constraint", "distance_constraint") and part.tag != tag:
@@ -115,15 +124,23 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
             if inertia := _rotor_inertia(part):
                 armature |= dict.fromkeys(driven, inertia)
         elif tag == "gazebo":
-            joints += [_of_gazebo(each, model, links) for each in part.parts("joint")]
+            for each in part.parts("joint"):
+                joints.append(_of_gazebo(each, model, links))
+                notes += _left_out(each, ("parent", "child", "pose", "axis"))
+                notes += [note for axis in each.parts("axis") for note in _left_out(axis, ("xyz",))]
             forces = [each.place for each in part.parts() if each.tag in _FORCES_OF_GAZEBO]
             notes += [f"{NOT_IN_FORCE} {place} of Gazebo." for place in forces]
         elif tag in _FORCES:
             notes.append(f"{NOT_IN_FORCE} {part.place} of Drake.")
         elif tag not in ("link", "joint", *_WITHOUT_MECHANICS):
-            notes.append(not_understood(part))
-    for name in motors:
-        if name not in moving:
+            if near := difflib.get_close_matches(tag.lower(), _STATED, n=1, cutoff=0.8):
+                robot.refuse(f"The robot has an element {part.place}", f"Did you mean {near[0]!r}?")
+            notes.append(not_understood(part.place))
+    for name in [name for name in motors if name not in moving]:
+        if name in {joint for joint, _ in carriers.values()}:
+            motors.remove(name)
+            notes.append(f"The joint {name!r}, which a transmission or ros2_control drives, is fixed here.")
+        else:
             remedy = did_you_mean(name, sorted(moving)).strip() or "Name a joint that moves."
             robot.refuse(f"A transmission or ros2_control drives {name!r}, which is no joint that moves", remedy)
     names = [joint.name for joint in joints]
@@ -133,9 +150,23 @@ def read_loops(robot: Part, carriers: Mapping[str, tuple[str, str]], model: pin.
     return Loops(tuple(joints), tuple(couplings), tuple(motors), armature, closing, tuple(notes))
 
 
-def not_understood(part: Part) -> str:
-    """Return a note on an element that is passed over."""
-    return f"{PASSED_OVER} {part.place}, which is not understood."
+def _left_out(part: Part, known: tuple[str, ...]) -> list[str]:
+    """Return notes on elements of a joint that closes a loop, such as limits and friction, except those of zeros."""
+    return [
+        f"{NOT_IN_FORCE} {each.place}, of a joint that closes a loop."
+        for each in part.parts()
+        if each.tag not in (*known, *_WITHOUT_MECHANICS)
+        and any(
+            text not in _ZEROS
+            for inner in each.element.iter()
+            for text in (*inner.attrib.values(), (inner.text or "").strip())
+        )
+    ]
+
+
+def not_understood(what: str) -> str:
+    """Return a note on an element or attribute that is passed over."""
+    return f"{PASSED_OVER} {what}, which is not understood."
 
 
 PASSED_OVER = "Passed over:"

@@ -49,6 +49,7 @@ _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "dynamics": FRICTION,
     "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
     "mimic": ("joint", "multiplier", "offset"),
+    "joint": ("name", "type", "independent"),
 }
 
 
@@ -149,13 +150,18 @@ class Part:
         return (self.element.text or "").strip()
 
     def one(self: _P, tag: str) -> _P | None:
-        """Return a part of which there is at most one, its attributes known."""
+        """Return a part of which there is at most one.
+
+        Raises:
+            ModelFileError: more of them, or an attribute that is nearly, but not quite, one that is left out.
+        """
         parts = [replace(self, element=element) for element in self.children(tag)]
         if len(parts) > 1:
             parts[1].refuse(f"{self.owner} has <{tag}> {len(parts)} times")
         known = _ATTRIBUTES.get(tag, ())
         for key in parts[0].element.attrib if parts and known else ():
-            if key not in known and (hint := did_you_mean(key.lower(), known)):
+            left_out = [each for each in known if each not in parts[0].element.attrib]
+            if key not in known and (hint := did_you_mean(key.lower(), left_out)):
                 parts[0].refuse(f"{self.owner} has <{tag}> with the attribute {short(key)!r}", hint.strip())
         return parts[0] if parts else None
 
@@ -180,6 +186,15 @@ class Part:
                 )
             unknown.append(part)
         return unknown
+
+    def unknown_attributes(self) -> list[tuple[str, str, int]]:
+        """Return the attributes of the element and of those in it that are not understood: name, element, and line."""
+        return [
+            (short(key), each.tag, each.element.line)
+            for each in (self, *self.parts())
+            for key in each.attributes
+            if "}" not in key and key not in _ATTRIBUTES.get(each.tag.removeprefix(DRAKE), (key,))
+        ]
 
     def number(self, key: str, what: str = "", most: float = LARGEST) -> float:
         """Return the number of an attribute."""
