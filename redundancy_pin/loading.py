@@ -371,6 +371,12 @@ def propose_robot(
     except DeclarationError as error:
         return proposal.refused(str(error)), None
     proposal = proposal.settled(robot, _turning(proposal, robot))
+    motors = len(proposal.mechanism.actuated)
+    if is_urdf(path) and not (actuate or is_open or proposal.questions) and motors < robot.n:
+        have = f"The mechanism has {robot.n} DOF and {motors} motor(s)"
+        proposal = proposal.asking(
+            f"Is a loop or a motor missing? {have}: --close A,B or --actuate A,B; --open if none is."
+        )
     if FLAT in robot.notes:
         proposal = proposal.asking(f"Which branch? {FLAT} --guess JOINT=VALUE,... decides.")
     return proposal, robot
