@@ -32,6 +32,9 @@ MOMENTS = ("xx", "xy", "xz", "yy", "yz", "zz")
 GRAIN = pin.Inertia(0.01, np.zeros(3), 1e-4 * np.eye(3))
 """kg and kg·m²; of each body, as MuJoCo takes none without moments about all axes."""
 
+FILE_ROUNDED = 4e-4
+"""rad; tilts of a coupler that a loop of the four-bar below takes as rounding."""
+
 GRAVITY = np.array([0.4, -9.0, 0.0])
 
 AMPLIFIED = 10.0
@@ -372,6 +375,29 @@ def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
         taken.append(tilt)
     assert taken[:2] == [0.0, 2e-4]
     assert taken[-1] < 1e-2
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-4, 5.5e-4, 6e-4])
+def test_contradictions_lead_to_no_other_assembly(tilt: float) -> None:
+    """A loop that opens by little more than rounding near the guess is refused: elsewhere it may open by less."""
+    model = pin.Model()
+    crank = model.addJoint(0, pin.JointModelRUBZ(), pin.SE3.Identity(), "crank")
+    place = pin.SE3(pin.rpy.rpyToMatrix(tilt, 0.0, 0.9), np.array([0.3, 0.0, 0.0]))
+    coupler = model.addJoint(crank, pin.JointModelRUBZ(), place, "coupler")
+    rocker = model.addJoint(0, pin.JointModelRUBZ(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), "rocker")
+    for name, joint, length in (("one", coupler, 0.6), ("other", rocker, 0.4)):
+        end = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
+        model.addFrame(pin.Frame(name, joint, 0, end, pin.FrameType.BODY))
+        model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    guess = pin.integrate(model, pin.neutral(model), np.array([1.0, -0.8, 1.9]))
+    arguments = {"actuated": ["crank"], "closures": [("one", "other", ["x", "y", "z"])], "reference": guess}
+    if tilt > FILE_ROUNDED:
+        with pytest.raises(DeclarationError, match="redundant except for"):
+            rp.robot_from_model(model, redundant_rows=True, **arguments)
+        return
+    robot = rp.robot_from_model(model, redundant_rows=True, **arguments)
+    turned = pin.difference(model, guess, np.array(robot.q_reference))
+    np.testing.assert_allclose(turned, [-0.525, -0.536, -1.487], atol=2e-3)
 
 
 def test_rows_that_hardly_hold_and_lock_nothing_are_meant() -> None:
