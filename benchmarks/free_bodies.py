@@ -114,6 +114,8 @@ def read_urdf(path):
     for joint in root.findall("joint"):
         if joint.find("parent") is not None:
             _urdf_joint(file, joint)
+    if any("world" in joint.links for joint in file.joints.values()):  # Drake has it without a word
+        file.links.setdefault("world", Link(0.0, np.zeros(3), np.zeros((3, 3))))
     closing = {}
     for name in file.links:
         head, _, number = name.rpartition("_")
@@ -131,8 +133,12 @@ def read_urdf(path):
         at = [numbers(ball.find(f"{DRAKE}ball_constraint_p_{end}").get("value"), [0, 0, 0]) for end in ("AP", "BQ")]
         places = tuple(placement(point, np.zeros(3)) for point in at)
         file.joints[f"ball {len(file.joints)}"] = Joint("ball", tuple(ends), places)
-    if root.find("gazebo/joint") is not None:
-        raise NotJudgedError("a joint of Gazebo")
+    for weld in root.findall("gazebo/joint"):  # as its links are when all joints are at zero
+        if weld.get("type") != "fixed":
+            raise NotJudgedError(f"a joint of Gazebo of type {weld.get('type')}")
+        ends = weld.findtext("parent"), weld.findtext("child")
+        one, other = (_at_zero(file, end) for end in ends)
+        file.joints[f"weld {weld.get('name')}"] = Joint("fixed", ends, (np.linalg.inv(one) @ other, np.eye(4)))
     parents = {joint.links[1]: (name, joint.links[0]) for name, joint in reversed(file.joints.items())}
     for coupling in root.findall("coupling"):
         factors = {}
@@ -149,6 +155,15 @@ def read_urdf(path):
             factors = {joint.get("name"): 1.0, mimic.get("joint"): -float(mimic.get("multiplier", 1))}
             file.couplings.append((factors, float(mimic.get("offset", 0))))
     return file
+
+
+def _at_zero(file, link):
+    """Return where a link is in the root, all joints at zero."""
+    place = np.eye(4)
+    while carrier := next((joint for joint in file.joints.values() if joint.links[1] == link), None):
+        place = carrier.places[0] @ np.linalg.inv(carrier.places[1]) @ place
+        link = carrier.links[0]
+    return place
 
 
 def _shared(parents, one, other):

@@ -353,7 +353,7 @@ def tried(path, kind, arguments, folder):
     try:
         robot, flags = loaded(path, kind, arguments)
     except RedundancyPinError as error:
-        return {"refused": str(error).replace(str(path.parent), "").replace(path.name, "").lstrip(":/ ")}
+        return {"refused": str(error).replace(f"{path.parent}/", "").removeprefix(f"{path.name}: ")}
     counts = {"closures": len(robot.closures), "couplings": len(robot.couplings)}
     row = {"n": robot.n, "m": robot.m, "flags": flags, **counts}
     try:
@@ -431,7 +431,7 @@ def shortened(text, folder):
 
 
 def tables(results, folder):
-    """Return the table of files that load, and of those that are refused."""
+    """Return a summary, the table of files that load, and of those that are refused."""
     read = [
         "| format | file | n | m | closures, couplings | difference | |",
         "|---|---|---|---|---|---|---|",
@@ -445,13 +445,19 @@ def tables(results, folder):
             continue
         remarks = [f"`{result['flags']}`"] if result["flags"] else []
         if result.get("error", 0.0) > CLOSED:
-            remarks.append(f"loops miss by {result['error']:.0e}, as its numbers are rounded")
+            remarks.append(f"joints miss by {result['error']:.0e} m or rad")
         if "unjudged" in result:
             remarks.append(f"not judged: {result['unjudged']}")
         difference = f"{result['difference']:.0e}" if "difference" in result else ""
         counts = f"{result['closures']}, {result['couplings']}" if result["closures"] + result["couplings"] else ""
         read.append(f"{head} {result['n']} | {result['m']} | {counts} | {difference} | {'; '.join(remarks)} |")
-    return "\n".join(read) + "\n\nRefused, or asked about:\n\n" + "\n".join(refused) + "\n"
+    judged = [each for *_, each in results if "difference" in each]
+    exact = max((each["difference"] for each in judged if each["error"] <= CLOSED), default=0.0)
+    summary = (
+        f"{len(results)} files: {len(judged)} load and are judged, {len(refused) - 2} are refused. Where all joints "
+        f"of the file close, the largest difference is {exact:.0e}."
+    )
+    return "\n".join([summary, "", *read, "", "Refused, or asked about:", "", *refused, ""])
 
 
 if __name__ == "__main__":

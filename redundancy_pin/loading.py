@@ -371,6 +371,12 @@ def propose_robot(
     except DeclarationError as error:
         return proposal.refused(str(error)), None
     proposal = proposal.settled(robot, _turning(proposal, robot))
+    motors = len(proposal.mechanism.actuated)
+    if is_urdf(path) and not (actuate or is_open or proposal.questions) and motors < robot.n:
+        have = f"The mechanism has {robot.n} DOF and {motors} motor(s)"
+        proposal = proposal.asking(
+            f"Is a loop or a motor missing? {have}: --close A,B or --actuate A,B; --open if none is."
+        )
     if FLAT in robot.notes:
         proposal = proposal.asking(f"Which branch? {FLAT} --guess JOINT=VALUE,... decides.")
     return proposal, robot
@@ -733,7 +739,12 @@ def _joined(
     robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
     if selection.left_out:
         # rows that are left say less of the side on which a weld closes: what follows starts on the right one
-        robot = replace(robot, q_reference=frozen(selection.q), all_closures=_with_redundant_rows(kept.closures, every))
+        robot = replace(
+            robot,
+            q_reference=frozen(selection.q),
+            all_closures=_with_redundant_rows(kept.closures, every),
+            dependent_residual=selection.opened,
+        )
     if choose:
         notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
         robot = replace(robot, independent_joints=selection.independent)

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from redundancy_pin.robot.propose import Proposal
 
 
+_FIRST_LINE = "# Written by `redundancy-pin new`.\n"
+
+
 def _names(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
@@ -62,13 +65,13 @@ def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) 
 
     source = Path(path)
     target = require_writable(out or source.parent / "robot.yaml")
-    if target.exists():
+    if target.exists() and not _is_undecided(target):
         raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
     if not is_urdf(source) and source.exists() and not is_model_file(source):
         raise InputError(f"{path} is no model of a robot.", remedy="Pass a URDF, xacro, MJCF or SDF file.")
     proposal, robot = propose_robot(source, trust=trust, **decided)
     place = source.name if target.resolve().parent == source.resolve().parent else str(source.resolve())
-    write_text(target, _declaration(proposal, robot, place))
+    write_text(target, _declaration(proposal, robot, place, is_near_guess=is_urdf(source) or bool(decided["guess"])))
     mechanism, notes, outcome = proposal.mechanism, proposal.mechanism.notes, "it loads when all is decided"
     if robot and not proposal.questions:
         loaded = load_with(target, {}, trust=trust)
@@ -91,8 +94,17 @@ def new(path: str, out: str | None, trust: bool, as_json: bool, **decided: Any) 
     return BAD_INPUT if proposal.questions else 0
 
 
-def _declaration(proposal: Proposal, robot: Robot | None, path: str) -> str:
-    """Return the text of the declaration; what is not certain is left out, or a question under ``undecided``."""
+def _is_undecided(path: Path) -> bool:
+    """Return whether a file is one of this command whose questions are open."""
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    return text.startswith(_FIRST_LINE) and "\nundecided:\n" in text
+
+
+def _declaration(proposal: Proposal, robot: Robot | None, path: str, *, is_near_guess: bool) -> str:
+    """Return the text of the declaration; what is not certain is left out, or a question under ``undecided``.
+
+    ``is_near_guess``: the reference is near a guess, and not where the file starts.
+    """
     import jinja2
 
     from redundancy_pin.kinematics.coordinates import joint_position
@@ -100,10 +112,11 @@ def _declaration(proposal: Proposal, robot: Robot | None, path: str) -> str:
     from redundancy_pin.robot.model_files import is_urdf
 
     positions, independent = {}, list[str]()
-    if robot:
+    if robot and is_near_guess:
         single = [name for name in joint_names(robot.model) if find_joint(robot.model, name).nv == 1]
         at = {name: joint_position(robot, name, robot.q_reference[None]) for name in single}
         positions = {name: round(float(value[0]), 9) for name, value in at.items()}
+    if robot:
         independent = list(robot.independent_joints)
     if proposal.questions or not set(independent) <= {*joint_names(proposal.mechanism.model)}:
         independent = []  # not known, or of hinges that stand for a ball of the file

@@ -33,7 +33,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import constraint_system, with_all_rows
+from redundancy_pin.kinematics.closure import constraint_system, dependent_row_tolerance, with_all_rows
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
@@ -132,7 +132,7 @@ class LoopSolver:
         self.system = constraint_system(robot)
         self.chain = chain = ClosedChain(robot)
         self._rows, self.rank = self.system.all_rows, len(self.system.rows)
-        self._redundant = bool(robot.all_closures)
+        self._redundant, self._widest = bool(robot.all_closures), dependent_row_tolerance(robot)
         every = constraint_system(with_all_rows(robot))
         self._every, self._count, self._every_unit = every.all_rows, len(every.rows), every.equation_unit
         self._columns, self._nv = chain.pose_columns, robot.model.nv
@@ -262,7 +262,7 @@ class LoopSolver:
         vectors = self.chain.vectors  # axes that must coincide do, and are not turned over
         if not all(float(vectors[a : a + 3].dot(vectors[b : b + 3])) > _COS_TURNED_OVER for a, b in self._aligned):
             return None
-        if not (residual < CLOSURE_TOLERANCE and open_row < FILE_TOLERANCE):
+        if not (residual < CLOSURE_TOLERANCE and open_row < self._widest):
             return None
         size = math.sqrt(inverse.ravel().dot(inverse.ravel()))
         gamma = np.zeros((self._nv, self.robot.n))

@@ -14,6 +14,9 @@ from redundancy_pin.robot import Robot
 _SPREADS = np.linspace(0.2, 1.5, 30)
 """rad or characteristic lengths: how far further starts are away, up to a quarter turn."""
 
+_CONTRADICTION = 30.0
+"""Residual over the tolerance up to which Newton's method from the start has found the configuration that is meant."""
+
 _ITERATIONS = 100
 """Most steps of Newton's method: on redundant rows it converges linearly where they lose rank."""
 
@@ -44,6 +47,8 @@ def closed_near(
         if residual < tolerance * robot.characteristic_length:
             return closed
         best = min(best, residual)
+        if start is q and residual < _CONTRADICTION * tolerance * robot.characteristic_length:
+            break  # rows that contradict each other: another assembly, where they do so less, is another machine
     raise DeclarationError(
         f"The loops of {robot.name} do not close near the reference: the closure residual is {best:.3g} m.",
         remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",

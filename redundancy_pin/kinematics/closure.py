@@ -572,13 +572,29 @@ def with_all_rows(robot: Robot) -> Robot:
     return replace(robot, closures=robot.all_closures, all_closures=()) if robot.all_closures else robot
 
 
+_WHOLE_TURN = 100.0
+"""Residual of dependent rows along a whole turn over that within 0.1 rad of the reference: 40 for an axis that is drawn
+where it belongs at the reference (sin(π / 2) / sin(0.1 / 2)), more where its joint moves less than others there."""
+
+_WIDEST = 20.0 * FILE_TOLERANCE
+"""Residual of dependent rows, rad or characteristic lengths, that no machine of rounded numbers comes to."""
+
+
+def dependent_row_tolerance(robot: Robot) -> float:
+    """Return up to which residual of dependent rows, rad or characteristic lengths, a configuration is closed.
+
+    On a branch that is not the machine's it is larger.
+    """
+    return min(max(FILE_TOLERANCE, _WHOLE_TURN * robot.dependent_residual), _WIDEST)
+
+
 def dependent_row_residual(robot: Robot, q: Array) -> Array:
     """Return (N,) the closure residual of dependent rows at (N, nq), m; zero for rounding of a file."""
     if not robot.all_closures:
         return np.zeros(len(q))
     system = constraint_system(with_all_rows(robot))
     residual = system.largest_residual(system.evaluate(q).phi)
-    return np.where(residual > FILE_TOLERANCE * robot.characteristic_length, residual, 0.0)
+    return np.where(residual > dependent_row_tolerance(robot) * robot.characteristic_length, residual, 0.0)
 
 
 def dependent_rows_restore_rank(robot: Robot, q: Array) -> bool:

@@ -28,8 +28,9 @@ from redundancy_pin.kinematics.branch import (
     follower,
     known_state,
 )
-from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem, dependent_row_residual
 from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, mode_name, working_modes
+from redundancy_pin.kinematics.mobility import worst_dependent_row
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -393,9 +394,10 @@ def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0, *, time
         )
     state = own.close(q, x) if in_mode else None
     if state is None:
+        residual = max(residual, float(dependent_row_residual(robot, q[None])[0]))
         raise UnreachablePoseError(
-            f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {residual:.3g} m."
-            f"{millimetres(residual, robot.characteristic_length)}",
+            f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {residual:.3g} m"
+            f"{worst_dependent_row(robot, q)}.{millimetres(residual, robot.characteristic_length)}",
             remedy="Move the pose into the workspace, or load the robot in another working_mode.",
             **details,
             residual=residual,
@@ -453,8 +455,8 @@ def _error(end: BranchEnd, motion: PlatformMotion, k: int) -> RedundancyPinError
         return UnreachablePoseError(end.reason, remedy=_FEWER_TURNS, sample=k)
     if end.status is SampleStatus.UNREACHABLE:
         return UnreachablePoseError(
-            f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m."
-            f"{millimetres(end.residual, robot.characteristic_length)}",
+            f"The pose of {place} cannot be reached: the chains stay open by {end.residual:.3g} m"
+            f"{worst_dependent_row(robot, end.q)}.{millimetres(end.residual, robot.characteristic_length)}",
             remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
             sample=k,
             residual=end.residual,

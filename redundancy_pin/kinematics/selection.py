@@ -248,7 +248,8 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
     """Raise DeclarationError for rows that are redundant except for wrong placements; it names how far they open.
 
     Short levers and loops in line make rows that are hardly independent, too: those hold more and more on the way from
-    there, or leave the number of degrees of freedom that is declared.
+    there, leave the number of degrees of freedom that is declared, or lock no joint of a machine with another number of
+    motors.
     """
     system, near = ConstraintSystem(robot), 10.0 * _DOUBTFUL
     try:
@@ -260,17 +261,22 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
     if rank == min(len(keep), velocities) or declared not in (None, velocities - rank):
         return
     fewer, doubtful = _with_rows(robot, keep)
+    free, held = (
+        np.abs(free_motions(each, q, EXACT)).max(axis=0, initial=0.0) for each in (ConstraintSystem(fewer), system)
+    )
+    if robot.m != velocities - rank and not ((free > FILE_TOLERANCE) & (held < FILE_TOLERANCE)).any():
+        return
     around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
     opened = float(_opened(system, around).max())
-    held = [float(np.linalg.svd(system.closure_rows(each), compute_uv=False)[rank]) for each in around]
-    wrong = max(held) <= _DOUBTFUL if opened > FILE_TOLERANCE else FILE_TOLERANCE < max(held) <= 2.0 * held[0]
+    least = [float(np.linalg.svd(system.closure_rows(each), compute_uv=False)[rank]) for each in around]
+    wrong = max(least) <= _DOUBTFUL if opened > FILE_TOLERANCE else FILE_TOLERANCE < max(least) <= 2.0 * least[0]
     if wrong:
         raise DeclarationError(
-            f"{robot.name} has closure rows that are redundant except for {max(opened, held[0]):.3g} (characteristic "
+            f"{robot.name} has closure rows that are redundant except for {max(opened, least[0]):.3g} (characteristic "
             f"lengths or rad): {', '.join(doubtful)}.",
             remedy=f"Correct the placements of joints and closures, of which {FILE_TOLERANCE:g} counts as rounding; or "
             "write a declaration with as many independent joints as these rows leave.",
-            residual=max(opened, held[0]),
+            residual=max(opened, least[0]),
         )
 
 

@@ -117,17 +117,23 @@ def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
     return tuple(joint for joint in all_ranges(robot) if joint.name not in robot.carriers)
 
 
+_SMALL_PART = 0.01
+"""Part of a range that may be the rounding of its ends: a stroke of two digits."""
+
+
 def meet_limits(robot: Robot) -> Robot:
     """Return the robot with limits moved to its reference where that is beyond them by the rounding of a file.
 
-    A note names the joints, and by how much: up to ``FILE_TOLERANCE``, rad or characteristic lengths.
+    A note names the joints, and by how much: up to ``FILE_TOLERANCE``, rad or characteristic lengths, and up to a
+    hundredth of the range.
     """
     q, moved, model = np.array(robot.q_reference), list[str](), pin.Model(robot.model)
     ends = {"lower": model.lowerPositionLimit, "upper": model.upperPositionLimit}
     for joint in joint_ranges(robot):
         value = q[joint.at : joint.at + 1]
         excess, at = float(joint.excess(value, False)[0]), float(joint.counted(value, False)[0])
-        if joint.slack < excess <= joint.slack * FILE_TOLERANCE / ROUNDING:
+        rounding = min(joint.slack * FILE_TOLERANCE / ROUNDING, _SMALL_PART * (joint.upper - joint.lower))
+        if joint.slack < excess <= rounding:
             end = "lower" if at < joint.lower else "upper"
             ends[end][joint.at] = at
             moved.append(f"{end} of {joint.name!r} by {excess:.1g} {'rad' if joint.turns else 'm'}")

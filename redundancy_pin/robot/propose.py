@@ -478,7 +478,7 @@ def which_motors(mechanism: Mechanism, count: int | None = None) -> str:
     """Return the question which joints are driven, with what suggests itself for a number of degrees of freedom."""
     joints = _could_be_driven(mechanism)
     by_name = [name for name in joints if _is_motor(name)]
-    likely = {"by name": by_name, **_usual_places(mechanism.model, joints)}
+    likely = {"by name": by_name, "all": joints, **_usual_places(mechanism.model, joints)}
     ways = [f"--actuate {','.join(names)} ({why})" for why, names in likely.items() if len(names) == count]
     degrees = "" if count is None else f" The mechanism has {count} DOF."
-    return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B,...'}."
+    return f"Which joints are driven, of {', '.join(joints)}?{degrees} {'; '.join(ways) or '--actuate A,B'}."

@@ -187,6 +187,8 @@ class Robot(Frozen):
         loads: forces it meets beside gravity and inertia; ``model`` has the payloads among them.
         couplings: joints whose positions follow those of others; each is one constraint more.
         all_closures: ``closures`` with their redundant rows, which were left out; empty where none were.
+        dependent_residual: largest residual of the rows left out, near the reference, rad or characteristic lengths:
+            the rounding of a file.
     """
 
     name: str
@@ -211,6 +213,7 @@ class Robot(Frozen):
     loads: tuple[Load, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     all_closures: tuple[Closure, ...] = ()
+    dependent_residual: float = 0.0
 
     def __repr__(self) -> str:
         """Return what tells robots apart, not their whole URDF."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
@@ -36,12 +36,7 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
     defaults, complete = _declared(path)
     unknown = [name for name in arguments if name not in defaults]
     if complete and unknown:
-        remedy = f"{did_you_mean(unknown[0], defaults)}Its arguments: {', '.join(defaults)}."
-        raise InputError(
-            f"{path.name} has no argument {unknown[0]!r}{'' if defaults else ', nor any other'}.",
-            remedy=remedy if defaults else _without_arguments(path, unknown[0]),
-            argument=unknown[0],
-        )
+        raise _unknown(path, unknown[0], defaults)
     values: dict[str, Argument] = {}
     for name in (*defaults, *unknown):
         default = defaults.get(name)
@@ -57,6 +52,17 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
                 argument=name,
             )
     return values
+
+
+def _unknown(path: Path, name: str, known: Iterable[str]) -> InputError:
+    """Return the error for an argument that a file does not have."""
+    known = tuple(known)
+    remedy = f"{did_you_mean(name, known)}Its arguments: {', '.join(known)}."
+    return InputError(
+        f"{path.name} has no argument {name!r}{'' if known else ', nor any other'}.",
+        remedy=remedy if known else _without_arguments(path, name),
+        argument=name,
+    )
 
 
 def _without_arguments(path: Path, name: str) -> str:
@@ -231,6 +237,7 @@ def render(
 
     Raises:
         ModelFileError: missing file, broken XML, a xacro expression that fails or that models may not use.
+        InputError: an argument that neither the file nor what it includes declares or reads.
     """
     if path.suffix != ".xacro":
         return read_model(path), {}
@@ -239,6 +246,12 @@ def render(
     # shipped files do not change, and sweeps and tests load the same ones time and again
     kept = is_shipped(path) and not trust and not untrusted
     urdf, resolved = (_expanded if kept else _expanded.__wrapped__)(path, tuple(texts.items()), trust, untrusted)
+    if unread := [name for name in texts if name not in resolved]:
+        declared, _ = _declared(path)  # in a part of the file that these arguments leave out
+        for name in unread:
+            if name not in declared:
+                raise _unknown(path, name, {**declared, **resolved})
+        resolved = {**resolved, **{name: texts[name] for name in unread}}
     return urdf, {name: from_text(value) for name, value in resolved.items()}
 
 

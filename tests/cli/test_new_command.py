@@ -47,9 +47,32 @@ def test_what_is_asked_is_in_the_file_until_it_is_decided(urdf, tmp_path):
     assert rp.load_robot(tmp_path).n == 1
 
 
+@pytest.mark.parametrize("elbow", [-0.5, -2.5])
+def test_a_guess_decides_the_branch_of_a_model_that_starts_open(elbow, tmp_path):
+    """A four-bar of MuJoCo whose sites are apart where it starts; by the law of cosines both branches are known."""
+    body = '<inertial pos="0.05 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>'
+    path = tmp_path / "four.xml"
+    path.write_text(
+        f"""<mujoco><compiler angle="radian"/><worldbody>
+        <body name="crank"><joint name="drive" axis="0 -1 0"/>{body}
+          <body pos="0.1 0 0"><joint name="elbow" axis="0 -1 0"/>{body}<site name="a" pos="0.35 0 0"/></body>
+        </body>
+        <body name="rocker" pos="0.4 0 0"><joint name="pin" axis="0 -1 0"/>{body}<site name="b" pos="0.25 0 0"/></body>
+        </worldbody><equality><connect site1="a" site2="b"/></equality>
+        <actuator><motor joint="drive"/></actuator></mujoco>"""
+    )
+    pin = 1.7 if elbow > -1 else -2.4
+    assert call("new", path, "--guess", f"drive=1,elbow={elbow},pin={pin}").exit_code == 0
+    drive, knee, rocker = rp.load_robot(tmp_path).q_reference
+    tip = 0.1 * np.exp(1j * drive) + 0.35 * np.exp(1j * (drive + knee))
+    assert tip == pytest.approx(0.4 + 0.25 * np.exp(1j * rocker), abs=1e-9)
+    assert np.angle(np.exp(1j * (knee - elbow))) == pytest.approx(0.0, abs=0.5)
+
+
 def test_what_is_decided_loads_and_is_closed(urdf, tmp_path):
     branch = call("new", urdf, *DECIDED[:4])
     assert (branch.exit_code, "undecided: Which branch?" in branch.stderr) == (2, True)
+    assert call("new", urdf, *DECIDED).exit_code == 0  # in place of the file whose questions are open
     assert "is there already" in refused("new", urdf)
     out = tmp_path / "other" / "own.yaml"
     out.parent.mkdir()
@@ -98,7 +121,7 @@ def test_links_without_inertial_and_missing_motors_are_named(tmp_path):
     path.write_text(
         urdf_of(joints).replace("</robot>", '<transmission name="t"><joint name="drive"/></transmission></robot>')
     )
-    assert "arm has 2 degrees of freedom and 1 actuated joint (drive)" in call("new", path).stdout
+    assert "arm has 2 degrees of freedom and 1 actuated joint (drive)" in call("new", path, "--open").stdout
     bare = re.sub(r'<link name="lower">.*?</link>', '<link name="lower"/>', path.read_text())
     path.write_text(bare)
     assert "massless: lower" in call("new", path, "--out", tmp_path / "bare.yaml").stdout

@@ -32,6 +32,9 @@ MOMENTS = ("xx", "xy", "xz", "yy", "yz", "zz")
 GRAIN = pin.Inertia(0.01, np.zeros(3), 1e-4 * np.eye(3))
 """kg and kg·m²; of each body, as MuJoCo takes none without moments about all axes."""
 
+FILE_ROUNDED = 4e-4
+"""rad; tilts of a coupler that a loop of the four-bar below takes as rounding."""
+
 GRAVITY = np.array([0.4, -9.0, 0.0])
 
 AMPLIFIED = 10.0
@@ -351,6 +354,75 @@ def test_between_rounded_and_wrong(name: str, kind: str, seed: int, tmp_path: Pa
         return
     assert robot.independent_joints == exact.driven
     assert error(exact, rp.RneaDynamics(robot)) < AMPLIFIED * 1e-3
+
+
+@pytest.mark.parametrize("kind", ["urdf", "yaml", "sdf"])
+def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
+    """A tilted coupler, drawn with its loop open: refused, or the machine of the file with efforts all round."""
+    exact = drawn("four_bar")
+    x, one = np.linspace(-3.0, 3.0, 13)[:, None], np.ones((13, 1))
+    motion, taken, want = rp.PlatformMotion(x[:, 0], x, one, 0.0 * one), [], np.zeros(0)
+    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 18), 1e-2):
+        off_by = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.0 if kind == "sdf" else 0.2])), np.zeros(3))
+        bodies = [each._replace(place=each.place * off_by) if each.name == "coupler" else each for each in exact.bodies]
+        try:
+            robot = FORMATS[kind](tmp_path, exact._replace(bodies=tuple(bodies)))
+        except DeclarationError:
+            continue
+        tau = rp.distribute(rp.RneaDynamics(robot).along(motion).reduce()).tau
+        want = tau if tilt == 0.0 else want
+        np.testing.assert_allclose(tau, want, atol=AMPLIFIED * tilt * np.abs(want).max())
+        taken.append(tilt)
+    assert taken[:2] == [0.0, 2e-4]
+    assert taken[-1] < 1e-2
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-4, 5.5e-4, 6e-4])
+def test_contradictions_lead_to_no_other_assembly(tilt: float) -> None:
+    """A loop that opens by little more than rounding near the guess is refused: elsewhere it may open by less."""
+    model = pin.Model()
+    crank = model.addJoint(0, pin.JointModelRUBZ(), pin.SE3.Identity(), "crank")
+    place = pin.SE3(pin.rpy.rpyToMatrix(tilt, 0.0, 0.9), np.array([0.3, 0.0, 0.0]))
+    coupler = model.addJoint(crank, pin.JointModelRUBZ(), place, "coupler")
+    rocker = model.addJoint(0, pin.JointModelRUBZ(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), "rocker")
+    for name, joint, length in (("one", coupler, 0.6), ("other", rocker, 0.4)):
+        end = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
+        model.addFrame(pin.Frame(name, joint, 0, end, pin.FrameType.BODY))
+        model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    guess = pin.integrate(model, pin.neutral(model), np.array([1.0, -0.8, 1.9]))
+    arguments = {"actuated": ["crank"], "closures": [("one", "other", ["x", "y", "z"])], "reference": guess}
+    if tilt > FILE_ROUNDED:
+        with pytest.raises(DeclarationError, match="redundant except for"):
+            rp.robot_from_model(model, redundant_rows=True, **arguments)
+        return
+    robot = rp.robot_from_model(model, redundant_rows=True, **arguments)
+    turned = pin.difference(model, guess, np.array(robot.q_reference))
+    np.testing.assert_allclose(turned, [-0.525, -0.536, -1.487], atol=2e-3)
+
+
+def test_rows_that_hardly_hold_and_lock_nothing_are_meant() -> None:
+    """Seven hinges tilted by 0.01 rad in a loop have one degree of freedom; with four motors the plane is wrong."""
+    rng, model, angles = (
+        np.random.default_rng(2),
+        pin.Model(),
+        2.0 * np.pi * np.arange(7) / 7.0 + 0.2 * np.arange(7) ** 2,
+    )
+    places = [
+        pin.SE3(pin.exp3(np.append(rng.uniform(-0.01, 0.01, 2), 0.0)), np.array([np.cos(angle), np.sin(angle), 0.0]))
+        for angle in angles
+    ]
+    joint, before = 0, pin.SE3.Identity()
+    for k, place in enumerate(places[:6]):
+        joint = model.addJoint(joint, pin.JointModelRZ(), before.actInv(place), f"hinge_{k}")
+        model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+        before = place
+    model.addFrame(pin.Frame("end", joint, 0, before.actInv(places[6]), pin.FrameType.BODY))
+    model.addFrame(pin.Frame("start", 0, 0, places[6], pin.FrameType.BODY))
+    closures = [("start", "end", HINGE)]
+    robot = rp.robot_from_model(model, actuated=["hinge_0"], closures=closures, redundant_rows=True)
+    assert (robot.n, robot.closures[0].axes) == (1, tuple(HINGE))
+    with pytest.raises(DeclarationError, match="redundant except for"):
+        rp.robot_from_model(model, actuated=[f"hinge_{k}" for k in range(4)], closures=closures, redundant_rows=True)
 
 
 def test_generated_code_and_simulations_of_rounded_placements(tmp_path: Path) -> None:

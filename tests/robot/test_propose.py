@@ -259,3 +259,15 @@ def test_frames_of_an_open_arm(marks, asked_of: tuple[str, ...], tmp_path: Path)
         proposal, _ = propose_robot(path, actuate=actuate)
         assert any("loops cut" in each for each in proposal.questions) is (motors in asked_of)
         assert bool(proposal.questions) is (not actuate or motors in asked_of)
+        assert actuate or asked_of or "3 DOF. --actuate j0,j1,j2 (all)" in proposal.questions[0]
+
+
+def test_fewer_motors_than_freedoms_are_asked_about(tmp_path: Path) -> None:
+    """A loop that is drawn without marks leaves no other trace."""
+    joints = tuple(j for j in renamed({}) if j.kind != "fixed")
+    path = written(tmp_path, *joints)
+    motor = '<transmission name="t"><joint name="motor_1"/></transmission>'
+    path.write_text(path.read_text().replace("</robot>", motor + "</robot>"))
+    assert "4 DOF and 1 motor(s): --close A,B" in " ".join(propose_robot(path)[0].questions)
+    assert propose_robot(path, is_open=True)[0].questions == ()
+    assert propose_robot(path, actuate=["motor_1"])[0].questions == ()

@@ -112,6 +112,13 @@ def test_limits_at_the_reference(joint: str, end: str, scale: float, tmp_path: P
             assert f"{end} of {joint!r} by {beyond:.1g} {'m' if joint == 'slide' else 'rad'}" in noted[0]
 
 
+def test_a_short_stroke_is_not_widened(tmp_path: Path) -> None:
+    """A stroke of 1e-4 of the machine's length that the reference misses by as much: no rounding."""
+    robot = rp.load_robot(slider(tmp_path, 1.0, (0.4001, 0.4002), (-3.0, 0.0)))
+    at = robot.model.joints[robot.model.getJointId("slide")].idx_q
+    assert (robot.model.lowerPositionLimit[at], robot.model.upperPositionLimit[at]) == (0.4001, 0.4002)
+
+
 @pytest.mark.parametrize("scale", SCALES)
 def test_carriers_at_the_ends_of_their_tracks(scale: float) -> None:
     """The same slack for the tracks of carriers, which a motion of the carriers is checked against."""

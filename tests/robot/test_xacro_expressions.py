@@ -22,7 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from redundancy_pin import load_robot
-from redundancy_pin.errors import DeclarationError, ModelFileError
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.robot.formats import xacro_engine
 from redundancy_pin.robot.urdf import known_values, models_root, render
 
@@ -67,6 +67,20 @@ def refused(folder: Path, text: str) -> str:
     assert "r.urdf.xacro" in str(caught.value)
     assert len(str(caught.value)) < 1500
     return str(caught.value)
+
+
+def test_a_misspelt_argument_is_refused_whatever_the_file_includes(tmp_path: Path) -> None:
+    """What includes with $ in their names declare is known to xacro alone, when it has expanded them."""
+    (tmp_path / "inc.xacro").write_text(doc('<xacro:arg name="inner" default="1"/><a v="$(arg inner)"/>'))
+    include = '<xacro:property name="name" value="inc"/><xacro:include filename="${name}.xacro"/>'
+    unused = '<xacro:if value="false"><xacro:arg name="unused" default="1"/></xacro:if>'
+    path = written(tmp_path, doc(f'<xacro:arg name="length" default="2"/>{include}{unused}'))
+    for untrusted in (False, True):
+        text, known = render(path, {"length": 3, "inner": 4, "unused": 5}, untrusted=untrusted)
+        assert known == {"length": 3.0, "inner": 4.0, "unused": 5.0}
+        assert '<a v="4"/>' in text
+        with pytest.raises(InputError, match=r"no argument 'lenght'.*Did you mean 'length'"):
+            render(path, {"lenght": 3}, untrusted=untrusted)
 
 
 # --- as by xacro ------------------------------------------------------------------------------------------------------

@@ -137,11 +137,9 @@ def read_urdf(text: str, path: Path) -> Urdf:
             parts["joint"][name].refuse(
                 f"{parts['joint'][name].owner} has independent={mark!r}", "Write true or false."
             )
-    # a joint without a mark is independent where some are marked as not, and is not where some are marked as such
-    allowed = ("true", "") if "false" in marks.values() else ("true",)
-    independent = [j.name for j in ordered[2] if _FREEDOMS.get(j.kind, 3) and marks[j.name] in allowed]
+    independent = [joint.name for joint in ordered[2] if _FREEDOMS.get(joint.kind, 3) and marks[joint.name] != "false"]
     notes += _passed_over(parts)
-    return Urdf(text, robot, *ordered, tuple(independent), tuple(notes))
+    return Urdf(text, robot, *ordered, tuple(independent) if any(marks.values()) else (), tuple(notes))
 
 
 def _needs_world(robot: Part) -> bool:

@@ -49,6 +49,8 @@ def expand(
 ) -> tuple[str, dict[str, str]]:
     """Return the URDF that a xacro file gives, and its arguments, as texts, those that were left out included.
 
+    Arguments that the file neither declares nor reads on the way are left out of the answer.
+
     Args:
         path: the file.
         given: arguments, as texts.
@@ -62,16 +64,32 @@ def expand(
     if untrusted:
         text, resolved = json.loads(run_limited(_MODULE, [str(path), json.dumps(dict(given))], str(path)))
         return text, resolved
-    resolved = dict(given)  # xacro adds the arguments that were left out, their defaults evaluated
+    arguments = _Arguments(given)  # xacro adds those that were left out, their defaults evaluated
     with _LOCK:
         engine = _engine(trust)
         try:
-            text = engine.expand(path, resolved)
+            text = engine.expand(path, arguments)
         except RedundancyPinError:
             raise
         except Exception as error:  # expressions raise anything
             raise engine.refusal(path, error) from error
-    return text, {name: str(value) for name, value in resolved.items()}
+    return text, {name: str(value) for name, value in arguments.items() if name in arguments.known}
+
+
+class _Arguments(dict[str, str]):
+    """Arguments that remember which of their names a file declares or reads."""
+
+    def __init__(self, given: Mapping[str, str]) -> None:
+        super().__init__(given)
+        self.known = set[str]()
+
+    def __contains__(self, name: object) -> bool:
+        self.known.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.known.add(name)
+        return super().__getitem__(name)
 
 
 @functools.lru_cache(maxsize=2)
