@@ -16,7 +16,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.kinematics.coordinates import gravity_acts
 from redundancy_pin.robot.declaration import Declaration
-from redundancy_pin.robot.urdf import declaration_path, models_root, render, shipped_robots, source_in
+from redundancy_pin.robot.urdf import declaration_path, models_root, shipped_robots, source_in
 
 FILES = Path(__file__).parent / "robot" / "files" / "declaration"
 DECLARATION: dict[str, Any] = yaml.safe_load((FILES / "robot.yaml").read_text())
@@ -155,13 +155,12 @@ def test_arguments_that_make_no_machine(name: str, given: dict[str, Any], messag
         rp.load_robot(name, **given)
 
 
-def test_robots_render_in_several_threads_at_once() -> None:
-    """xacro keeps its stacks in globals; a map by joblib's threads made failed cells of that."""
-    path = models_root() / "3rrr" / "3rrr.urdf.xacro"
-    masses = [0.5 + 0.1 * i for i in range(8)]
+def test_robots_load_in_several_threads_at_once() -> None:
+    """xacro keeps its stacks in globals, and so does Python's parser; a map by joblib's threads made failed cells."""
+    masses = [0.5 + 0.1 * i for i in range(16)]
     with ThreadPoolExecutor(4) as pool:
-        rendered = list(pool.map(lambda mass: render(path, {"carrier_mass": mass}), masses))
-    assert [parameters["carrier_mass"] for _, parameters in rendered] == pytest.approx(masses)
+        robots = list(pool.map(lambda mass: rp.load_robot("3rrr", carrier_mass=mass), masses))
+    assert [robot.parameters["carrier_mass"] for robot in robots] == pytest.approx(masses)
 
 
 # --- references -------------------------------------------------------------------------------------------------------

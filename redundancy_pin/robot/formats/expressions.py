@@ -13,6 +13,7 @@ import ast
 import functools
 import math
 import operator
+import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
@@ -224,9 +225,14 @@ class Namespace(dict[str, Any]):
     """Names that are read with a dot, as ``math.pi``; so are mappings of xacro, of its YAML and includes."""
 
 
+_PARSING = threading.Lock()
+"""CPython 3.11 counts the depth of a tree for all threads together: two that parse at once may end in SystemError."""
+
+
 def _parse(text: str) -> ast.expr:
     try:
-        return ast.parse(text, mode="eval").body
+        with _PARSING:
+            return ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError) as error:
         raise ExpressionError(f"it is no expression ({error.args[0] if error.args else error})") from None
 
