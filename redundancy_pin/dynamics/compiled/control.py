@@ -60,6 +60,9 @@ _OPTIONAL = frozenset({"s", "sd", "sdd", "carrier_force", "velocity"})
 _LEFT_OUT: tuple[()] = ()
 """Default of arguments of carriers; there is one empty tuple."""
 
+_NEEDS_CONVERTING = (TypeError, ValueError)
+"""What arguments raise that are no plain arrays of doubles: lists, other numbers, masked arrays, what is left out."""
+
 
 class _Arguments:
     """Arguments of a call, one behind the other in memory that stays where it is.
@@ -74,29 +77,15 @@ class _Arguments:
         self.memory = np.zeros(ends[-1])
         self.parts = [self.memory[a:b] for a, b in pairwise(ends)]
         # a view takes arrays of doubles of its own length and refuses all else, in half the time of numpy's assignment
-        views = [memoryview(cast(Any, part)) for part in self.parts]
-        absent = [np.zeros(shape) if name in _OPTIONAL else None for name, shape in shapes.items()]
-        matrices = [shape if len(shape) > 1 else None for shape in shapes.values()]
-        self._slots: list[Any] = list(zip(views, absent, matrices, strict=True))
+        self.views: list[Any] = [memoryview(cast(Any, part)) for part in self.parts]
 
-    def take(self, *values: Any) -> None:
-        """Copy arguments, the first ones of all: arrays of doubles as they are, others are converted.
+    def convert(self, *values: ArrayLike) -> None:
+        """Copy arguments of any kind, the first ones of all.
 
         Raises:
             InputError: one of them does not have its shape, or is masked. Numbers that are not finite are left to the
                 call.
         """
-        try:
-            for value, (view, absent, matrix) in zip(values, self._slots, strict=False):
-                if value is _LEFT_OUT:
-                    value = absent
-                if type(value) is not np.ndarray or (matrix and value.shape != matrix):
-                    raise TypeError
-                view[:] = value.ravel() if matrix else value
-        except (TypeError, ValueError):
-            self._convert(*values)
-
-    def _convert(self, *values: ArrayLike) -> None:
         for part, value, (name, shape) in zip(self.parts, values, self._shapes.items(), strict=False):
             if name in _OPTIONAL and (np.ndim(value) == 0 or not np.size(value)) and value is not None:
                 value = np.full(shape, value if np.ndim(value) == 0 else 0.0)
@@ -148,7 +137,12 @@ class _Branch:
         Raises:
             InputError: another shape.
         """
-        self._start.take(start)
+        try:
+            if type(start) is not np.ndarray:
+                raise TypeError
+            self._start.views[0][:] = start
+        except _NEEDS_CONVERTING:
+            self._start.convert(start)
         begun = bool(self._begin())
         self.known = self.known or begun
         if self.passed is not None and np.array_equal(self.passed.q[self._pose], self.state[self._pose]):
@@ -199,9 +193,11 @@ class SampleCall:
     def __init__(self, robot: Robot, code: Code, follow: Follow) -> None:
         n, m, k, wrenches = robot.n, robot.m, robot.k, 6 * len(of_kind(robot.loads, Wrench))
         self._robot, self._follow, self._loaded = robot, follow, bool(wrenches)
-        self._shape = (4, 4) if is_pose(robot) else (n,)
+        self._carriers, self._none = bool(k), np.zeros(k)
+        self._pose, self._shape = is_pose(robot), (4, 4) if is_pose(robot) else (n,)
         sizes = (self._shape, (n,), (n,), (k,), (k,), (k,), (wrenches,))
         self._arguments = _Arguments(dict(zip(("x", "xd", "xdd", "s", "sd", "sdd", "wrench"), sizes, strict=True)))
+        self._x, self._xd, self._xdd, self._s, self._sd, self._sdd, _ = self._arguments.views
         self._branch = _Branch(robot, code)
         ends = np.cumsum([n * m, n, k, 2, m, 1]).tolist()
         self._results = np.zeros(ends[-1])
@@ -234,7 +230,27 @@ class SampleCall:
         Raises:
             InputError: wrong shapes.
         """
-        self._arguments.take(x, xd, xdd, s, sd, sdd)
+        try:
+            if not type(x) is type(xd) is type(xdd) is np.ndarray:
+                raise TypeError
+            if not self._pose:
+                self._x[:] = x
+            elif x.shape == (4, 4):
+                self._x[:] = x.ravel()
+            else:
+                raise ValueError
+            self._xd[:], self._xdd[:] = xd, xdd
+            if self._carriers:
+                none = self._none
+                s, sd = none if s is _LEFT_OUT else s, none if sd is _LEFT_OUT else sd
+                sdd = none if sdd is _LEFT_OUT else sdd
+                if not type(s) is type(sd) is type(sdd) is np.ndarray:
+                    raise TypeError
+                self._s[:], self._sd[:], self._sdd[:] = s, sd, sdd
+            elif not s is sd is sdd is _LEFT_OUT:
+                raise ValueError
+        except _NEEDS_CONVERTING:
+            self._arguments.convert(x, xd, xdd, s, sd, sdd)
         if t != 0.0 and not isfinite(t):
             self._arguments.memory[0] = np.nan
         if self._loaded:
@@ -339,7 +355,9 @@ class JointStateCall:
             raise UnsupportedRobotError(few, remedy="Determine the other degrees of freedom by other means.")
         m, k, model = robot.m, robot.k, robot.model
         self._shape: tuple[int, ...] = (4, 4) if is_pose(robot) else (robot.n,)
+        self._carriers, self._none = bool(k), np.zeros(k)
         self._arguments = _Arguments({"position": (m,), "velocity": (m,), "s": (k,), "sd": (k,)})
+        self._position, self._velocity, self._s, self._sd = self._arguments.views
         self._ends = np.cumsum([model.nq, model.nv, int(np.prod(self._shape)), robot.n]).tolist()
         self._results = np.zeros(self._ends[-1] + 2)
         branch = self._branch = _Branch(robot, code)
@@ -349,7 +367,19 @@ class JointStateCall:
 
     def __call__(self, position: Any, velocity: Any, s: Any, sd: Any, start: ArrayLike | None) -> JointStateSample:
         """Return joints and platform; see ``Dynamics.joint_state``."""
-        self._arguments.take(position, velocity, s, sd)
+        try:
+            if not type(position) is type(velocity) is np.ndarray:
+                raise TypeError
+            self._position[:], self._velocity[:] = position, velocity
+            if self._carriers:
+                s, sd = self._none if s is _LEFT_OUT else s, self._none if sd is _LEFT_OUT else sd
+                if not type(s) is type(sd) is np.ndarray:
+                    raise TypeError
+                self._s[:], self._sd[:] = s, sd
+            elif not s is sd is _LEFT_OUT:
+                raise ValueError
+        except _NEEDS_CONVERTING:
+            self._arguments.convert(position, velocity, s, sd)
         branch = self._branch
         saved = None if start is None else branch.save()
         finite = start is None or branch.begin(start)
@@ -416,14 +446,28 @@ class AccelerationCall:
         wrenches = 6 * len(of_kind(robot.loads, Wrench))
         sizes = {"q": model.nq, "v": model.nv, "tau": robot.m, "carrier_force": robot.k, "wrench": wrenches}
         self._arguments = _Arguments({name: (size,) for name, size in sizes.items()})
-        self._forward, self._loads, self._loaded = forward, robot.loads, bool(wrenches)  # it keeps its numbers
+        self._q, self._v, self._tau, self._force, _ = self._arguments.views
+        self._carriers, self._none, self._loads = bool(robot.k), np.zeros(robot.k), robot.loads
+        self._forward, self._loaded = forward, bool(wrenches)  # it keeps its numbers
         self._a = np.zeros(model.nv)
         given = forward.numbers, self._arguments.memory, self._a
         self._call = _caller(forward, "rp_acceleration", *given)
 
     def __call__(self, q: Any, v: Any, tau: Any, carrier_force: Any, t: float) -> AccelerationSample:
         """Return the accelerations; see ``Dynamics.acceleration``."""
-        self._arguments.take(q, v, tau, carrier_force)
+        try:
+            if not type(q) is type(v) is type(tau) is np.ndarray:
+                raise TypeError
+            self._q[:], self._v[:], self._tau[:] = q, v, tau
+            if self._carriers:
+                force = self._none if carrier_force is _LEFT_OUT else carrier_force
+                if type(force) is not np.ndarray:
+                    raise TypeError
+                self._force[:] = force
+            elif carrier_force is not _LEFT_OUT:
+                raise ValueError
+        except _NEEDS_CONVERTING:
+            self._arguments.convert(q, v, tau, carrier_force)
         if t != 0.0 and not isfinite(t):
             self._arguments.memory[0] = np.nan
         if self._loaded and np.isfinite(self._arguments.memory[: -len(self._arguments.parts[-1])]).all():
