@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field
 
 from redundancy_pin.arrays import Frozen, assign
@@ -25,11 +26,12 @@ from redundancy_pin.robot.model_files import is_model_file
 from redundancy_pin.robot.scales import is_revolute
 from redundancy_pin.robot.urdf import declaration_path, known_values, shipped_sources
 
-_SAME_BODIES = 1e-9
-"""Relative deviation of mass properties that xacro's arithmetic may show between two machines."""
+_SAME_NUMBERS = 1e-9
+"""Relative deviation that arithmetic may show between two machines. It is rounding, also in the last step of Newton's
+method: 1e-11, to which loops count as closed, at a margin of 1e-2."""
 
 _SAME_REFERENCE = 1e-6
-"""Deviation, m or rad, of the closed reference configuration between two machines: Newton stops far below it."""
+"""Deviation, m or rad, of the reference configuration of a robot that is loaded again for a plan."""
 
 _RATES = {"track": "", "range": "", "speed": "/s", "acceleration": "/s²", "jerk": "/s³"}
 """Limits of a motion, and what their units add to that of its position."""
@@ -93,9 +95,7 @@ class RobotRecord(Frozen):
         same = driven.intersection(now.rotating) == driven.intersection(self.rotating)
         unsaid: dict[str, Any] = {name: None for name in ("couplings", "ranges") if getattr(self, name) is None}
         arguments, reference = self.known_arguments(now), now.q_reference
-        if np.shape(reference) == np.shape(self.q_reference) and np.allclose(
-            reference, self.q_reference, rtol=0.0, atol=_SAME_REFERENCE
-        ):
+        if _deviation(self.q_reference, reference) <= _SAME_NUMBERS:
             reference = self.q_reference  # closed by iterations
         own = replace(now, source=self.source, rotating=self.rotating, arguments=arguments, q_reference=reference)
         return same and replace(own, **unsaid) == self
@@ -391,16 +391,23 @@ def record_difference(then: RobotRecord, now: RobotRecord) -> str:
                 if not _alike(had.get(key), has.get(key)):
                     return f"its {what} {key!r} was {_entry(had.get(key))}, now {_entry(has.get(key))}."
     for name, what, tolerance in (
-        ("bodies", "mass properties", _SAME_BODIES),
+        ("bodies", "mass properties", _SAME_NUMBERS),
         ("q_reference", "reference configuration", _SAME_REFERENCE),
     ):
-        before, after = np.array(getattr(then, name)), np.array(getattr(now, name))
-        if before.shape != after.shape:
-            return f"its {what} had shape {before.shape}, now {after.shape}."
-        deviation = float(np.abs(before - after).max(initial=0.0)) / float(np.abs(before).max(initial=1.0))
+        before, after = getattr(then, name), getattr(now, name)
+        if np.shape(before) != np.shape(after):
+            return f"its {what} had shape {np.shape(before)}, now {np.shape(after)}."
+        deviation = _deviation(before, after)
         if not deviation <= tolerance:
             return f"its {what} differ by {deviation:.3g}."
     return ""
+
+
+def _deviation(before: ArrayLike, after: ArrayLike) -> float:
+    """Return the largest deviation of numbers, relative to the largest of those before and 1; inf for other shapes."""
+    if np.shape(before) != np.shape(after):
+        return inf
+    return float(np.abs(np.subtract(before, after)).max(initial=0.0)) / float(np.abs(before).max(initial=1.0))
 
 
 _Entry = tuple[tuple[str, ...], tuple[float, ...]]
@@ -424,7 +431,7 @@ def _by_name(entries: Sequence[Coupling | tuple[str, float, float]]) -> dict[str
 def _alike(one: _Entry | None, other: _Entry | None) -> bool:
     if one is None or other is None or one[0] != other[0] or len(one[1]) != len(other[1]):
         return False
-    return bool(np.allclose(one[1], other[1], rtol=_SAME_BODIES, atol=_SAME_BODIES))
+    return bool(np.allclose(one[1], other[1], rtol=_SAME_NUMBERS, atol=_SAME_NUMBERS))
 
 
 def _entry(entry: _Entry | None) -> str:

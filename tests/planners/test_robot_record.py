@@ -73,6 +73,8 @@ def test_couplings_and_ranges_tell_robots_apart() -> None:
     assert record.ranges == (("motor", -1.0, 1.0), ("geared", -np.inf, 1.5))
     assert record.describes(coupled())
     assert not record_difference(record, robot_record(coupled(2.0 + 1e-12)))  # arithmetic of another machine
+    for off, same in ((4e-16, True), (1e-8, False)):  # the last step of Newton's method, and another geometry
+        assert replace(record, q_reference=tuple(q + off for q in record.q_reference)).describes(coupled()) is same
     for other, says in (
         (coupled(2.5), "coupling 'gears' was geared, motor, 0, 2, now geared, motor, 0, 2.5"),
         (coupled(upper=1.2), "range of the joint 'geared' was -inf, 1.5, now -inf, 1.2"),
