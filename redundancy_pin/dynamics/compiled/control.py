@@ -64,6 +64,15 @@ _NEEDS_CONVERTING = (TypeError, ValueError)
 """What arguments raise that are no plain arrays of doubles: lists, other numbers, masked arrays, what is left out."""
 
 
+def _plain(value: Any, none: Array) -> Array:
+    """Return a plain array as it is, and ``none`` where an argument of carriers is left out; raises TypeError."""
+    if value is _LEFT_OUT:
+        return none
+    if type(value) is not np.ndarray:
+        raise TypeError
+    return value
+
+
 class _Arguments:
     """Arguments of a call, one behind the other in memory that stays where it is.
 
@@ -242,11 +251,7 @@ class SampleCall:
             self._xd[:], self._xdd[:] = xd, xdd
             if self._carriers:
                 none = self._none
-                s, sd = none if s is _LEFT_OUT else s, none if sd is _LEFT_OUT else sd
-                sdd = none if sdd is _LEFT_OUT else sdd
-                if not type(s) is type(sd) is type(sdd) is np.ndarray:
-                    raise TypeError
-                self._s[:], self._sd[:], self._sdd[:] = s, sd, sdd
+                self._s[:], self._sd[:], self._sdd[:] = _plain(s, none), _plain(sd, none), _plain(sdd, none)
             elif not s is sd is sdd is _LEFT_OUT:
                 raise ValueError
         except _NEEDS_CONVERTING:
@@ -372,10 +377,7 @@ class JointStateCall:
                 raise TypeError
             self._position[:], self._velocity[:] = position, velocity
             if self._carriers:
-                s, sd = self._none if s is _LEFT_OUT else s, self._none if sd is _LEFT_OUT else sd
-                if not type(s) is type(sd) is np.ndarray:
-                    raise TypeError
-                self._s[:], self._sd[:] = s, sd
+                self._s[:], self._sd[:] = _plain(s, self._none), _plain(sd, self._none)
             elif not s is sd is _LEFT_OUT:
                 raise ValueError
         except _NEEDS_CONVERTING:
@@ -460,10 +462,7 @@ class AccelerationCall:
                 raise TypeError
             self._q[:], self._v[:], self._tau[:] = q, v, tau
             if self._carriers:
-                force = self._none if carrier_force is _LEFT_OUT else carrier_force
-                if type(force) is not np.ndarray:
-                    raise TypeError
-                self._force[:] = force
+                self._force[:] = _plain(carrier_force, self._none)
             elif carrier_force is not _LEFT_OUT:
                 raise ValueError
         except _NEEDS_CONVERTING:
