@@ -206,7 +206,7 @@ def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics(
     """Newton's method of the driver ends where one determinant changes its sign, and passes two at once next to it."""
     robot = parallelogram() if bars == 1 else row_of_four_bars(bars)
     t = np.linspace(0.0, 1.0, 101)
-    through = rp.PlatformMotion(t, 0.6 - 1.2 * t[:, None] + beside, np.full((101, 1), -1.2), np.zeros((101, 1)))
+    through = rp.PlatformMotion(t, 1.2 - 2.4 * t[:, None] + beside, np.full((101, 1), -2.4), np.zeros((101, 1)))
     mine, theirs = (backend(robot).reduce(through) for backend in (rp.CompiledDynamics, rp.RneaDynamics))
     assert mine.reachable.all()
     for name in ("f", "W"):
