@@ -136,8 +136,8 @@ class ClosedForward:
         (first, second), (Ja, Jb) = places, jacobians
         r = second.translation - first.translation
         if closure.is_rod:
-            apart = speeds[1].linear - speeds[0].linear
-            bias = r @ (seconds[1].linear - seconds[0].linear) + apart @ apart
+            rate = speeds[1].linear - speeds[0].linear
+            bias = r @ (seconds[1].linear - seconds[0].linear) + rate @ rate
             return [(r @ (Jb - Ja)[:3] / closure.length, float(bias) / closure.length)]
         omega, alpha = speeds[0].angular, seconds[0].angular
         rows = []

@@ -46,7 +46,8 @@ NEAR = 0.05
 def rank_ratio(scaled: Array) -> Array:
     """Return (N,) smallest over largest singular value of closure rows (N, r, p) without units.
 
-    It is 1 without any rows, and the length of a single row, whose singular values are one.
+    It is 1 without any rows. A single row loses rank where it is zero, and its ratio to itself does not show that: the
+    result is its length, in characteristic lengths or rad per rad, which no unit of length changes.
     """
     if 0 in scaled.shape[1:]:
         return np.ones(len(scaled))

@@ -177,11 +177,11 @@ class Machine:
             projected = self.kernel.project(np.concatenate([state.q, state.v]), self.manifold.tolerance)
             if projected is not None:
                 y, before, left = projected
-                return y, before, max(left, self._left_open(y[: self.robot.model.nq]))
+                return y, before, max(left, self._dependent_residual(y[: self.robot.model.nq]))
         q, v, before, left = self.manifold.project(state.q, state.v)
-        return np.concatenate([q, v]), before, max(left, self._left_open(q))
+        return np.concatenate([q, v]), before, max(left, self._dependent_residual(q))
 
-    def _left_open(self, q: Array) -> float:
+    def _dependent_residual(self, q: Array) -> float:
         return float(dependent_row_residual(self.robot, q[None])[0]) if self.robot.all_closures else 0.0
 
     def least_inertia(self, t: float, y: Array) -> float:

@@ -310,7 +310,7 @@ int rp_projected(const double *numbers, double *y, double wanted, double *residu
   return 0;
 }
 
-/* Smallest over largest singular value of rows S (R x NP), which are overwritten; of a single row its length. */
+/* Smallest over largest singular value of rows S (R x NP), which are overwritten; of a single row its length, no unit. */
 static double rank_ratio(double *S) {
   double square[R + 1], least = INFINITY, most = 0.0;
   orthogonalise(S, R, NP, NP, square);
