@@ -144,7 +144,7 @@ class Progress:
     largest_correction: float = 0.0
 
 
-P = TypeVar("P", bound=Progress)
+ProgressT = TypeVar("ProgressT", bound=Progress)
 
 
 class Integration(Protocol):
@@ -153,7 +153,7 @@ class Integration(Protocol):
     def hold(self, command: Array) -> None:
         """Let constant efforts (m + k,) act."""
 
-    def advance(self, progress: P, recorded: int, end: float, most: int) -> tuple[P, Array, bool]:
+    def advance(self, progress: ProgressT, recorded: int, end: float, most: int) -> tuple[ProgressT, Array, bool]:
         """Take ordinary steps up to a time, s, at most so many; the length of the first is ``progress.next_step``.
 
         ``recorded``: how many of the times to record are behind. Returns the progress, the states (S, nq + nv) at the

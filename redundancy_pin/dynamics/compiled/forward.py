@@ -34,8 +34,8 @@ from redundancy_pin.dynamics.forward import (
     Equations,
     LinearParts,
     Loads,
-    P,
     Progress,
+    ProgressT,
     Rules,
 )
 from redundancy_pin.errors import UnsupportedRobotError
@@ -278,7 +278,7 @@ class CompiledIntegration:
         """Let constant efforts (m + k,) act."""
         self._act(self._rules.grid[[0, -1]], command[None, None])
 
-    def advance(self, progress: P, recorded: int, end: float, most: int) -> tuple[P, Array, bool]:
+    def advance(self, progress: ProgressT, recorded: int, end: float, most: int) -> tuple[ProgressT, Array, bool]:
         """Take ordinary steps; see ``dynamics.forward.Integration.advance``."""
         at, breaks = self._at, self._rules.breaks
         for name in _SHARED:

@@ -214,11 +214,13 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
         if _is_carriage(model, body):
             parent, placement = body, axis
         solids.append(_solid(f"joint_{name}", parent, placement, shape, form, role))
+    ball = (1.3 * JOINT_RADIUS * size,)
     for closure in robot.closures:
-        for name, end in (("", closure.frame_a), *([("_b", closure.frame_b)] if closure.is_rod else [])):
-            frame, ball = find_link(model, end), (1.3 * JOINT_RADIUS * size,)
-            place_of, label = frame.placement.homogeneous.copy(), f"closure_{closure.name}{name}"
-            solids.append(_solid(label, int(frame.parentJoint), place_of, "sphere", ball, "closure"))
+        ends = {"": closure.frame_a, "_b": closure.frame_b} if closure.is_rod else {"": closure.frame_a}
+        for suffix, link in ends.items():
+            frame, label = find_link(model, link), f"closure_{closure.name}{suffix}"
+            centre = frame.placement.homogeneous.copy()
+            solids.append(_solid(label, int(frame.parentJoint), centre, "sphere", ball, "closure"))
     for body, rod in enumerate(rods_of(robot), start=model.njoints):
         form = (BAR_RADIUS * size, rod.length)
         solids.append(_solid(f"rod_{rod.name}", body, np.eye(4), "cylinder", form, "link"))
