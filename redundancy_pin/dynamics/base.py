@@ -417,7 +417,7 @@ class Dynamics(Protocol):
         Example:
             >>> import redundancy_pin as rp
             >>> dynamics = rp.CompiledDynamics("five_bar")
-            >>> tau, status, margin, *_ = dynamics.torque([0.1, 0.4], [0.5, 0.0], [0.0, 1.0])
+            >>> tau, status, margin, *_ = dynamics.torque([0.2, 0.4], [0.5, 0.0], [0.0, 1.0])
             >>> status.label
             'ok'
         """

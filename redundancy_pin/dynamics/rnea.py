@@ -90,7 +90,7 @@ class RneaDynamics(Dynamics):
         >>> dynamics = rp.RneaDynamics("3rrr")
         >>> reduced = dynamics.reduce(rp.trajectory.reference.corner(radius=0.025).sample(0.01))
         >>> reduced.W.shape
-        (181, 3, 3)
+        (184, 3, 3)
     """
 
     def __init__(self, robot: RobotLike, *, progress: Callable[[int, int], None] | None = None) -> None:
