@@ -37,6 +37,9 @@ _WELL_APART = 1e-2
 """A velocity whose column is nearer to the others, in its own length, is taken as dependent only where there is no
 other: it would make a reference next to a singularity of type I."""
 
+_ON_AXIS = 2e-5
+"""Characteristic lengths: distance of a centre of mass from the line between two balls that is rounding."""
+
 UNIVERSAL = "::universal"
 """How names of frames end between which a row holds the spin of a rod."""
 
@@ -111,14 +114,14 @@ def selected(
                 _refuse_wrong_placements(every, start, declared)
     else:
         q = closed_near(robot, start)
-    rods, off_axis, near = list[str](), dict[str, float](), FILE_TOLERANCE * robot.characteristic_length
+    rods, off_axis = list[str](), dict[str, float]()
     independent, loose = _independent(robot, q)
-    while redundant and (name := _spinning(robot, loose, rods, q)):
+    while redundant and (spinning := _spinning(robot, loose, rods, q)):
+        name, rod = spinning
         rods.append(name)
-        rod = _spins(robot, name, q)
-        if rod is not None and (away := _off_axis(robot, name, rod, q)) > near:
+        if (away := _off_axis(robot, name, rod, q)) > _ON_AXIS * robot.characteristic_length:
             off_axis[name] = away
-        robot = _with_spin_fixed(robot, name, q, at_first=name in resisted)
+        robot = _with_spin_fixed(robot, name, rod, q, at_first=name in resisted)
         independent, loose = _independent(robot, q)
     if loose:
         balls = tuple(name for name in loose if find_joint(robot.model, name).nq == 4)
@@ -141,13 +144,13 @@ def rows_at(robot: Robot, q: Array) -> Robot:
     return replace(_with_rows(full, keep)[0], all_closures=robot.all_closures)
 
 
-def _spinning(robot: Robot, loose: Collection[str], held: Collection[str], q: Array) -> str | None:
+def _spinning(robot: Robot, loose: Collection[str], held: Collection[str], q: Array) -> tuple[str, _Rod] | None:
     """Return a ball with a rod whose spin moves nothing else; its other ball may be the joint that is left loose."""
     model = robot.model
     for name in loose:
         for ball in (name, str(model.names[model.parents[find_joint_index(model, name)]])):
-            if ball not in ("universe", *held) and _spins(robot, ball, q) is not None:
-                return ball
+            if ball not in ("universe", *held) and (rod := _spins(robot, ball, q)) is not None:
+                return ball, rod
     return None
 
 
@@ -183,11 +186,8 @@ def _off_axis(robot: Robot, joint: str, rod: _Rod, q: Array) -> float:
     return float(np.linalg.norm(np.cross(along, centre)) / np.linalg.norm(along))
 
 
-def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> Robot:
+def _with_spin_fixed(robot: Robot, joint: str, rod: _Rod, q: Array, *, at_first: bool) -> Robot:
     """Return the robot with one row more: a universal joint in place of the first or second of two balls on a rod."""
-    rod = _spins(robot, joint, q)
-    if rod is None:
-        return robot
     model = pin.Model(robot.model)
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
