@@ -8,6 +8,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.mobility import free_motions
 from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import Robot
 
@@ -64,3 +65,31 @@ def close(system: ConstraintSystem, q: Array, rank_tolerance: float = RANK_TOLER
     reached = assemble(system, q[None], rank_tolerance=rank_tolerance, max_iterations=_ITERATIONS)
     closed: Array = reached.q[0]
     return closed, float(reached.residual[0])
+
+
+def closed_neighbours(
+    system: ConstraintSystem,
+    q: Array,
+    count: int,
+    spread: float,
+    tolerance: float = CLOSURE_TOLERANCE,
+    rank_tolerance: float = RANK_TOLERANCE,
+) -> Array:
+    """Return closed configurations (N, nq) around a closed one, the first of them that one itself.
+
+    They are displaced along the motions that the rows leave free: from anywhere else Newton's method may turn a short
+    lever over. Those that it does not close are left out.
+
+    Args:
+        system: closure rows, which may be redundant.
+        q: (nq,) the closed configuration.
+        count: number of configurations beside it.
+        spread: displacement, before closing, of the joint that moves farthest, rad or characteristic lengths.
+        tolerance: as of ``closed_near``.
+        rank_tolerance: as of ``assemble``.
+    """
+    rng, free = np.random.default_rng(SEED), free_motions(system, q, rank_tolerance)
+    starts = draw_starts(system, q, count, rng, turn=spread, slide=spread, along=free)
+    reached = [close(system, each, rank_tolerance) for each in (q, *starts)]
+    closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
+    return np.array(closed) if closed else q[None]

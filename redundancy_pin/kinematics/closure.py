@@ -573,11 +573,13 @@ def with_all_rows(robot: Robot) -> Robot:
 
 
 _WHOLE_TURN = 100.0
-"""Residual of dependent rows along a whole turn over that within 0.1 rad of the reference: 40 for an axis that is drawn
-where it belongs at the reference (sin(π / 2) / sin(0.1 / 2)), more where its joint moves less than others there."""
+"""Residual of dependent rows along a whole turn over that within 0.1 rad of the reference. It is 20 for an axis that is
+drawn where it belongs at the reference, sin(π / 2) / sin(0.1 / 2), and more where its joint moves less than others
+there: up to 33 in the shipped planar machines, rounded."""
 
-_WIDEST = 20.0 * FILE_TOLERANCE
-"""Residual of dependent rows, rad or characteristic lengths, that no machine of rounded numbers comes to."""
+_NARROWEST, _WIDEST = 1e-4, 20.0 * FILE_TOLERANCE
+"""Residual of dependent rows, rad or characteristic lengths: what a branch that is not the machine's exceeds tenfold
+where placements are exact, and what no machine of rounded numbers comes to (``FILE_TOLERANCE`` times the 20 above)."""
 
 
 def dependent_row_tolerance(robot: Robot) -> float:
@@ -585,7 +587,7 @@ def dependent_row_tolerance(robot: Robot) -> float:
 
     On a branch that is not the machine's it is larger.
     """
-    return min(max(FILE_TOLERANCE, _WHOLE_TURN * robot.dependent_residual), _WIDEST)
+    return min(max(_NARROWEST, _WHOLE_TURN * robot.dependent_residual), _WIDEST)
 
 
 def dependent_row_residual(robot: Robot, q: Array) -> Array:

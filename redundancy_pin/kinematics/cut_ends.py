@@ -7,23 +7,17 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
-from redundancy_pin.kinematics.closing import close
+from redundancy_pin.arrays import FILE_TOLERANCE, Array
+from redundancy_pin.kinematics.closing import closed_neighbours
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.mobility import free_motions, independent_columns
-from redundancy_pin.kinematics.multistart import SEED, draw_starts
+from redundancy_pin.kinematics.selection import EXACT
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.lookup import find_link_index
 
-_NEIGHBOURS, _SPREAD = 4, 0.3
-"""Configurations beside the reference, and how far from it the joint is that moves farthest, rad or characteristic
-lengths: an axis that is not fixed turns by about as much."""
-
-_ONE_AXIS = 1e-3
-"""Second singular value, relative to the first, of directions that are one axis: files round axes to 1e-4 rad."""
-
-_MEETING = 1e-6
-"""Distance of a closure row from the span of the others, relative to the longest, where it depends on them."""
+_AROUND = 4, 0.3
+"""Number of configurations around the reference, and how far from it the joint is that moves farthest, rad or
+characteristic lengths: an axis that is not fixed turns by about as much."""
 
 
 def about_several_axes(robot: Robot, ends: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
@@ -54,26 +48,23 @@ def branches_meet(robot: Robot, q: Array) -> bool:
         True
     """
     rows = ConstraintSystem(robot).closure_rows(q)
-    return len(independent_columns(rows.T, _MEETING)) < len(rows)
+    return len(independent_columns(rows.T, EXACT)) < len(rows)
 
 
 def _is_one_axis(robot: Robot, motions: Sequence[tuple[Array, Array]], frames: tuple[str, str]) -> bool:
     turns = np.concatenate([_relative_turns(robot, q, each, frames) for q, each in motions])
     values = np.linalg.svd(turns, compute_uv=False)
-    return bool((values[1:] <= _ONE_AXIS * values[0]).all())
+    return bool((values[1:] <= FILE_TOLERANCE * values[0]).all())
 
 
 def _motions(robot: Robot) -> Iterator[tuple[Array, Array]]:
     """Yield configurations (nq,) and the free joint velocities (f, nv) there, the reference first."""
-    system, q = ConstraintSystem(robot), np.array(robot.q_reference)
-    free = free_motions(system, q)
-    starts = draw_starts(system, q, _NEIGHBOURS, np.random.default_rng(SEED), turn=_SPREAD, slide=_SPREAD, along=free)
-    for at, gap in ((q, 0.0), *(close(system, each) for each in starts)):
-        if gap < CLOSURE_TOLERANCE * robot.characteristic_length:
-            motions = free_motions(system, at)
-            velocities = np.zeros((len(motions), robot.model.nv))
-            velocities[:, system.pose_columns] = motions * system.step_unit
-            yield at, velocities
+    system = ConstraintSystem(robot)
+    for q in closed_neighbours(system, np.array(robot.q_reference), *_AROUND):
+        motions = free_motions(system, q)
+        velocities = np.zeros((len(motions), robot.model.nv))
+        velocities[:, system.pose_columns] = motions * system.step_unit
+        yield q, velocities
 
 
 def _relative_turns(robot: Robot, q: Array, velocities: Array, frames: tuple[str, str]) -> Array:

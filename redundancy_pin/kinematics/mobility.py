@@ -107,12 +107,12 @@ def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> 
             "same, say `redundant_rows: true`.",
             rank=rank,
         )
-    if project(system, system.evaluate(np.array(robot.q_reference)[None])).margin[0] == 0.0:
+    if _margin(system) == 0.0:
         if robot.platform is not None and len(robot.platform.rotations) == 1:
-            platforms = [replace(robot.platform, pointer=axis) for axis in range(3)]
-            other = max((replace(robot, platform=each) for each in platforms), key=_margin)
+            platforms = (replace(robot.platform, pointer=axis) for axis in range(3))
+            other = max((ConstraintSystem(replace(robot, platform=each)) for each in platforms), key=_margin)
             if _margin(other) > RANK_TOLERANCE:
-                return other
+                return other.robot
         raise DeclarationError(
             f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
             "joint velocities.",
@@ -121,10 +121,9 @@ def check_reference_rank(system: ConstraintSystem, *, dropped: bool = False) -> 
     return robot
 
 
-def _margin(robot: Robot) -> float:
+def _margin(system: ConstraintSystem) -> float:
     """Return how far the reference is from a type I singularity, 0 at one."""
-    system = ConstraintSystem(robot)
-    return float(project(system, system.evaluate(np.array(robot.q_reference)[None])).margin[0])
+    return float(project(system, system.evaluate(np.array(system.robot.q_reference)[None])).margin[0])
 
 
 def fitting_axes(robot: Robot, count: int) -> tuple[str, ...] | None:

@@ -17,15 +17,14 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import FILE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.closing import close, closed_near
+from redundancy_pin.kinematics.closing import closed_near, closed_neighbours
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system, with_all_rows
 from redundancy_pin.kinematics.mobility import free_motions, independent_columns, row_names
-from redundancy_pin.kinematics.multistart import SEED, draw_starts
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.lookup import find_joint, find_joint_index, find_link_index
 
-_NEIGHBOURS, _SPREAD = 6, 0.1
-"""Configurations around the reference, and how far the joints are from it, rad, or in characteristic lengths."""
+_AROUND = 6, 0.1
+"""Number of configurations around the reference, and how far the joints are from it, rad or characteristic lengths."""
 
 EXACT = 1e-6
 """``FILE_TOLERANCE`` of models whose rows are no more redundant than that: short levers make rows that are independent
@@ -37,6 +36,9 @@ _DOUBTFUL = 3e-2
 _WELL_APART = 1e-2
 """A velocity whose column is nearer to the others, in its own length, is taken as dependent only where there is no
 other: it would make a reference next to a singularity of type I."""
+
+_ON_AXIS = 2e-5
+"""Characteristic lengths: distance of a centre of mass from the line between two balls that is rounding."""
 
 UNIVERSAL = "::universal"
 """How names of frames end between which a row holds the spin of a rod."""
@@ -112,14 +114,14 @@ def selected(
                 _refuse_wrong_placements(every, start, declared)
     else:
         q = closed_near(robot, start)
-    rods, off_axis, near = list[str](), dict[str, float](), FILE_TOLERANCE * robot.characteristic_length
+    rods, off_axis = list[str](), dict[str, float]()
     independent, loose = _independent(robot, q)
-    while redundant and (name := _spinning(robot, loose, rods, q)):
+    while redundant and (spinning := _spinning(robot, loose, rods, q)):
+        name, rod = spinning
         rods.append(name)
-        rod = _spins(robot, name, q)
-        if rod is not None and (away := _off_axis(robot, name, rod, q)) > near:
+        if (away := _off_axis(robot, name, rod, q)) > _ON_AXIS * robot.characteristic_length:
             off_axis[name] = away
-        robot = _with_spin_fixed(robot, name, q, at_first=name in resisted)
+        robot = _with_spin_fixed(robot, name, rod, q, at_first=name in resisted)
         independent, loose = _independent(robot, q)
     if loose:
         balls = tuple(name for name in loose if find_joint(robot.model, name).nq == 4)
@@ -142,13 +144,13 @@ def rows_at(robot: Robot, q: Array) -> Robot:
     return replace(_with_rows(full, keep)[0], all_closures=robot.all_closures)
 
 
-def _spinning(robot: Robot, loose: Collection[str], held: Collection[str], q: Array) -> str | None:
+def _spinning(robot: Robot, loose: Collection[str], held: Collection[str], q: Array) -> tuple[str, _Rod] | None:
     """Return a ball with a rod whose spin moves nothing else; its other ball may be the joint that is left loose."""
     model = robot.model
     for name in loose:
         for ball in (name, str(model.names[model.parents[find_joint_index(model, name)]])):
-            if ball not in ("universe", *held) and _spins(robot, ball, q) is not None:
-                return ball
+            if ball not in ("universe", *held) and (rod := _spins(robot, ball, q)) is not None:
+                return ball, rod
     return None
 
 
@@ -184,11 +186,8 @@ def _off_axis(robot: Robot, joint: str, rod: _Rod, q: Array) -> float:
     return float(np.linalg.norm(np.cross(along, centre)) / np.linalg.norm(along))
 
 
-def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> Robot:
+def _with_spin_fixed(robot: Robot, joint: str, rod: _Rod, q: Array, *, at_first: bool) -> Robot:
     """Return the robot with one row more: a universal joint in place of the first or second of two balls on a rod."""
-    rod = _spins(robot, joint, q)
-    if rod is None:
-        return robot
     model = pin.Model(robot.model)
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
@@ -210,7 +209,7 @@ def _with_spin_fixed(robot: Robot, joint: str, q: Array, *, at_first: bool) -> R
 
 
 def _without_redundant_rows(
-    robot: Robot, start: Array, tolerance: float, firm: float
+    robot: Robot, start: Array, tolerance: float, rank_tolerance: float
 ) -> tuple[Robot, tuple[str, ...], float, Array]:
     """Return the robot with the rows that count, the names of the others, how far these open, and a configuration.
 
@@ -219,16 +218,16 @@ def _without_redundant_rows(
         start: (nq,) where the loops are closed from.
         tolerance: largest distance of redundant rows from the span of the others, and largest residual in them, rad or
             characteristic lengths.
-        firm: smallest singular value of combinations of rows that move the joints when the loops are closed.
+        rank_tolerance: as of ``assemble``, when the loops are closed.
     """
     system = ConstraintSystem(robot)
-    q = closed_near(robot, start, tolerance, firm)
-    keep = _independent_rows(system, _neighbours(system, q, tolerance, firm), tolerance)
+    q = closed_near(robot, start, tolerance, rank_tolerance)
+    keep = _independent_rows(system, closed_neighbours(system, q, *_AROUND, tolerance, rank_tolerance), tolerance)
     if keep.all():
-        return robot, (), 0.0, closed_near(robot, q, EXACT, EXACT)
+        return robot, (), 0.0, closed_near(robot, q)
     fewer, left_out = _with_rows(robot, keep)
     # with these rows alone, do the others stay closed, and stay redundant, which shows earlier?
-    around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
+    around = closed_neighbours(ConstraintSystem(fewer), q, *_AROUND)
     opened = _opened(system, around)
     ranks = [len(independent_columns(system.closure_rows(each).T, tolerance)) for each in around]
     if opened.max() <= tolerance and max(ranks) == keep.sum():
@@ -256,7 +255,7 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
         q = closed_near(robot, start, near, _DOUBTFUL)
     except DeclarationError:
         return
-    keep = _independent_rows(system, _neighbours(system, q, near, _DOUBTFUL), _DOUBTFUL)
+    keep = _independent_rows(system, closed_neighbours(system, q, *_AROUND, near, _DOUBTFUL), _DOUBTFUL)
     rank, velocities = int(keep.sum()), len(system.pose_columns)
     if rank == min(len(keep), velocities) or declared not in (None, velocities - rank):
         return
@@ -266,17 +265,18 @@ def _refuse_wrong_placements(robot: Robot, start: Array, declared: int | None) -
     )
     if robot.m != velocities - rank and not ((free > FILE_TOLERANCE) & (held < FILE_TOLERANCE)).any():
         return
-    around = _neighbours(ConstraintSystem(fewer), q, EXACT, EXACT)
+    around = closed_neighbours(ConstraintSystem(fewer), q, *_AROUND)
     opened = float(_opened(system, around).max())
     least = [float(np.linalg.svd(system.closure_rows(each), compute_uv=False)[rank]) for each in around]
+    residual = max(opened, least[0])
     wrong = max(least) <= _DOUBTFUL if opened > FILE_TOLERANCE else FILE_TOLERANCE < max(least) <= 2.0 * least[0]
     if wrong:
         raise DeclarationError(
-            f"{robot.name} has closure rows that are redundant except for {max(opened, least[0]):.3g} (characteristic "
+            f"{robot.name} has closure rows that are redundant except for {residual:.3g} (characteristic "
             f"lengths or rad): {', '.join(doubtful)}.",
             remedy=f"Correct the placements of joints and closures, of which {FILE_TOLERANCE:g} counts as rounding; or "
             "write a declaration with as many independent joints as these rows leave.",
-            residual=max(opened, least[0]),
+            residual=residual,
         )
 
 
@@ -295,19 +295,6 @@ def _opened(system: ConstraintSystem, around: Array) -> Array:
     """Return (r,) the largest residual of each row at configurations (N, nq), characteristic lengths or rad."""
     opened: Array = np.abs(system.evaluate(around).phi / system.closure_unit).max(axis=0)
     return opened
-
-
-def _neighbours(system: ConstraintSystem, q: Array, tolerance: float, firm: float) -> Array:
-    """Return configurations (N, nq) closed to a tolerance, with ``firm`` of ``close``, the first of them q itself.
-
-    They are displaced along the motions that the rows leave free: from anywhere else Newton's method may turn a short
-    lever over.
-    """
-    rng, free = np.random.default_rng(SEED), free_motions(system, q, firm)
-    starts = draw_starts(system, q, _NEIGHBOURS, rng, turn=_SPREAD, slide=_SPREAD, along=free)
-    reached = [close(system, each, firm) for each in (q, *starts)]
-    closed = [each for each, gap in reached if gap < tolerance * system.robot.characteristic_length]
-    return np.array(closed) if closed else q[None]
 
 
 def _with_rows(robot: Robot, keep: BoolArray) -> tuple[Robot, tuple[str, ...]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
-from redundancy_pin.errors import DeclarationError
+from redundancy_pin.errors import DeclarationError, UnreachablePoseError
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import declaration_path
@@ -342,16 +343,25 @@ def test_rounded_placements(name: str, kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "seed"),
-    [("2rpr", "urdf", 1000), ("2rpr", "urdf", 1011), ("five_bar", "sdf", 1002)],
+    ("name", "kind", "seed", "is_taken"),
+    [
+        ("2rpr", "urdf", 1000, False),
+        ("2rpr", "urdf", 1011, False),
+        ("five_bar", "sdf", 1002, False),
+        ("five_bar", "sdf", 1000, True),
+        ("five_bar", "sdf", 1006, True),
+    ],
 )
-def test_between_rounded_and_wrong(name: str, kind: str, seed: int, tmp_path: Path) -> None:
-    """Placements off by 1e-3 may be refused or taken, but are never another machine."""
+def test_between_rounded_and_wrong(name: str, kind: str, seed: int, is_taken: bool, tmp_path: Path) -> None:
+    """Placements off by 1e-3 are taken where the loops open by less than rounding, and are never another machine."""
     exact = drawn(name)
-    try:
-        robot = FORMATS[kind](tmp_path, off(exact, 1e-3, np.random.default_rng(seed)))
-    except DeclarationError:
+    wrong = off(exact, 1e-3, np.random.default_rng(seed))
+    if not is_taken:
+        with pytest.raises(DeclarationError, match="redundant except for") as caught:
+            FORMATS[kind](tmp_path, wrong)
+        assert 1e-3 < caught.value.details["residual"] < 1e-2
         return
+    robot = FORMATS[kind](tmp_path, wrong)
     assert robot.independent_joints == exact.driven
     assert error(exact, rp.RneaDynamics(robot)) < AMPLIFIED * 1e-3
 
@@ -375,6 +385,22 @@ def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
         taken.append(tilt)
     assert taken[:2] == [0.0, 2e-4]
     assert taken[-1] < 1e-2
+
+
+@pytest.mark.parametrize(("lift", "is_closed"), [(3e-5, True), (3e-4, False)])
+def test_dependent_rows_of_exact_placements(lift: float, is_closed: bool, tmp_path: Path) -> None:
+    """An end that leaves the plane by 3e-4 of the size, behind what was measured at the reference, is not closed."""
+    robot = in_yaml(tmp_path, drawn("four_bar"))
+    model = robot.model.copy()
+    frame = model.frames[model.getFrameId("b_0")]
+    frame.placement = frame.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, lift * robot.characteristic_length]))
+    lifted, motion = replace(robot, model=model), rp.PlatformMotion([0.0], [[0.0]], [[1.0]], [[0.0]])
+    if is_closed:
+        np.testing.assert_allclose(rp.inverse_kinematics(lifted, motion).q, rp.inverse_kinematics(robot, motion).q)
+        return
+    with pytest.raises(UnreachablePoseError, match="z of") as caught:
+        rp.inverse_kinematics(lifted, motion)
+    assert caught.value.details["residual"] == pytest.approx(lift * robot.characteristic_length)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-4, 5.5e-4, 6e-4])

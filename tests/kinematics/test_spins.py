@@ -67,3 +67,14 @@ def test_a_rod_between_two_balls_of_the_tree(tmp_path: Path) -> None:
     for motion in ((0.0, 0.0, 0.0), (0.3, 2.0, -4.0), (-0.2, -3.0, 5.0)):
         tau = dynamics.torque(*(np.array([each]) for each in motion)).tau
         np.testing.assert_allclose(tau, [planar(*motion)], rtol=1e-9)
+
+
+def test_a_centre_of_mass_off_the_line_by_little_is_noted(tmp_path: Path) -> None:
+    """0.1 mm of 0.2 m is no rounding: what holds the spin carries its moment."""
+    pytest.importorskip("mujoco")
+    path = tmp_path / "small.xml"
+    for height, is_noted in ((0.0, False), (1e-4, True)):
+        path.write_text(SMALL.replace('pos="0.1 0 0"', f'pos="0.1 0 {height}"'))
+        notes = [note for note in rp.load_robot(path).notes if "off that line: near by 0.0001 m" in note]
+        assert len(notes) == is_noted
+        assert any("off that line" in note for note in rp.load_robot(path).notes) == is_noted
