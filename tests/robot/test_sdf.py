@@ -430,6 +430,7 @@ def test_base_and_driven_joints(tmp_path: Path) -> None:
         ("model://part.sdf", "which is not there"),  # only what is in a folder with a model.config, above
         ("model://arm", "which leads out of"),
         ("linked.sdf", "which leads out of"),
+        ("model://circle", "which leads out of"),
         ("machine.sdf", "includes itself"),
         ("other.sdf", "holds <light>"),
         ("robot.urdf", "is <robot>, not <sdf>"),
@@ -444,6 +445,10 @@ def test_no_file_is_read_outside_its_folders(uri: str, message: str, tmp_path: P
     (folder / "other.sdf").write_text('<sdf version="1.9"><light name="sun"/></sdf>')
     (folder / "robot.urdf").write_text("<robot name='a'/>")
     os.symlink(tmp_path / "part.sdf", folder / "linked.sdf")
+    circle = tmp_path / "models" / "circle"
+    circle.mkdir()
+    (circle / "model.config").write_text("<model><sdf>model.sdf</sdf></model>")
+    os.symlink(circle / "model.sdf", circle / "model.sdf")
     path = written(folder, f"<include><uri>{uri}</uri></include>")
     with pytest.raises(ModelFileError, match=message) as caught:
         read_sdf(path)
