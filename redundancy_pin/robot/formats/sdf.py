@@ -82,7 +82,7 @@ def read_sdf(path: Path, *, actuated: str = "", base: str = "fixed") -> Mechanis
         base: "fixed" to hold the first link, or that on the world, where it is; "free" to let it move.
 
     Raises:
-        ModelFileError: naming file and line: a file that is none, or what this reader does not know.
+        ModelFileError: naming file and line: the file is no SDF, or has an element that this reader does not cover.
     """
     return _Reader(Frames(path), base).mechanism([name.strip() for name in actuated.split(",") if name.strip()])
 
@@ -131,7 +131,7 @@ class _Joint:
 
 
 class _Reader:
-    """What is gathered on the way through a file."""
+    """State of reading one file."""
 
     def __init__(self, frames: Frames, base: str) -> None:
         self.frames, self._base = frames, base
@@ -190,7 +190,7 @@ class _Reader:
         )
 
     def _require_moving(self, driven: list[str]) -> None:
-        """Refuse names of driven joints that are none."""
+        """Refuse the name of a driven joint that the model does not have, or that does not move."""
         for name in driven:
             if name not in self.moving:
                 part = next(iter(self.frames.links.values())).part

@@ -98,7 +98,7 @@ def _engine(trust: bool) -> _Engine:
 
 
 class _Engine:
-    """A copy of xacro; where its files are not trusted, their expressions are data."""
+    """A copy of xacro. The expressions of files that are not trusted are data."""
 
     def __init__(self, trust: bool) -> None:
         self.xacro, self._write = _copy_of_xacro("_trusted" if trust else "_closed")
@@ -120,7 +120,7 @@ class _Engine:
         return str(document.toprettyxml(indent="  "))
 
     def _close(self) -> None:
-        """Put what is ours in the place of what evaluates, opens files, or looks at the machine."""
+        """Replace the functions of xacro that evaluate, open files, or look at the machine."""
         module, substitutions = self.xacro, self.xacro.substitution_args
         for each in (module, substitutions):
             vars(each).update(dict.fromkeys(("eval", "exec", "compile", "open", "__import__"), _closed))
