@@ -34,8 +34,8 @@ _MOST_WORK = 1_000_000
 _MOST_DIGITS = 400
 """Digits that ``round`` keeps: a float has 324 behind its point at most."""
 
-STEPS = 300_000
-"""Work of one model; a step is a few microseconds. The largest public models tried need a third."""
+STEPS = 200_000
+"""Work of one model; a step is a few microseconds. The largest public model tried, the PR2, takes 87,000."""
 
 
 class ExpressionError(ValueError):

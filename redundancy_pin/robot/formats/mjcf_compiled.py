@@ -20,6 +20,7 @@ from redundancy_pin.arrays import LARGEST, Array
 from redundancy_pin.errors import ModelFileError, optional, shown
 from redundancy_pin.io.limited import answer, run_limited
 from redundancy_pin.io.reading import is_file
+from redundancy_pin.robot.formats.packages import is_within
 from redundancy_pin.robot.formats.xml_files import MOST_ELEMENTS, Element, parsed
 
 MUJOCO = ("mujoco", "Models of MuJoCo (MJCF) need", "Install it with `pip install 'redundancy_pin[mjcf]'`.")
@@ -109,20 +110,13 @@ def _require_bounded(path: Path, trust: bool) -> None:
             if element.tag in ("include", "model") and (named := element.get("file")):
                 places = (folder / named, file.parent / named)
                 place = next((at for at in places if is_file(at)), places[0])
-                if not (trust or _is_within(place, folder)):
+                if not (trust or is_within(place, (folder,))):
                     raise _refused(file, element, f"file={shown(named)} {_OUTSIDE}", _MOVE)
                 waiting.append((place, count))
 
 
 _OUTSIDE = "is outside of the model's folder"
 _MOVE = "Move it there, or pass trust=True if you trust the file's author."
-
-
-def _is_within(place: Path, folder: Path) -> bool:
-    try:
-        return place.resolve().is_relative_to(folder)
-    except (OSError, ValueError, RuntimeError):  # a NUL in the name, links in a circle
-        return False
 
 
 def _multiplied(element: Element, times: int) -> Iterator[tuple[Element, int]]:
@@ -156,7 +150,7 @@ def _compiled(path: Path, trust: bool) -> Compiled:
             colliding = bool(spec.pairs) or any(geom.contype or geom.conaffinity for geom in spec.geoms)
             idle = _without_idle_shapes(spec, mujoco.mjtGeom.mjGEOM_SPHERE)
             for mesh in () if trust else spec.meshes:
-                if mesh.file and not _is_within(_mesh_file(mesh, path.parent), path.resolve().parent):
+                if mesh.file and not is_within(_mesh_file(mesh, path.parent), (path.resolve().parent,)):
                     raise ModelFileError(f"{path}: file={shown(mesh.file)} {_OUTSIDE}.", remedy=_MOVE, path=str(path))
             # bodies stay links by their names, whatever they are welded to
             spec.compiler.fusestatic = spec.compiler.discardvisual = False

@@ -22,8 +22,11 @@ def own_folders(path: Path) -> tuple[Path, ...]:
 
 
 def is_within(path: Path, folders: Iterable[Path]) -> bool:
-    """Return whether a file is in one of some folders, symbolic links followed."""
-    place = path.resolve()
+    """Return whether a file is in one of some folders, symbolic links followed; False where they lead nowhere."""
+    try:
+        place = path.resolve()
+    except (OSError, ValueError, RuntimeError):  # a NUL in the name, links in a circle
+        return False
     return any(place.is_relative_to(folder) for folder in folders)
 
 

@@ -31,7 +31,7 @@ from redundancy_pin.robot.formats.mechanism import (
 from redundancy_pin.robot.formats.sdf_frames import WORLD, Frame, Frames, SdfPart
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, has_joint
-from redundancy_pin.robot.loop_joints import LoopJoint, turned_to
+from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
 from redundancy_pin.robot.rebuild import joint_along, rebuilt
 from redundancy_pin.robot.types import Coupling
 
@@ -82,7 +82,7 @@ def read_sdf(path: Path, *, actuated: str = "", base: str = "fixed") -> Mechanis
         base: "fixed" to hold the first link, or that on the world, where it is; "free" to let it move.
 
     Raises:
-        ModelFileError: naming file and line: a file that is none, or what this reader does not know.
+        ModelFileError: naming file and line: the file is no SDF, or has an element that this reader does not cover.
     """
     return _Reader(Frames(path), base).mechanism([name.strip() for name in actuated.split(",") if name.strip()])
 
@@ -131,7 +131,7 @@ class _Joint:
 
 
 class _Reader:
-    """What is gathered on the way through a file."""
+    """State of reading one file."""
 
     def __init__(self, frames: Frames, base: str) -> None:
         self.frames, self._base = frames, base
@@ -190,7 +190,7 @@ class _Reader:
         )
 
     def _require_moving(self, driven: list[str]) -> None:
-        """Refuse names of driven joints that are none."""
+        """Refuse the name of a driven joint that the model does not have, or that does not move."""
         for name in driven:
             if name not in self.moving:
                 part = next(iter(self.frames.links.values())).part
@@ -506,17 +506,14 @@ class _Reader:
             end = f"{joint.name}::end"
             self.model.addBodyFrame(end, index, place * self._from(joint, joint.child), 0)
             return LoopJoint(joint.name, "weld", (end, self.frames.name(joint.child)), (np.eye(4), np.eye(4)))
-        turn = joint.place[:3, :3]
-        if kind == "universal":
-            normal = np.cross(axes[1], axes[0])
-            turn = np.column_stack([axes[1], axes[0], normal / np.linalg.norm(normal)])
-        elif axes:
-            turn = turned_to(axes[0])
-        place = pin.SE3(turn, joint.place[:3, 3])
-        one, other = (self._where(end).actInv(place).homogeneous for end in ends)
+        # rows of a ball or weld are along the joint's own axes
+        place = pin.SE3(np.eye(3) if axes else joint.place[:3, :3], joint.place[:3, 3])
+        places = [self._where(end).actInv(place).homogeneous for end in ends]
         if limited := [step.name for step in joint.steps if step.limits != UNLIMITED]:
             self.notes.append(f"The limits of {', '.join(limited)}, which closes a loop, are left out.")
-        return LoopJoint(joint.name, kind, (self.frames.name(ends[0]), self.frames.name(ends[1])), (one, other))
+        names = self.frames.name(ends[0]), self.frames.name(ends[1])
+        along = axes or (np.eye(3)[2],)
+        return joint_between(joint.name, kind, names, places, (along[0], along[-1]))
 
     def _candidates(self) -> tuple[str, ...]:
         """Return the joints that may be meant to be driven: with a limit of effort, else with bounds.

@@ -65,7 +65,7 @@ _PARTS = {
     "dynamics": ("damping", "friction", "spring_reference", "spring_stiffness"),
     "mimic": ("multiplier", "offset", "reference"),
 }
-"""Elements in elements; others are errors, or passed over with a note where they are of another namespace."""
+"""Children that each element may have. Others are errors; those of another namespace are ignored with a note."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class SdfPart(Part):
         return text in ("1", "true")
 
     def relative_to(self) -> str:
-        """Return the name of the frame that the pose of the element is in; empty for the usual one."""
+        """Return the name of the frame that the pose of the element is in; empty for the default frame."""
         pose = self.one("pose")
         return (pose.text_of("relative_to") or pose.text_of("frame")) if pose else ""
 
@@ -159,7 +159,7 @@ class Scope:
     """A world or a model, as the place where names are looked up.
 
     Attributes:
-        prefix: what the full names in it begin with.
+        prefix: first part of the full names in it.
         frame: full name of its own frame.
         is_static: whether nothing in it moves.
         canonical: name in it of the link that its frame is attached to; empty for the first one.
@@ -185,7 +185,7 @@ class Frame:
         attached_to: name of the frame that it moves with; empty for that of the scope.
         relative_to: name of the frame that its pose is in, likewise.
         inner: the scope that a model is.
-        placement: name of the frame in a model that the pose is that of; empty for its own frame.
+        placement: name of the frame in a model that the pose places; empty for the frame of the model.
     """
 
     full: str
@@ -209,7 +209,7 @@ class Frames:
         marks: full names of the ``<frame>`` elements.
         main: full name of the model that moves.
         gravity: (3,) m/s².
-        notes: what is passed over.
+        notes: on ignored elements.
     """
 
     def __init__(self, path: Path) -> None:
@@ -496,7 +496,7 @@ class Frames:
 
 
 _OF_MODEL = "::__model__"
-"""What the names of the frames of models may end with."""
+"""Suffix by which a name means the frame of a model."""
 
 
 def _checked_name(part: SdfPart, given: str = "") -> str:

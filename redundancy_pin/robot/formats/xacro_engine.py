@@ -98,7 +98,7 @@ def _engine(trust: bool) -> _Engine:
 
 
 class _Engine:
-    """A copy of xacro; where its files are not trusted, their expressions are data."""
+    """A copy of xacro. The expressions of files that are not trusted are data."""
 
     def __init__(self, trust: bool) -> None:
         self.xacro, self._write = _copy_of_xacro("_trusted" if trust else "_closed")
@@ -120,7 +120,7 @@ class _Engine:
         return str(document.toprettyxml(indent="  "))
 
     def _close(self) -> None:
-        """Put what is ours in the place of what evaluates, opens files, or looks at the machine."""
+        """Replace the functions of xacro that evaluate, open files, or look at the machine."""
         module, substitutions = self.xacro, self.xacro.substitution_args
         for each in (module, substitutions):
             vars(each).update(dict.fromkeys(("eval", "exec", "compile", "open", "__import__"), _closed))
@@ -298,8 +298,14 @@ def _cost_of_tree(node: Any) -> int:
 
 
 def _tree_size(node: Any) -> int:
-    own = len(node.attributes) if node.nodeType == minidom.Node.ELEMENT_NODE else 0
-    return 1 + own + sum(map(_tree_size, node.childNodes))
+    """Return how many nodes and attributes a node has, itself included."""
+    size, waiting = 0, [node]
+    while waiting:
+        part = waiting.pop()
+        # the public `attributes` makes a mapping for each element, which takes longer than the rest
+        size += 1 + len(getattr(part, "_attrs", None) or ())
+        waiting += part.childNodes
+    return size
 
 
 def _cost_of_replacing(node: Any, by: Any = None, content_only: bool = False) -> int:
