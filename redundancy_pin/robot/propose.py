@@ -75,7 +75,7 @@ _MOTORS = frozenset(("motor", "actuator", "actuated", "servo", "drive", "active"
 _SIDES = frozenset(
     ("joint", "left", "right", "front", "rear", "back", "upper", "lower", "top", "bottom", "inner", "outer")
 )
-"""Words that may follow those, beside numbers and letters: ``motor_side_elbow`` is an elbow."""
+"""Words that may follow those, as numbers and letters may: ``motor_side_elbow`` is an elbow."""
 
 _PASSIVE = frozenset(("passive", "unactuated", "free", "idle"))
 """Words in names of joints that nothing drives."""
@@ -248,9 +248,9 @@ def _words(name: str) -> list[str]:
 
 
 def _difference(one: str, other: str) -> tuple[int, int, frozenset[str]] | None:
-    """Return in what two names differ that are alike but for one word, as left_tip and right_tip; None for others.
+    """Return how two names differ in one word, as left_tip and right_tip do; None if they differ otherwise.
 
-    It is the number of words, which of them it is, and both of its forms.
+    The result is the number of words, the place of that word, and both of its forms.
     """
     words = _words(one), _words(other)
     if len(words[0]) != len(words[1]) or len(words[0]) == 1:
@@ -388,6 +388,7 @@ def _has(mark: str, ends: Iterable[str]) -> bool:
 
 
 def _is_frame(mark: str) -> bool:
+    """Return whether a name says that a mark has another use than to close a loop."""
     words = set(_words(mark))
     return bool(words & _FRAMES) and not words & _CUTS
 
