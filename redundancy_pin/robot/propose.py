@@ -26,7 +26,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import combinations, product
+from itertools import combinations, islice, product
 from typing import Any
 
 import numpy as np
@@ -84,6 +84,9 @@ _PASSIVE = frozenset(("passive", "unactuated", "free", "idle"))
 
 _KINDS = ("ball", "hinge", "cylinder", "slider", "planar", "weld")
 """Kinds of joints that the frames of two links determine."""
+
+_MOST_SUGGESTIONS = 100
+"""Number of pairs named alike that a question suggests: of 1,900 marks there are more than a million."""
 
 _FEWEST_ROWS = 2
 """Rows of a joint that closes a loop: a pin in a plane has two. Fingers on slides that touch have one."""
@@ -424,7 +427,8 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
     apart = _apart(marks, tree)
     if len(marks) == 2:
         likely |= dict.fromkeys(apart, "the only two")
-    likely |= {pair: "named alike" for pair in apart if _difference(*pair) and pair not in likely}
+    alike = (pair for pair in apart if _difference(*pair) and pair not in likely)
+    likely |= dict.fromkeys(islice(alike, _MOST_SUGGESTIONS), "named alike")
     own = {*marks}
     others = [link for link in tree.bodies if link not in own]
     for mark in marks:  # a pin that is marked on one of its links only
