@@ -41,7 +41,7 @@ from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
 from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
 from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.loads import Load
-from redundancy_pin.robot.lookup import find_joint
+from redundancy_pin.robot.lookup import find_joint, joint_names
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
 from redundancy_pin.robot.propose import Proposal, propose, which_motors
 from redundancy_pin.robot.rebuild import rebuilt, span
@@ -85,8 +85,8 @@ def load_robot(
     A robot is data: expressions in its files calculate and no more, and cannot cost more than a second or two.
 
     Args:
-        source: name of a shipped robot ("2rpr", "delta", ...: ``redundancy-pin info``), path of a ``robot.yaml``, or of
-            the folder that holds one.
+        source: name of a shipped robot ("2rpr", "delta", ...: ``redundancy-pin info``), path of a ``robot.yaml``, of
+            the folder that holds one, or of a model file (URDF, xacro, MJCF, SDF) that states its loops and motors.
         gravity: (3,) acceleration of gravity in the world frame, m/s²; as declared when left out.
         working_mode: ±1 a leg; as declared when left out.
         trust: let the expressions of a xacro file be any Python, which runs with your rights, and let MJCF read files
@@ -140,7 +140,7 @@ def load_with(
     if is_model_file(path):
         return _load(request, {})
     if not kept:
-        return _declared(request)
+        return _load_declared(request)
     robot = _shipped(request)
     return replace(robot, model=robot.model.copy())  # of what is shared, all that can be changed
 
@@ -158,14 +158,14 @@ class _Request:
     untrusted: bool
 
 
-def _declared(request: _Request) -> Robot:
+def _load_declared(request: _Request) -> Robot:
     file = read_declaration(request.path)
     with file.naming():
         return _load(request, file.data)
 
 
 # files of shipped robots do not change, and sweeps, commands and tests load the same ones time and again
-_shipped = lru_cache(maxsize=64)(_declared)
+_shipped = lru_cache(maxsize=64)(_load_declared)
 
 
 def with_parameters(
@@ -200,8 +200,9 @@ def with_parameters(
     """
     robot = as_robot(robot)
     masses, lengths = {} if masses is None else masses, {} if lengths is None else lengths
-    path = declaration_path(robot.source) if robot.source else Path()
-    if not robot.source or not is_urdf(path if is_model_file(path) else Path(read_declaration(path).data["urdf"])):
+    path = declaration_path(robot.source) if robot.source else None
+    file = None if path is None or is_model_file(path) else read_declaration(path)
+    if path is None or not is_urdf(path if file is None else Path(file.data["urdf"])):
         raise InputError(
             f"{robot.name} was not loaded from a URDF.",
             remedy="Change its Pinocchio model, or its file, and make the robot of that.",
@@ -220,10 +221,10 @@ def with_parameters(
         robot = _with_added(robot, loads)
     if not (masses or lengths):
         return robot
-    file = None if is_model_file(path) else read_declaration(path)
     with nullcontext() if file is None else file.naming():
         roles = {"actuated": list(robot.actuated), "independent": {"joints": list(robot.independent_joints)}}
-        declaration = parse(_whole({"urdf": path.name, **roles} if file is None else file.data, path), robot.parameters)
+        data = {"urdf": path.name, **roles} if file is None else file.data
+        declaration = parse(_with_defaults(data, path), robot.parameters)
         mechanism = mechanism_of_urdf(
             changed_urdf(robot.urdf, masses, lengths),
             path.parent / declaration.urdf,
@@ -234,8 +235,10 @@ def with_parameters(
             stated = {joint.name for joint in mechanism.loop_joints}
             found = [f"{each.frame_a},{each.frame_b}" for each in robot.closures if each.name not in stated]
             mechanism = propose(mechanism, close=found, is_open=True).mechanism
+            if turned := [name for name in joint_names(mechanism.model) if not robot.model.existJointName(name)]:
+                mechanism = mechanism.with_hinges(turned)  # the balls that moved freely when the robot was loaded
             mechanism = replace(mechanism, start=np.array(robot.q_reference))
-        new, dropped = _joined(
+        new, dropped = _select_rows(
             declaration,
             mechanism,
             gravity=robot.gravity.tolist(),
@@ -258,7 +261,7 @@ def with_parameters(
                 setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
         if lengths:
             require_still_joined(robot, new)
-            new = _closed(new, declaration, robot.parameters, dropped)
+            new = _close_reference(new, declaration, robot.parameters, dropped)
         else:  # masses close no loop: the reference is that of the robot
             new = replace(new, q_reference=robot.q_reference, characteristic_length=robot.characteristic_length)
         return _with_added(new, robot.loads)
@@ -293,7 +296,7 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
     require_conditions(data, parameters)
     kinds: Mapping[str, str] | None = {} if data else None
     if data.get("joint_types"):
-        kinds = parse(_whole(data, request.path), parameters).joint_types
+        kinds = parse(_with_defaults(data, request.path), parameters).joint_types
     mechanism = read(kinds)
     proposal = propose(mechanism) if is_urdf(file) and not data else None
     if proposal:
@@ -309,22 +312,22 @@ def _load(request: _Request, data: Mapping[str, Any]) -> Robot:
 def _robot_of(
     mechanism: Mechanism, request: _Request, file: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]
 ) -> Robot:
-    """Return the robot of a mechanism, with hinges for balls that move freely, or a reference beside a flat start."""
+    """Return the robot of a mechanism, with hinges for balls that move freely, or a reference near a flat start."""
 
-    def at(own: Mechanism) -> Robot:
-        return _of_mechanism(own, request, file, data, parameters)
+    def build(own: Mechanism) -> Robot:
+        return _build(own, request, file, data, parameters)
 
     try:
-        robot = at(mechanism)
+        robot = build(mechanism)
         start, comparable = mechanism.start, is_urdf(file) and not data and len(mechanism.start) == robot.model.nq
         if not (comparable and branches_meet(robot, start)):
             return robot
     except DeclarationError as error:
         if "balls" in error.details:
-            return at(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
+            return build(mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"])))
         if "rank" not in error.details or not mechanism.loop_joints or data:
             raise
-        robot = beside(mechanism, at, error)
+        robot = _build_near_start(mechanism, build, error)
     _warn_once(f"{file.name}: {FLAT}")
     return replace(robot, notes=(*robot.notes, FLAT))
 
@@ -399,49 +402,48 @@ def _require_decided(proposal: Proposal, file: Path) -> None:
         )
 
 
-def _whole(data: Mapping[str, Any], path: Path) -> dict[str, Any]:
+def _with_defaults(data: Mapping[str, Any], path: Path) -> dict[str, Any]:
     """Return a declaration with what can be left out."""
     return {"name": path.resolve().parent.name, "reference": {}, **data}
 
 
-_BESIDE = 0.5
-"""rad and m: how far from the start of a file poses are tried where loops lie in a line there."""
+_LARGEST_OFFSET = 0.5
+"""rad and m, of each joint: where loops lie in a line at the start of a file, poses within this of it are tried."""
 
-_TRIES = 8
-"""How many poses are tried: each is as good as any other, and fails only near a singularity."""
+_MOST_TRIES = 8
+"""Number of poses that are tried: each is as good as any other, and fails only near a singularity."""
 
 
 FLAT = (
     "Where all joints start, loops lie in a line and branches meet: the reference is a pose near it. See that it is on "
     "the branch of your machine."
 )
-"""What is said of a robot that ``beside`` has made."""
+"""Note of a robot whose reference is a pose near a start where branches meet."""
 
 
-def beside(mechanism: Mechanism, make: Callable[[Mechanism], Robot], error: DeclarationError) -> Robot:
-    """Return the robot of the first of a few poses near the start of a mechanism that makes one.
-
-    Where loops lie in a line their rank is lower than anywhere else.
+def _build_near_start(mechanism: Mechanism, build: Callable[[Mechanism], Robot], error: DeclarationError) -> Robot:
+    """Return a robot whose reference is near the start of its mechanism, where loops in a line lose rank.
 
     Args:
         mechanism: what a file describes.
-        make: makes a robot of it, with another start.
+        build: returns the robot of a mechanism with another start.
         error: raised again if no pose serves.
     """
     model, rng = mechanism.model, np.random.default_rng(1)
-    for _ in range(_TRIES):
-        start = pin.integrate(model, mechanism.start, rng.uniform(-_BESIDE, _BESIDE, model.nv))
+    for _ in range(_MOST_TRIES):
+        start = pin.integrate(model, mechanism.start, rng.uniform(-_LARGEST_OFFSET, _LARGEST_OFFSET, model.nv))
         if model.nq == model.nv:
             start = np.clip(start, model.lowerPositionLimit, model.upperPositionLimit)
         with suppress(DeclarationError):
-            return make(replace(mechanism, start=start))
+            return build(replace(mechanism, start=start))
     raise error
 
 
-def _of_mechanism(
+def _build(
     mechanism: Mechanism, request: _Request, file: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]
 ) -> Robot:
-    given = _whole(data, request.path) if data else {"name": mechanism.name, "reference": {}}
+    """Return the robot of a mechanism, its roles those of the declaration ``data``, otherwise those of the file."""
+    given = _with_defaults(data, request.path) if data else {"name": mechanism.name, "reference": {}}
     if mechanism.independent:
         given = {"independent": {"joints": list(mechanism.independent)}, **given}
     given = {"urdf": file.name, "actuated": list(mechanism.actuated), **given}
@@ -457,7 +459,7 @@ def _of_mechanism(
         given,
         replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again
         gravity=own if request.gravity is None else request.gravity,
-        loose=not (data and is_urdf(file)),
+        drop_dependent=not (data and is_urdf(file)),
         mode=request.working_mode,
         parameters=parameters,
         source=source_of(request.path),
@@ -477,7 +479,9 @@ def _warn_once(text: str) -> None:
     _LOG.warning(text)
 
 
-def _closed(robot: Robot, declaration: Declaration, parameters: Mapping[str, Argument], dropped: bool) -> Robot:
+def _close_reference(
+    robot: Robot, declaration: Declaration, parameters: Mapping[str, Argument], dropped: bool
+) -> Robot:
     """Return the robot with its reference closed and its mobility checked.
 
     Args:
@@ -654,9 +658,9 @@ def robot_from_model(
     start = pin.neutral(model)
     if not (reference is None or isinstance(reference, Mapping)):
         start = in_order_of(model, given, at, checked(reference, "reference", (model.nq,)))
-    loose = any(hasattr(each, "joint1_placement") for each in closures)
+    is_of_pinocchio = any(hasattr(each, "joint1_placement") for each in closures)
     mechanism = Mechanism(data["name"], model, start, shapes=urdf)
-    robot = build_robot(data, mechanism, loose=loose, mode=working_mode, own_model=True)
+    robot = build_robot(data, mechanism, drop_dependent=is_of_pinocchio, mode=working_mode, own_model=True)
     moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
     if note := too_few_motors(robot):
         _warn_once(note)
@@ -667,7 +671,7 @@ def build_robot(
     data: Mapping[str, Any],
     mechanism: Mechanism,
     *,
-    loose: bool,
+    drop_dependent: bool,
     gravity: Sequence[float] | None = None,
     mode: Sequence[int] | None = None,
     parameters: Mapping[str, Argument] = MappingProxyType({}),
@@ -680,7 +684,7 @@ def build_robot(
     Args:
         data: the declaration, checked here; without ``independent`` joints are chosen.
         mechanism: the tree, which becomes the robot's own; the reference is looked for where it starts.
-        loose: leave out closure rows that are redundant.
+        drop_dependent: leave out dependent closure rows.
         gravity: (3,) m/s²; that of the model when left out.
         mode: ±1 a leg; as declared when left out.
         parameters: of the robot.
@@ -690,11 +694,11 @@ def build_robot(
     """
     choose = not data.get("independent")
     declaration = parse({**data, "independent": {"joints": list(data["actuated"])}} if choose else data, parameters)
-    robot, dropped = _joined(
+    robot, dropped = _select_rows(
         declaration,
         mechanism,
         gravity=gravity,
-        loose=loose,
+        drop_dependent=drop_dependent,
         choose=choose,
         drive_independent=drive_independent,
         parameters=parameters,
@@ -702,36 +706,37 @@ def build_robot(
         mode=mode,
         own_model=own_model,
     )
-    return _closed(robot, declaration, parameters, dropped)
+    return _close_reference(robot, declaration, parameters, dropped)
 
 
-def _joined(
+def _select_rows(
     declaration: Declaration,
     mechanism: Mechanism,
     *,
     gravity: Sequence[float] | None = None,
-    loose: bool = False,
+    drop_dependent: bool = False,
     choose: bool = False,
     drive_independent: bool = False,
     **of: Any,
 ) -> tuple[Robot, bool]:
-    """Return the robot, not closed yet, and whether its redundant closure rows were left out.
+    """Return the robot, its reference not closed yet, and whether dependent closure rows were left out.
 
-    They are where ``loose``, where the declaration says that there are some, and where joints close the loops: those of
-    a mechanism that moves in a plane constrain more than it needs.
+    They are left out on demand (``drop_dependent``), where the declaration expects them, and where joints close loops:
+    joints of a planar mechanism constrain more than it needs.
     """
     if gravity is not None:
         mechanism.model.gravity.linear = np.array(checked(gravity, "gravity", (3,)))
     robot = read_robot(declaration, mechanism, **of)
-    loose = loose or declaration.redundant_rows or bool(declaration.loop_joints or mechanism.loop_joints)
-    if not (loose or choose):
+    has_joints = bool(declaration.loop_joints or mechanism.loop_joints)
+    drop_dependent = drop_dependent or declaration.redundant_rows or has_joints
+    if not (drop_dependent or choose):
         return robot, False
     model, resisted = robot.model, {load.joint for load in mechanism.forces}
     resisted |= {str(model.names[i]) for i in range(1, model.njoints) if np.any(model.armature[span(model, i, "v")])}
     selection = selected(
         replace(robot, platform=None, independent_joints=()),
         np.array(robot.q_reference),
-        redundant=loose,
+        redundant=drop_dependent,
         declared=None if choose else robot.n,
         resisted=resisted,
     )
@@ -753,7 +758,7 @@ def _joined(
         notes.append(
             "The file does not say what is driven: taken are the independent joints; actuated=... names others."
         )
-    return replace(robot, notes=tuple(notes)), loose
+    return replace(robot, notes=tuple(notes)), drop_dependent
 
 
 def _notes(selection: Selection) -> Iterator[str]:

@@ -47,6 +47,13 @@ def test_robots_are_found_by_name_file_and_folder(tmp_path: Path, monkeypatch: p
     assert source_in(tmp_path / "elsewhere", "delta") == "gallery/delta"
 
 
+def test_a_path_means_the_robot_of_the_folder_one_is_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shipped robots are kept in memory, by a path that means the same in all folders."""
+    for name in ("four_bar", "2rpr"):
+        monkeypatch.chdir(models_root() / name)
+        assert rp.load_robot("robot.yaml").name == name
+
+
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -145,7 +152,7 @@ def test_arguments_are_evaluated_and_whole_numbers_stay_whole(tmp_path: Path) ->
         ("3rrr", {"base_radius": 0.0}, "base_radius > 0 does not hold"),
         ("2rpr", {"carrier_mass": -1.0}, "carrier_mass >= 0 does not hold"),
         ("3rrr", {"proximal_length": 0.1, "distal_length": 0.1}, r"does not close in working mode \+\+\+.*gap of"),
-        *(("3rrr", {"working_mode": mode}, "a tuple of 3 signs") for mode in (1, (1, 1), (1, 1, 0), "+++")),
+        *(("3rrr", {"working_mode": mode}, "of 3 signs") for mode in (1, (1, 1), (1, 1, 0), (1, 1, 1, 1), "+++")),
         ("excavator", {"working_mode": (1, 1)}, "declares no modes"),
         *(("3rrr", {"gravity": value}, "gravity") for value in ((0.0, -9.81), (0.0, float("nan"), 0.0), "down")),
     ],
@@ -282,9 +289,12 @@ def test_a_closure_whose_frame_is_wrong_is_named_and_the_others_are_not(tmp_path
     assert "'left'" not in str(caught.value)
 
 
-def test_a_platform_angle_in_degrees_is_said_to_be(tmp_path: Path) -> None:
+@pytest.mark.parametrize("angle", [30, 6.3])
+def test_a_platform_angle_in_degrees_is_said_to_be(angle: float, tmp_path: Path) -> None:
     text = (models_root() / "3rrr" / "robot.yaml").read_text()
-    lines = ['  platform: ["sqrt(3) / 2", 0.5, 30]' if "  platform: [" in line else line for line in text.splitlines()]
+    platform = f'  platform: ["sqrt(3) / 2", 0.5, {angle}]'
+    lines = [platform if line.startswith("  platform: [") else line for line in text.splitlines()]
+    assert platform in lines
     (tmp_path / "robot.yaml").write_text("\n".join(lines))
     shutil.copy(models_root() / "3rrr" / "3rrr.urdf.xacro", tmp_path)
     with pytest.raises(DeclarationError, match=r"reference\.platform.*angles in radians, within a turn \(degrees\?\)"):
@@ -297,6 +307,22 @@ def test_gravity_that_moves_nothing_is_said(tmp_path: Path, caplog: pytest.LogCa
     assert "gravity = [0.0, 0.0, -9.81] is normal to the plane in which my_five_bar moves" in caplog.text
     motion = rp.PlatformMotion([0.0], [[0.25, 0.7]], [[0.0, 0.0]], [[0.0, 0.0]])
     # it is so: the efforts are those of no gravity; any other direction has an effect, and is not warned of
-    for robot, acts in ((still, False), (rp.load_robot(path, gravity=[0.0, -1e-3, -9.81]), True)):
+    robots = (still, False), (rp.load_robot(path), False), (rp.load_robot(path, gravity=[0.0, -1e-3, -9.81]), True)
+    for robot, acts in robots:
         assert gravity_acts(robot) is acts
         assert bool(np.abs(rp.RneaDynamics(robot).reduce(motion).f).max() > 1e-12) is acts
+    # a machine that slides along its normal is moved by it
+    slide = {"actuated": ["a1"], "independent": {"joints": ["a1"]}, "reference": {"joints": {"a1": 0.0}}}
+    write_robot(tmp_path, urdf_of([J("a1", "prismatic", "base", "l1")]), slide)
+    assert gravity_acts(rp.load_robot(tmp_path, gravity=[0.0, 0.0, -9.81]))
+
+
+def test_speed_and_force_of_carriers_that_the_urdf_leaves_at_zero_are_not_known(tmp_path: Path) -> None:
+    limits = rp.load_robot(write(tmp_path, FIVE_BAR.replace('velocity="9" effort="9"', 'velocity="0" effort="0"')))
+    assert limits.carrier_limits[0].speed == limits.carrier_limits[0].force == float("inf")
+
+
+def test_a_joint_may_have_the_name_of_its_link(tmp_path: Path) -> None:
+    tree = FIVE_BAR.replace('<joint name="m1"', '<joint name="tip1"').replace('<joint name="m2"', '<joint name="tip2"')
+    assert tree.count('<joint name="tip') == 2
+    assert rp.load_robot(write(tmp_path, tree)).n == 2

@@ -226,10 +226,15 @@ def test_what_mjcf_does_not_say_is_refused_by_name(tmp_path: Path) -> None:
 def test_limits_of_effort_are_said_in_mjcf_and_cut_nothing_off(tmp_path: Path) -> None:
     """As here: a plan that breaks them is one that says so, and MuJoCo's motion is its motion still."""
     robot = robot_of("five_bar")
-    path = rp.write_mjcf(
-        rp.with_limits(robot, {name: {"effort": 3.0} for name in robot.actuated}), tmp_path / "robot.xml"
-    )
-    np.testing.assert_array_equal(rp.load_robot(path).effort_limits[:, :2], [[-3.0] * 2, [3.0] * 2])
+    limits = np.array([[-3.0, 1.0], [3.0, np.inf]])  # a range about zero, and a side without a limit
+    for name, values in zip(("lowerEffortLimit", "upperEffortLimit"), limits, strict=True):
+        array = np.array(getattr(robot.model, name))
+        array[robot.actuated_velocity] = values
+        setattr(robot.model, name, array)
+    path = rp.write_mjcf(robot, tmp_path / "robot.xml")
+    again = rp.load_robot(path).effort_limits
+    np.testing.assert_array_equal(again[:, 0], limits[:, 0])
+    assert (again[0, 1], again[1, 1] > 1e9) == (1.0, True)
     model = mujoco.MjModel.from_xml_path(str(path))
     carriers = [[-each.force, each.force] for each in robot.carrier_limits]
     assert model.actuator_ctrllimited[robot.m :].astype(bool).tolist() == np.isfinite(carriers).all(axis=1).tolist()
@@ -237,3 +242,18 @@ def test_limits_of_effort_are_said_in_mjcf_and_cut_nothing_off(tmp_path: Path) -
     data.ctrl[0] = 50.0
     mujoco.mj_forward(model, data)
     assert data.actuator_force[0] == 50.0
+
+
+def test_joints_without_limits_have_none_in_mjcf(tmp_path: Path) -> None:
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "arm")  # its limits are the largest doubles
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.1, 0.0, 0.0]), 0.1 * np.eye(3)), pin.SE3.Identity())
+    path = rp.write_mjcf(rp.robot_from_model(model, actuated=["arm"]), tmp_path / "arm.xml")
+    assert "range" not in path.read_text()
+    limits = rp.load_robot(path).model
+    assert (np.abs([limits.lowerPositionLimit, limits.upperPositionLimit]) > 1e300).all()
+    # a limit to one side is kept
+    model.lowerPositionLimit[0], model.upperPositionLimit[0] = -np.inf, 1.25
+    limits = rp.load_robot(rp.write_mjcf(rp.robot_from_model(model, actuated=["arm"]), tmp_path / "arm.xml")).model
+    assert limits.upperPositionLimit[0] == 1.25
+    assert limits.lowerPositionLimit[0] < -1e9

@@ -106,7 +106,7 @@ def _names_of_declaration() -> Iterator[None]:
 
 
 def _forces(declaration: Declaration, mechanism: Mechanism) -> tuple[list[JointForces], tuple[str, ...]]:
-    """Return what the file says of friction and springs, but for joints that the declaration speaks of; and notes."""
+    """Return the file's friction and springs, except for joints whose forces are declared; and notes."""
     if mechanism.forces and not declaration.urdf_dynamics:
         names = ", ".join(load.joint for load in mechanism.forces)
         return [], (f"Friction and springs of the file are not in force (urdf_dynamics: false): {names}.",)
@@ -301,7 +301,7 @@ def configuration(model: pin.Model, positions: Mapping[str, float], start: Array
 
     Raises:
         InputError: the model has no such joint.
-        DeclarationError: a joint of several coordinates, but for a continuous one.
+        DeclarationError: a joint of several coordinates, except a continuous one.
     """
     q: Array = start.copy()
     for name, value in positions.items():

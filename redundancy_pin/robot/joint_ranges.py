@@ -113,7 +113,7 @@ def all_ranges(robot: Robot) -> tuple[JointRange, ...]:
 
 @lru_cache(maxsize=64)
 def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
-    """Return the ranges of all joints that have one, but for carriers: their tracks are held against their motion."""
+    """Return the ranges of all joints that have one, except carriers: their tracks are held against their motion."""
     return tuple(joint for joint in all_ranges(robot) if joint.name not in robot.carriers)
 
 

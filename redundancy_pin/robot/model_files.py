@@ -88,7 +88,7 @@ def open_model(
     def read(kinds: Mapping[str, str] | None) -> Mechanism:
         if kinds:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
-        reader = _READERS[_format(path)]
+        reader = _READERS[found]
         return reader(path, **given, trust=trust, untrusted=untrusted) if reader is read_mjcf else reader(path, **given)
 
     return dict(given), read

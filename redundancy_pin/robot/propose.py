@@ -22,9 +22,11 @@ freedom than there are motors: arms have marks to park at. What is not certain i
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from functools import lru_cache
+from itertools import combinations, islice, product
 from typing import Any
 
 import numpy as np
@@ -75,13 +77,16 @@ _MOTORS = frozenset(("motor", "actuator", "actuated", "servo", "drive", "active"
 _SIDES = frozenset(
     ("joint", "left", "right", "front", "rear", "back", "upper", "lower", "top", "bottom", "inner", "outer")
 )
-"""Words that may follow those, beside numbers and letters: ``motor_side_elbow`` is an elbow."""
+"""Words that may follow those, as numbers and letters may: ``motor_side_elbow`` is an elbow."""
 
 _PASSIVE = frozenset(("passive", "unactuated", "free", "idle"))
 """Words in names of joints that nothing drives."""
 
 _KINDS = ("ball", "hinge", "cylinder", "slider", "planar", "weld")
 """Kinds of joints that the frames of two links determine."""
+
+_MOST_SUGGESTIONS = 100
+"""Number of pairs named alike that a question suggests: of 1,900 marks there are more than a million."""
 
 _FEWEST_ROWS = 2
 """Rows of a joint that closes a loop: a pin in a plane has two. Fingers on slides that touch have one."""
@@ -242,15 +247,16 @@ def _is_cut(pair: Iterable[str], why: str) -> str:
 # --- ends of loops ----------------------------------------------------------------------------------------------------
 
 
-def _words(name: str) -> list[str]:
+@lru_cache(maxsize=4096)  # pairs of marks ask for the words of each many times
+def _words(name: str) -> tuple[str, ...]:
     """Return the words of a name: "ringTip_12" has ring, tip and 12."""
-    return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name)]
+    return tuple(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name))
 
 
 def _difference(one: str, other: str) -> tuple[int, int, frozenset[str]] | None:
-    """Return in what two names differ that are alike but for one word, as left_tip and right_tip; None for others.
+    """Return how two names differ in one word, as left_tip and right_tip do; None if they differ otherwise.
 
-    It is the number of words, which of them it is, and both of its forms.
+    The result is the number of words, the place of that word, and both of its forms.
     """
     words = _words(one), _words(other)
     if len(words[0]) != len(words[1]) or len(words[0]) == 1:
@@ -274,12 +280,21 @@ class _Tree:
         self.size = characteristic_length(model, pin.neutral(model), ())
 
     def meet(self, one: str, other: str, tolerance: float = _COINCIDE) -> bool:
-        """Return whether links of two bodies are at one point when all joints are at zero, and not wherever these are.
+        """Return whether two links meet; see ``meeting``."""
+        return bool(self.meeting(one, [other], tolerance))
 
-        On the axis of a joint between them they always are.
+    def meeting(self, one: str, links: Sequence[str], tolerance: float = _COINCIDE) -> list[str]:
+        """Return those of some links that meet a link of another body.
+
+        They are at one point when all joints are at zero, and not wherever these are: on the axis of a joint between
+        them they always are.
         """
-        at_zero, elsewhere = np.linalg.norm(self.places[one] - self.places[other], axis=1) <= tolerance * self.size
-        return self.bodies[one] != self.bodies[other] and bool(at_zero) and not elsewhere
+        if not links:
+            return []
+        places = np.array([self.places[other] for other in links])
+        is_near = np.linalg.norm(places - self.places[one], axis=2) <= tolerance * self.size  # at zero, elsewhere
+        near = [links[int(number)] for number in np.flatnonzero(is_near[:, 0] & ~is_near[:, 1])]
+        return [other for other in near if self.bodies[other] != self.bodies[one]]
 
     def join(self, joints: Iterable[LoopJoint]) -> set[frozenset[int]]:
         """Return the pairs of bodies that joints join."""
@@ -304,7 +319,7 @@ def _cut_ends(
     used |= {mark for pair in named for mark in pair}
     at_zero = list[tuple[str, str]]()
     for mark in marks:
-        meeting = [other for other in all_marks if tree.meet(mark, other)]
+        meeting = tree.meeting(mark, all_marks)
         bodies = {tree.bodies[other] for other in meeting}
         if mark in used or not bodies or {tree.bodies[mark], *bodies} in joined:
             continue
@@ -350,9 +365,7 @@ def _marks(mechanism: Mechanism, tree: _Tree) -> list[str]:
     return [
         mark
         for mark, mass in mechanism.marks.items()
-        if mass <= light
-        or (_CUTS | _ENDS).intersection(_words(mark))
-        or any(tree.meet(mark, other) for other in mechanism.marks)
+        if mass <= light or (_CUTS | _ENDS).intersection(_words(mark)) or tree.meeting(mark, tuple(mechanism.marks))
     ]
 
 
@@ -372,8 +385,8 @@ def _idle_ends(mechanism: Mechanism, tree: _Tree, joined: set[frozenset[int]]) -
     pairs = [
         (link, other)
         for link, body in idle.items()
-        for other in tree.bodies
-        if tree.meet(link, other) and tree.bodies[other] != model.parents[body] and other not in idle
+        for other in tree.meeting(link, tuple(tree.bodies))
+        if tree.bodies[other] != model.parents[body] and other not in idle
     ]
     return [
         f"Is a loop cut at {','.join(pair)}? The first moves and is massless: {_close(pair)},weld or --open."
@@ -388,6 +401,7 @@ def _has(mark: str, ends: Iterable[str]) -> bool:
 
 
 def _is_frame(mark: str) -> bool:
+    """Return whether a name says that a mark has another use than to close a loop."""
     words = set(_words(mark))
     return bool(words & _FRAMES) and not words & _CUTS
 
@@ -399,9 +413,12 @@ def _apart(marks: Sequence[str], tree: _Tree) -> list[tuple[str, str]]:
 
 def _only_ones(pairs: Iterable[tuple[str, str]], differences: Collection[Any] | None = None) -> list[tuple[str, str]]:
     """Return the pairs named alike, in one of some ways, whose marks have no other such counterpart."""
+    if differences is not None and not differences:
+        return []
     found = {pair: _difference(*pair) for pair in pairs}
     alike = [pair for pair, how in found.items() if how and (differences is None or how in differences)]
-    return [pair for pair in alike if sum(bool({*pair} & {*other}) for other in alike) == 1]
+    count = Counter(mark for pair in alike for mark in pair)
+    return [pair for pair in alike if count[pair[0]] == count[pair[1]] == 1]
 
 
 def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: _Tree) -> tuple[str, bool]:
@@ -410,10 +427,13 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
     apart = _apart(marks, tree)
     if len(marks) == 2:
         likely |= dict.fromkeys(apart, "the only two")
-    likely |= {pair: "named alike" for pair in apart if _difference(*pair) and pair not in likely}
+    alike = (pair for pair in apart if _difference(*pair) and pair not in likely)
+    likely |= dict.fromkeys(islice(alike, _MOST_SUGGESTIONS), "named alike")
+    own = {*marks}
+    others = [link for link in tree.bodies if link not in own]
     for mark in marks:  # a pin that is marked on one of its links only
-        for link, body in tree.bodies.items():
-            if link not in marks and tree.meet(mark, link) and tree.model.parents[body] != tree.bodies[mark]:
+        for link in tree.meeting(mark, others):
+            if tree.model.parents[tree.bodies[link]] != tree.bodies[mark]:
                 likely[mark, link] = "it is there at zero"
     suggested = "; ".join(f"{_close(pair)} ({why})" for pair, why in likely.items()) or "--close A,B"
     return (
