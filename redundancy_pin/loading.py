@@ -41,7 +41,7 @@ from redundancy_pin.robot.formats.urdf import WITHOUT_INERTIAL
 from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
 from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.loads import Load
-from redundancy_pin.robot.lookup import find_joint, joint_names
+from redundancy_pin.robot.lookup import find_joint, has_joint, joint_names
 from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
 from redundancy_pin.robot.propose import Proposal, propose, which_motors
 from redundancy_pin.robot.rebuild import rebuilt, span
@@ -235,7 +235,7 @@ def with_parameters(
             stated = {joint.name for joint in mechanism.loop_joints}
             found = [f"{each.frame_a},{each.frame_b}" for each in robot.closures if each.name not in stated]
             mechanism = propose(mechanism, close=found, is_open=True).mechanism
-            if turned := [name for name in joint_names(mechanism.model) if not robot.model.existJointName(name)]:
+            if turned := [name for name in joint_names(mechanism.model) if not has_joint(robot.model, name)]:
                 mechanism = mechanism.with_hinges(turned)  # the balls that moved freely when the robot was loaded
             mechanism = replace(mechanism, start=np.array(robot.q_reference))
         new, dropped = _select_rows(
