@@ -25,6 +25,7 @@ from redundancy_pin.planners.carrier_model import (
 )
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits, grouped, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
@@ -205,8 +206,6 @@ def plan_stepwise(
     course = brake(settings, box, course, float(np.median(problems.h)), not moving[-1])
     carriers, phase = _samples(motion, course, len(problems.t))
     added = course.t[len(problems.t) :]
-    if len(added):
-        along = dynamics.along(_prolonged(motion, added))
     position = PiecewisePolynomial.joined(course.parts).made_continuous()
     platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
     functions = PlanFunctions(platform.prolonged_until(position.end), position)
@@ -216,17 +215,18 @@ def plan_stepwise(
         aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"
         report["baseline_peak"] = tuple(np.abs(reference).max(axis=0).tolist())
     plan = finish_plan(
-        along,
-        carriers,
-        planner="stepwise",
-        phase=phase,
-        phases=PHASES,
-        parameters={**settings.parameters, "baseline": aimed_at},
-        diagnostics=report,
-        carrier_limits=box.limits,
-        functions=functions,
-        position=position,
-        dynamics=dynamics,
+        PlannedMotion(
+            dynamics,
+            functions,
+            dynamics.along(_prolonged(motion, added)) if len(added) else along,
+            carriers,
+            settings.limits,
+            "stepwise",
+            phase=phase,
+            phases=PHASES,
+            parameters={**settings.parameters, "baseline": aimed_at},
+            diagnostics=report,
+        )
     )
     if settings.between:
         report["between_samples"] = between_samples(dynamics, plan, settings.between)
@@ -360,7 +360,7 @@ def between_samples(
     if trajectory is not None:
         left = left[plan.t[left + 1] <= trajectory.duration]
     times = plan.t[left, None] + np.diff(plan.t)[left, None] * (np.arange(1, points + 1) / (points + 1))
-    functions = plan.functions_of_time if trajectory is None else plan.functions_along(trajectory)
+    functions = plan.functions if trajectory is None else plan.functions_along(trajectory)
     efforts = np.abs(replace(plan, functions=functions).efforts_at(times.ravel(), dynamics))
     optimised = np.repeat(plan.phase[left + 1] == OPTIMISE, points)
     at_samples = np.abs(plan.tau[plan.phase == OPTIMISE])

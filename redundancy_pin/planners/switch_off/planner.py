@@ -18,6 +18,7 @@ from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import SwitchOffCourse, cross, cross_stepwise
@@ -78,16 +79,18 @@ def assemble_plan(
     off_windows = [(leg.crossing.window.start, leg.crossing.end) for leg in legs]
     none = tuple(PiecewisePolynomial.constant(np.zeros(dynamics.robot.m), *window) for window in off_windows)
     plan = finish_plan(
-        dynamics.along(source.sample_at(times)),
-        CarrierMotion(s, sd, sdd, check_rates=False),
-        planner="switch_off",
-        phase=phase,
-        phases=PHASES,
-        parameters={**asdict(settings), "datum": settings.datum.tolist()},
-        diagnostics={},
-        prescribed=prescribed,
-        functions=PlanFunctions(source, position.made_continuous(), none),
-        dynamics=dynamics,
+        PlannedMotion(
+            dynamics,
+            PlanFunctions(source, position.made_continuous(), none),
+            dynamics.along(source.sample_at(times)),
+            CarrierMotion(s, sd, sdd, check_rates=False),
+            Limits().resolved(dynamics.robot),
+            "switch_off",
+            prescribed=prescribed,
+            phase=phase,
+            phases=PHASES,
+            parameters={**asdict(settings), "datum": settings.datum.tolist()},
+        )
     )
     return replace(plan, diagnostics={**plan.diagnostics, **_diagnostics(dynamics, plan, legs, actuation, settings)})
 
@@ -140,7 +143,7 @@ def _diagnostics(
     )
     singular = list(actuation.singular_instants)
     return {
-        "windows": [_window(dynamics, plan.functions_of_time.platform, leg, singular, settings) for leg in legs],
+        "windows": [_window(dynamics, plan.functions.platform, leg, singular, settings) for leg in legs],
         "no_window": not legs,
         "worst_measure": actuation.worst(settings.measure),
         "singular_instants": singular,
