@@ -211,12 +211,13 @@ class Plan(Frozen):
         functions = replace(self.functions, platform=replace(platform, source=platform.polynomials))
         write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions, robot=robot))
 
-    # Files of other programs; ``planners.export`` says what is in them, and is imported where it is needed.
-
     def table(
         self, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
     ) -> PlanTable:
         """Return positions, rates, accelerations and efforts by joint name, at a rate, Hz, or at the samples.
+
+        The table writes itself for other programs: ``plan.table(rate=1000).to_csv("plan.csv")``, ``to_json``,
+        ``to_mat``, ``to_ros``, ``to_dataframe`` (``PlanTable``).
 
         Args:
             rate: rows a second, by the functions of time of the plan; its samples when left out.
@@ -232,66 +233,6 @@ class Plan(Frozen):
         from redundancy_pin.planners.export import plan_table
 
         return plan_table(self, rate, two_sided=two_sided, robot=robot)
-
-    def to_csv(
-        self,
-        path: str | Path,
-        rate: float | None = None,
-        *,
-        two_sided: bool | None = None,
-        robot: RobotLike | None = None,
-    ) -> None:
-        """Write ``table`` as CSV: names with units, such as ``tau:elbow [N*m]``, then a row for each instant.
-
-        Arguments and errors are those of ``table``; OutputError where the file cannot be written.
-        """
-        from redundancy_pin.planners.export import write_csv
-
-        write_csv(self.table(rate, two_sided=two_sided, robot=robot), path)
-
-    def to_json(
-        self,
-        path: str | Path,
-        rate: float | None = None,
-        *,
-        two_sided: bool | None = None,
-        robot: RobotLike | None = None,
-    ) -> None:
-        """Write ``table`` as one JSON object, with ``units`` and ``columns`` by name; see ``to_csv``."""
-        from redundancy_pin.planners.export import write_json
-
-        write_json(self.table(rate, two_sided=two_sided, robot=robot), path)
-
-    def to_mat(
-        self,
-        path: str | Path,
-        rate: float | None = None,
-        *,
-        two_sided: bool | None = None,
-        robot: RobotLike | None = None,
-    ) -> None:
-        """Write ``table`` as a MAT file: ``t``, ``joints``, ``position``, ``rate``, ...; see ``to_csv``."""
-        from redundancy_pin.planners.export import write_mat
-
-        write_mat(self.table(rate, two_sided=two_sided, robot=robot), path)
-
-    def to_ros(self, path: str | Path, rate: float | None = None, *, robot: RobotLike | None = None) -> None:
-        """Write a message ``trajectory_msgs/JointTrajectory`` of ROS 2, as YAML or JSON by the name of the file.
-
-        Carriers are joints like the others. An instant at which something jumps has the values after the jump. The
-        rest as ``to_csv``; InputError where efforts are not finite.
-        """
-        from redundancy_pin.planners.export import write_ros
-
-        write_ros(self.table(rate, two_sided=False, robot=robot), path)
-
-    def to_dataframe(
-        self, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
-    ) -> Any:
-        """Return ``table`` as a pandas ``DataFrame`` over t, units in its ``attrs``; an error without pandas."""
-        from redundancy_pin.planners.export import data_frame
-
-        return data_frame(self.table(rate, two_sided=two_sided, robot=robot))
 
 
 def _absolute_integral(power: Array, t: Array) -> float:

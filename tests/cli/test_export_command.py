@@ -1,4 +1,4 @@
-"""``redundancy-pin export``: the files of ``Plan.to_csv`` and its like, by the suffix of their names."""
+"""``redundancy-pin export``: the files of ``PlanTable.to_csv`` and its like, by the suffix of their names."""
 
 from __future__ import annotations
 
