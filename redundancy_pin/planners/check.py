@@ -453,8 +453,7 @@ def _motion_deviations(plan: Plan) -> list[Deviation]:
     left, right = (functions.carriers_at(plan.t, side) for side in ("left", "right"))
     # backward differences move a carrier by its new speed, the motion by the mean of both: half a step apart
     step = float(np.diff(plan.t).max(initial=0.0))
-    by_differences = plan.planner == "stepwise" or plan.parameters.get("scheme") == "backward_differences"
-    slack = step * float(np.abs(plan.carriers.sd).max(initial=0.0)) if by_differences else 0.0
+    slack = step * float(np.abs(plan.carriers.sd).max(initial=0.0)) if plan.planner == "stepwise" else 0.0
     nearest = np.minimum(np.abs(plan.carriers.sdd - left.sdd), np.abs(plan.carriers.sdd - right.sdd))
     nearest[0] = 0.0  # a sample belongs to the step that it ends, the first to none
     deviations = []
