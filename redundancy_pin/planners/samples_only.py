@@ -21,7 +21,7 @@ def functions_of_samples(plan: Plan, platform: ContinuousMotion | None = None) -
     Platform: quintics through x, ẋ, ẍ, held at its end while carriers move on. Carriers:
 
     - Whole-trajectory plans: s̈ is linear in each step, as they were planned.
-    - Steps of stepwise plans: s̈ is constant and has the plan's value
+    - Steps of stepwise plans (and of switch-off plans by backward differences): s̈ is constant and has the plan's value
       at the end of the step; ṡ meets the plan's at every sample. s, integrated, lags behind the plan's by up to half a
       step, because backward differences move a carrier by its new speed. The lag is carried on, so that s stays
       continuous.
@@ -42,6 +42,8 @@ def functions_of_samples(plan: Plan, platform: ContinuousMotion | None = None) -
         edges = np.append(t[left], t[-1])
         smooth = PiecewisePolynomial.hermite(edges, *((s[i], sd[i], sdd[i]) for i in (left, right)))
         stepped = ("optimise", "brake") if plan.planner == "stepwise" else ()
+        if plan.planner == "switch_off" and plan.parameters.get("scheme") == "backward_differences":
+            stepped = ("ramp_down", "off")
         constant = np.isin(names[right], stepped)
         powers = smooth.coefficients.copy()
         powers[:3, constant] = 0.0

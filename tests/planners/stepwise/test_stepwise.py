@@ -350,7 +350,7 @@ def test_steps_that_do_not_reach_their_minimum_are_a_status():
 
 
 def test_steps_beside_a_singularity_are_true_minima_too():
-    """The Gough platform, margin 0.013: JᵀJ has a condition number of 1e9. KKT conditions, from the backend's slopes."""
+    """The Gough platform, margin 0.013: JᵀJ has a condition of 1e9. KKT conditions from the backend's slopes."""
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, 2, 3] = 0.6
     for pose, yaw in zip(poses, np.radians([85.0, 89.0]), strict=True):
