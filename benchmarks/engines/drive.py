@@ -59,7 +59,7 @@ def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | 
         InfeasiblePlanError: efforts without a finite value; carries the time.
     """
     reference = plan_reference(plan, robot=dynamics.robot, motion=trajectory)
-    functions = plan.functions_of_time if trajectory is None else plan.functions_along(trajectory)
+    functions = plan.functions if trajectory is None else plan.functions_along(trajectory)
     return _drive(reference, functions, reference.edges[1:-1], plan)
 
 

@@ -55,7 +55,7 @@ def warn(plan: Plan, *, ranges: bool = True) -> None:
         output.warning(f"limits broken: {_events(plan, broken, '; ', broken=True)}.")
     if plan.status is ResultStatus.UNBOUNDED:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
-        if len(bad) or check is None:
+        if len(bad):
             first = f" first at t = {plan.t[bad[0]]:.6g} s," if len(bad) else ""
             where = f"{first} at {len(bad)} of {len(plan.t)} samples"
         else:
@@ -69,7 +69,7 @@ def warn(plan: Plan, *, ranges: bool = True) -> None:
             f"this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). "
             f"{there} may be a better one; {help_}."
         )
-    if check is not None and not check.passed and np.isfinite(check.ratio):
+    if not check.passed and np.isfinite(check.ratio):
         worst = int(check.peak.argmax())
         output.warning(
             f"between the samples the efforts are {check.ratio:.4g} times those at the samples, up to "
@@ -113,8 +113,7 @@ def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
     reached = "local optimum" if facts["optimal"] else "NOT an optimum"
     yield "reached", f"{reached} in {facts['iterations']} iterations, {facts['seconds']:.3g} s"
     yield "nodes", f"{facts['nodes']}, {len(facts['singular_nodes'])} of them singular"
-    if plan.between is not None:
-        yield "efforts between the nodes", f"at most {plan.between.ratio:.6g} times those at the nodes"
+    yield "efforts between the nodes", f"at most {plan.between.ratio:.6g} times those at the nodes"
 
 
 def _advice(plan: Plan) -> str | None:

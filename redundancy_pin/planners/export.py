@@ -168,7 +168,7 @@ def _at_samples(plan: Plan, robot: Robot) -> _States:
 
 def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> _States:
     """Return the states that the functions of time of a plan have at a rate, Hz."""
-    reference, functions = plan_reference(plan, robot=robot), plan.functions_of_time
+    reference, functions = plan_reference(plan, robot=robot), plan.functions
     start, end = float(plan.t[0]), float(plan.t[-1])
     slack = ROUNDED * (end - start)  # jumps of one instant, from different functions, differ by rounding
     breaks = [functions.platform.breaks, functions.carriers.derivative(2).jumps(), reference.jumps]

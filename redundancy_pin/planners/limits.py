@@ -71,8 +71,9 @@ class Limits(Frozen):
             "carrier_force": [limit.force for limit in own],
             "jerk": [np.inf] * k,
             "effort": [np.inf] * robot.m,
+            "actuator_speed": [np.inf] * robot.m,
         }
-        for name, given in ((name, getattr(self, name)) for name in bounds):
+        for name, given in ((field.name, getattr(self, field.name)) for field in fields(self)[1:]):
             if given is not None:
                 bounds[name] = each(given, name, (len(bounds[name]),), above_zero=True).tolist()
         arrays = {name: frozen(values) for name, values in bounds.items()}
@@ -84,7 +85,8 @@ class ResolvedLimits(Frozen):
     """The limits a planner keeps to, all of them arrays; infinite for none.
 
     ``names`` (k,) names of the carriers; ``track`` (k, 2) ends, m; ``speed``, ``acceleration``, ``carrier_force``,
-    ``jerk`` (k,) m/s, m/s², N and m/s³; ``effort`` (m,) N or N·m.
+    ``jerk`` (k,) m/s, m/s², N and m/s³; ``effort`` (m,) N or N·m; ``actuator_speed`` (m,) m/s or rad/s of the main
+    actuators.
     """
 
     names: tuple[str, ...]
@@ -94,6 +96,7 @@ class ResolvedLimits(Frozen):
     carrier_force: Array
     jerk: Array
     effort: Array
+    actuator_speed: Array
 
     @property
     def of_carriers(self) -> tuple[CarrierLimits, ...]:
@@ -220,17 +223,17 @@ def limit_bounds(limits: Sequence[CarrierLimits]) -> tuple[Array, Array]:
     return lower, np.array([[c.upper, c.speed, c.acceleration, c.force] for c in limits]).reshape(-1, 4).T
 
 
-def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force: Array) -> LimitReport:
-    """Compare a carrier motion and its forces with the limits of the robot's carriers.
+def check_limits(limits: ResolvedLimits, t: Array, carriers: CarrierMotion, carrier_force: Array) -> LimitReport:
+    """Compare a carrier motion and its forces with the limits of the carriers.
 
     ``t`` (N,) time, s; ``carriers``: carrier motion, N samples; ``carrier_force`` (N, k) forces of the carriers'
     actuators, N.
     """
     violated: list[LimitEvent] = []
     binding: list[LimitEvent] = []
-    lowest, highest = limit_bounds(robot.carrier_limits)
+    lowest, highest = limit_bounds(limits.of_carriers)
     values = (carriers.s, carriers.sd, carriers.sdd, carrier_force)
-    for i, name in enumerate(robot.carriers):
+    for i, name in enumerate(limits.names):
         for quantity, series, lower, upper in zip(QUANTITIES, values, lowest[:, i], highest[:, i], strict=True):
             value = series[:, i]
             for limit, excess in ((upper, value - upper), (lower, lower - value)):
@@ -242,32 +245,20 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
                 violated += _events(name, quantity, t, value, limit, excess, broken)
                 binding += _events(name, quantity, t, value, limit, excess, touched)
     violated, binding = (sorted(events, key=lambda event: event.start) for events in (violated, binding))
-    return LimitReport(tuple(violated), tuple(binding), robot.carrier_limits)
+    return LimitReport(tuple(violated), tuple(binding), limits.of_carriers)
 
 
-def motion_broken(robot: Robot, position: PiecewisePolynomial, error: Array | None = None) -> tuple[LimitEvent, ...]:
+def motion_events(limits: ResolvedLimits, position: PiecewisePolynomial) -> tuple[LimitEvent, ...]:
     """Return where carriers whose positions (k,), m, are a function of time leave track, speed or acceleration.
 
-    Of an acceleration that jumps the value after the jump is looked at. ``error`` (2, P, k): by how much speed and
-    acceleration of each of the P pieces are uncertain, where the positions are only reconstructed.
+    Of an acceleration that jumps the value after the jump counts.
     """
     inside = np.linspace(0.0, 1.0, 5)[:-1]  # that an event has a start and an end; the extremes decide
     even = position.edges[:-1, None] + np.diff(position.edges)[:, None] * inside
     extremes = [position.derivative(order).extremes() for order in range(3)]
     times = np.unique(np.concatenate([even.ravel(), position.edges[-1:], *extremes]))
     carriers = carriers_at(position, times)
-    violated = check_limits(robot, times, carriers, np.zeros_like(carriers.s)).violated
-    if error is None:
-        return violated
-
-    def certain(event: LimitEvent) -> bool:
-        if event.quantity == "track":
-            return True
-        piece = np.clip(np.searchsorted(position.edges, event.worst, side="right") - 1, 0, error.shape[1] - 1)
-        order, carrier = QUANTITIES.index(event.quantity) - 1, robot.carriers.index(event.carrier)
-        return bool(event.amount > error[order, piece, carrier])
-
-    return tuple(event for event in violated if certain(event))
+    return check_limits(limits, times, carriers, np.zeros_like(carriers.s)).violated
 
 
 def _events(
@@ -282,7 +273,7 @@ def _events(
     return events
 
 
-def ranges_left(robot: Robot, t: Array, q: Array) -> tuple[LimitEvent, ...]:
+def range_events(robot: Robot, t: Array, q: Array) -> tuple[LimitEvent, ...]:
     """Return where joints, passive ones too, are beyond their ranges: times (N,), s, configurations (N, nq) or NaN."""
     events, known = [], np.isfinite(q).all(axis=1)
     for joint in joint_ranges(robot):

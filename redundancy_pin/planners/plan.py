@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -18,10 +17,10 @@ from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.io.schema import record_of
 from redundancy_pin.loading import RobotLike
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.functions import DenseCheck, PlanFunctions
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import IntersamplePeaks
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
-from redundancy_pin.planners.samples_only import functions_of_samples
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.status import ResultStatus, SampleStatus
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
@@ -63,10 +62,9 @@ class Plan(Frozen):
         robot: the robot, in plain data.
         parameters: the planner's parameters, in plain data.
         diagnostics: the planner's findings (instants, counts, …), in plain data.
-        functions: platform, carriers and efforts as functions of time, as the planner had them. None in a plan that was
-            put together from samples, or read from a file of version 0.1.0: ``functions_of_time`` reconstructs them.
-            Whoever replaces ``motion`` or ``carriers`` replaces it too.
-        between: efforts and forces of the continuous motion, between the samples. None as ``functions``.
+        functions: platform, carriers and efforts as functions of time, between the samples too: what ``simulate``,
+            controllers and engines play. Whoever replaces ``motion`` or ``carriers`` replaces it too.
+        between: largest efforts and forces of the continuous motion.
     """
 
     motion: PlatformMotion
@@ -85,10 +83,10 @@ class Plan(Frozen):
     planner: str
     backend: str
     robot: RobotRecord
+    functions: PlanFunctions
+    between: IntersamplePeaks
     parameters: Mapping[str, object] = field(default_factory=dict)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
-    functions: PlanFunctions | None = None
-    between: DenseCheck | None = None
 
     def __repr__(self) -> str:
         """Return what tells plans apart, not their arrays."""
@@ -104,11 +102,6 @@ class Plan(Frozen):
     def t(self) -> Array:
         """(N,) time, s."""
         return self.motion.t
-
-    @cached_property
-    def functions_of_time(self) -> PlanFunctions:
-        """What the plan is between its samples: what ``simulate``, controllers and engines play."""
-        return functions_of_samples(self) if self.functions is None else self.functions
 
     def functions_along(self, trajectory: TimedTrajectory) -> PlanFunctions:
         """Return the functions of time with the platform on the trajectory that was planned for.
@@ -126,16 +119,15 @@ class Plan(Frozen):
             )
         if after.any():
             platform = platform.prolonged_until(last)
-        functions = functions_of_samples(self, platform) if self.functions is None else self.functions
-        return replace(functions, platform=platform)
+        return replace(self.functions, platform=platform)
 
     def platform_at(self, times: ArrayLike) -> PlatformMotion:
         """Return the platform motion at (N,) increasing times, s; a jump twice gets both accelerations."""
-        return self.functions_of_time.platform.sample_at(np.asarray(times, dtype=np.float64))
+        return self.functions.platform.sample_at(np.asarray(times, dtype=np.float64))
 
     def carriers_at(self, times: ArrayLike, side: Side = "right") -> CarrierMotion:
         """Return the carrier motion at (N,) times, s; ``side`` decides where s̈ jumps."""
-        return self.functions_of_time.carriers_at(np.asarray(times, dtype=np.float64), side)
+        return self.functions.carriers_at(np.asarray(times, dtype=np.float64), side)
 
     def efforts_at(self, times: ArrayLike, dynamics: DynamicsLike) -> Array:
         """Return main efforts (N, m) at (N,) times, N or N·m: prescribed by the planner, or τ = W⁻¹ f of the motion.
@@ -151,7 +143,7 @@ class Plan(Frozen):
         dynamics = as_dynamics(dynamics)
         instants = np.asarray(times, dtype=np.float64)
         reduced = dynamics.along(self.platform_at(instants)).reduce(self.carriers_at(instants))
-        return self.functions_of_time.efforts(reduced)
+        return self.functions.efforts(reduced)
 
     def base_wrench(self, dynamics: DynamicsLike, point: ArrayLike | None = None) -> Array:
         """Return (N, 6) force, N, and moment, N·m, of the robot on its base at the samples, world axes.
@@ -188,11 +180,8 @@ class Plan(Frozen):
 
     @property
     def peak_effort(self) -> Array:
-        """(m,) largest |τ| of each main actuator in the continuous motion, N or N·m; infinite where it has no bound.
-
-        Of a plan without ``between`` that of the samples.
-        """
-        return self.peak_effort_at_samples if self.between is None else self.between.peak
+        """(m,) largest |τ| of each main actuator in the continuous motion, N or N·m; infinite where it has no bound."""
+        return self.between.peak
 
     @property
     def peak_effort_at_samples(self) -> Array:
@@ -217,10 +206,9 @@ class Plan(Frozen):
             OutputError: the file cannot be written; an earlier one is as it was.
             InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
         """
-        functions, robot = self.functions, self.robot.saved_beside(path)
-        if functions is not None:  # a trajectory is no plain data
-            platform = replace(functions.platform, source=functions.platform.polynomials)
-            functions = replace(functions, platform=platform)
+        robot, platform = self.robot.saved_beside(path), self.functions.platform
+        # a trajectory is no plain data
+        functions = replace(self.functions, platform=replace(platform, source=platform.polynomials))
         write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions, robot=robot))
 
     # Files of other programs; ``planners.export`` says what is in them, and is imported where it is needed.
@@ -348,12 +336,11 @@ def load_robot_of(plan: OfRobot, source: str | Path | None = None, *, trust: boo
 
 def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
     """Return the plan of a record of a file, checked."""
-    # files of version 1 have no functions of time
-    values = _values(Plan, {"functions": None, "between": None, **record})
+    values = _values(Plan, record)
     limits = _values(LimitReport, values["limits"])
     kinds = {"violated": LimitEvent, "binding": LimitEvent, "judged_by": CarrierLimits}
     values |= {
-        # looked at, or vouched for, when they were planned
+        # validated when they were planned
         "motion": PlatformMotion(**values["motion"], check_rates=False),
         "carriers": CarrierMotion(**values["carriers"], check_rates=False),
         "limits": LimitReport(
@@ -361,8 +348,8 @@ def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
         ),
         "status": ResultStatus(values["status"]),
         "robot": read_robot(values["robot"], path),
-        "functions": None if values["functions"] is None else _functions(values["functions"]),
-        "between": None if values["between"] is None else DenseCheck(**values["between"]),
+        "functions": _functions(values["functions"]),
+        "between": IntersamplePeaks(**values["between"]),
     }
     plan = Plan(**values)
     _check(plan)
@@ -419,9 +406,8 @@ def _check(plan: Plan) -> None:
     ):
         for name in names:
             _require_array(name, getattr(plan, name), kind, (samples, *columns))
-    if plan.between is not None:
-        for name, count in (("peak", actuators), ("time", actuators), ("force_peak", carriers)):
-            _require_array(f"between, {name}", getattr(plan.between, name), "f", (count,))
+    for name, count in (("peak", actuators), ("time", actuators), ("force_peak", carriers)):
+        _require_array(f"between, {name}", getattr(plan.between, name), "f", (count,))
     for entries in (plan.robot.carrier_limits, plan.limits.judged_by):
         if len(entries) != carriers:
             raise InputError(f"it has limits of {len(entries)} carriers, but {carriers} carriers")

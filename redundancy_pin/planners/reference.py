@@ -1,6 +1,6 @@
 """A motion with its tree and the efforts that belong to it, for any instant in microseconds.
 
-What a plan is between its samples it says itself (``Plan.functions_of_time``). Here its inverse dynamics are evaluated
+What a plan is between its samples it says itself (``Plan.functions``). Here its inverse dynamics are evaluated
 at the Chebyshev points of all pieces at once and kept as polynomials, so that a simulation, a controller or an outside
 engine can ask for any instant. The efforts of the samples, interpolated, would be another, wrong, command.
 """
@@ -209,18 +209,18 @@ def plan_reference(
     Args:
         plan: from any planner.
         robot: its robot; loaded from the plan when left out.
-        motion: the trajectory that was planned for; it makes a difference to plans that were made from samples or saved
-            by version 0.1.0, which otherwise stand for the quintics through x, ẋ, ẍ of their samples.
+        motion: the trajectory that was planned for; it makes a difference to plans that were made from samples, which
+            otherwise stand for the quintics through x, ẋ, ẍ of their samples.
 
     Raises:
         InputError: the motion is not that of the plan.
         InfeasiblePlanError: some instant has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
-    if not hasattr(plan, "functions_of_time"):
+    if not hasattr(plan, "functions"):
         raise InputError(f"A plan was expected, not {type(plan).__name__}.", remedy="Pass load_plan(...).")
     machine = robot_of_record(plan.robot, robot)
-    functions = plan.functions_of_time if motion is None else plan.functions_along(motion)
+    functions = plan.functions if motion is None else plan.functions_along(motion)
     return reference_of(machine, functions, functions.pieces(plan.t), plan)
 
 

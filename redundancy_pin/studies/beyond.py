@@ -140,7 +140,7 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
                                  "track", "speed_limit", "acceleration_limit"), math.nan)  # fmt: skip
         return {**record, **nothing, "file": "", "status": INFEASIBLE, "exists": False, "sound": False, "broken": "",
                 "solver": "", "why": outcome.message, "missing": measures.missing_force(outcome)}  # fmt: skip
-    between, shown = measures.dense_peak(case, outcome), measures.numbers(outcome)
+    between, shown = float(outcome.peak_effort.max()), measures.numbers(outcome)
     return {**record, **shown, "dense_peak": between, "worst": max(shown["peak"], between), "exists": True,
             "sound": outcome.status is ResultStatus.OK, "why": "", "missing": math.nan}  # fmt: skip
 

@@ -17,12 +17,17 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.loading import load_with
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.check import finish_plan
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import PlannedMotion
+from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory import Trajectory, reference
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.workers import parallel
 
 RNEA = "rnea"
@@ -197,11 +202,20 @@ class Case:
         """Plan the case; errors as the planners."""
         dynamics, trajectory, given = self.dynamics(backend), self.trajectory(), dict(self.options)
         if self.planner in ("none", "parked"):
-            motion = trajectory.sample(self.dt)
-            still, phase = CarrierMotion.parked(len(motion), dynamics.robot.k), np.zeros(len(motion), dtype=np.intp)
-            name = "baseline" if self.planner == "none" else "parked"
-            made: Any = {"planner": name, "phases": ("parked",), "parameters": {"dt": self.dt}, "diagnostics": {}}
-            return finish_plan(dynamics.along(motion), still, phase=phase, **made)
+            motion, source, k = trajectory.sample(self.dt), continuous_motion(trajectory), dynamics.robot.k
+            parked = PiecewisePolynomial.constant(np.zeros(k), source.start, source.end)
+            return finish_plan(
+                PlannedMotion(
+                    dynamics,
+                    PlanFunctions(source, parked),
+                    dynamics.along(motion),
+                    CarrierMotion.parked(len(motion), k),
+                    Limits().resolved(dynamics.robot),
+                    "baseline" if self.planner == "none" else "parked",
+                    phases=("parked",),
+                    parameters={"dt": self.dt},
+                )
+            )
         if self.planner == "stepwise" or given.get("lam"):
             given["baseline"] = self._baseline(backend)
         for name in ("objective", "at_most"):

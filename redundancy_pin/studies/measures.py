@@ -243,9 +243,6 @@ ACCELERATING = 1e-6
 SWING = 0.05
 """Fraction of the peak that an effort has to move back by for a turn to count."""
 
-FINER = 20
-"""Points in a step at which plans are looked at between their samples, as in the planner's own dense check."""
-
 _SAME_TIME = 9
 """Digits of a time, s, that have to agree for two samples to be the same: those at events may be apart by rounding."""
 
@@ -430,20 +427,6 @@ def limits_met(plan: Plan) -> str:
     for carrier, kind, start, _ in bounds(plan):
         first.setdefault((carrier, kind), start)
     return ", ".join(f"{carrier} {kind} {start:.2f} s" for (carrier, kind), start in first.items()) or "none"
-
-
-# --- between the samples: samples alone flatter a method that chooses accelerations for them -----------------------
-
-
-def dense_peak(case: Case, plan: Plan) -> float:
-    """Return the largest |τ| between the samples of a plan too, N or N·m.
-
-    Planners look between their samples themselves; a machine whose carriers rest or are none has no planner.
-    """
-    if plan.between is not None:
-        return float(plan.between.peak.max())
-    motion = case.trajectory().sample(case.dt / FINER)
-    return float(np.abs(distribute(case.dynamics().reduce(motion)).tau).max())
 
 
 # --- plans in numbers ----------------------------------------------------------------------------------------------

@@ -115,8 +115,7 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
     ``LIMITS``), or needs unbounded ones is none.
     """
     effort, peak = limits.get("max_effort"), float(plan.peak_effort_at_samples.max(initial=0.0))
-    ratio = None if plan.between is None else plan.between.ratio
-    cell = replace(cell, dense_ratio=ratio, status=plan.status.value)
+    cell = replace(cell, dense_ratio=plan.between.ratio, status=plan.status.value)
     if plan.status is ResultStatus.UNBOUNDED:
         return replace(
             cell, verdict=ResultStatus.INFEASIBLE, limits=("effort",), message="No finite main efforts exist."

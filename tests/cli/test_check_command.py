@@ -12,7 +12,6 @@ from command_line import call
 
 import redundancy_pin as rp
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 
 
@@ -41,14 +40,6 @@ def test_a_plan_that_is_what_it_says_has_the_code_it_was_planned_with(code: int,
     table = call("check", str(path), "--backend", "virtual-work")
     assert table.exit_code == code
     assert "yes" in table.stdout
-
-
-def test_a_plan_that_never_looked_between_its_samples_has_the_code_of_what_is_seen_there(plans, tmp_path: Path) -> None:
-    old = replace(plans[4], status=ResultStatus.OK, functions=None, between=None)
-    old.save(tmp_path / "plan.npz")
-    result = call("check", str(tmp_path / "plan.npz"))
-    assert "unresolved" in result.stdout
-    assert result.exit_code == 4
 
 
 def test_limits_wider_than_the_robots_are_in_table_and_json(plans, tmp_path: Path) -> None:

@@ -11,21 +11,17 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
 from itertools import count
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import pytest
+from mutated import plan_of
 from promises import Keep
 
-import redundancy_pin as rp
 from redundancy_pin.io import files
 from redundancy_pin.io.files import replacing_file, replacing_folder, write_text
-from redundancy_pin.planners.plan import Plan
-
-SAVED = Path(__file__).resolve().parents[1] / "compatibility" / "data"
 
 WATCHED = (files.__file__, shutil.__file__, zipfile.__file__, __file__)
 """Files whose lines count: what writes, what removes, and the blocks of this file."""
@@ -59,12 +55,7 @@ def _linked(target: Path, *, new: bool) -> None:
 
 
 def _plan(target: Path, *, new: bool) -> None:
-    plan_of("whole-corner.npz" if new else "stepwise-corner.npz").save(target)
-
-
-@cache
-def plan_of(name: str) -> Plan:
-    return rp.load_plan(SAVED / name)
+    plan_of("five_bar" if new else "2rpr").save(target)
 
 
 WRITERS: dict[str, tuple[Writer, int]] = {

@@ -55,7 +55,7 @@ PLANNERS = tuple(SEEDS)
 
 def instants(plan: Plan) -> Array:
     """Return times all over the motion, and next to its samples and breakpoints on both sides."""
-    t = np.unique(np.concatenate([plan.t, plan.functions_of_time.pieces(plan.t)]))
+    t = np.unique(np.concatenate([plan.t, plan.functions.pieces(plan.t)]))
     fractions = np.concatenate([[1e-6], (np.arange(FINER) + 0.5) / FINER, [1.0 - 1e-6]])
     times = (t[:-1, None] + fractions * np.diff(t)[:, None]).ravel()
     rank = np.array(plan.diagnostics.get("singular_instants", []), dtype=float)
@@ -70,11 +70,11 @@ def uses(plan: Plan, robot: Robot, given: dict[str, Any]) -> dict[str, float]:
     along = other.along(platform)
     reduced = along.reduce(carriers)
     tau = np.linalg.solve(reduced.W, np.asarray(reduced.f)[..., None])[..., 0]
-    for part in plan.functions_of_time.prescribed:  # efforts that the planner decided on
+    for part in plan.functions.prescribed:  # efforts that the planner decided on
         inside = (t >= part.start) & (t <= part.end)
         tau[inside] = part(t[inside])
     rate = np.einsum("nim,ni->nm", reduced.W, platform.xd)
-    third = plan.functions_of_time.carriers.derivative(3)(t)
+    third = plan.functions.carriers.derivative(3)(t)
     own = robot.carrier_limits
 
     def of(name: str, declared: list[float]) -> Array:
@@ -209,7 +209,7 @@ def test_a_command_that_keeps_every_limit_keeps_them_between_its_nodes() -> None
 def test_the_jerk_of_a_motion_planned_on_line_is_judged() -> None:
     robot = zoo.robot_of("3rrr", working_mode=(1, 1, 1))
     run = run_online(rp.RecedingHorizon(rp.CompiledDynamics(robot), jerk=50.0), reference.corner())
-    jerk = np.abs(run.plan.functions_of_time.carriers.derivative(3)(instants(run.plan))).max()
+    jerk = np.abs(run.plan.functions.carriers.derivative(3)(instants(run.plan))).max()
     assert jerk > 49.0
     named = {event.quantity for event in (*run.plan.limits.violated, *run.plan.limits.binding)}
     assert "jerk" in named

@@ -14,9 +14,8 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
 from redundancy_pin.planners.check import merged_events
-from redundancy_pin.planners.limits import LimitEvent, motion_broken
+from redundancy_pin.planners.limits import LimitEvent, Limits, motion_events
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.samples_only import reconstruction_error
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
@@ -253,47 +252,6 @@ def test_an_effort_exceeded_with_either_sign_is_one_broken_limit() -> None:
     assert merged_events(speeds[:1], speeds[1:]) == speeds
 
 
-def test_a_shortest_return_on_its_limit_stays_there_where_a_file_has_samples_only() -> None:
-    """Files of 0.1.0: what is put together from samples exceeds the limit that it lies on by 2e-4."""
-    dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
-    plan = rp.plan_switch_off(dynamics, reference.line(speed=0.2), threshold=15.0, return_time="shortest", dt=0.01)
-    bare = replace(plan, functions=None, between=None)
-    assert bare.status is ResultStatus.OK
-    between = np.abs(bare.functions_of_time.carriers.derivative(2).ranges()).max()
-    assert 10.0 * (1.0 + 1e-4) < between < 10.0 * (1.0 + 1e-3)
-    for one in (plan, bare):
-        assert rp.check_plan(one, dynamics).passed
-    # that is no room for more: a limit that is exceeded by a hundredth is exceeded
-    tight = tuple(replace(limit, acceleration=9.9) for limit in plan.limits.judged_by)
-    again = rp.check_plan(replace(bare, limits=replace(plan.limits, judged_by=tight)), dynamics)
-    assert {event.quantity for event in again.violated} == {"acceleration"}
-
-
-def test_what_samples_show_to_be_exceeded_between_them_is_exceeded() -> None:
-    """Files of 0.1.0: a wave whose crests lie between samples, above a limit that no sample reaches."""
-    dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
-    plan = rp.plan_switch_off(dynamics, reference.line(speed=0.2), threshold=15.0, dt=0.01)
-    omega, size = 6.0, 0.2
-    # t of plans is not even: let a crest lie in the middle of an even stretch
-    at = int(np.argmax(np.diff(plan.t) > 0.0099)) + 10
-    angle = (omega * (plan.t - 0.5 * (plan.t[at] + plan.t[at + 1])))[:, None] * np.ones((1, 2))
-    waves = rp.CarrierMotion(-size * np.cos(angle), size * omega * np.sin(angle), size * omega**2 * np.cos(angle))
-    bare = replace(plan, carriers=waves, functions=None, between=None)
-    fine = plan.t[0] + np.arange(1, 100_000) / 1e5 * (plan.t[-1] - plan.t[0])
-    exact = size * omega**2 * np.cos(omega * (fine - 0.5 * (plan.t[at] + plan.t[at + 1])))
-    missed = np.abs(bare.functions_of_time.carriers.derivative(2)(fine)[:, 0] - exact)
-    told = reconstruction_error(bare)[1, np.searchsorted(bare.functions_of_time.carriers.edges, fine) - 1, 0]
-    assert (missed < told + 1e-8 * exact.max()).all()  # rounding, beside steps of 0.2 ms
-    assert missed.max() > 0.01 * told.max() > 1e-9
-    near = np.abs(plan.t - plan.t[at]) < 0.1
-    limit = (1.0 - 2e-4) * size * omega**2
-    assert np.abs(waves.sdd[near]).max() < limit
-    own = tuple(replace(one, lower=-9.0, upper=9.0, speed=9.0, acceleration=limit) for one in plan.limits.judged_by)
-    result = rp.check_plan(replace(bare, limits=replace(plan.limits, judged_by=own)), dynamics)
-    worst = [event.worst for event in result.violated if event.quantity == "acceleration"]
-    assert any(abs(t - 0.5 * (plan.t[at] + plan.t[at + 1])) < 1e-3 for t in worst)
-
-
 def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
     """A carrier that swings between two samples at rest on the same place: no sample shows it."""
     one = np.ones((1, 2))
@@ -308,14 +266,5 @@ def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
         own = {"lower": -9.0, "upper": 9.0, "speed": 9.0, "acceleration": 99.0, "force": np.inf}
         for factor, broken in ((0.999, True), (1.001, False)):
             limits = (CarrierLimits(**{**own, name: factor * peak}),) * robot.k
-            events = motion_broken(replace(robot, carrier_limits=limits), position)
+            events = motion_events(Limits().resolved(replace(robot, carrier_limits=limits)), position)
             assert {event.quantity for event in events} == ({{"upper": "track"}.get(name, name)} if broken else set())
-        # what is uncertain where positions are put together from samples: a rate by so much over its limit, no place
-        for excess, certain in ((5e-4, False), (2e-3, True)):
-            limits = (CarrierLimits(**{**own, name: peak / (1.0 + excess)}),) * robot.k
-            error = np.full((2, 1, robot.k), np.inf)
-            if name != "upper":
-                error[("speed", "acceleration").index(name)] = 1e-3 * peak
-            events = motion_broken(replace(robot, carrier_limits=limits), position, error)
-            quantities = {event.quantity for event in events}
-            assert quantities == ({"track"} if name == "upper" else {name} if certain else set())

@@ -12,7 +12,7 @@ from flat_linkages import four_bar, parallelogram, row_of_four_bars
 
 import redundancy_pin as rp
 from redundancy_pin.cli import main
-from redundancy_pin.planners.check import closure_rank_losses
+from redundancy_pin.planners.intersample_check import closure_rank_losses
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from parked_plans import parked_plan
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError
-from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
@@ -216,10 +216,7 @@ def test_samples_without_efforts_say_so_in_every_format(corner: Plan, turning: R
 def test_a_motion_without_finite_efforts_has_no_rows_between_its_samples(tmp_path: Path) -> None:
     parked = rp.VirtualWork(rp.load_robot("2rpr"))
     circle = rp.trajectory.reference.circle().sample(0.01)
-    plan = finish_plan(
-        parked.along(circle), rp.CarrierMotion.parked(len(circle), 2), planner="parked", phases=("all",),
-        phase=np.zeros(len(circle)), parameters={}, diagnostics={},
-    )  # fmt: skip
+    plan = parked_plan(parked, circle)
     with pytest.raises(InfeasiblePlanError, match="no finite efforts"):
         plan.to_csv(tmp_path / "plan.csv", 100)
     assert list(tmp_path.iterdir()) == []

@@ -13,16 +13,18 @@ from scipy.interpolate import CubicSpline
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.check import BALANCE_TOLERANCE, SAME, SAME_PEAK, merged_events
+from redundancy_pin.planners.check import SAME, SAME_PEAK, merged_events
+from redundancy_pin.planners.intersample_check import BALANCE_TOLERANCE
 from redundancy_pin.planners.limits import (
     BINDING,
     EXCEEDING,
     LimitEvent,
     Limits,
+    ResolvedLimits,
     check_limits,
     limit_events,
-    motion_broken,
-    ranges_left,
+    motion_events,
+    range_events,
 )
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import CarrierLimits
@@ -78,11 +80,13 @@ def by_a_loop(limits: list[CarrierLimits], t: Array, values: list[Array]) -> tup
     return broken, touched
 
 
-class Carriers:
-    """What of a robot limits are judged by."""
-
-    def __init__(self, limits: list[CarrierLimits]) -> None:
-        self.carrier_limits, self.carriers = tuple(limits), tuple(f"c{i}" for i in range(len(limits)))
+def resolved(carriers: list[CarrierLimits]) -> ResolvedLimits:
+    """Return the limits of carriers c0, c1, ... alone."""
+    names = tuple(f"c{i}" for i in range(len(carriers)))
+    track = np.array([(one.lower, one.upper) for one in carriers])
+    rates = (np.array([getattr(one, name) for one in carriers]) for name in ("speed", "acceleration", "force"))
+    none = np.full(len(carriers), np.inf)
+    return ResolvedLimits(names, track, *rates, jerk=none, effort=none, actuator_speed=none)
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0**20, 2.0**-20])
@@ -109,8 +113,7 @@ def test_events_are_those_of_a_loop_over_the_samples(size):
             step = np.repeat(rng.choice(beside, 100), 4)
             columns.append(at + np.where(at == low, -1.0, 1.0) * step * half)
         values.append(np.array(columns).T)
-    robot = Carriers(limits)
-    report = check_limits(robot, t, rp.CarrierMotion(*values[:3], check_rates=False), values[3])
+    report = check_limits(resolved(limits), t, rp.CarrierMotion(*values[:3], check_rates=False), values[3])
     broken, touched = by_a_loop(limits, t, values)
     assert len(broken) > 100
     assert len(touched) > 100
@@ -158,8 +161,8 @@ def test_between_samples_the_largest_values_decide():
         dense = np.unique(np.append(t, np.linspace(t[0], t[-1], 20001)))
         values = [spline(dense, order)[:, 0] for order in range(3)]
         peaks = [np.abs(value).max() for value in values]
-        robot = Carriers([CarrierLimits(-0.8 * peaks[0], 0.8 * peaks[0], 0.9 * peaks[1], 0.95 * peaks[2], np.inf)])
-        events = motion_broken(robot, position)
+        limits = [CarrierLimits(-0.8 * peaks[0], 0.8 * peaks[0], 0.9 * peaks[1], 0.95 * peaks[2], np.inf)]
+        events = motion_events(resolved(limits), position)
         for quantity, value, part in (
             ("speed", values[1], 0.9),
             ("acceleration", values[2], 0.95),
@@ -171,16 +174,6 @@ def test_between_samples_the_largest_values_decide():
             assert worst.amount == pytest.approx((1.0 - part) * most, rel=2e-2)
             assert abs(worst.value) == pytest.approx(most, rel=2e-3)
             assert worst.limit == pytest.approx(np.sign(worst.value) * part * most, rel=1e-9)
-        # what is uncertain by more than the excess is no event; the track is known
-        error = np.zeros((2, 5, 1))
-        for order, quantity in enumerate(("speed", "acceleration")):
-            least = min(event.amount for event in events if event.quantity == quantity)
-            error[order] = least
-            certain = motion_broken(robot, position, error)
-            kept = [event.amount for event in certain if event.quantity == quantity]
-            assert sorted(kept) == sorted(e.amount for e in events if e.quantity == quantity and e.amount > least)
-            error[order] = 0.0
-        assert motion_broken(robot, position, error) == events
 
 
 def test_joints_beyond_their_ranges_are_named_with_what_is_too_much():
@@ -194,7 +187,7 @@ def test_joints_beyond_their_ranges_are_named_with_what_is_too_much():
         q[3, joint.at] = joint.upper + 0.5
         q[5, joint.at] = joint.lower - 0.125
         q[6] = np.nan
-        events = {event.limit: event for event in ranges_left(robot, t, q) if event.carrier == joint.name}
+        events = {event.limit: event for event in range_events(robot, t, q) if event.carrier == joint.name}
         over, under = events[joint.upper], events[joint.lower]
         assert (over.start, over.end, over.worst) == (2.0, 3.0, 3.0)
         assert over.amount == pytest.approx(0.5)
@@ -289,7 +282,9 @@ def test_a_plan_on_its_limit_is_within_it_and_one_beside_it_is_not(name):
             ),
         )
         limits += tuple(CarrierLimits(-9.0, 9.0, np.inf, np.inf, np.inf) for _ in range(2))
-        report = check_limits(replace(robot, carrier_limits=limits), plan.t, plan.carriers, plan.carrier_force)
+        report = check_limits(
+            Limits().resolved(replace(robot, carrier_limits=limits)), plan.t, plan.carriers, plan.carrier_force
+        )
         assert bool(report.violated) == broken
         assert all(event.carrier == robot.carriers[0] for event in (*report.violated, *report.binding))
         assert report.binding or broken

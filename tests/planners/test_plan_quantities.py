@@ -8,7 +8,8 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.limits import check_limits
+from redundancy_pin.planners.intersample_check import PlannedMotion
+from redundancy_pin.planners.limits import Limits, check_limits
 from redundancy_pin.status import SampleStatus
 
 
@@ -70,7 +71,8 @@ def by_hand(plan, t, tau, rate, force, sd):
     motion = PlatformMotion(t, np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2)))
     carriers = CarrierMotion(np.zeros((count, 2)), sd, np.zeros((count, 2)))
     efforts = {"tau": tau, "actuated_rate": rate, "carrier_force": force}
-    return replace(plan, motion=motion, carriers=carriers, **efforts, functions=None, between=None)
+    between = replace(plan.between, peak=np.nanmax(np.abs(tau), axis=0))
+    return replace(plan, motion=motion, carriers=carriers, **efforts, between=between)
 
 
 def test_energies_and_rms_of_a_plan_written_down(crossing):
@@ -89,18 +91,14 @@ def test_energies_and_rms_of_a_plan_written_down(crossing):
 
 
 def test_efforts_that_do_not_balance_are_said_to(crossing):
-    robot = rp.load_robot("2rpr")
-    along = rp.VirtualWork(robot).along(crossing.motion)
+    dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
     wrong = np.array(crossing.tau)
     wrong[100] += [1e-3, 0.0]
-    common = {
-        "planner": "by hand",
-        "phase": np.zeros(len(crossing.t)),
-        "phases": ("all",),
-        "parameters": {},
-        "diagnostics": {},
-    }
-    plan = finish_plan(along, crossing.carriers, prescribed=wrong, **common)
+    limits = Limits().resolved(dynamics.robot)
+    along = dynamics.along(crossing.motion)
+    plan = finish_plan(
+        PlannedMotion(dynamics, crossing.functions, along, crossing.carriers, limits, "by hand", prescribed=wrong)
+    )
     assert plan.residual[100] == pytest.approx(1e-3, rel=1e-6)
     assert plan.sample_status[100] == SampleStatus.SINGULAR_INCONSISTENT
     assert plan.status is not crossing.status
@@ -114,7 +112,10 @@ def test_a_force_beyond_its_limit_is_an_event(crossing, carrier):
     limits = list(robot.carrier_limits)
     limits[carrier] = replace(limits[carrier], force=0.99 * force.max())
     report = check_limits(
-        replace(robot, carrier_limits=tuple(limits)), crossing.t, crossing.carriers, crossing.carrier_force
+        Limits().resolved(replace(robot, carrier_limits=tuple(limits))),
+        crossing.t,
+        crossing.carriers,
+        crossing.carrier_force,
     )
     events = [event for event in report.violated if event.quantity == "force"]
     assert {event.carrier for event in events} == {robot.carriers[carrier]}

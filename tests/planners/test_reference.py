@@ -53,7 +53,7 @@ def inside(plan: Plan, seed: int = 0) -> Array:
 @pytest.mark.parametrize("plan", [stepwise_plan, whole_plan, off_plan])
 def test_planned_carriers_are_one_continuous_motion(plan) -> None:
     plan = plan()
-    position = plan.functions_of_time.carriers
+    position = plan.functions.carriers
     carriers = functools.partial(carriers_at, position)
     edges = position.edges[1:-1]
     before, after = carriers(edges - 1e-9), carriers(edges + 1e-9)
@@ -70,10 +70,10 @@ def test_planned_carriers_are_one_continuous_motion(plan) -> None:
 def test_carriers_of_a_whole_trajectory_plan_pass_through_its_samples_and_stepwise_ones_lag() -> None:
     plan = whole_plan()
     kept = np.append(np.diff(plan.t) > 0.0, True)
-    carriers = plan.functions_of_time.carriers
+    carriers = plan.functions.carriers
     np.testing.assert_allclose(carriers(plan.t[kept]), plan.carriers.s[kept], atol=1e-10)
     stepped = stepwise_plan()
-    lagging = stepped.functions_of_time.carriers
+    lagging = stepped.functions.carriers
     again = carriers_at(lagging, stepped.t)
     np.testing.assert_allclose(again.sd, stepped.carriers.sd, atol=1e-10)
     lag = stepped.carriers.s - again.s

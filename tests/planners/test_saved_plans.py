@@ -15,12 +15,12 @@ import yaml
 import zoo
 from examples import examples
 from hypothesis import HealthCheck, given
+from parked_plans import parked_plan
 from random_plans import PLAIN, difference, plans
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
 from redundancy_pin.io.archive import decode, encode
-from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.plan import PLAN_VERSION, Plan, load_plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
@@ -33,13 +33,9 @@ EXAMPLES = examples(15, suppress_health_check=[HealthCheck.function_scoped_fixtu
 def _plan_of(robot: Robot, **changes: Any) -> Plan:
     """Return a short real plan: parked carriers along a smooth motion."""
     motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.3, 7))
-    along = rp.RneaDynamics(robot).along(motion)
-    plan = finish_plan(
-        along,
-        rp.CarrierMotion.parked(len(motion), robot.k),
-        planner="parked",
-        phase=np.zeros(len(motion), dtype=np.intp),
-        phases=("parked",),
+    plan = parked_plan(
+        rp.RneaDynamics(robot),
+        motion,
         parameters={"threshold": 5.0, "return_time": "shortest", "window": (0.1, np.inf)},
         diagnostics={"switch": np.array([0.1, np.nan]), "count": np.int64(3)},
     )

@@ -13,7 +13,6 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.cases import EFFORT, SINGULAR, TURNS, by_method, parked, without_carriers
 from redundancy_pin.studies.measures import (
-    dense_peak,
     missing_force,
     numbers,
     plan_differences,
@@ -57,7 +56,7 @@ def test_only_turns_beside_singularities_are_told_as_such() -> None:
 def test_switch_off_between_its_samples_is_what_finer_samples_show() -> None:
     fine = replace(CIRCLE, dt=2.5e-4).plan("rnea")
     # curvature of τ at its peak: both grids see it to better than 1e-4
-    assert dense_peak(CIRCLE, switched_off()) == pytest.approx(float(np.nanmax(np.abs(fine.tau))), rel=1e-4)
+    assert switched_off().peak_effort.max() == pytest.approx(float(np.nanmax(np.abs(fine.tau))), rel=1e-4)
 
 
 def test_numbers_of_a_switch_off_plan() -> None:
@@ -72,8 +71,8 @@ def test_numbers_of_a_switch_off_plan() -> None:
 def test_peak_at_rest_by_hand() -> None:
     """Without carriers the 3-RRR's torques at the corner are known: 3.03 N·m at r = 0.025 m."""
     none, still = without_carriers(CORNER), parked(CORNER)
-    assert dense_peak(none, none.plan()) == pytest.approx(3.03, abs=0.01)
-    assert dense_peak(still, still.plan()) > 3.0 * 3.03  # three carriers of 3 kg
+    assert none.plan().peak_effort.max() == pytest.approx(3.03, abs=0.01)
+    assert still.plan().peak_effort.max() > 3.0 * 3.03  # three carriers of 3 kg
 
 
 def test_differences_of_plans_are_seen() -> None:

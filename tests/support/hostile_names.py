@@ -6,11 +6,10 @@ import functools
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-import numpy as np
 import yaml
+from parked_plans import parked_plan
 
 import redundancy_pin as rp
-from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 
@@ -99,8 +98,4 @@ def write_hostile(folder: Path, name: str) -> Path:
 def plan_of(robot: Robot) -> Plan:
     """Return a short plan in which no carrier moves."""
     motion = rp.trajectory.reference.circle(speed=0.1).sample(0.05)[:4]
-    state = rp.RneaDynamics(robot).along(motion)
-    return finish_plan(
-        state, rp.CarrierMotion.parked(len(motion), 2), planner="parked", phases=("all",), phase=np.zeros(len(motion)),
-        parameters={}, diagnostics={},
-    )  # fmt: skip
+    return parked_plan(rp.RneaDynamics(robot), motion)

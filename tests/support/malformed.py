@@ -29,8 +29,7 @@ from pathlib import Path
 import click
 import yaml
 from forked import import_all
-
-PLAN = Path(__file__).resolve().parents[1] / "compatibility" / "data" / "whole-line.npz"
+from mutated import saved, stepwise_plan
 
 SECONDS = 2.0
 """Of the processor, for what is refused."""
@@ -371,7 +370,7 @@ def invocation(dice: random.Random) -> Invocation:
     if command == "problem" and kind in ("number", "file"):
         files["p.yaml"] = broken_yaml(dice)
     elif command == "plan" and kind in ("number", "file"):
-        files["plan.npz"] = broken(PLAN.read_bytes(), dice)
+        files["plan.npz"] = broken(saved(stepwise_plan), dice)
     elif kind == "file" and command in ("inverse-dynamics", "stepwise", "whole", "switch-off", "show", "singularities"):
         files["motion.csv"] = broken_csv(dice)
         arguments = [each for each in arguments if not each.startswith(("--trajectory", "line", "corner", "circle"))]

@@ -23,9 +23,9 @@ import mjcf_models
 import numpy as np
 import yaml
 import zoo
+from parked_plans import parked_plan
 
 import redundancy_pin as rp
-from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot.urdf import models_root, render
 
@@ -119,12 +119,9 @@ def plan_of(name: str) -> Plan:
     """Return a short plan: parked carriers along a smooth motion."""
     robot = rp.load_robot(name)
     motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.3, 7))
-    return finish_plan(
-        rp.RneaDynamics(robot).along(motion),
-        rp.CarrierMotion.parked(len(motion), robot.k),
-        planner="parked",
-        phase=np.zeros(len(motion), dtype=np.intp),
-        phases=("parked",),
+    return parked_plan(
+        rp.RneaDynamics(robot),
+        motion,
         parameters={"threshold": 5.0, "window": (0.1, np.inf)},
         diagnostics={"switch": np.array([0.1, np.nan])},
     )

@@ -14,12 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import read_only
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.functions import DenseCheck
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import IntersamplePeaks
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.status import ResultStatus, SampleStatus
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True)
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -62,6 +65,9 @@ def plans(draw: st.DrawFn) -> Plan:
 
     def floats(*shape: int) -> Any:
         return read_only(draw(arrays_of.arrays(np.float64, shape, elements=ANY_FLOAT)))
+
+    def pieces(columns: int) -> PiecewisePolynomial:
+        return PiecewisePolynomial(read_only(np.array([0.0, 1.0, 2.0])), floats(4, 2, columns))
 
     def codes(count: int) -> Any:
         return read_only(draw(arrays_of.arrays(np.intp, (samples,), elements=st.integers(0, count - 1))))
@@ -108,7 +114,13 @@ def plans(draw: st.DrawFn) -> Plan:
         robot=record,
         parameters=draw(st.dictionaries(KEYS, PLAIN, max_size=3)),
         diagnostics=draw(st.dictionaries(KEYS, PLAIN, max_size=3)),
-        between=draw(st.sampled_from([None, DenseCheck(floats(m), floats(m), floats(k), draw(FINITE), 3)])),
+        functions=PlanFunctions(
+            ContinuousMotion(pieces((16 if pose else n) + 2 * n), 0.0, 2.0, 2.0, floats(1), floats(2), True),
+            pieces(k or 1),
+            prescribed=tuple(pieces(m) for _ in range(draw(st.integers(0, 2)))),
+            preferred=draw(st.sampled_from([None, pieces(m)])),
+        ),
+        between=IntersamplePeaks(floats(m), floats(m), floats(k), draw(FINITE), 3),
     )
 
 

@@ -150,7 +150,7 @@ def broken_promise(plan: Plan, robot: Robot, other: Dynamics) -> str | None:
         use = float(np.abs(dense.carrier_force[:, i]).max()) / limit.force
         if use > ALLOWED:
             return f"promise: the carrier's force between the samples: {use:.4g} of its limit ({plan.planner})"
-    efforts = np.abs(plan.functions_of_time.efforts(dense))
+    efforts = np.abs(plan.functions.efforts(dense))
     reported = float(plan.peak_effort.max())
     finite = np.isfinite(efforts).all(axis=1)
     if not finite.all():

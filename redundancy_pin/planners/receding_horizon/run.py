@@ -16,6 +16,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions, apart
+from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon.command import Command
 from redundancy_pin.planners.receding_horizon.planner import RecedingHorizon
@@ -128,30 +129,31 @@ def run_online(
         prescribed[inside] = part(nodes[inside])
     counts = Counter(command.status.value for command in commands)
     plan = finish_plan(
-        planner.dynamics.along(source.sample_at(nodes)),
-        functions.carriers_at(nodes),
-        planner="receding_horizon",
-        phase=np.zeros(len(nodes), dtype=np.intp),
-        phases=("on line",),
-        parameters={
-            "horizon": planner.horizon,
-            "step": planner.step,
-            "tick": tick,
-            **planner.resolved.parameters(),
-            "effort": tuple(planner.resolved.effort.tolist()),
-            "jerk": tuple(planner.resolved.jerk.tolist()),
-        },
-        diagnostics={
-            "ticks": {status.value: counts[status.value] for status in UpdateStatus},
-            "singular_instants": singular_instants_met(commands).tolist(),
-            "missing_force": max((missing for _, missing in decided), default=0.0),
-            "seconds": [command.seconds for command in commands],
-            "delay": source.end - motion_end,
-        },
-        prescribed=prescribed,
-        carrier_limits=planner.resolved.of_carriers,
-        functions=functions,
-        dynamics=planner.dynamics,
+        PlannedMotion(
+            planner.dynamics,
+            functions,
+            planner.dynamics.along(source.sample_at(nodes)),
+            functions.carriers_at(nodes),
+            planner.resolved,
+            "receding_horizon",
+            prescribed=prescribed,
+            phases=("on line",),
+            parameters={
+                "horizon": planner.horizon,
+                "step": planner.step,
+                "tick": tick,
+                **planner.resolved.parameters(),
+                "effort": tuple(planner.resolved.effort.tolist()),
+                "jerk": tuple(planner.resolved.jerk.tolist()),
+            },
+            diagnostics={
+                "ticks": {status.value: counts[status.value] for status in UpdateStatus},
+                "singular_instants": singular_instants_met(commands).tolist(),
+                "missing_force": max((missing for _, missing in decided), default=0.0),
+                "seconds": [command.seconds for command in commands],
+                "delay": source.end - motion_end,
+            },
+        )
     )
     return OnLineRun(plan, tuple(commands))
 

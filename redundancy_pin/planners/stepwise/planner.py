@@ -15,6 +15,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import effort_model, is_dynamics, require_carriers, target_effort
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, grouped, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
@@ -168,26 +169,24 @@ def plan_stepwise(
     course = plan_course(robot, settings, box, problems, optimised, ~moving[instants[1:]])
     carriers, phase = _samples(motion, course, len(instants))
     added = course.t[len(instants) :]
-    if len(added):
-        along = dynamics.along(_prolonged(motion, added))
     position = PiecewisePolynomial.joined(course.position).made_continuous()
     platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
     aimed_at = None
     if baseline is not None:
         aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"
-    return finish_plan(
-        along,
+    planned = PlannedMotion(
+        dynamics,
+        PlanFunctions(platform.prolonged_until(position.end), position),
+        dynamics.along(_prolonged(motion, added)) if len(added) else along,
         carriers,
-        planner="stepwise",
+        settings.limits,
+        "stepwise",
         phase=phase,
         phases=PHASES,
         parameters={**settings.parameters, "baseline": aimed_at},
         diagnostics=diagnostics(problems, course, settings.limits),
-        carrier_limits=settings.limits.of_carriers,
-        functions=PlanFunctions(platform.prolonged_until(position.end), position),
-        position=position,
-        dynamics=dynamics,
     )
+    return finish_plan(planned)
 
 
 def _moving(motion: PlatformMotion) -> tuple[BoolArray, BoolArray]:

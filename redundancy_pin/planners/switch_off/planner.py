@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Passage, cross
@@ -217,20 +218,24 @@ def _assemble_plan(
     zero = np.zeros(dynamics.robot.m)
     off = [PiecewisePolynomial.constant(zero, each.passage.window.start, each.passage.end) for each in crossings]
     singular = list(actuation.singular_instants)
-    plan = finish_plan(
+    planned = PlannedMotion(
+        dynamics,
+        PlanFunctions(source, position.made_continuous(), tuple(off)),
         dynamics.along(source.sample_at(times)),
         CarrierMotion(after.s, after.sd, sdd, check_rates=False),
-        planner="switch_off",
+        Limits().resolved(dynamics.robot),
+        "switch_off",
+        prescribed=prescribed,
         phase=phase,
         phases=PHASES,
         parameters={**asdict(settings), "datum": settings.datum.tolist()},
-        diagnostics={"worst_measure": actuation.worst(settings.measure), "singular_instants": singular},
-        prescribed=prescribed,
-        functions=PlanFunctions(source, position.made_continuous(), tuple(off)),
-        dynamics=dynamics,
+        diagnostics={
+            "windows": [_window(dynamics, source, crossing, singular) for crossing in crossings],
+            "worst_measure": actuation.worst(settings.measure),
+            "singular_instants": singular,
+        },
     )
-    windows = [_window(dynamics, plan.functions_of_time.platform, crossing, singular) for crossing in crossings]
-    return replace(plan, diagnostics={**plan.diagnostics, "windows": windows})
+    return finish_plan(planned)
 
 
 def _position(source: ContinuousMotion, crossings: list[Crossing], settings: SwitchOffSettings) -> PiecewisePolynomial:

@@ -17,7 +17,8 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, require_carriers
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import LOWERED, SMALL, PlanFunctions, dense_check
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import LOWERED, PlannedMotion, intersample_check
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.problem import PathScales, TimeOptimalProblem, read_model
@@ -173,7 +174,7 @@ def plan_time_optimal(
     if lap:
         _require_closed(unit)
     nodes = first_mesh(dynamics, unit, path.length / count, ends=not lap)
-    judged = replace(robot, carrier_limits=resolved.of_carriers)
+    within = replace(resolved, actuator_speed=rates)
     given = {"begin": begin, "end": end, "datum": park, "lap": lap, "limits": resolved}
     problem, guess = path_problem(dynamics, unit, nodes, rates, given), None
     ratios: list[float] = []
@@ -188,20 +189,27 @@ def plan_time_optimal(
             if not (ratios and lowered):
                 raise
             break  # no timing keeps the lower limits at the nodes: the last one stands, and says what it exceeds
-        motion = PlannedMotion.of(path, problem, solution)
+        motion = TimedSolution.of(path, problem, solution)
         report(f"{motion.t[-1]:.6g} s")
-        functions = PlanFunctions(
-            motion.platform, motion.carriers, preferred=PiecewisePolynomial.linear(motion.t, motion.tau)
+        prescribed = motion.tau.copy()
+        if robot.m <= robot.n:
+            prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
+        planned = PlannedMotion(
+            dynamics,
+            PlanFunctions(motion.platform, motion.carriers, preferred=PiecewisePolynomial.linear(motion.t, motion.tau)),
+            dynamics.along(motion.platform.sample_at(motion.t)),
+            motion.samples,
+            within,
+            "time_optimal",
+            prescribed=prescribed,
+            singular=nodes.singular,
+            phases=PHASES,
         )
-        solved_at, floor = nodes, SMALL * problem.sizes.tau
-        singular = np.unique(motion.t[nodes.singular])
-        between = dense_check(
-            dynamics, functions, judged, motion.t, motion.tau, floor, resolved.effort, singular, rates
-        )
+        solved_at, between = nodes, intersample_check(planned)
         ratios.append(float(between.worst.max(initial=1.0)))
         marked = between.too_coarse(ratios if lowered else [])
         finer = bool(marked.any()) and refined < often
-        lower = bool(between.violated) and lowered < LOWERED
+        lower = not between.within_limits and lowered < LOWERED
         if between.passed or not solution.optimal or not (finer or lower):
             break
         guess = in_units(problem, solution)
@@ -213,15 +221,8 @@ def plan_time_optimal(
             lowered += 1
             problem = replace(problem, shares=between.shares(motion.t, problem.shares))
     nodes = solved_at
-    prescribed = motion.tau.copy()
-    if robot.m <= robot.n:
-        prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
-    return finish_plan(
-        dynamics.along(motion.platform.sample_at(motion.t)),
-        motion.samples,
-        planner="time_optimal",
-        phase=np.zeros(len(nodes.t), dtype=np.intp),
-        phases=PHASES,
+    planned = replace(
+        planned,
         parameters={
             "begin": begin,
             "end": end,
@@ -241,24 +242,19 @@ def plan_time_optimal(
             "violation": solution.violation,
             "duration": float(motion.t[-1]),
             "nodes": len(nodes.t),
-            "singular_instants": singular.tolist(),
+            "singular_instants": np.unique(motion.t[nodes.singular]).tolist(),
             "singular_nodes": nodes.singular.tolist(),
             "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
             "solver_seconds": solution.seconds,
             "dense_ratios": ratios,
             "seconds": time.perf_counter() - began,
         },
-        prescribed=prescribed,
-        carrier_limits=resolved.of_carriers,
-        functions=functions,
-        dynamics=dynamics,
-        between=between,
-        singular=nodes.singular,
     )
+    return finish_plan(planned, between)
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedMotion:
+class TimedSolution:
     """A solution in units.
 
     ``t`` (M,) times of the nodes, s; the ``law`` p(t) and the ``carriers``' positions, m; the ``platform``'s motion;
@@ -273,7 +269,7 @@ class PlannedMotion:
     tau: Array
 
     @staticmethod
-    def of(path: Path, problem: TimeOptimalProblem, solution: Solution) -> PlannedMotion:
+    def of(path: Path, problem: TimeOptimalProblem, solution: Solution) -> TimedSolution:
         """Return that of a solution."""
         u, values, grid = problem.sizes, solution.values, problem.grid
         t = np.concatenate([[0.0], np.cumsum(values["h"][:, 0] * u.h)])
@@ -284,10 +280,10 @@ class PlannedMotion:
         knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
         timed = TimedPath(path, law, frozen(breaks))
         platform = ContinuousMotion(timed, law.start, law.end, law.end, timed.breaks, knots, True)
-        return PlannedMotion(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
+        return TimedSolution(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
 
 
-def finer_nodes(grid: Grid, motion: PlannedMotion, exceeding: Array) -> Grid:
+def finer_nodes(grid: Grid, motion: TimedSolution, exceeding: Array) -> Grid:
     """Return a grid with a node halfway in time in each step around the times that exceed, s, and in long ones.
 
     But in the long ones the jerk is continuous there: the efforts are seen, and no more is free.

@@ -16,7 +16,8 @@ from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import LOWERED, SMALL, BetweenSamples, PlanFunctions, dense_check
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import LOWERED, IntersampleCheck, PlannedMotion, intersample_check
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
@@ -198,15 +199,15 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     shares: Array | None = None
     refined, lowered, most = 0, 0, settings.mesh.refinements
 
-    def remedy(look: BetweenSamples) -> str:
+    def remedy(look: IntersampleCheck) -> str:
         """Return what to do about what is between the nodes: "finer" nodes, "lower" limits at them, or nothing."""
         if look.passed:
             return ""
         if refined < most and look.too_coarse(worst_of(look) if lowered else []).any():
             return "finer"
-        return "lower" if look.violated and lowered < LOWERED else ""
+        return "lower" if not look.within_limits and lowered < LOWERED else ""
 
-    def worst_of(look: BetweenSamples) -> list[float]:
+    def worst_of(look: IntersampleCheck) -> list[float]:
         return [*ratios, float(look.worst.max(initial=1.0))]
 
     while True:
@@ -232,7 +233,7 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
             look = _look_between(task, problem, solution)
         position, then, ratios = solution.position(problem), remedy(look), worst_of(look)
         at_nodes = np.abs(solution.tau(problem)).max()
-        report(f"peak effort {at_nodes:.4g} at the nodes, {look.check.peak.max():.4g} between them")
+        report(f"peak effort {at_nodes:.4g} at the nodes, {look.peaks.peak.max():.4g} between them")
         if not (then and solution.optimal):
             break
         if then == "finer":
@@ -248,18 +249,34 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     return replace(plan, diagnostics={**plan.diagnostics, **timing}), result.best
 
 
-def _look_between(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> BetweenSamples:
-    nodes, tau, limits = problem.grid, solution.tau(problem), task.settings.limits
-    robot = replace(task.dynamics.robot, carrier_limits=limits.of_carriers)
-    singular, floor = np.unique(nodes.t[nodes.singular]), SMALL * problem.scales.tau
-    functions = _functions(task, problem, solution)
-    return dense_check(task.dynamics, functions, robot, nodes.t, tau, floor, limits.effort, singular)
+def _look_between(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> IntersampleCheck:
+    return intersample_check(_planned(task, problem, solution))
 
 
-def _functions(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> PlanFunctions:
-    # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
-    preferred = PiecewisePolynomial.linear(problem.grid.t, solution.tau(problem))
-    return PlanFunctions(task.source, solution.position(problem).made_continuous(), preferred=preferred)
+def _planned(task: Task, problem: WholeTrajectoryProblem, solution: Solution) -> PlannedMotion:
+    """Return what a solution plans.
+
+    At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
+    actuators as coordinates, W τ = f leaves no choice. With more actuators the efforts are the nearest to the planned
+    ones, which are linear in a step.
+    """
+    robot, nodes, tau = task.dynamics.robot, problem.grid, solution.tau(problem)
+    prescribed = tau.copy()
+    if robot.m <= robot.n:
+        prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
+    preferred = PiecewisePolynomial.linear(nodes.t, tau)
+    return PlannedMotion(
+        task.dynamics,
+        PlanFunctions(task.source, solution.position(problem).made_continuous(), preferred=preferred),
+        task.dynamics.along(task.source.sample_at(nodes.t)),
+        problem.carriers(solution.values),
+        task.settings.limits,
+        "whole_trajectory",
+        prescribed=prescribed,
+        singular=nodes.singular,
+        phases=PHASES,
+        parameters=task.settings.parameters,
+    )
 
 
 def _read(task: Task, nodes: Grid, kinds: Sequence[bool]) -> tuple[WholeTrajectoryProblem, bool, Sequence[bool]]:
@@ -311,25 +328,12 @@ def _solve(
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, result: Multistart, look: BetweenSamples) -> Plan:
-    """Let the backend judge the solution at the nodes, and report.
-
-    At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
-    actuators as coordinates, W τ = f leaves no choice.
-    """
+def _plan(task: Task, result: Multistart, look: IntersampleCheck) -> Plan:
+    """Return the plan of the best solution, with what the search found."""
     problem, solution = result.best.problem, result.best.solution
-    robot, settings, nodes, starts = task.dynamics.robot, task.settings, problem.grid, result.summary
-    prescribed = solution.tau(problem)
-    if robot.m <= robot.n:
-        prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
-
-    return finish_plan(
-        task.dynamics.along(task.source.sample_at(nodes.t)),
-        problem.carriers(solution.values),
-        planner="whole_trajectory",
-        phase=np.zeros(len(nodes.t), dtype=np.intp),
-        phases=PHASES,
-        parameters=settings.parameters,
+    nodes, starts = problem.grid, result.summary
+    planned = replace(
+        _planned(task, problem, solution),
         diagnostics={
             "optimal": solution.optimal,
             "solver": solution.message,
@@ -348,10 +352,5 @@ def _plan(task: Task, result: Multistart, look: BetweenSamples) -> Plan:
             "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
             "solver_seconds": solution.seconds,
         },
-        prescribed=prescribed,
-        carrier_limits=settings.limits.of_carriers,
-        functions=_functions(task, problem, solution),
-        dynamics=task.dynamics,
-        between=look,
-        singular=nodes.singular,
     )
+    return finish_plan(planned, look)

@@ -89,8 +89,9 @@ def random_tick(kind: Kind, seed: int) -> TickProblem:
 
     track = np.stack([-about(0.2, k), about(0.2, k)], axis=1) + 0.1
     limits = ResolvedLimits(
-        tuple("abc"[:k]), track, about(1.0, k), about(9.0, k), about(30.0, k), about(400.0, k), about(40.0, m)
-    )
+        tuple("abc"[:k]), track, about(1.0, k), about(9.0, k), about(30.0, k), about(400.0, k), about(40.0, m),
+        np.full(m, np.inf),
+    )  # fmt: skip
     if kind.short:
         limits = replace(limits, speed=9.0 * limits.speed)
     if kind.open:  # of each kind at one carrier, and one side of a track

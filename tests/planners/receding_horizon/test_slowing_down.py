@@ -56,7 +56,7 @@ def assert_within(plan, limits) -> None:
 def assert_same_path(plan, trajectory, delay: float) -> None:
     """Check that the platform goes through the places of the trajectory in their order, and that its rates are its."""
     t = np.linspace(plan.t[0], plan.t[-1], 4001)
-    moved = plan.functions_of_time.platform
+    moved = plan.functions.platform
     assert moved.end == pytest.approx(trajectory.duration + delay, abs=1e-9)
     dense = np.linspace(0.0, trajectory.duration, 20001)
     places = trajectory.sample_at(dense).x
@@ -72,7 +72,7 @@ def assert_balanced(plan, other) -> None:
     """Check W τ = f by the other backend, away from singular instants, from the platform's motion itself."""
     instants = plan.diagnostics["singular_instants"]
     t = plan.t[np.abs(np.subtract.outer(plan.t, instants)).min(axis=1, initial=1.0) > 0.01]
-    moved = plan.functions_of_time.platform
+    moved = plan.functions.platform
     h = 1e-4
     inner = (t > moved.start + h) & (t < moved.end - h)
     kinks = np.abs(np.subtract.outer(t, moved.kinks)).min(axis=1) > 2.0 * h
@@ -115,7 +115,7 @@ def test_commands_say_where_along_the_preview_the_platform_is() -> None:
         t = np.linspace(command.t, after.t, 5)
         sigma, rate, _ = command.scaling.at(t)
         speeds += rate.tolist()
-        np.testing.assert_allclose(plan.functions_of_time.platform.sample_at(t).x, CIRCLE.sample_at(sigma).x, atol=1e-9)
+        np.testing.assert_allclose(plan.functions.platform.sample_at(t).x, CIRCLE.sample_at(sigma).x, atol=1e-9)
         slow = min(rate[0], command.scaling.final_rate) < 1.0 - 1e-6
         assert command.status is (UpdateStatus.TIME_SCALED if slow else UpdateStatus.OK)
         assert bool(command.reason) == slow
@@ -127,7 +127,7 @@ def test_commands_say_where_along_the_preview_the_platform_is() -> None:
 
 def test_singular_instants_are_told_when_they_are_met_and_not_when_they_were_thought_to_be() -> None:
     plan = slowed().plan
-    W = machine()[1].reduce(plan.functions_of_time.platform.sample_at(plan.t)).W
+    W = machine()[1].reduce(plan.functions.platform.sample_at(plan.t)).W
     side = np.sign(np.linalg.det(W))
     crossed = plan.t[1:][side[1:] != side[:-1]]
     instants = np.array(plan.diagnostics["singular_instants"])

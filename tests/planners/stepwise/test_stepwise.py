@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear, minimize
 
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot
 from redundancy_pin.kinematics.coordinates import all_working_modes
-from redundancy_pin.planners.functions import ALLOWED
+from redundancy_pin.planners.intersample_check import ALLOWED
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import reference

@@ -121,7 +121,7 @@ def elbows_of(x):
 
 
 def test_carriers_through_the_hinge_act_in_no_direction():
-    """A track through the hinge: the force of the carrier has no moment about it. Parked in the hinge none is needed."""
+    """A track through the hinge: the force of the carrier has no moment about it. Parked there none is needed."""
     dynamics = two_rpr(track_offset=0.0)
     with pytest.raises(InfeasiblePlanError, match="has no effect") as caught:
         plan_switch_off(dynamics, reference.circle(), datum=0.05)

@@ -15,8 +15,9 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError
-from redundancy_pin.planners.functions import ALLOWED, PlanFunctions, least_effort, peaks_between
-from redundancy_pin.planners.limits import motion_broken
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.intersample_check import ALLOWED, extremes_between, least_effort
+from redundancy_pin.planners.limits import Limits, motion_events
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.status import ResultStatus
@@ -56,7 +57,7 @@ def test_pieces_are_halved_where_the_peak_is_and_hardly_elsewhere() -> None:
     robot, path = zoo.robot_of("3rrr"), cusp(2e-2)
     motion = Trajectory(with_constant(path, 0.0), RestToRest(path.length, 2.0))
     place = PiecewisePolynomial.constant(np.zeros(3), 0.0, 2.0)
-    peaks = peaks_between(rp.VirtualWork(robot), PlanFunctions(continuous_motion(motion), place), 0.0, 2.0)
+    peaks = extremes_between(rp.VirtualWork(robot), PlanFunctions(continuous_motion(motion), place), 0.0, 2.0)
     other, t = rp.RneaDynamics(robot), np.linspace(0.0, 2.0, 2001)
     for _ in range(3):
         tau = np.abs(rp.distribute(other.reduce(motion.sample_at(t))).tau).max(axis=1)
@@ -72,13 +73,13 @@ def test_a_spike_a_thousandth_of_a_piece_wide_is_resolved() -> None:
     still = rp.PlatformMotion([0.0, 1.0], np.tile([1.0, 0.5, 0.0], (2, 1)), np.zeros((2, 3)), np.zeros((2, 3)))
     place = PiecewisePolynomial.constant(np.zeros(3), 0.0, 1.0)
     parked = PlanFunctions(continuous_motion(still), place)
-    at_rest = peaks_between(rp.VirtualWork(robot), parked, 0.0, 1.0)
+    at_rest = extremes_between(rp.VirtualWork(robot), parked, 0.0, 1.0)
     width, size = 1e-5, 10.0
     edges = np.array([0.0, 0.5 - width, 0.5, 0.5 + width, 1.0])
     zero, bump = np.zeros((1, 4, 3)), np.zeros((1, 4, 3))
     bump[0, 1:3, 0] = [0.5 * size, -0.5 * size]
     pulse = PiecewisePolynomial(edges, np.concatenate([bump, zero, zero])).made_continuous()
-    peaks = peaks_between(rp.VirtualWork(robot), PlanFunctions(continuous_motion(still), pulse), 0.0, 1.0)
+    peaks = extremes_between(rp.VirtualWork(robot), PlanFunctions(continuous_motion(still), pulse), 0.0, 1.0)
     mass = float(robot.model.inertias[robot.model.getJointId(robot.carriers[0])].mass)
     change = np.abs(peaks.value[:, 3]).max() - np.abs(at_rest.value[:, 3]).max()
     assert change == pytest.approx(mass * size, rel=1e-3)
@@ -133,7 +134,7 @@ def test_a_carrier_that_leaves_its_track_between_the_samples_breaks_a_limit() ->
     position = PiecewisePolynomial(np.array([0.0, 1.0]), hump)
     for end, broken in ((0.118 - 1e-5, True), (0.118 + 1e-5, False)):
         limits = tuple(replace(limit, upper=end) for limit in robot.carrier_limits)
-        events = motion_broken(replace(robot, carrier_limits=limits), position)
+        events = motion_events(Limits().resolved(replace(robot, carrier_limits=limits)), position)
         assert bool(events) is broken
         for event in events:
             assert (event.carrier, event.quantity, event.limit) == (robot.carriers[0], "track", end)
@@ -171,7 +172,7 @@ def test_efforts_that_jump_count_from_both_sides() -> None:
     """Carriers that stand, along a corner: the efforts are those of the robot on both sides of each jump."""
     robot, corner = zoo.robot_of("3rrr"), reference.corner()
     parked = PlanFunctions(continuous_motion(corner), PiecewisePolynomial.constant(np.zeros(3), 0.0, corner.duration))
-    peaks = peaks_between(rp.VirtualWork(robot), parked, 0.0, corner.duration)
+    peaks = extremes_between(rp.VirtualWork(robot), parked, 0.0, corner.duration)
     both = rp.RneaDynamics(robot).reduce(corner.sample_at(np.repeat(corner.breaks, 2)))
     expected = np.abs(rp.distribute(both).tau)
     for instant, values in zip(np.repeat(corner.breaks, 2), expected, strict=True):
@@ -239,7 +240,7 @@ def planned(dynamics: Dynamics, motion: Trajectory, random: np.random.Generator)
 
 def resampled(plan: Plan, dynamics: Dynamics) -> tuple[Array, int]:
     """Return (m,) the largest |τ| by a backend on samples graded towards edges and peaks of ẍ, and how many."""
-    functions, edges = plan.functions_of_time, plan.functions_of_time.pieces(plan.t)
+    functions, edges = plan.functions, plan.functions.pieces(plan.t)
     towards = np.geomspace(1e-3, 0.5, 15)
     fractions = np.unique(np.concatenate([towards, 1.0 - towards, np.linspace(0.02, 0.98, 15)]))
     even = np.linspace(plan.t[0], min(plan.t[-1], functions.platform.moves_until), 10_001)

@@ -1,0 +1,562 @@
+"""A planned motion between its samples: the extremes of all limited quantities of the continuous motion.
+
+A planner hands over one record, ``PlannedMotion``; ``intersample_check`` evaluates it. Track, speed, acceleration and
+jerk of the carriers are polynomials, whose extremes are exact. Main efforts, carrier forces and rates of the main
+actuators are evaluated at Chebyshev points of every piece in which platform, carriers and prescribed efforts are
+smooth. Where the last coefficients of their series are not small, as near the spike that a cusp of the path makes, the
+piece is halved and evaluated again. The peaks are those of the polynomials, both limits at every jump included. Where
+det W changes its sign and no halving resolves the efforts, they are infinite.
+
+Example:
+    >>> check = intersample_check(planned)
+    >>> check.violated, check.peaks.peak
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, frozen
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.default import as_dynamics
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.kinematics.branch import known_state
+from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions, apart
+from redundancy_pin.planners.limits import (
+    LIMIT_TOLERANCE,
+    LimitEvent,
+    ResolvedLimits,
+    limit_events,
+    motion_events,
+    range_events,
+)
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.joint_ranges import joint_ranges
+from redundancy_pin.robot.scales import velocity_scale
+from redundancy_pin.singularities.roots import zeros
+from redundancy_pin.status import SampleStatus
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_points, chebyshev_series
+
+BALANCE_TOLERANCE = 1e-6
+"""Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
+
+ALLOWED = 1.05
+"""Largest effort between the samples over the largest at the samples up to which the samples show the efforts."""
+
+MARKED = 1.02
+"""Ratio to that, or to a limit, from which a grid is refined; what exceeds a limit by less is met by lower limits at
+the nodes (``IntersampleCheck.shares``)."""
+
+LOWERED = 6
+"""Rounds with lower limits at the nodes."""
+
+SMALL = 1e-3
+"""Efforts below this fraction of those that f takes count as zero here."""
+
+PIECE_DEGREE = 5
+"""Of efforts and forces in a piece, which is halved where that does not resolve them."""
+
+RESOLVED = 1e-3
+"""Last coefficients of a piece, relative to the largest value of the motion, from which it is halved."""
+
+EXACT = 1e-6
+"""The same in pieces whose values come near the largest, which decide what is reported."""
+
+NEAR_PEAK = 0.9
+"""Fraction of the largest value from which a piece is one of those."""
+
+ROUNDING = 1e-11
+"""Last coefficients of an effort, relative to the forces of the motion before they cancel, that are its rounding.
+
+Rounding itself is 1e-16 where W is well conditioned. An actuator without load has nothing else, and no halving ends it.
+"""
+
+HALVINGS = 16
+"""Of a piece, at most: the spike of a cusp of a micrometre lasts microseconds. Only pieces around spikes get there."""
+
+GROWN = 10.0
+"""Growth of the efforts, since the first evaluation, from which a piece that no halving resolves may have a pole."""
+
+FEWEST_PIECES = 64
+"""In a motion that is smooth throughout: a spike narrower than a tenth of one would hide."""
+
+NEAR_BEST = 0.998
+"""Fraction of the largest of these values from which an extreme is made exact."""
+
+RANK_LOST = 1e-6
+"""Smallest over largest singular value of the closures at which their rank counts as lost: known to 1e-8 there."""
+
+RANGE_PARTS = 8
+"""Parts of a step, at whose ends joints are evaluated that come near the end of their range there."""
+
+_FINE = np.cos(np.linspace(np.pi, 0.0, 65))
+"""Places in a piece, from −1 to 1, among which the extreme of its polynomial is sought first."""
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluatedSamples(Frozen):
+    """The dynamics at the samples of a planned motion.
+
+    Attributes:
+        reduced: W and f, N samples.
+        tau: (N, m) main efforts, prescribed or from W τ = f, N or N·m.
+        status: (N,) a ``SampleStatus`` each.
+        residual: (N,) scaled norm of W τ − f, N.
+        margin: (N,) smallest singular value of the scaled W.
+        condition: (N,) condition number of the scaled W.
+    """
+
+    reduced: ReducedDynamics
+    tau: Array
+    status: IntArray
+    residual: Array
+    margin: Array
+    condition: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMotion(Frozen):
+    """What a planner planned, by which dynamics and within which limits. N samples, m main actuators, k carriers.
+
+    Attributes:
+        dynamics: the backend that evaluates it.
+        functions: platform, carriers and prescribed efforts as functions of time.
+        along: the dynamics along N samples of the platform; an instant at which its acceleration jumps occurs twice.
+        carriers: (N,) samples of the carriers.
+        limits: what the motion must keep to.
+        planner: name of the planner.
+        prescribed: (N, m) main efforts the planner decided on, N or N·m; NaN where W τ = f decides. Their imbalance is
+            reported, never corrected. None for none.
+        singular: indices of samples at which the efforts are the limits from both sides of a type II singularity.
+        phase: (N,) index into ``phases`` of each sample; None where there is one phase only.
+        phases: names of the phases.
+        parameters: the planner's parameters, in plain data.
+        diagnostics: the planner's findings, in plain data; "optimal" says whether it reached an optimum.
+    """
+
+    dynamics: Dynamics
+    functions: PlanFunctions
+    along: DynamicsAlongMotion
+    carriers: CarrierMotion
+    limits: ResolvedLimits
+    planner: str
+    prescribed: Array | None = None
+    singular: IntArray | None = None
+    phase: IntArray | None = None
+    phases: tuple[str, ...] = ("all",)
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    diagnostics: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def motion(self) -> PlatformMotion:
+        """The samples of the platform."""
+        return self.along.motion
+
+    @cached_property
+    def samples(self) -> EvaluatedSamples:
+        """The dynamics at the samples, evaluated once."""
+        reduced = self.along.reduce(self.carriers)
+        solved = distribute(reduced)
+        tau, status, residual = np.array(solved.tau), np.array(solved.status), np.array(solved.residual)
+        if self.prescribed is not None:
+            given = np.isfinite(self.prescribed).all(axis=1)
+            tau[given] = self.prescribed[given]
+            left, size = imbalance(reduced, tau)
+            residual[given] = left[given]
+            balanced = left[given] <= BALANCE_TOLERANCE * size
+            fine = np.where(status[given] == SampleStatus.OUT_OF_RANGE, SampleStatus.OUT_OF_RANGE, SampleStatus.OK)
+            status[given] = np.where(balanced, fine, SampleStatus.SINGULAR_INCONSISTENT)
+        if self.singular is not None:  # however well W τ = f looks at one instant
+            regular = self.singular[status[self.singular] == SampleStatus.OK]
+            status[regular] = SampleStatus.SINGULAR_CONSISTENT
+        return EvaluatedSamples(reduced, tau, status, residual, solved.margin, solved.condition)
+
+    @property
+    def singular_instants(self) -> Array:
+        """(q,) times of the samples on a type II singularity, s."""
+        t, margin = self.motion.t, self.samples.margin
+        on_it = t[margin <= SINGULAR_SAMPLE * margin.max(initial=0.0)]
+        return np.unique(on_it if self.singular is None else np.append(on_it, t[self.singular]))
+
+
+@dataclass(frozen=True, eq=False)
+class IntersamplePeaks(Frozen):
+    """Largest efforts of the continuous motion of a plan, compared with its samples.
+
+    Attributes:
+        peak: (m,) largest |τ| of each main actuator, N or N·m; infinite where the efforts grow beyond all bounds.
+        time: (m,) when, s.
+        force_peak: (k,) largest force of each carrier's actuator, N or N·m.
+        ratio: largest |τ| of the motion over the largest at the samples, at least 1. Efforts that are negligible
+            against those that f takes count as equal.
+        points: number of points at which the dynamics were evaluated.
+    """
+
+    peak: Array
+    time: Array
+    force_peak: Array
+    ratio: float
+    points: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether the samples show the efforts."""
+        return self.ratio <= ALLOWED
+
+
+@dataclass(frozen=True, eq=False)
+class IntersampleCheck:
+    """What the continuous motion of a plan needs: in P pieces, c columns of efforts, forces and limited rates.
+
+    Attributes:
+        peaks: the largest efforts and forces.
+        violated: limits that are exceeded, of every quantity.
+        touched: limits that are met, of efforts, forces, rates and jerks.
+        middle: (P,) middles of the pieces, s.
+        ratio: (P,) largest effort over the largest at the samples.
+        use: (P, c) used fractions of the limits of efforts, forces and rates.
+    """
+
+    peaks: IntersamplePeaks
+    violated: tuple[LimitEvent, ...]
+    touched: tuple[LimitEvent, ...]
+    middle: Array
+    ratio: Array
+    use: Array
+
+    @property
+    def within_limits(self) -> bool:
+        """Whether efforts, forces and rates keep their limits wherever they are finite."""
+        return not (self.use[np.isfinite(self.use)] > 1.0 + LIMIT_TOLERANCE).any()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the samples show the efforts, and efforts, forces and rates keep their limits between them."""
+        return self.peaks.passed and self.within_limits
+
+    @property
+    def worst(self) -> Array:
+        """(P,) the larger of ratio and use."""
+        return np.asarray(np.maximum(self.ratio, self.use.max(axis=1, initial=0.0)))
+
+    def too_coarse(self, before: Sequence[float]) -> BoolArray:
+        """Return (P,) where a finer grid is needed rather than lower limits at its nodes.
+
+        ``before``: the largest ``worst`` of this check and of those before; lower limits that took off less than half
+        of the excess are not enough.
+        """
+        coarse: BoolArray = self.worst > MARKED
+        stuck = len(before) > 1 and before[-1] - 1.0 > 0.5 * (before[-2] - 1.0)
+        return np.asarray((self.use > 1.0 + LIMIT_TOLERANCE).any(axis=1)) if stuck and not coarse.any() else coarse
+
+    def shares(self, t: Array, before: Array | None) -> Array:
+        """Return (M, c) fractions of their limits that nodes at (M,) times, s, may use so that none is exceeded inside.
+
+        ``before``: those with which this motion was planned, if there were any.
+        """
+        needed = np.ones((len(t) + 1, self.use.shape[1]))
+        over = np.where(self.use > 1.0 + LIMIT_TOLERANCE, 1.0 / np.maximum(self.use, 1.0), 1.0)
+        np.minimum.at(needed, np.searchsorted(t, self.middle, side="right"), over)
+        shares: Array = np.minimum(needed[:-1], needed[1:])
+        return shares if before is None else shares * before
+
+
+def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
+    """Evaluate the continuous motion of a plan between its samples, and compare it with its limits.
+
+    Args:
+        planned: the motion, its dynamics and its limits.
+
+    Returns:
+        Peaks of efforts and forces to 0.1 % or better, and the limits that are exceeded or touched: of efforts, forces,
+        actuator rates, track, speed, acceleration and jerk of carriers, and ranges of joints.
+
+    Raises:
+        UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
+    """
+    robot, limits, samples = planned.dynamics.robot, planned.limits, planned.samples
+    t, m, k = planned.motion.t, robot.m, robot.k
+    pieces = extremes_between(
+        planned.dynamics,
+        planned.functions,
+        float(t[0]),
+        float(t[-1]),
+        planned.singular_instants,
+        limits.actuator_speed,
+    )
+    size = np.abs(pieces.value)
+    at_samples = np.abs(samples.tau[np.isfinite(samples.tau).all(axis=1)])
+    largest = max(float(at_samples.max(initial=0.0)), least_effort(samples.reduced))
+    worst = size.argmax(axis=0)
+    peaks = IntersamplePeaks(
+        peak=frozen(np.maximum(size.max(axis=0)[:m], at_samples.max(axis=0, initial=0.0))),
+        time=frozen(pieces.time[worst, range(len(worst))][:m]),
+        force_peak=frozen(size.max(axis=0)[m : m + k]),
+        ratio=max(float(size[:, :m].max(initial=0.0) / (largest or 1.0)), 1.0),
+        points=pieces.points,
+    )
+    limited = np.flatnonzero(np.isfinite(limits.actuator_speed))
+    columns = (
+        ("effort", robot.actuated, limits.effort),
+        ("force", robot.carriers, limits.carrier_force),
+        ("speed", tuple(robot.actuated[j] for j in limited), limits.actuator_speed[limited]),
+    )
+    found, first = [], 0
+    for quantity, names, limit in columns:
+        own = slice(first, first + len(names))
+        found.append(limit_events(quantity, names, pieces.time[:, own], pieces.value[:, own], limit))
+        first += len(names)
+    found.append(jerk_events(planned.functions.carriers, limits))
+    violated, touched = (tuple(event for events in found for event in events[i]) for i in range(2))
+    with np.errstate(invalid="ignore"):  # infinite efforts without a limit
+        use = np.nan_to_num(size / np.concatenate([limit for *_, limit in columns]), nan=0.0, posinf=np.inf)
+    return IntersampleCheck(
+        peaks=peaks,
+        violated=(*violated, *motion_events(limits, planned.functions.carriers), *joint_range_events(planned)),
+        touched=touched,
+        middle=0.5 * (pieces.left + pieces.right),
+        ratio=size[:, :m].max(axis=1, initial=0.0) / (largest or 1.0),
+        use=use,
+    )
+
+
+def imbalance(reduced: ReducedDynamics, tau: Array) -> tuple[Array, float]:
+    """Return (N,) |W τ − f| for efforts (N, m), N, moments over the characteristic length; and the largest f."""
+    left = (np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f) / reduced.row_scale
+    return np.linalg.norm(left, axis=1), float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
+
+
+def least_effort(reduced: ReducedDynamics) -> float:
+    """Return the effort below which efforts count as zero, N or N·m: a fraction of those that f takes."""
+    needed = float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
+    largest = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
+    return SMALL * needed / max(float(np.median(largest)), np.finfo(float).tiny)
+
+
+# --- efforts, forces and rates ---
+
+
+@dataclass(frozen=True, eq=False)
+class PieceExtremes:
+    """The extremes of main efforts, carrier forces and limited rates in each of P pieces; c columns of these.
+
+    ``left``, ``right`` (P,) ends of the pieces, s; ``time`` (P, c) of the extremes, s; ``value`` (P, c) their signed
+    values, N or N·m, m/s or rad/s, infinite where there is none; ``points``: number of points evaluated.
+    """
+
+    left: Array
+    right: Array
+    time: Array
+    value: Array
+    points: int
+
+
+def extremes_between(
+    dynamics: Dynamics,
+    functions: PlanFunctions,
+    start: float,
+    end: float,
+    singular: Array | None = None,
+    rate: Array | None = None,
+) -> PieceExtremes:
+    """Return the extremes of efforts, forces and limited rates in pieces from ``start`` to ``end``, s.
+
+    ``singular`` (q,) instants at which W lacks rank and the efforts are finite all the same, s: near them W⁻¹ f
+    magnifies rounding, so pieces that end there are not halved towards them; ``rate`` (m,) limits of the main
+    actuators' rates, m/s or rad/s: those that are finite have a column behind the forces.
+    """
+    most = np.full(dynamics.robot.m, np.inf) if rate is None else rate
+    fixed = np.empty(0) if singular is None else np.asarray(singular)
+    edges = _edges(functions, start, end, fixed)
+    left, right = edges[:-1], edges[1:]
+    beside = np.isin(left, fixed) | np.isin(right, fixed)
+    size, points = np.empty(0), 0
+    rounding = np.zeros(dynamics.robot.m + dynamics.robot.k + int(np.isfinite(most).sum()))
+    done: list[tuple[Array, ...]] = []
+    for halving in range(HALVINGS + 1):
+        order = np.argsort(left)
+        left, right, beside = left[order], right[order], beside[order]
+        ends = np.stack([left, right], axis=1)
+        times = chebyshev_points(left, right, PIECE_DEGREE)
+        reduced, flat = _values(dynamics, functions, times, most)
+        values = flat.reshape(len(left), PIECE_DEGREE + 1, -1)
+        points += len(times)
+        if not size.size:
+            rounding[: dynamics.robot.m + dynamics.robot.k] = _rounding(dynamics.robot, reduced)
+            size = np.abs(values).max(axis=(0, 1), initial=0.0, where=np.isfinite(values))
+            limited = most[np.isfinite(most)]  # an actuator that stands has a rate of rounding
+            size[len(size) - len(limited) :] = np.maximum(size[len(size) - len(limited) :], SMALL * limited)
+        finite: BoolArray = np.logical_and.reduce(np.isfinite(values), axis=(1, 2))
+        series = chebyshev_series(np.where(finite[:, None, None], values, 0.0))
+        tail, largest = np.abs(series[:, -2:]).max(axis=1), np.abs(values).max(axis=1)
+        share = np.where(largest > NEAR_PEAK * size, EXACT, RESOLVED)
+        allowed = np.maximum(share * np.maximum(size, np.finfo(float).tiny), rounding)
+        settled: BoolArray = np.logical_or(finite & np.logical_and.reduce(tail <= allowed, axis=1), beside)
+        rough = ~settled & (halving < HALVINGS)
+        kept = ~rough
+        if halving == HALVINGS:
+            # a pole grows with every halving; a spike that ends does not change the sign of det W
+            main = slice(dynamics.robot.m)
+            grown = np.logical_or.reduce(largest[:, main] > GROWN * size[main], axis=1)
+            pole = np.flatnonzero(~settled & finite & grown)
+            pole = pole[_crosses(dynamics, functions, ends[pole])]
+            values[pole, :, main] = np.inf
+            finite[pole] = False
+        done.append((left[kept], right[kept], *_extremes(ends[kept], series[kept], values[kept], finite[kept])))
+        if not rough.any():
+            break
+        middle = 0.5 * (left[rough] + right[rough])
+        left, right = np.concatenate([left[rough], middle]), np.concatenate([middle, right[rough]])
+        beside = np.zeros(len(left), dtype=bool)
+    parts = [np.concatenate(part) for part in zip(*done, strict=True)]
+    order = np.argsort(parts[0])
+    first, last, time, value = (part[order] for part in parts)
+    return PieceExtremes(first, last, time, value, points)
+
+
+def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) -> Array:
+    platform = functions.platform
+    pieces = (functions.carriers, *functions.prescribed)
+    inner = np.concatenate([platform.kinks, singular, *(part.edges for part in pieces)])
+    even = np.linspace(start, end, FEWEST_PIECES + 1)
+    times = np.concatenate([[start, end], inner[(inner > start) & (inner < end)]])
+    if len(np.unique(times)) <= FEWEST_PIECES:
+        times = np.concatenate([times, even])
+    edges = apart(times)
+    # an edge that differs from a singular instant by rounding only is moved onto it
+    near = np.abs(edges[:, None] - singular).argmin(axis=0) if len(singular) else np.empty(0, dtype=int)
+    edges[near] = singular
+    return edges
+
+
+def _values(dynamics: Dynamics, functions: PlanFunctions, times: Array, rate: Array) -> tuple[ReducedDynamics, Array]:
+    """Return the dynamics and (N, c) main efforts, carrier forces and limited rates at (N,) times, NaN for none."""
+    motion = functions.platform.sample_at(times)
+    reduced = dynamics.along(motion).reduce(functions.carriers_at(times))
+    turning = np.einsum("nim,ni->nm", reduced.W, motion.xd)[:, np.isfinite(rate)]
+    return reduced, np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force), turning], axis=1)
+
+
+def _rounding(robot: Robot, reduced: ReducedDynamics) -> Array:
+    """Return (m + k,) the rounding of main efforts and carrier forces along a motion, N or N·m."""
+    if reduced.force_size is None:
+        return np.zeros(robot.m + robot.k)
+    arms: Array = np.concatenate([reduced.column_scale, velocity_scale(robot)[robot.carrier_velocity]])
+    return ROUNDING * float(reduced.force_size.max(initial=0.0)) * arms
+
+
+def _crosses(dynamics: Dynamics, functions: PlanFunctions, ends: Array) -> BoolArray:
+    """Return (P,) whether det W of a square W changes its sign between the (P, 2) ends of pieces."""
+    if not len(ends):
+        return np.zeros(0, dtype=bool)
+    signs = []
+    for times in ends.T:
+        W = np.asarray(dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times)).W)
+        signs.append(np.linalg.slogdet(W)[0] if W.shape[1] == W.shape[2] else np.ones(len(W)))
+    crosses: BoolArray = signs[0] * signs[1] <= 0.0
+    return crosses
+
+
+def _extremes(ends: Array, series: Array, values: Array, finite: BoolArray) -> tuple[Array, Array]:
+    """Return (P, c) times and signed values of the extremes of polynomials; those of one largest of all are exact."""
+    fine = np.einsum("xd,pdc->pxc", chebyshev.chebvander(_FINE, PIECE_DEGREE), series)
+    best = np.abs(fine).argmax(axis=1)
+    place, value = _FINE[best], np.take_along_axis(fine, best[:, None], axis=1)[:, 0]
+    for j in range(value.shape[1]):
+        top = np.abs(value[:, j]).max(initial=0.0)
+        for p in np.flatnonzero(
+            finite & (np.abs(value[:, j]) > NEAR_BEST * top) & (np.abs(place[:, j]) < 1.0)
+        ).tolist():
+            roots = chebyshev.chebroots(chebyshev.chebtrim(chebyshev.chebder(series[p, :, j]), 1e-300))
+            roots = roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1.0)]
+            there = chebyshev.chebval(roots, series[p, :, j])
+            if len(roots) and np.abs(there).max() > abs(value[p, j]):
+                value[p, j], place[p, j] = there[np.abs(there).argmax()], roots[np.abs(there).argmax()]
+    lost = np.where(np.isfinite(values).all(axis=1), value, np.inf)
+    middle, half = ends.mean(axis=1, keepdims=True), 0.5 * np.diff(ends, axis=1)
+    return middle + half * place, lost
+
+
+# --- motions of carriers and joints ---
+
+
+def jerk_events(
+    position: PiecewisePolynomial, limits: ResolvedLimits
+) -> tuple[tuple[LimitEvent, ...], tuple[LimitEvent, ...]]:
+    """Return where jerks of carriers exceed their limit, and where they touch it.
+
+    ``position``: (k,) of the carriers, m, as a function of time. Where s̈ jumps it is changed within the shorter of the
+    pieces that meet there.
+    """
+    if not np.isfinite(limits.jerk).any():
+        return (), ()
+    edges, (least, largest) = position.edges, position.derivative(3).ranges()
+    sdd, step = position.derivative(2), np.diff(edges)
+    jump = (sdd(edges[1:-1]) - sdd(edges[1:-1], "left")) / np.minimum(step[:-1], step[1:])[:, None]
+    inside = np.where(-least > largest, least, largest)
+    t, jerk = np.append(edges[:-1], edges[1:-1]), np.append(inside, jump, axis=0)
+    return limit_events("jerk", limits.names, t, jerk, limits.jerk)
+
+
+def joint_range_events(planned: PlannedMotion) -> tuple[LimitEvent, ...]:
+    """Return where joints, passive ones too, leave their ranges, at the samples and between them."""
+    along, platform, robot = planned.along, planned.functions.platform, planned.dynamics.robot
+    joints = joint_ranges(robot)
+    if not joints:
+        return ()
+    if along.q is None or along.gamma is None:  # of a closed form, which knows no passive joints
+        with warnings.catch_warnings():  # a note that another backend takes longer is none about this one
+            warnings.simplefilter("ignore", RuntimeWarning)
+            along = as_dynamics(robot).along(planned.motion, unreachable="mark")
+    t, q, gamma = planned.motion.t, along.q, along.gamma
+    if q is None or gamma is None:
+        raise ValueError("The default backend has no tree.")
+    known = np.flatnonzero(np.isfinite(q).all(axis=1))
+    if len(known) > 1:
+        at, near = t[known], np.zeros(len(known) - 1, dtype=bool)
+        for joint in joints:
+            beyond, step = joint.excess(q[known, joint.at], True), np.abs(np.diff(q[known, joint.at]))
+            near |= np.maximum(beyond[:-1], beyond[1:]) > -step
+        near &= np.diff(at) > 0.0
+        bounds = np.flatnonzero(np.diff(near, prepend=False, append=False)).reshape(-1, 2)
+        for first, last in bounds:  # each run of steps from the sample before it
+            own, parts = at[first : last + 1], np.arange(1, RANGE_PARTS) / RANGE_PARTS
+            inside = (own[:-1, None] + np.diff(own)[:, None] * parts).ravel()
+            times = np.sort(np.concatenate([own[1:], inside]))
+            start = known_state(robot, planned.motion.x[known[first]], q[known[first]], gamma[known[first]])
+            between = inverse_kinematics(robot, platform.sample_at(times), mark_unreachable=True, start=start)
+            new = np.isin(times, inside)
+            t, q = np.append(t, times[new]), np.append(q, between.q[new], axis=0)
+        order = np.argsort(t, kind="stable")
+        t, q = t[order], q[order]
+    return range_events(robot, t, q)
+
+
+def closure_rank_losses(
+    dynamics: Dynamics, along: DynamicsAlongMotion, platform: ContinuousMotion
+) -> list[dict[str, object]]:
+    """Return "time", s, and pose "x" of each rank loss of the closures on the way: the branch is carried across it.
+
+    ``along``: dynamics along samples of the platform's motion. Only where these show a rank loss are more needed.
+    """
+    t, first = np.unique(along.motion.t, return_index=True)
+    known = along.closure_margin()[first]
+
+    def margin(times: Array) -> Array:
+        if times is t:
+            return known
+        every = np.union1d(t, times)  # the branch is followed from the start
+        there = dynamics.along(platform.sample_at(every), unreachable="mark").closure_margin()
+        return there[np.searchsorted(every, times)]
+
+    roots = [zero.t for zero in zeros(margin, t, RANK_LOST)] if len(t) > 1 else []
+    return [{"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in roots]
