@@ -81,21 +81,21 @@ def least_time():
 
 
 def base_wrench():
-    """Least wrench on the base against least effort, by both planners that have it."""
+    """Least wrench on the base against least effort."""
     dynamics, corner = rp.VirtualWork(rp.load_robot("3rrr", carrier_mass=3.0, **MODE)), reference.corner()
-    for name, plan in (
-        ("whole-trajectory", lambda objective: rp.plan_whole_trajectory(dynamics, corner, objective=objective,
-                                                                       base_point=CENTRE, end="free", dt=0.01, **WIDE)),
-        ("stepwise", lambda objective: rp.plan_stepwise(dynamics, corner.sample(0.005), objective=objective,
-                                                       base_point=CENTRE, **WIDE)),
-    ):  # fmt: skip
-        yield compared(
-            f"{name} plan of the corner, least effort over effort with base wrench",
-            lambda plan=plan: plan("effort"),
-            lambda plan=plan: plan({"effort": 1.0, "base_wrench": 1.0}),
-            0.5,
-            lambda *_: 0.0,
+
+    def plan(objective):
+        return rp.plan_whole_trajectory(
+            dynamics, corner, objective=objective, base_point=CENTRE, end="free", dt=0.01, **WIDE
         )
+
+    yield compared(
+        "whole-trajectory plan of the corner, least effort over effort with base wrench",
+        lambda: plan("effort"),
+        lambda: plan({"effort": 1.0, "base_wrench": 1.0}),
+        0.5,
+        lambda *_: 0.0,
+    )
 
 
 def gradient():

@@ -15,8 +15,9 @@ from scipy.optimize import minimize
 import redundancy_pin as rp
 from redundancy_pin.planners.carrier_model import effort_model
 from redundancy_pin.planners.carrier_return import CarrierState
-from redundancy_pin.planners.stepwise.optimiser import AccelerationBox, optimise, step_problems
+from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.stepwise.planner import LEAST_MARGIN, plan_stepwise
+from redundancy_pin.planners.stepwise.step import AccelerationBox, StepProblems, optimise
 
 REPEATS = 7
 TARGET = 20
@@ -132,10 +133,10 @@ def rows():
     motion = rp.trajectory.reference.corner().sample(0.005, two_sided=False)
     model = effort_model(dynamics.along(motion), LEAST_MARGIN)
     start = CarrierState(0.0, *np.zeros((3, robot.k)))
-    limits = AccelerationBox(robot.carriers, robot.carrier_limits, anticipate=True, rest_at=np.inf)
+    limits = AccelerationBox(Limits().resolved(robot), anticipate=True, rest_at=np.inf)
 
     def steps():
-        problems = step_problems(model, np.zeros_like(model.tau0), np.arange(len(motion)))
+        problems = StepProblems.of(model, np.zeros_like(model.tau0), np.arange(len(motion)))
         return optimise(problems, 0, len(motion) - 1, start, limits).s
 
     def plan():

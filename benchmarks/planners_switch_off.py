@@ -20,7 +20,6 @@ def rows():
         ("circle, CN 5", trajectory, {"threshold": 5.0}),
         ("circle, CN 20, shortest return", trajectory, {"threshold": 20.0, "return_time": "shortest"}),
         ("circle sampled at 1 ms, CN 5", sampled, {"threshold": 5.0}),
-        ("circle, CN 5, backward differences of 1 ms", trajectory, {"scheme": "backward_differences"}),
     )
     records = []
     for backend, dynamics in (("RNEA", rp.RneaDynamics(robot)), ("virtual work", rp.VirtualWork(robot))):

@@ -42,7 +42,7 @@ _FINER = {
     "stepwise": "use a shorter --step, or both sides of each jump",
     "receding_horizon": "use a shorter --step",
     "time_optimal": "allow more --refinements, or more --steps",
-    "switch_off": "use --scheme integration, or a shorter --dt",
+    "switch_off": "use a shorter --dt",
 }
 """What helps a planner whose samples do not show its efforts."""
 
@@ -64,9 +64,10 @@ def warn(plan: Plan, *, ranges: bool = True) -> None:
     if plan.diagnostics.get("optimal") is False:
         kept = plan.status in (ResultStatus.NOT_CONVERGED, ResultStatus.UNRESOLVED)
         there = "The plan keeps every limit, but there" if kept else "There"
+        help_ = "use a shorter --step" if plan.planner == "stepwise" else "allow more --seconds"
         output.warning(
             f"this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). "
-            f"{there} may be a better one; allow more --seconds."
+            f"{there} may be a better one; {help_}."
         )
     if not check.passed and np.isfinite(check.ratio):
         worst = int(check.peak.argmax())
@@ -104,7 +105,7 @@ def summary(plan: Plan) -> dict[str, Any]:
 
 def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
     """Give what an optimised plan says of its optimum and its nodes."""
-    if "optimal" not in plan.diagnostics:
+    if "nodes" not in plan.diagnostics:
         return
     weights: Any = plan.parameters.get("objective", {"time": 1.0})
     yield "minimised", ", ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights.items())

@@ -19,7 +19,6 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError, shown
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.base_wrench import BASE
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.receding_horizon import RecedingHorizon
 from redundancy_pin.planners.time_optimal import plan_time_optimal
@@ -145,15 +144,10 @@ SWITCH_OFF: Mapping[str, Parameter] = {
     "return_time": Parameter(number_or_word, "SECONDS", "Duration of the return, or shortest."),
     "datum": Parameter(numbers, "S[,S...]", "Where the carriers park, m."),
     "dt": Parameter(number, "SECONDS", "Spacing of the samples of the plan."),
-    "scheme": Parameter(word, "WORD", "integration, or backward_differences as in the thesis."),
 }
 """Parameters of ``plan_switch_off``."""
 
 STEPWISE: Mapping[str, Parameter] = {
-    "objective": Parameter(
-        weights, "WORD[=WEIGHT]", f"What to minimise: effort, {', '.join(BASE)}; may be repeated.", multiple=True
-    ),
-    "base_point": _BASE_POINT,
     "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort to aim at, 0 to 1."),
     "active": Parameter(word, "WORD", "always, or accelerating: only while the platform accelerates."),
     "speed": _MAX_SPEED,
@@ -168,7 +162,6 @@ STEPWISE: Mapping[str, Parameter] = {
         flag, "", "Keep carriers able to stop before their track ends.", "--anticipate/--no-anticipate"
     ),
     "least_margin": Parameter(number, "NUMBER", "Smallest margin of W along the motion."),
-    "between": Parameter(whole, "N", "Points inside each step at which the efforts are checked as well."),
 }
 """Parameters of ``plan_stepwise``, but for the baseline, which is a robot."""
 

@@ -330,17 +330,16 @@ class EffortModel:
     tau_terms: Array
 
 
-def effort_model(along: DynamicsAlongMotion, least_margin: float, goals: int = 0) -> EffortModel:
+def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel:
     """Read the coefficients of the main efforts off a backend.
 
     With more actuators than freedoms the efforts are those of least norm, as ``distribute`` defines it: they too are
     linear in f.
 
-    ``least_margin`` is the smallest margin of W along the motion that is accepted; ``goals``: how many quantities
-    beside the efforts decide about the carriers.
+    ``least_margin`` is the smallest margin of W along the motion that is accepted.
     """
     robot = along.robot
-    if robot.k > robot.m + goals or robot.m < robot.n:
+    if robot.k > robot.m or robot.m < robot.n:
         message = (
             f"{robot.name} has {robot.n} freedoms, {robot.m} main actuators and {robot.k} carriers; the carriers of "
             "least effort are not determined."

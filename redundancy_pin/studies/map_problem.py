@@ -37,7 +37,7 @@ ATTEMPTS: Mapping[str, tuple[Mapping[str, Any], ...]] = {
         for threshold in (5.0, 10.0, 20.0)
         for duration in (0.4, "shortest")
     ),
-    STEPWISE: tuple({"dt": 5e-3, "lam": lam, "between": 3} for lam in (0.0, 0.5, 1.0)),
+    STEPWISE: tuple({"dt": 5e-3, "lam": lam} for lam in (0.0, 0.5, 1.0)),
     WHOLE: ({"dt": 1e-2, "seconds": 20.0},),
 }
 """Parameters of each planner, in turn until a plan keeps every limit.

@@ -302,7 +302,7 @@ def _threshold_times(run: MotionRun, threshold: float) -> tuple[float, float]:
 
 MEASURES: Mapping[str, Callable[..., Any]] = {
     # switch-off plans: when the condition number meets the threshold ("entry") and falls below it, or forces begin to
-    # fall, s; |τ| as they begin to, N; its jump at switch-on, N, zero but for backward differences; its largest rise
+    # fall, s; |τ| as they begin to, N; its jump at switch-on, N; its largest rise
     # from the start of the ramp-down to the threshold, carriers parked, N; the largest |s| at switch-on, m
     "time_of": lambda plan, event: window(plan)[event],
     "entry_forces": lambda plan: np.abs(window(plan)["effort_at_ramp_start"]),

@@ -21,12 +21,6 @@ from redundancy_pin.studies.table import Record, data, mode_text, span, text
 ROUNDING = 1e-12
 """A gap up to this is none: the limits of an interval are themselves rounded."""
 
-FACTOR = 1.25
-"""By what factor all four pairs of forces may be missed if one step and one return time are to explain them."""
-
-DIFFERENCES = "backward_differences"
-
-
 thesis = functools.partial(data, "thesis")
 
 
@@ -93,9 +87,7 @@ def vary(case: Case, parameter: str, value: Any) -> Case:
         case "working_mode":
             return replace(case, working_mode=value)
         case "dt":
-            # of a crossing the step matters by backward differences only
-            crossing = case.planner == "switch_off"
-            return replace(case.with_options(scheme=DIFFERENCES) if crossing else case, dt=value)
+            return replace(case, dt=value)
     return case.with_options(**{parameter: value})
 
 
@@ -162,15 +154,10 @@ def compare_motions(runs: Sequence[MotionRun]) -> list[Record]:
 
 def needed(extent: Extent) -> list[Case]:
     """Return every variation of what is unstated, so that all can be planned at once."""
-    judged = [(_own(entry), entry["grids"]) for entry in thesis()["planned"]]
+    judged = [(BY_NAME[entry["case"]], entry["grids"]) for entry in thesis()["planned"]]
     ranged = [(case, thesis()["sensitivity"][case.path]["grids"]) for case in _ranged(extent)]
     grids = [(case, grid(name, extent)) for case, names in (*judged, *ranged) for name in names]
     return [varied for case, over in grids for varied, _ in over.cases(case)]
-
-
-def _own(entry: Record) -> Case:
-    case = BY_NAME[entry["case"]]
-    return case.with_options(scheme=DIFFERENCES) if entry.get("differences") else case
 
 
 def _ranged(extent: Extent) -> tuple[Case, ...]:
@@ -181,14 +168,14 @@ def judge_all(plans: Plans, extent: Extent) -> list[Record]:
     """Judge every number, and every joint statement, about the planned cases."""
     records = [_judged(entry, plans, extent) for entry in thesis()["planned"]]
     for entry in thesis()["jointly"]:
-        outcome = {"same_step": same_step, "growth_with_threshold": growth_with_threshold,
-                   "same_before_the_corner": same_before_the_corner}[entry["test"]](plans, extent)  # fmt: skip
+        tests = {"growth_with_threshold": growth_with_threshold, "same_before_the_corner": same_before_the_corner}
+        outcome = tests[entry["test"]](plans)
         records.append({"deviation": "", "covered": "", **entry, **outcome})
     return records
 
 
 def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
-    case, reading, late = _own(entry), measure(*entry["measure"]), entry.get("late", 0.0)
+    case, reading, late = BY_NAME[entry["case"]], measure(*entry["measure"]), entry.get("late", 0.0)
     printed, unit = [str(digits) for digits in entry["stated"]], entry["unit"]
     grids = [grid(name, extent) for name in entry["grids"]]
     plan = plans.plan(case)
@@ -237,30 +224,14 @@ def _miss(printed: Sequence[str], values: Numbers) -> float:
     return max(math.inf if math.isnan(value) else value for value in miss)
 
 
-def same_step(plans: Plans, extent: Extent) -> Record:
-    """Judge whether one time step and one return time give all stated forces on switching on."""
-    entries = [entry for entry in thesis()["planned"] if entry["measure"] == ["exit_forces"]]
-    best: tuple[float, str] = (math.inf, "")
-    variations = [grid("steps_and_returns", extent).cases(BY_NAME[entry["case"]]) for entry in entries]
-    for runs in zip(*variations, strict=True):
-        worst = 1.0
-        for entry, (case, _) in zip(entries, runs, strict=True):
-            for value, digits in zip(read("exit_forces", plans.plan(case)), entry["stated"], strict=True):
-                ratio = value / _value(digits)
-                worst = max(worst, ratio, 1.0 / ratio)
-        best = min(best, (worst, runs[0][1]))
-    reason = f"best with {best[1]}; a factor of {FACTOR:g} would pass"
-    return {"ours": f"missed by a factor of {best[0]:.2g} at best", **_verdict(best[0] <= FACTOR, reason, False)}
-
-
-def growth_with_threshold(plans: Plans, extent: Extent) -> Record:
+def growth_with_threshold(plans: Plans) -> Record:
     """Judge whether the forces on the line grow with threshold and speed."""
     slow, fast, high = (read("entry_forces", plans.plan(case)) for case in CROSSINGS[4:])
     holds, ours = max(slow) < max(fast) < max(high), "; ".join(text(pair, ".2g") for pair in (slow, fast, high))
     return {"ours": f"{ours} N", **_verdict(holds, "forces as they begin to fall", holds)}
 
 
-def same_before_the_corner(plans: Plans, extent: Extent) -> Record:
+def same_before_the_corner(plans: Plans) -> Record:
     """Judge whether carrier 2 can meet its speed limit at 0.65 s on one corner and at 0.4 s on the other."""
     wide, sharp = plans.plan(CORNERS[0]), plans.plan(CORNERS[2])
     entered = float(wide.motion.t[wide.motion.jumps][0])
@@ -285,16 +256,14 @@ def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
 
 
 def _ranges(case: Case, over: ParameterGrid, plans: Plans) -> list[Record]:
-    differences = "dt" in over.values and case.planner == "switch_off"
-    own = case.with_options(scheme=DIFFERENCES) if differences else case
-    variations = [variation for variation, _ in over.cases(own)]
+    variations = [variation for variation, _ in over.cases(case)]
     existing = [plan for _, plan in plans.existing(variations)]
-    records, name = [], case.name + (" (backward differences)" if differences else "")
+    records = []
     for quantity, reading in thesis()["sensitivity"][case.path]["quantities"].items():
         value_of = measure(*reading)
         low, high = limits_of([value for plan in existing for value in value_of(plan)])
-        records.append({"case": name, "quantity": quantity, "parameter": over.parameter, "grid": over.shown,
-                        "ours": max(value_of(plans.plan(own))), "low": low, "high": high, "plans": len(variations),
+        records.append({"case": case.name, "quantity": quantity, "parameter": over.parameter, "grid": over.shown,
+                        "ours": max(value_of(plans.plan(case))), "low": low, "high": high, "plans": len(variations),
                         "without": len(variations) - len(existing)})  # fmt: skip
     return records
 

@@ -115,7 +115,6 @@ TOO_MANY: tuple[tuple[str, ...], ...] = (
     (*OFF, "--dt", "1e-9"),
     (*OFF, "--dt", "1e-90"),
     (*STEPWISE, "--step", "1e-9"),
-    (*STEPWISE, "--between", "1000000000"),
     (*STEPWISE, "--speed", "1e-12"),
     ("validate", "--robot", "2rpr", "--samples", "1000000000000"),
     ("validate", "--robot", "2rpr", "--jobs", "99999"),

@@ -27,7 +27,6 @@ BAD_FLAGS: dict[str, tuple[tuple[str, ...], str]] = {
     "threshold below one": (("--threshold", "0.5"), "--threshold is 0.5"),
     "threshold without end": (("--threshold", "inf"), "--threshold is inf, expected a positive number."),
     "unknown measure": (("--measure", "distance"), "--measure is 'distance'"),
-    "unknown scheme": (("--scheme", "euler"), "--scheme is 'euler'"),
     "unknown return": (("--return-time", "longest"), "--return-time is 'longest'"),
     "datum of three": (("--datum", "0,0,0"), "--datum is [0.0, 0.0, 0.0], expected 2 numbers"),
     "datum that is text": (("--datum", "abc"), "--datum is 'abc'"),

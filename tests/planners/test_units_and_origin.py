@@ -97,10 +97,10 @@ def moving(trajectory: Trajectory, units: Units) -> Any:
     return replace(sampled, t=max(units.origin, 0.0) + t)
 
 
-def switch_off(units: Units, **scheme: Any) -> Plan:
+def switch_off(units: Units) -> Plan:
     return rp.plan_switch_off(
         dynamics_in(units, "carrier_mass"), moving(circle(units), units), threshold=10.0, dt=0.01 * units.time,
-        return_time=0.5 * units.time, ramp_down=0.05 * units.time, **scheme,
+        return_time=0.5 * units.time, ramp_down=0.05 * units.time,
     )  # fmt: skip
 
 
@@ -133,7 +133,6 @@ def online(units: Units) -> Plan:
 
 PLANNERS: Mapping[str, tuple[Callable[[Units], Plan], float]] = {
     "switch_off": (switch_off, ROUNDED),
-    "differences": (functools.partial(switch_off, scheme="backward_differences"), ROUNDED),
     "stepwise": (stepwise, ROUNDED),
     "effort": (functools.partial(whole, "effort"), ROUNDED),
     "peak": (functools.partial(whole, "peak"), ROUNDED),

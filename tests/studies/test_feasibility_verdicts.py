@@ -122,9 +122,7 @@ def test_switching_off_is_tried_as_the_thesis_does_it_first() -> None:
 def test_stepwise_cells_are_those_of_the_planner(bend: FeasibilityMap) -> None:
     dynamics = rp.VirtualWork(rp.load_robot("3rrr", working_mode=(1, 1, 1)))
     for cell in bend.of(STEPWISE):
-        plan = rp.plan_stepwise(
-            dynamics, reference.corner(speed=cell.x), dt=5e-3, track=[-0.5 * cell.y, 0.5 * cell.y], between=3
-        )
+        plan = rp.plan_stepwise(dynamics, reference.corner(speed=cell.x), dt=5e-3, track=[-0.5 * cell.y, 0.5 * cell.y])
         kept = plan.status is ResultStatus.OK and plan.peak_effort_at_samples.max() <= 5.0
         assert cell.verdict is (ResultStatus.OK if kept else ResultStatus.INFEASIBLE), cell
         if not kept:

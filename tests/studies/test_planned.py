@@ -112,7 +112,7 @@ MODES = ((1, 1, 1), (-1, -1, -1))
 KEY = f"{MOVING}, λ = 0"
 CROSSING = {
     "case": "circle-0.5-cn5", "status": "limit_violated", "beyond_track_at_exit": 0.047, "shortest": float("nan"),
-    "no_shortest": "none", "jump": (1e-12, 1e-12), "jump_of_differences": (0.2, 0.2), "step": 1e-3,
+    "no_shortest": "none", "jump": (1e-12, 1e-12),
 }  # fmt: skip
 SOUND = {**CROSSING, "status": "ok", "beyond_track_at_exit": 0.0, "no_shortest": "", "shortest": 0.4}
 HEAVY = {"what": "end-effector of 0.5 kg", "message": "no", "details": {"amount": 0.25}}

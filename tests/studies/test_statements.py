@@ -71,9 +71,8 @@ GRIDS = [
     ({"ramp_length": [0.4, 0.5]}, CROSSINGS[0], {"path_options"}, 2),
     ({"ramp_length": [0.4, 0.6]}, CORNERS[0], {"path_options"}, 2),
     ({"return_time": [0.2, 0.3]}, CROSSINGS[0], {"options"}, 2),
-    ({"dt": [1e-2]}, CROSSINGS[0], ("dt", "options"), 1),
     ({"dt": [1e-2]}, CORNERS[0], {"dt"}, 1),
-    ({"dt": [1e-2, 2e-2], "return_time": [0.2, 0.3]}, CROSSINGS[0], ("dt", "options"), 4),
+    ({"dt": [1e-2, 2e-2], "return_time": [0.2, 0.3]}, CORNERS[0], ("dt", "options"), 4),
     ({"threshold": [7.0]}, CROSSINGS[0], {"options"}, 1),
     ({"ramp_down": [0.02]}, CROSSINGS[0], {"options"}, 1),
     ({"working_mode": [(-1, -1, -1)]}, CORNERS[0], {"working_mode"}, 1),
@@ -99,10 +98,6 @@ def test_ramp_lengths_are_fractions_of_speed_times_duration() -> None:
     half = ParameterGrid({"ramp_length": [0.5]})
     assert half.cases(CROSSINGS[0])[0][0].option("ramp_length") == pytest.approx(0.05)
     assert half.cases(CORNERS[0])[0][0].option("ramp_length") == pytest.approx(0.04)
-
-
-def test_backward_differences_go_with_the_step_of_a_crossing() -> None:
-    assert ParameterGrid({"dt": [1e-2]}).cases(CROSSINGS[0])[0][0].option("scheme") == "backward_differences"
 
 
 def test_the_data_file_names_what_exists() -> None:

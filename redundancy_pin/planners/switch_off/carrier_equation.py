@@ -1,11 +1,10 @@
 """Carrier motion under prescribed main efforts: f(s, ṡ, s̈) = W τ_ref as a differential equation with error control.
 
-With f affine in s̈ this is F s̈ = W τ_ref − f(s, ṡ, 0), F the coefficients of s̈. F loses rank wherever W does, so an
-explicit integrator would divide by zero at the very pose that is to be crossed. Here s̈ is a polynomial on each step
-instead, and the equation, undivided, is satisfied in the least-squares sense at more points than the polynomial has
-coefficients. Where a bounded s̈ exists the defect falls to rounding, at a singular pose as anywhere else; where none
-exists it does not, and the step is divided until it is given up. The defect is the error control: no step is accepted
-that does not satisfy the equation.
+f is affine in s̈: F s̈ = W τ_ref − f(s, ṡ, 0), where F are the coefficients of s̈. F may lose rank at the pose that is to
+be crossed, where an explicit integrator would divide by zero. Here s̈ is a polynomial on each step, and the undivided
+equation is satisfied in the least-squares sense at more points than the polynomial has coefficients (collocation). The
+defect is the error control: where a bounded s̈ exists it falls to machine precision, at a singular pose as well. Where
+none exists it does not, and the step is halved until ``StepGivenUpError``.
 """
 
 from __future__ import annotations
@@ -15,98 +14,35 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev, legendre
+from numpy.polynomial import legendre
 
 from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import TimedModel
-from redundancy_pin.singularities.roots import Interval
-from redundancy_pin.trajectory import boundary_polynomial
-from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, preferred_middle
 
-_NODES = 16
-"""Nodes of the interpolant from which the parked efforts are differentiated."""
+_DEGREE = 13
+"""Degree of s̈ on a step."""
 
-_TAIL = 1e-11
-"""Of the interpolant's last coefficients, relative to the largest; the stretch is halved until they are as small."""
+_POINTS = 20
+"""Collocation points of a step."""
 
-_MOST_HALVINGS = 8
-"""After them rounding would cost the derivatives more than the interpolation does."""
+_DEFECTS = 10.0
+"""Largest defect of an accepted step, in tolerances of the model, relative to the largest f along the crossing."""
 
-_NARROW = 1e-3
-"""Of the ramp: a smooth stretch shorter than this is not differentiated on."""
+_FORCE_SHARE = 1e-3
+"""Fraction of the largest F s̈ on a step that defects are compared with where it exceeds f: its rounding must pass."""
 
-
-def ramp_down(
-    dynamics: Dynamics, motion: ContinuousMotion, start: float, window: Interval, datum: Array
-) -> tuple[PiecewisePolynomial, Array]:
-    """Return the main efforts (m,) through a window, N or N·m: a quintic to zero at its start, and zero.
-
-    The quintic (Parsa 2014, eq. 3.4) begins with the efforts of parked carriers at ``start``, their rate and its rate:
-    those of an interpolant over the smooth stretch around ``start``. Behind it are the parked efforts at its end.
-    """
-    end = window.start
-
-    def parked(times: Array) -> Array:
-        along = dynamics.along(motion.sample_at(times))
-        tau = distribute(along.reduce(CarrierMotion.parked(len(times), dynamics.robot.k, datum))).tau
-        return np.asarray(tau)
-
-    left, right = _smooth_around(motion.kinks, start, end - start)
-    nodes = np.sort(chebyshev.chebpts1(_NODES))
-    to_series = np.linalg.inv(chebyshev.chebvander(nodes, _NODES - 1))
-    for _ in range(_MOST_HALVINGS):
-        series = to_series @ parked(0.5 * (left + right) + 0.5 * (right - left) * nodes)
-        if np.abs(series[-3:]).max() <= _TAIL * np.abs(series).max():
-            break
-        left, right = 0.5 * (left + start), 0.5 * (right + start)
-    x, per_second = (2.0 * start - left - right) / (right - left), 2.0 / (right - left)
-    rates = [chebyshev.chebval(x, chebyshev.chebder(series, order)) * per_second**order for order in (1, 2)]
-    at = parked(np.array([start, end]))
-    zero = np.zeros(dynamics.robot.m)
-    quintic = boundary_polynomial(start, end, [at[0], *rates], [zero, zero, zero]).piecewise()
-    return PiecewisePolynomial.joined([quintic, PiecewisePolynomial.constant(zero, end, window.end)]), at[1]
-
-
-def _smooth_around(kinks: Array, t: float, width: float) -> tuple[float, float]:
-    """Return the stretch without kinks around a time, at most ``width`` before and half of it after, s."""
-    before = min(t - float(kinks[kinks <= t].max()), width)
-    after = min(float(kinks[kinks > t].min()) - t, 0.5 * width)
-    narrow = _NARROW * width  # derivatives from so short a stretch would be rounding; that on the other side will do
-    if before < narrow:
-        before = 0.0
-    elif after < narrow:
-        after = 0.0
-    return t - before, t + after
-
-
-DEGREE = 13
-"""Of s̈ on a step."""
-
-POINTS = 20
-"""Points of a step at which the equation is satisfied."""
-
-DEFECTS = 10.0
-"""Largest defect of the equation in tolerances of the model, relative to the largest f along the crossing."""
-
-FORCE_SHARE = 1e-3
-"""Of the largest F s̈ on a step, that counts as well where it is more than that f: its rounding has to pass."""
-
-LEAST_STEP = 1e-6
-"""A step shorter than this fraction of the interval is given up."""
+_LEAST_STEP = 1e-6
+"""Shortest step, as a fraction of the interval."""
 
 _MOST_ITERATIONS = 8
-"""Of Newton's method on one step: f is quadratic, and it converges in four or five."""
+"""Of Newton's method on a step; f is quadratic, so four or five suffice."""
 
 
 class StepGivenUpError(ArithmeticError):
-    """No bounded s̈ satisfies the equation past a time; never leaves the planner.
+    """No bounded s̈ satisfies the equation beyond a time; never leaves the planner.
 
-    ``t``: that time, s; ``s``, ``sd`` (k,) carrier motion there, m and m/s; ``defect``: what was left of the equation,
-    N.
+    ``t``: that time, s; ``s``, ``sd`` (k,) carrier motion there, m and m/s; ``defect`` of the equation, N.
     """
 
     def __init__(self, t: float, s: Array, sd: Array, defect: float) -> None:
@@ -116,13 +52,13 @@ class StepGivenUpError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class CarrierEquation:
-    """The equation F s̈ = W τ_ref − f(s, ṡ, 0).
+    """The equation F s̈ = W τ_ref − f(s, ṡ, 0); with more carriers than coordinates s̈ has the least norm.
 
-    Of more carriers than coordinates the s̈ of least norm is taken.
-
-    ``model``: the carrier model over time; ``effort``: the prescribed main efforts; ``row_scale`` (n,) the
-    characteristic length for moments, 1 for forces; ``size``: largest f along the crossing, N, which defects are
-    compared with.
+    Attributes:
+        model: the carrier model over time.
+        effort: the prescribed main efforts τ_ref over time, N or N·m.
+        row_scale: (n,) the characteristic length, m, for moments, 1 for forces.
+        size: largest f along the crossing, N, which defects are compared with.
     """
 
     model: TimedModel
@@ -134,7 +70,7 @@ class CarrierEquation:
         """Integrate from a state (k,), (k,) at ``start`` to ``end``."""
         breaks = self.model.breaks
         ends = [*breaks[(breaks > start) & (breaks < end)].tolist(), end]
-        least = LEAST_STEP * (end - start)
+        least = _LEAST_STEP * (end - start)
         t, edges, series = start, [start], []
         for stop in ends:
             pending = [stop]
@@ -154,7 +90,7 @@ class CarrierEquation:
 
     def _is_satisfied(self, defect: float, force: float) -> bool:
         """Return whether a defect is within tolerance, ``force`` the largest F s̈, N."""
-        return defect <= DEFECTS * self.model.tolerance * max(self.size, FORCE_SHARE * force)
+        return defect <= _DEFECTS * self.model.tolerance * max(self.size, _FORCE_SHARE * force)
 
     def _step(self, a: float, b: float, s0: Array, sd0: Array) -> tuple[Array, float, float]:
         """Return the Legendre series (d, k) of s on one step, the largest defect and the largest F s̈, N."""
@@ -166,7 +102,7 @@ class CarrierEquation:
         idle = _idle_directions(inertia)
         value, first, second = basis.value, half * basis.first, half**2 * basis.second
         start = s0 + half * (basis.x[:, None] + 1.0) * sd0
-        c = np.zeros((DEGREE + 1, model.k))
+        c = np.zeros((_DEGREE + 1, model.k))
         defect = force = np.inf
         for _ in range(_MOST_ITERATIONS):
             s, sd, sdd = start + second @ c, sd0 + first @ c, value @ c
@@ -191,7 +127,7 @@ class CarrierEquation:
 
 
 class _Basis(NamedTuple):
-    """Points of a step on (−1, 1), and there the Legendre polynomials and their first and second integrals from −1."""
+    """Collocation points on (−1, 1), the Legendre polynomials there, and their first and second integrals from −1."""
 
     x: Array
     value: Array
@@ -201,15 +137,15 @@ class _Basis(NamedTuple):
 
 @lru_cache(maxsize=1)
 def _basis() -> _Basis:
-    x, _ = legendre.leggauss(POINTS)
-    unit = np.eye(DEGREE + 1)
+    x, _ = legendre.leggauss(_POINTS)
+    unit = np.eye(_DEGREE + 1)
     first, second = (legendre.legint(unit, order, lbnd=-1.0, axis=0) for order in (1, 2))
     value, once, twice = (legendre.legval(x, series).T for series in (unit, first, second))
     return _Basis(*(read_only(np.ascontiguousarray(part)) for part in (x, value, once, twice)))
 
 
 def _idle_directions(F: Array) -> Array:
-    """Return (N, k − n, k) combinations of carriers without effect on f, as large as F: s̈ has no part in them."""
+    """Return (N, k − n, k) combinations of carriers without effect on f, scaled as F; s̈ has no component along them."""
     n, k = F.shape[1:]
     if k == n:
         return np.empty((len(F), 0, k))

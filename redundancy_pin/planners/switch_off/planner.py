@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from typing import Literal, get_args
+from dataclasses import asdict, dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, one_of, positive, require_few
+from redundancy_pin.arrays import Array, positive, require_few
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.dynamics.distribution import distribute
@@ -21,12 +21,13 @@ from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.switch_off.crossing import SwitchOffCourse, cross, cross_stepwise
+from redundancy_pin.planners.switch_off.crossing import Passage, cross
 from redundancy_pin.singularities.roots import Interval
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
-MOST_SAMPLES = 1_000_000  # of a plan: each takes kilobytes on its course through the dynamics
+MOST_SAMPLES = 1_000_000
+"""Largest number of samples of a plan; each takes kilobytes of memory while it is evaluated."""
 
 PHASES = ("parked", "ramp_down", "off", "return")
 
@@ -41,144 +42,14 @@ class SwitchOffSettings:
     return_time: float | Literal["shortest"]
     datum: Array
     dt: float
-    scheme: str
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
-    """A crossing and the return of the carriers after it."""
+class Crossing:
+    """A passage with the actuators off, and the return of the carriers (k,) after it, m over time."""
 
-    crossing: SwitchOffCourse
+    passage: Passage
     back: PiecewisePolynomial
-
-
-def assemble_plan(
-    dynamics: Dynamics, source: ContinuousMotion, legs: list[Leg], settings: SwitchOffSettings, actuation: Actuation
-) -> Plan:
-    """Sample the crossings and returns, let the backend judge them, and report."""
-    times = _grid(source, legs, settings)
-    position = _position(source, legs, settings)
-    before, after = (carriers_at(position, times, side) for side in ("left", "right"))
-    s, sd, sdd = (np.array(part) for part in (after.s, after.sd, after.sdd))
-    first_of_two = np.flatnonzero(times[1:] == times[:-1])
-    sdd[first_of_two] = before.sdd[first_of_two]
-    prescribed = np.full((len(times), dynamics.robot.m), np.nan)
-    phase = np.zeros(len(times), dtype=np.intp)
-    for leg in legs:
-        ramp, off, back = leg.crossing.start, leg.crossing.window.start, leg.crossing.end
-        driven = (times >= ramp) & (times <= back)
-        if leg.crossing.samples is not None:  # backward differences, not the derivatives of the position
-            at = leg.crossing.carriers(times[driven])
-            s[driven], sd[driven], sdd[driven] = at.s, at.sd, at.sdd
-        phase[(times >= ramp) & (times < off)] = 1
-        phase[(times >= off) & (times <= back)] = 2
-        phase[(times > back) & (times <= leg.back.end)] = 3
-        prescribed[driven] = leg.crossing.ramp(times[driven])
-    # only inside the windows: on a ramp W⁻¹ f of the carriers' motion is what was prescribed, but for backward
-    # differences, where it is what keeps the platform on its path between the samples
-    off_windows = [(leg.crossing.window.start, leg.crossing.end) for leg in legs]
-    none = tuple(PiecewisePolynomial.constant(np.zeros(dynamics.robot.m), *window) for window in off_windows)
-    plan = finish_plan(
-        PlannedMotion(
-            dynamics,
-            PlanFunctions(source, position.made_continuous(), none),
-            dynamics.along(source.sample_at(times)),
-            CarrierMotion(s, sd, sdd, check_rates=False),
-            Limits().resolved(dynamics.robot),
-            "switch_off",
-            prescribed=prescribed,
-            phase=phase,
-            phases=PHASES,
-            parameters={**asdict(settings), "datum": settings.datum.tolist()},
-        )
-    )
-    return replace(plan, diagnostics={**plan.diagnostics, **_diagnostics(dynamics, plan, legs, actuation, settings)})
-
-
-def _position(source: ContinuousMotion, legs: list[Leg], settings: SwitchOffSettings) -> PiecewisePolynomial:
-    """Return the positions of the carriers: parked, through a window, back, and so on."""
-    parts: list[PiecewisePolynomial] = []
-    free = source.start
-    starts = [*(leg.crossing.start for leg in legs), source.end]
-    for leg, following in zip(legs, starts[1:], strict=True):
-        if leg.crossing.start > free:
-            parts.append(PiecewisePolynomial.constant(settings.datum, free, leg.crossing.start))
-        parts += [leg.crossing.position, leg.back.until(min(leg.back.end, following))]
-        free = parts[-1].end
-    if source.end > free:
-        parts.append(PiecewisePolynomial.constant(settings.datum, free, source.end))
-    return PiecewisePolynomial.joined(parts)
-
-
-def _grid(source: ContinuousMotion, legs: list[Leg], settings: SwitchOffSettings) -> Array:
-    """Return a uniform grid with events and peaks of the carriers' motion, and each jump twice."""
-    steps = int(np.ceil((source.end - source.start) / settings.dt - 1e-9))
-    uniform = np.append(source.start + settings.dt * np.arange(steps), source.end)
-    extra: list[ArrayLike] = [source.breaks]
-    for leg in legs:
-        crossing = leg.crossing
-        extra += [[crossing.start, crossing.window.start, crossing.end, min(leg.back.end, source.end)]]
-        moved = [leg.back] if crossing.samples is not None else [crossing.position, leg.back]
-        extra += [position.derivative(order).peaks() for position in moved for order in range(3)]
-    events = np.unique(np.concatenate([np.asarray(part, dtype=float) for part in extra]))
-    # a sample that differs from an event by rounding only would make a step as short as rounding
-    near = np.abs(uniform[:, None] - events[None, :]).min(axis=1, initial=np.inf) < 1e-9 * settings.dt
-    near[[0, -1]] = False
-    inner = events[(events > uniform[0]) & (events < uniform[-1])]
-    grid: Array = np.sort(np.concatenate([np.union1d(uniform[~near], inner), source.breaks]))
-    if settings.scheme == "backward_differences":  # has no motion between its own samples
-        for leg in legs:
-            crossing = leg.crossing
-            own = np.isin(grid, crossing.samples[0]) if crossing.samples else np.ones(len(grid), dtype=bool)
-            grid = np.unique(grid[own | (grid < crossing.start) | (grid > crossing.end)])
-    return grid
-
-
-def _diagnostics(
-    dynamics: Dynamics, plan: Plan, legs: list[Leg], actuation: Actuation, settings: SwitchOffSettings
-) -> dict[str, object]:
-    efforts, positions = (
-        {name: np.nanmax(np.abs(part[plan.phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
-        for part in (plan.tau, plan.carriers.s)
-    )
-    singular = list(actuation.singular_instants)
-    return {
-        "windows": [_window(dynamics, plan.functions.platform, leg, singular, settings) for leg in legs],
-        "no_window": not legs,
-        "worst_measure": actuation.worst(settings.measure),
-        "singular_instants": singular,
-        "peak_effort": efforts,
-        "peak_position": positions,
-        "largest_imbalance": float(np.nanmax(plan.residual, initial=0.0)),
-    }
-
-
-def _window(
-    dynamics: Dynamics, source: ContinuousMotion, leg: Leg, singular: list[float], settings: SwitchOffSettings
-) -> dict[str, object]:
-    crossing = leg.crossing
-    start, end = crossing.start, crossing.end
-    state = crossing.exit
-    after = np.array([end, min(end + settings.dt, leg.back.end)])
-    along = dynamics.along(source.sample_at(after))
-    tau = distribute(along.reduce(carriers_at(leg.back, after))).tau
-    return {
-        "ramp_start": start,
-        "entry": crossing.window.start,
-        "exit": end,
-        "return_end": leg.back.end,
-        "return_time": leg.back.end - end,
-        "effort_at_ramp_start": crossing.ramp(np.array([start]))[0].tolist(),
-        "parked_effort_at_entry": crossing.parked_at_entry.tolist(),
-        "exit_jump": np.abs(tau[1 if settings.scheme == "backward_differences" else 0]).tolist(),
-        "effort_one_step_after_exit": np.abs(tau[1]).tolist(),
-        "carriers_at_exit": {"s": state.s.tolist(), "sd": state.sd.tolist(), "sdd": state.sdd.tolist()},
-        "singular_instants": [t for t in singular if start <= t <= end],
-        "carriers_without_effect": [{"t": lost.t, "direction": lost.direction.tolist()} for lost in crossing.lost],
-    }
-
-
-Scheme = Literal["integration", "backward_differences"]
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -192,7 +63,6 @@ def plan_switch_off(
     return_time: float | Literal["shortest"] = 0.4,
     datum: ArrayLike = 0.0,
     dt: float = 1e-3,
-    scheme: Scheme = "integration",
 ) -> Plan:
     """Plan the carriers so that the main actuators can be off wherever W is nearly singular.
 
@@ -202,8 +72,7 @@ def plan_switch_off(
     W τ = f (eq. 3.7). Windows between which the carriers have no time to return are one window.
 
     The carriers' motion is integrated with error control (see ``carrier_equation``), so the efforts are continuous at
-    switch-on. ``scheme="backward_differences"`` is the thesis's discretisation on the grid of step ``dt`` instead,
-    whose efforts jump there.
+    switch-on. The thesis's backward differences of ṡ and s̈ make them jump there, in proportion to the step.
 
     Limits of the carriers are not enforced (a crossing leaves no freedom to do so) but judged, at all extremes of their
     motion (forces at the samples): see ``Plan.limits`` and ``Plan.status``. ``return_time="shortest"`` chooses the
@@ -220,7 +89,6 @@ def plan_switch_off(
         return_time: duration of the return, s, or "shortest": the least that keeps every limit of the carriers.
         datum: scalar or (k,) where the carriers park, m.
         dt: spacing of the samples of the plan, s; events, jumps and extremes of the carriers' motion are added.
-        scheme: how the carriers' motion is found.
 
     Raises:
         InputError: a setting out of its domain.
@@ -241,7 +109,6 @@ def plan_switch_off(
             coordinates=robot.n,
         )
     require_carriers(robot)
-    one_of(scheme, "scheme", get_args(Scheme))
     settings = SwitchOffSettings(
         threshold=positive(threshold, "threshold", ""),
         measure=measure,
@@ -249,86 +116,178 @@ def plan_switch_off(
         return_time=return_duration(return_time, "return_time"),
         datum=Limits().resolved(robot).on_track(datum, "datum"),
         dt=positive(dt, "dt", "s"),
-        scheme=scheme,
     )
     source = continuous_motion(motion)
     samples = (source.end - source.start) / settings.dt
     require_few(samples, MOST_SAMPLES, f"dt = {settings.dt:g} s makes {{}} samples", "Use a larger dt.", dt=settings.dt)
     actuation = Actuation.along(dynamics, source)
     windows = actuation.windows(measure, settings.threshold)
-    legs: list[Leg] = []
+    crossings: list[Crossing] = []
     while windows:
         window = windows.pop(0)
         _require_inside(window, source.start, source.end, settings.ramp_down)
-        leg = _leg(dynamics, source, window, settings, windows, actuation.row_scale)
-        if leg is None:  # no room before the next window: both are one
+        passage = cross(dynamics, source, window, settings.ramp_down, settings.datum, actuation.row_scale)
+        back = _return(dynamics, source, passage, settings, windows)
+        if back is None:  # no room before the next window: both are one
             windows[0] = Interval(window.start, windows[0].end, window.open_start, windows[0].open_end)
-            continue
-        legs.append(leg)
-    return assemble_plan(dynamics, source, legs, settings, actuation)
+        else:
+            crossings.append(Crossing(passage, back))
+    return _assemble_plan(dynamics, source, crossings, settings, actuation)
 
 
-def _leg(
-    dynamics: Dynamics,
-    source: ContinuousMotion,
-    window: Interval,
-    settings: SwitchOffSettings,
-    later: list[Interval],
-    row_scale: Array,
-) -> Leg | None:
-    """Return the crossing of one window with its return, or None where the next window comes too soon for it."""
-    task = (dynamics, source, window, settings.ramp_down, settings.datum, row_scale)
-    by_differences = settings.scheme == "backward_differences"
-    crossing = cross_stepwise(*task, settings.dt) if by_differences else cross(*task)
-    state = crossing.exit
-    available = source.end - state.t
-    room = min(available, later[0].start - settings.ramp_down - state.t) if later else available
-    if settings.return_time == "shortest":
-        if room <= 0.0:
-            return None
+def _return(
+    dynamics: Dynamics, source: ContinuousMotion, passage: Passage, settings: SwitchOffSettings, later: list[Interval]
+) -> PiecewisePolynomial | None:
+    """Return the carriers' way back after a passage; None where it does not end before the next window."""
+    state, end = passage.exit, source.end
+    room = (min(end, later[0].start - settings.ramp_down) if later else end) - state.t
+    duration: float | None
+    if settings.return_time != "shortest":
+        duration = settings.return_time
+    elif room <= 0.0:
+        return None
+    else:
         model = TimedModel.of(dynamics, source, state.t, state.t + room)
 
         def force(t: Array, s: Array, sd: Array, sdd: Array) -> Array:
             return model.at(t).carrier_force(s, sd, sdd)
 
         duration, _, nearest = shortest_return(dynamics.robot, force, state, settings.datum, room)
+        if duration is None and later:
+            return None
         if duration is None:
-            if later:
-                return None
             remedy = "Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a "
             raise no_return(nearest, state.t, room, remedy + "return_time and accept a plan that violates limits.")
-    else:
-        duration = float(settings.return_time)
-    if duration > room:
-        if later:
-            return None
-        raise InfeasiblePlanError(
-            f"The return of the carriers takes {duration:g} s from t = {state.t:.6g} s, but the motion ends at "
-            f"{source.end:.6g} s: {duration - room:.4g} s are missing.",
-            remedy="Shorten return_time, or end the motion further from the singularity.",
-            constraint="return_time",
-            time=state.t,
-            amount=duration - room,
-        )
-    return Leg(crossing, return_polynomial(state, duration, settings.datum))
+    if duration <= room:
+        return return_polynomial(state, duration, settings.datum)
+    if later:
+        return None
+    raise InfeasiblePlanError(
+        f"The return of the carriers takes {duration:g} s from t = {state.t:.6g} s, but the motion ends at "
+        f"{end:.6g} s: {duration - room:.4g} s are missing.",
+        remedy="Shorten return_time, or end the motion further from the singularity.",
+        constraint="return_time",
+        time=state.t,
+        amount=duration - room,
+    )
 
 
 def _require_inside(window: Interval, start: float, end: float, ramp_down: float) -> None:
     """Check that a window begins late enough for its ramp-down, and ends before the motion does."""
-    if window.open_start:
-        message = f"The motion begins at t = {start:.6g} s inside the region in which the actuators have to be off."
-        remedy = "Start the motion further from the singularity, or move the threshold."
-        raise InfeasiblePlanError(message, remedy=remedy, constraint="ramp_down", time=start, amount=ramp_down)
-    earliest = window.start - ramp_down
-    if earliest < start:
-        missing = start - earliest
-        message = (
+    missing = start + ramp_down - window.start
+    if missing > 0.0:
+        raise InfeasiblePlanError(
             f"The actuators have to be off from t = {window.start:.6g} s and need {ramp_down:g} s to ramp down, "
-            f"but the motion begins at {start:.6g} s: {missing:.3g} s are missing."
+            f"but the motion begins at {start:.6g} s: {missing:.3g} s are missing.",
+            remedy="Start the motion further from the singularity, shorten ramp_down, or move the threshold.",
+            constraint="ramp_down",
+            time=window.start,
+            amount=missing,
         )
-        remedy = "Start the motion further from the singularity, shorten ramp_down, or move the threshold."
-        raise InfeasiblePlanError(message, remedy=remedy, constraint="ramp_down", time=window.start, amount=missing)
     if window.open_end:
-        message = f"The motion ends at t = {end:.6g} s inside the region in which the actuators have to be off."
-        remedy = "End the motion further from the singularity, or move the threshold."
-        raise InfeasiblePlanError(message, remedy=remedy, constraint="window_end", time=end, amount=end - window.start)
+        raise InfeasiblePlanError(
+            f"The motion ends at t = {end:.6g} s inside the region in which the actuators have to be off.",
+            remedy="End the motion further from the singularity, or move the threshold.",
+            constraint="window_end",
+            time=end,
+            amount=end - window.start,
+        )
+
+
+def _assemble_plan(
+    dynamics: Dynamics,
+    source: ContinuousMotion,
+    crossings: list[Crossing],
+    settings: SwitchOffSettings,
+    actuation: Actuation,
+) -> Plan:
+    """Sample the crossings and have the plan judged."""
+    times, position = _sample_times(source, crossings, settings), _position(source, crossings, settings)
+    before, after = (carriers_at(position, times, side) for side in ("left", "right"))
+    first_of_two = np.append(times[1:] == times[:-1], False)
+    sdd = np.where(first_of_two[:, None], before.sdd, after.sdd)
+    prescribed = np.full((len(times), dynamics.robot.m), np.nan)
+    phase = np.zeros(len(times), dtype=np.intp)
+    for crossing in crossings:
+        passage = crossing.passage
+        phase[(times >= passage.start) & (times < passage.window.start)] = PHASES.index("ramp_down")
+        phase[(times >= passage.window.start) & (times <= passage.end)] = PHASES.index("off")
+        phase[(times > passage.end) & (times <= crossing.back.end)] = PHASES.index("return")
+        driven = (times >= passage.start) & (times <= passage.end)
+        prescribed[driven] = passage.ramp(times[driven])
+    zero = np.zeros(dynamics.robot.m)
+    off = [PiecewisePolynomial.constant(zero, each.passage.window.start, each.passage.end) for each in crossings]
+    singular = list(actuation.singular_instants)
+    planned = PlannedMotion(
+        dynamics,
+        PlanFunctions(source, position.made_continuous(), tuple(off)),
+        dynamics.along(source.sample_at(times)),
+        CarrierMotion(after.s, after.sd, sdd, check_rates=False),
+        Limits().resolved(dynamics.robot),
+        "switch_off",
+        prescribed=prescribed,
+        phase=phase,
+        phases=PHASES,
+        parameters={**asdict(settings), "datum": settings.datum.tolist()},
+        diagnostics={
+            "windows": [_window(dynamics, source, crossing, singular) for crossing in crossings],
+            "worst_measure": actuation.worst(settings.measure),
+            "singular_instants": singular,
+        },
+    )
+    return finish_plan(planned)
+
+
+def _position(source: ContinuousMotion, crossings: list[Crossing], settings: SwitchOffSettings) -> PiecewisePolynomial:
+    """Return the positions of the carriers (k,) over time: parked, through a window, back, and so on."""
+    parts: list[PiecewisePolynomial] = []
+    free = source.start
+    starts = [*(crossing.passage.start for crossing in crossings), source.end]
+    for crossing, following in zip(crossings, starts[1:], strict=True):
+        if crossing.passage.start > free:
+            parts.append(PiecewisePolynomial.constant(settings.datum, free, crossing.passage.start))
+        parts += [crossing.passage.position, crossing.back.until(min(crossing.back.end, following))]
+        free = parts[-1].end
+    if source.end > free:
+        parts.append(PiecewisePolynomial.constant(settings.datum, free, source.end))
+    return PiecewisePolynomial.joined(parts)
+
+
+def _sample_times(source: ContinuousMotion, crossings: list[Crossing], settings: SwitchOffSettings) -> Array:
+    """Return a uniform grid, with the events and peaks of the carriers' motion, and each jump twice."""
+    steps = int(np.ceil((source.end - source.start) / settings.dt - 1e-9))
+    uniform = np.append(source.start + settings.dt * np.arange(steps), source.end)
+    events = [source.breaks]
+    for crossing in crossings:
+        passage, back = crossing.passage, crossing.back
+        events.append(np.array([passage.start, passage.window.start, passage.end, min(back.end, source.end)]))
+        events += [path.derivative(order).peaks() for path in (passage.position, back) for order in range(3)]
+    extra = np.unique(np.concatenate(events))
+    # a sample that differs from an event by rounding only would make a step as short as rounding
+    near = np.abs(uniform[:, None] - extra).min(axis=1, initial=np.inf) < 1e-9 * settings.dt
+    near[[0, -1]] = False
+    inner = extra[(extra > uniform[0]) & (extra < uniform[-1])]
+    grid: Array = np.sort(np.concatenate([np.union1d(uniform[~near], inner), source.breaks]))
+    return grid
+
+
+def _window(
+    dynamics: Dynamics, source: ContinuousMotion, crossing: Crossing, singular: list[float]
+) -> dict[str, object]:
+    """Return times, efforts and carriers of a crossing, as plain data."""
+    passage, back = crossing.passage, crossing.back
+    start, end, state = passage.start, passage.end, passage.exit
+    after = np.array([end])
+    efforts = distribute(dynamics.along(source.sample_at(after)).reduce(carriers_at(back, after))).tau[0]
+    return {
+        "ramp_start": start,
+        "entry": passage.window.start,
+        "exit": end,
+        "return_end": back.end,
+        "return_time": back.end - end,
+        "effort_at_ramp_start": passage.ramp(np.array([start]))[0].tolist(),
+        "parked_effort_at_entry": passage.parked_at_entry.tolist(),
+        "exit_jump": np.abs(efforts).tolist(),
+        "carriers_at_exit": {"s": state.s.tolist(), "sd": state.sd.tolist(), "sdd": state.sdd.tolist()},
+        "singular_instants": [t for t in singular if start <= t <= end],
+    }

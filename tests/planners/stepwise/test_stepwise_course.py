@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
 from redundancy_pin import CarrierMotion, PlatformMotion, VirtualWork, distribute, load_robot
-from redundancy_pin.planners.stepwise.planner import between_samples, plan_stepwise
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.status import ResultStatus
 from redundancy_pin.trajectory import boundary_polynomial, reference
 
@@ -37,9 +38,6 @@ def test_the_optimiser_works_exactly_while_the_platform_accelerates():
     np.testing.assert_array_equal(optimised, moves[1:])
     said = plan.diagnostics
     assert (said["steps"], said["optimised_steps"]) == (len(plan.t) - 1, optimised.sum())
-    # one or two Gauss-Newton steps each
-    assert said["optimised_steps"] <= said["iterations"] <= 1.5 * said["optimised_steps"]
-    assert said["most_iterations"] == 2
 
 
 def test_rounding_in_the_reference_is_no_acceleration():
@@ -201,7 +199,7 @@ def test_a_start_off_the_middle_is_kept_until_the_platform_accelerates():
 
 
 def dense_efforts(plan, trajectory, dynamics, points):
-    """Efforts of the quadratic spline with the plan's positions as control points (uniform steps from rest)."""
+    """Times, and efforts of the quadratic spline with the plan's positions as control points (steps from rest)."""
     h = plan.t[1] - plan.t[0]
     # ghost points: the carriers rested before
     control = np.vstack([plan.carriers.s[:1], plan.carriers.s])
@@ -211,7 +209,7 @@ def dense_efforts(plan, trajectory, dynamics, points):
     left = left[plan.t[left + 1] <= trajectory.duration]
     t = (plan.t[left, None] + h * np.arange(1, points + 1) / (points + 1)).ravel()
     carriers = CarrierMotion(spline(t), spline.derivative()(t), spline.derivative(2)(t))
-    return distribute(dynamics.reduce(trajectory.sample_at(t), carriers, check_track=False)).tau
+    return t, distribute(dynamics.reduce(trajectory.sample_at(t), carriers, check_track=False)).tau
 
 
 def test_between_samples_is_the_quadratic_spline_of_the_positions():
@@ -219,28 +217,32 @@ def test_between_samples_is_the_quadratic_spline_of_the_positions():
     steps = 300
     motion = trajectory.sample(times=np.linspace(0.0, trajectory.duration, steps + 1), two_sided=False)
     plan = plan_stepwise(dynamics_of(), motion)
-    between = between_samples(dynamics_of(), plan, 3, trajectory)
-    inside = plan.t <= trajectory.duration
-    assert inside.sum() == steps + 1
-    expected = np.abs(dense_efforts(plan, trajectory, dynamics_of(), 3))
-    np.testing.assert_allclose(between["peak_effort"], expected.max(axis=0), rtol=1e-6)
+    t, expected = dense_efforts(plan, trajectory, dynamics_of(), 3)
+    exact = replace(plan, functions=plan.functions_along(trajectory))
+    np.testing.assert_allclose(exact.efforts_at(t, dynamics_of()), expected, atol=1e-6 * np.abs(expected).max())
+    lag = np.abs(plan.carriers_at(motion.t).s - plan.carriers.s[: len(motion)]).max()
     h = trajectory.duration / steps
-    assert between["largest_lag"] == pytest.approx(0.5 * h * np.abs(plan.carriers.sd).max(), rel=1e-9)
+    assert lag == pytest.approx(0.5 * h * np.abs(plan.carriers.sd).max(), rel=1e-9)
 
 
 def test_single_samples_flatter_and_two_sided_ones_do_not():
     """One-sided, the carriers start a step early and the efforts there are those of the jump; no sample shows them."""
-    trajectory = reference.corner()
-    mode = (1, -1, 1)  # no limit binds: the efforts at the samples are zero
+    trajectory, mode = reference.corner(), (1, -1, 1)  # no limit binds: the efforts at the samples are zero
     one, two = (
-        plan_stepwise(dynamics_of(mode), trajectory.sample(0.005, two_sided=sides), between=4)
+        plan_stepwise(dynamics_of(mode), trajectory.sample(0.005, two_sided=sides), stop="within")
         for sides in (False, True)
     )
-    between = [np.max(between_samples(dynamics_of(mode), plan, 4, trajectory)["optimised_peak"]) for plan in (one, two)]
     parked = plan_stepwise(dynamics_of(mode), trajectory.sample(0.005), speed=1e-9, anticipate=False).peak_effort.max()
-    assert between[0] > 0.7 * parked
-    assert between[1] < 0.1 * parked
-    assert one.diagnostics["between_samples"]["points"] == 4
+    before = one.t < trajectory.duration - 0.2  # braking apart
+    t = np.unique(one.t[before])
+    t = (t[:-1, None] + np.diff(t)[:, None] * [0.2, 0.4, 0.6, 0.8]).ravel()
+    peaks = [
+        np.abs(replace(plan, functions=plan.functions_along(trajectory)).efforts_at(t, dynamics_of(mode))).max()
+        for plan in (one, two)
+    ]
+    assert np.abs(one.tau[before]).max() < 1e-6
+    assert peaks[0] > 0.7 * parked
+    assert peaks[1] < 0.1 * parked
 
 
 def test_a_two_sided_sample_has_one_state_and_two_accelerations():
@@ -277,22 +279,37 @@ def test_halving_the_step_converges_at_first_order():
 
 
 def test_between_samples_follows_the_polynomials_of_the_returns():
-    trajectory, dynamics = reference.square(), dynamics_of((1, -1, 1))
-    plan = square_plan(return_time=0.4)
-    expected = []
+    trajectory, dynamics, plan = reference.square(), dynamics_of((1, -1, 1)), square_plan(return_time=0.4)
     for begun, ended in plan.diagnostics["returns"]:
         start = int(np.searchsorted(plan.t, begun))
-        inside = np.flatnonzero((plan.t >= begun - 1e-9) & (plan.t < ended - 0.0101))
-        t = (plan.t[inside][:, None] + 0.01 * np.array([0.25, 0.5, 0.75])).ravel()
+        t = np.linspace(begun, ended, 60)[1:-1]
         zero = np.zeros(3)
         state = [getattr(plan.carriers, part)[start] for part in ("s", "sd", "sdd")]
         septic = boundary_polynomial(begun, ended, [*state, zero], [zero] * 4)
         # what the steps before the return lagged behind the samples is carried on
         lag = plan.carriers_at([begun]).s - state[0]
         carriers = CarrierMotion(septic(t) + lag, septic(t, 1), septic(t, 2))
-        expected.append(np.abs(distribute(dynamics.reduce(trajectory.sample_at(t), carriers)).tau).max(axis=0))
-    between = between_samples(dynamics, plan, 3, trajectory)
-    np.testing.assert_allclose(between["peak_effort"], np.max(expected, axis=0), rtol=1e-10)
+        expected = distribute(dynamics.reduce(trajectory.sample_at(t), carriers)).tau
+        exact = replace(plan, functions=plan.functions_along(trajectory))
+        np.testing.assert_allclose(exact.efforts_at(t, dynamics), expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("brake_time", "track"), [(0.3, None), (0.02, None), (0.5, 0.25)])
+def test_braking_takes_the_wanted_time_or_what_track_and_deceleration_ask(brake_time, track):
+    """Constant decelerations: min(wanted, 2 d / v) and at least v / a for each carrier, d to the end of its track."""
+    motion = reference.corner().sample(0.005)
+    limits = {} if track is None else {"track": (-track, track)}
+    plan = plan_stepwise(dynamics_of(), motion, brake_time=brake_time, **limits)
+    last = int(np.searchsorted(plan.t, motion.t[-1]))
+    s, v = plan.carriers.s[last], plan.carriers.sd[last]
+    room = (1.0 if track is None else track) - np.sign(v) * s
+    wanted = np.maximum(np.minimum(brake_time, 2.0 * room / np.abs(v)), np.abs(v) / 7.0)
+    elapsed = plan.t[last:, None] - motion.t[-1]
+    expected = v * np.clip(1.0 - elapsed / wanted, 0.0, None)
+    np.testing.assert_allclose(plan.carriers.sd[last:], expected, atol=1e-12)
+    np.testing.assert_allclose(plan.diagnostics["braking"], motion.t[-1] + np.array([0.0, wanted.max()]))
+    h = np.diff(plan.t[last:])[:, None]
+    np.testing.assert_allclose(np.diff(plan.carriers.s[last:], axis=0), h * expected[1:], atol=1e-12)
 
 
 def test_a_limit_broken_between_samples_of_a_return_is_said():

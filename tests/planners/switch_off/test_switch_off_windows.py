@@ -1,0 +1,159 @@
+"""Thresholds, merged windows, returns and jumps, spare carriers, and what the thesis's discretisation leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import zoo
+from leg_momentum import OFFSET, SIGMA, imbalance, legs_along, momentum_rate
+
+from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.status import ResultStatus
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, boundary_polynomial, reference, rounded_polygon
+
+
+def two_rpr(**arguments):
+    return VirtualWork(zoo.robot_of("2rpr", **arguments))
+
+
+def by_differences(plan, trajectory, dt):
+    """Switch-on by the thesis's discretisation (Parsa 2014, eqs 3.5 and 3.6): times, and carriers at the last.
+
+    ṡ = (s − s₁)/dt and s̈ = (s − 2 s₁ + s₂)/dt², which makes each leg's momentum equation a quadratic in s, on the grid
+    of dt inside the plan's window. Its efforts before the window are the plan's own.
+    """
+    (window,) = plan.diagnostics["windows"]
+    first, entry = (round(window[name] / dt) for name in ("ramp_start", "entry"))
+    t = dt * np.arange(first, int(window["exit"] / dt) + 1)
+    point = trajectory.sample_at(t)
+    legs = legs_along(point.x, point.xd, point.xdd)
+    tau = np.stack([np.interp(t, plan.t, column) for column in plan.tau.T], axis=1)
+    tau[entry - first :] = 0.0
+    wanted = np.linalg.solve(legs.n.transpose(0, 2, 1), np.einsum("nij,ni->nj", legs.u, tau)[..., None])[..., 0]
+    wanted[entry - first :] = 0.0  # also where the directions n of both legs are one
+    wanted *= legs.d  # rates of the momenta, 1 kg
+    before, last = np.zeros(2), np.zeros(2)
+    for k in range(len(t)):
+        ratio, turn = legs.rate[k] / dt, legs.acceleration[k]
+        # (L² + s²) θ̈ + 2 s (s − s₁)/dt θ̇ + σ L (s − 2 s₁ + s₂)/dt² = h
+        a, b = turn + 2.0 * ratio, -2.0 * last * ratio + SIGMA * OFFSET / dt**2
+        c = OFFSET**2 * turn + SIGMA * OFFSET * (before - 2.0 * last) / dt**2 - wanted[k]
+        s = -2.0 * c / (b + np.sign(b) * np.sqrt(b * b - 4.0 * a * c))
+        older, before, last = before, last, s
+    return t[-1], last, (last - before) / dt, (last - 2.0 * before + older) / dt**2
+
+
+@pytest.mark.parametrize(("speed", "jumps"), [(0.5, (0.23, 0.21)), (0.75, (0.84, 0.79))])
+def test_the_jumps_of_the_thesis_are_those_of_its_discretisation(speed, jumps):
+    """Figs 3.11 and 3.16 at steps of 1 ms, and half of them at half the step; solved exactly there is none.
+
+    The window snaps to the grid, which moves the jumps by up to 0.03 N.
+    """
+    trajectory, dynamics = reference.circle(speed), two_rpr()
+    plan = plan_switch_off(dynamics, trajectory)
+    assert max(plan.diagnostics["windows"][0]["exit_jump"]) < 1e-9
+    found = []
+    for dt in (1e-3, 5e-4):
+        end, *state = by_differences(plan, trajectory, dt)
+        exact = plan.carriers_at([end])
+        np.testing.assert_allclose(state[0], exact.s[0], atol=5.0 * dt)  # of first order
+        zero = np.zeros(2)
+        back = boundary_polynomial(end, end + 0.4, [*state, zero], [zero] * 4)
+        later = np.array([end + dt])
+        carriers = CarrierMotion(*(back(later, order) for order in range(3)))
+        reduced = dynamics.reduce(trajectory.sample_at(later), carriers, check_track=False)
+        found.append(np.abs(np.linalg.solve(reduced.W[0], reduced.f[0])))
+    np.testing.assert_allclose(found[0], jumps, atol=0.03)
+    np.testing.assert_allclose(found[0] / found[1], 2.0, rtol=0.1)
+
+
+def test_spare_carriers_share_by_least_norm():
+    """Four carriers for two coordinates: f balances the efforts, and s̈ has no component without effect on f."""
+    dynamics = RneaDynamics(zoo.robot_of("2rpr", end_effector_carriers=True))
+    plan = plan_switch_off(dynamics, reference.circle(), threshold=7.0, dt=0.01)
+    driven = np.flatnonzero(np.isin(plan.phase, [plan.phases.index("ramp_down"), plan.phases.index("off")]))
+    c = plan.carriers
+    along = dynamics.along(plan.motion[driven])
+    carriers = CarrierMotion(c.s[driven], c.sd[driven], c.sdd[driven], check_rates=False)
+    reduced, F = along.reduce(carriers), along.carrier_derivatives(carriers).f_sdd
+    left = reduced.f - np.einsum("nij,nj->ni", reduced.W, plan.tau[driven])
+    assert np.abs(left).max() < 1e-8 * np.abs(reduced.f).max()
+    regular = np.linalg.svd(F, compute_uv=False)[:, 1] > 1e-3
+    least = np.einsum("nki,nij,nj->nk", np.linalg.pinv(F), F, c.sdd[driven])
+    np.testing.assert_allclose(c.sdd[driven][regular], least[regular], atol=1e-6 * np.abs(c.sdd).max())
+
+
+def test_the_instant_that_stops_the_carriers_is_named_not_one_before_it():
+    """Across the line of the hinges straight, which needs no force along it, and back on an arc, which does."""
+    vertices = [[0.1, 0.3], [0.1, -0.06], [0.3, -0.06], [0.3, 0.0], [0.42, 0.3]]
+    path = rounded_polygon(vertices, 0.04, closed=False)
+    trajectory = Trajectory(path, SpeedProfile(path.length, 0.4, 0.1))
+    with pytest.raises(InfeasiblePlanError, match="nothing can carry") as caught:
+        plan_switch_off(two_rpr(end_effector_mass=0.3), trajectory, ramp_down=0.02)
+    t, amount = caught.value.details["time"], caught.value.details["amount"]
+    there = trajectory.sample_at([t])
+    assert abs(there.x[0, 1]) < 1e-9
+    assert there.x[0, 0] > 0.29
+    assert amount == pytest.approx(0.3 * abs(there.xdd[0, 0]), rel=1e-7)
+
+
+def test_threshold_on_the_margin():
+    """Of unit vectors an angle γ apart the singular values are √(1 ± cos γ)."""
+    trajectory, threshold = reference.circle(), 0.2
+    plan = plan_switch_off(two_rpr(), trajectory, measure="margin", threshold=threshold)
+    (window,) = plan.diagnostics["windows"]
+    point = trajectory.sample_at([window["entry"], window["exit"]])
+    u = legs_along(point.x, point.xd, point.xdd).u
+    cosine = np.abs(np.einsum("nj,nj->n", u[:, 0], u[:, 1]))
+    np.testing.assert_allclose(np.sqrt(1.0 - cosine), threshold, rtol=1e-9)
+    # the same windows as with the condition number that belongs to it
+    ratio = np.sqrt((2.0 - threshold**2) / threshold**2)
+    other = plan_switch_off(two_rpr(), trajectory, threshold=ratio)
+    assert other.diagnostics["windows"][0]["entry"] == pytest.approx(window["entry"], abs=1e-10)
+    assert plan.diagnostics["worst_measure"] < 1e-12
+
+
+@pytest.mark.long_for("20.0")
+@pytest.mark.parametrize("threshold", [10.0, 20.0])
+def test_shortest_return_in_a_plan(threshold):
+    plan = plan_switch_off(two_rpr(), reference.circle(), threshold=threshold, return_time="shortest")
+    (window,) = plan.diagnostics["windows"]
+    assert plan.status is ResultStatus.OK
+    assert {event.quantity for event in plan.limits.binding} == {"acceleration"}
+    shorter = plan_switch_off(
+        two_rpr(), reference.circle(), threshold=threshold, return_time=0.999 * window["return_time"]
+    )
+    assert shorter.status is ResultStatus.LIMIT_VIOLATED
+
+
+@pytest.mark.long
+def test_shortest_returns_decide_whether_windows_merge():
+    plan = plan_switch_off(two_rpr(), reference.circle(), threshold=400.0, return_time="shortest")
+    assert len(plan.diagnostics["windows"]) == 2
+    assert plan.status is ResultStatus.OK
+    merged = plan_switch_off(two_rpr(), reference.circle(), threshold=20.0, return_time="shortest")
+    assert len(merged.diagnostics["windows"]) == 1
+
+
+def test_events_are_samples_and_jumps_are_two_sided():
+    """A path of lines and arcs: the acceleration jumps where they meet, inside the window too."""
+    path = rounded_polygon([[0.1, 0.3], [0.1, -0.04], [0.4, -0.04], [0.4, 0.3]], 0.08, start=0.09)
+    trajectory = Trajectory(path, SpeedProfile(path.length, 0.4, 0.1))
+    plan = plan_switch_off(two_rpr(), trajectory, threshold=5.0, ramp_down=0.02, return_time=0.2)
+    for window in plan.diagnostics["windows"]:
+        for event in ("ramp_start", "entry", "exit", "return_end"):
+            assert np.abs(plan.t - window[event]).min() == 0.0
+    jumps = plan.t[plan.motion.jumps]
+    np.testing.assert_array_equal(jumps, trajectory.breaks)
+    inside = [plan.phase[np.searchsorted(plan.t, t)] for t in jumps]
+    assert 2 in inside  # some jump lies in the off phase, where s̈ has to jump with it
+    for t in jumps:
+        i = int(np.searchsorted(plan.t, t))
+        np.testing.assert_allclose(plan.carriers.s[i], plan.carriers.s[i + 1], atol=1e-14)
+        np.testing.assert_allclose(plan.carriers.sd[i], plan.carriers.sd[i + 1], atol=1e-12)
+    legs = legs_along(plan.motion.x, plan.motion.xd, plan.motion.xdd)
+    c = plan.carriers
+    error = imbalance(legs, momentum_rate(legs, c.s, c.sd, c.sdd), plan.tau)
+    assert np.abs(error).max() < 1e-9 * np.abs(plan.tau).max()
