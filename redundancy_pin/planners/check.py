@@ -29,9 +29,7 @@ from redundancy_pin.planners.limits import (
     QUANTITIES,
     LimitEvent,
     Limits,
-    ResolvedLimits,
     check_limits,
-    limit_bounds,
     limit_events,
 )
 from redundancy_pin.planners.plan import Plan
@@ -229,7 +227,7 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
             plan.functions,
             along,
             plan.carriers,
-            _limits(plan, dynamics),
+            plan.limits.judged_by,
             plan.planner,
             prescribed=np.where(balanced[:, None], plan.tau, np.nan),
             singular=np.flatnonzero(plan.sample_status == SampleStatus.SINGULAR_CONSISTENT),
@@ -250,17 +248,8 @@ def check_plan(plan: Plan, dynamics: DynamicsLike) -> PlanCheck:
     )
 
 
-def _limits(plan: Plan, dynamics: Dynamics) -> ResolvedLimits:
-    """Return the limits that a plan was made with."""
-    resolved = Limits().resolved(replace(dynamics.robot, carrier_limits=plan.limits.judged_by))
-    for name in ("jerk", "effort", "actuator_speed"):
-        if plan.parameters.get(name) is not None:
-            resolved = replace(resolved, **{name: np.array(plan.parameters[name], dtype=float)})  # type: ignore[arg-type]
-    return resolved
-
-
 def _wider_limits(plan: Plan, dynamics: Dynamics) -> tuple[str, ...]:
-    own, used = (limit_bounds(limits) for limits in (dynamics.robot.carrier_limits, plan.limits.judged_by))
+    own, used = Limits().resolved(dynamics.robot).bounds, plan.limits.judged_by.bounds
     return tuple(
         f"{name}: judged by a {quantity} of {used[0][i, j]:g} to {used[1][i, j]:g}, the robot's own is "
         f"{own[0][i, j]:g} to {own[1][i, j]:g}."
