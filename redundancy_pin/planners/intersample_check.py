@@ -323,7 +323,7 @@ def intersample_check(planned: PlannedMotion) -> IntersampleCheck:
         peaks=peaks,
         violated=(*violated, *motion_events(limits, planned.functions.carriers), *joint_range_events(planned)),
         touched=touched,
-        middle=0.5 * (pieces.left + pieces.right),
+        middle=pieces.ends.mean(axis=1),
         ratio=size[:, :m].max(axis=1, initial=0.0) / (largest or 1.0),
         use=use,
     )
@@ -349,12 +349,11 @@ def least_effort(reduced: ReducedDynamics) -> float:
 class PieceExtremes:
     """The extremes of main efforts, carrier forces and limited rates in each of P pieces; c columns of these.
 
-    ``left``, ``right`` (P,) ends of the pieces, s; ``time`` (P, c) of the extremes, s; ``value`` (P, c) their signed
+    ``ends`` (P, 2) of the pieces, s; ``time`` (P, c) of the extremes, s; ``value`` (P, c) their signed
     values, N or N·m, m/s or rad/s, infinite where there is none; ``points``: number of points evaluated.
     """
 
-    left: Array
-    right: Array
+    ends: Array
     time: Array
     value: Array
     points: int
@@ -374,53 +373,73 @@ def extremes_between(
     magnifies rounding, so pieces that end there are not halved towards them; ``rate`` (m,) limits of the main
     actuators' rates, m/s or rad/s: those that are finite have a column behind the forces.
     """
-    most = np.full(dynamics.robot.m, np.inf) if rate is None else rate
+    limit = np.full(dynamics.robot.m, np.inf) if rate is None else rate
     fixed = np.empty(0) if singular is None else np.asarray(singular)
     edges = _edges(functions, start, end, fixed)
-    left, right = edges[:-1], edges[1:]
-    beside = np.isin(left, fixed) | np.isin(right, fixed)
-    size, points = np.empty(0), 0
-    rounding = np.zeros(dynamics.robot.m + dynamics.robot.k + int(np.isfinite(most).sum()))
-    done: list[tuple[Array, ...]] = []
+    ends = np.stack([edges[:-1], edges[1:]], axis=1)
+    at_singularity = np.isin(ends, fixed).any(axis=1)
+    scale, points = None, 0
+    found: list[tuple[Array, ...]] = []
     for halving in range(HALVINGS + 1):
-        order = np.argsort(left)
-        left, right, beside = left[order], right[order], beside[order]
-        ends = np.stack([left, right], axis=1)
-        times = chebyshev_points(left, right, PIECE_DEGREE)
-        reduced, flat = _values(dynamics, functions, times, most)
-        values = flat.reshape(len(left), PIECE_DEGREE + 1, -1)
-        points += len(times)
-        if not size.size:
-            rounding[: dynamics.robot.m + dynamics.robot.k] = _rounding(dynamics.robot, reduced)
-            size = np.abs(values).max(axis=(0, 1), initial=0.0, where=np.isfinite(values))
-            limited = most[np.isfinite(most)]  # an actuator that stands has a rate of rounding
-            size[len(size) - len(limited) :] = np.maximum(size[len(size) - len(limited) :], SMALL * limited)
-        finite: BoolArray = np.logical_and.reduce(np.isfinite(values), axis=(1, 2))
+        reduced, values = _values(dynamics, functions, ends, limit)
+        points += len(reduced.t)
+        scale = _Scale.of(dynamics.robot, reduced, values, limit) if scale is None else scale
+        finite = np.asarray(np.isfinite(values).all(axis=(1, 2)))
         series = chebyshev_series(np.where(finite[:, None, None], values, 0.0))
-        tail, largest = np.abs(series[:, -2:]).max(axis=1), np.abs(values).max(axis=1)
-        share = np.where(largest > NEAR_PEAK * size, EXACT, RESOLVED)
-        allowed = np.maximum(share * np.maximum(size, np.finfo(float).tiny), rounding)
-        settled: BoolArray = np.logical_or(finite & np.logical_and.reduce(tail <= allowed, axis=1), beside)
-        rough = ~settled & (halving < HALVINGS)
-        kept = ~rough
+        settled = np.asarray((finite & scale.resolves(series, values)) | at_singularity)
         if halving == HALVINGS:
-            # a pole grows with every halving; a spike that ends does not change the sign of det W
-            main = slice(dynamics.robot.m)
-            grown = np.logical_or.reduce(largest[:, main] > GROWN * size[main], axis=1)
-            pole = np.flatnonzero(~settled & finite & grown)
-            pole = pole[_crosses(dynamics, functions, ends[pole])]
-            values[pole, :, main] = np.inf
+            pole = _poles(dynamics, functions, ends, values, ~settled & finite, scale)
+            values[pole, :, : dynamics.robot.m] = np.inf
             finite[pole] = False
-        done.append((left[kept], right[kept], *_extremes(ends[kept], series[kept], values[kept], finite[kept])))
-        if not rough.any():
+            settled[:] = True
+        found.append((ends[settled], *_extremes(ends[settled], series[settled], values[settled], finite[settled])))
+        if settled.all():
             break
-        middle = 0.5 * (left[rough] + right[rough])
-        left, right = np.concatenate([left[rough], middle]), np.concatenate([middle, right[rough]])
-        beside = np.zeros(len(left), dtype=bool)
-    parts = [np.concatenate(part) for part in zip(*done, strict=True)]
-    order = np.argsort(parts[0])
-    first, last, time, value = (part[order] for part in parts)
-    return PieceExtremes(first, last, time, value, points)
+        rough = ends[~settled]
+        halves = np.insert(rough, 1, rough.mean(axis=1), axis=1)
+        ends = np.concatenate([halves[:, :2], halves[:, 1:]])
+        ends = ends[np.argsort(ends[:, 0])]
+        at_singularity = np.zeros(len(ends), dtype=bool)
+    parts = [np.concatenate(part) for part in zip(*found, strict=True)]
+    order = np.argsort(parts[0][:, 0])
+    pieces, time, value = (part[order] for part in parts)
+    return PieceExtremes(pieces, time, value, points)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scale:
+    """Sizes (c,) of efforts, forces and limited rates along a motion, and of their rounding."""
+
+    size: Array
+    rounding: Array
+
+    @staticmethod
+    def of(robot: Robot, reduced: ReducedDynamics, values: Array, rate: Array) -> _Scale:
+        """Return the scale of (P, d, c) values; ``rate`` (m,) limits of the main actuators' rates."""
+        size = np.abs(values).max(axis=(0, 1), initial=0.0, where=np.isfinite(values))
+        limited = rate[np.isfinite(rate)]  # an actuator that stands has a rate of rounding
+        loads = robot.m + robot.k
+        size[loads:] = np.maximum(size[loads:], SMALL * limited)
+        return _Scale(size, np.append(_rounding(robot, reduced), np.zeros(len(limited))))
+
+    def resolves(self, series: Array, values: Array) -> BoolArray:
+        """Return (P,) whether Chebyshev series (P, d, c) of the values (P, d, c) resolve them."""
+        share = np.where(np.abs(values).max(axis=1) > NEAR_PEAK * self.size, EXACT, RESOLVED)
+        allowed = np.maximum(share * np.maximum(self.size, np.finfo(float).tiny), self.rounding)
+        return np.asarray((np.abs(series[:, -2:]).max(axis=1) <= allowed).all(axis=1))
+
+
+def _poles(
+    dynamics: Dynamics, functions: PlanFunctions, ends: Array, values: Array, unsettled: BoolArray, scale: _Scale
+) -> IntArray:
+    """Return the indices of unsettled pieces in which the main efforts have a pole.
+
+    A pole grows with every halving; a spike that ends does not change the sign of det W.
+    """
+    main = slice(dynamics.robot.m)
+    grown = (np.abs(values[:, :, main]).max(axis=1) > GROWN * scale.size[main]).any(axis=1)
+    candidates = np.flatnonzero(unsettled & grown)
+    return candidates[_crosses(dynamics, functions, ends[candidates])]
 
 
 def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) -> Array:
@@ -438,12 +457,17 @@ def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) 
     return edges
 
 
-def _values(dynamics: Dynamics, functions: PlanFunctions, times: Array, rate: Array) -> tuple[ReducedDynamics, Array]:
-    """Return the dynamics and (N, c) main efforts, carrier forces and limited rates at (N,) times, NaN for none."""
+def _values(dynamics: Dynamics, functions: PlanFunctions, ends: Array, rate: Array) -> tuple[ReducedDynamics, Array]:
+    """Return the dynamics at the Chebyshev points of pieces with (P, 2) ends, s, and their values (P, d, c).
+
+    Values are main efforts, carrier forces and limited rates; NaN where there are none.
+    """
+    times = chebyshev_points(ends[:, 0], ends[:, 1], PIECE_DEGREE)
     motion = functions.platform.sample_at(times)
     reduced = dynamics.along(motion).reduce(functions.carriers_at(times))
     turning = np.einsum("nim,ni->nm", reduced.W, motion.xd)[:, np.isfinite(rate)]
-    return reduced, np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force), turning], axis=1)
+    values = np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force), turning], axis=1)
+    return reduced, values.reshape(len(ends), PIECE_DEGREE + 1, -1)
 
 
 def _rounding(robot: Robot, reduced: ReducedDynamics) -> Array:

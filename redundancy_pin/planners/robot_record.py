@@ -56,8 +56,8 @@ class RobotRecord(Frozen):
             zz about the joint, kg·m²; of the body it moves, in the frame of the joint.
         q_reference: (nq,) its closed reference configuration.
         loads: what acts on it beside gravity, as text; wrenches that are functions by their names.
-        couplings: joints that follow others; None in older files, which do not say.
-        ranges: of joints that have one, carriers apart: name, lower and upper end, m or rad; None likewise.
+        couplings: joints that follow others.
+        ranges: of joints that have one, except carriers: name, lower and upper end, m or rad.
         folder: absolute path of the folder of the file that the record was read from, None for one made of a robot. Who
             wrote a file may not choose what is loaded: of a record that was read, ``source`` counts only where it is a
             shipped robot or inside that folder.
@@ -75,8 +75,8 @@ class RobotRecord(Frozen):
     bodies: tuple[tuple[float, ...], ...]
     q_reference: tuple[float, ...]
     loads: tuple[str, ...] = ()
-    couplings: tuple[Coupling, ...] | None = None
-    ranges: tuple[tuple[str, float, float], ...] | None = None
+    couplings: tuple[Coupling, ...] = ()
+    ranges: tuple[tuple[str, float, float], ...] = ()
     folder: str | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
@@ -91,14 +91,10 @@ class RobotRecord(Frozen):
     def describes(self, robot: Robot) -> bool:
         """Return whether the record is of that very robot, wherever its files are."""
         now = robot_record(robot)
-        driven = {*self.actuated, *self.carriers}  # older files say of these alone which rotate
-        same = driven.intersection(now.rotating) == driven.intersection(self.rotating)
-        unsaid: dict[str, Any] = {name: None for name in ("couplings", "ranges") if getattr(self, name) is None}
         arguments, reference = self.known_arguments(now), now.q_reference
         if _deviation(self.q_reference, reference) <= _SAME_NUMBERS:
             reference = self.q_reference  # closed by iterations
-        own = replace(now, source=self.source, rotating=self.rotating, arguments=arguments, q_reference=reference)
-        return same and replace(own, **unsaid) == self
+        return replace(now, source=self.source, arguments=arguments, q_reference=reference) == self
 
     def known_arguments(self, now: RobotRecord) -> dict[str, float | bool | str]:
         """Return the arguments of a newer record but for those that came since and have their defaults."""
@@ -231,16 +227,11 @@ class _Record(Schema):
     carrier_limits: tuple[_Limits, ...]
     bodies: tuple[Annotated[_Floats, Field(min_length=10, max_length=10, description="10 finite numbers")], ...]
     q_reference: _Floats
-    loads: tuple[str, ...] = ()
-    couplings: tuple[_Coupling, ...] | None = None
+    loads: tuple[str, ...]
+    couplings: tuple[_Coupling, ...]
     ranges: Annotated[
-        tuple[tuple[str, _Number, _Number], ...] | None,
-        Field(description="a name and two numbers for each joint, or nothing"),
-    ] = None
-
-
-_SINCE = {"loads": (), "couplings": None, "ranges": None}
-"""What older files do not hold, and what stands for it."""
+        tuple[tuple[str, _Number, _Number], ...], Field(description="a name and two numbers for each joint")
+    ]
 
 
 def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
@@ -250,11 +241,9 @@ def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
         KeyError: a field is missing.
         DeclarationError: naming the first field that is wrong, and what is allowed.
     """
-    own = {name: record.get(name, _SINCE[name]) if name in _SINCE else record[name] for name in _Record.model_fields}
-    values = dict(validated(_Record, own, of="robot"))
+    values = dict(validated(_Record, {name: record[name] for name in _Record.model_fields}, of="robot"))
     values["carrier_limits"] = tuple(CarrierLimits(**dict(entry)) for entry in values["carrier_limits"])
-    if values["couplings"] is not None:
-        values["couplings"] = tuple(Coupling(**dict(entry)) for entry in values["couplings"])
+    values["couplings"] = tuple(Coupling(**dict(entry)) for entry in values["couplings"])
     return RobotRecord(**values, folder=str(_folder_of(file)))
 
 
@@ -384,12 +373,10 @@ def record_difference(then: RobotRecord, now: RobotRecord) -> str:
         if before != after:
             return f"its {name.replace('_', ' ')} were {before}, now {after}."
     for name, what in (("couplings", "coupling"), ("ranges", "range of the joint")):
-        before, after = getattr(then, name), getattr(now, name)
-        if before is not None and after is not None:
-            had, has = _by_name(before), _by_name(after)
-            for key in {**had, **has}:
-                if not _alike(had.get(key), has.get(key)):
-                    return f"its {what} {key!r} was {_entry(had.get(key))}, now {_entry(has.get(key))}."
+        had, has = _by_name(getattr(then, name)), _by_name(getattr(now, name))
+        for key in {**had, **has}:
+            if not _alike(had.get(key), has.get(key)):
+                return f"its {what} {key!r} was {_entry(had.get(key))}, now {_entry(has.get(key))}."
     for name, what, tolerance in (
         ("bodies", "mass properties", _SAME_NUMBERS),
         ("q_reference", "reference configuration", _SAME_REFERENCE),
