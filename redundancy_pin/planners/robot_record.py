@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
-from math import inf
+from math import inf, isnan
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, create_model
 
 from redundancy_pin.arrays import Frozen, assign
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, PlanFileError, RedundancyPinError, shown
@@ -35,6 +35,32 @@ _SAME_REFERENCE = 1e-6
 
 _RATES = {"track": "", "range": "", "speed": "/s", "acceleration": "/s²", "jerk": "/s³"}
 """Limits of a motion, and what their units add to that of its position."""
+
+
+def _require_numbers(limits: tuple[CarrierLimits, ...]) -> tuple[CarrierLimits, ...]:
+    if any(isnan(value) for limit in limits for value in astuple(limit)):
+        raise ValueError("numbers, infinite for no limit")
+    return limits
+
+
+def _require_signs(mode: tuple[int, ...]) -> tuple[int, ...]:
+    if not set(mode) <= {1, -1}:
+        raise ValueError("1 or -1 for each leg")
+    return mode
+
+
+def _require_finite(couplings: tuple[Coupling, ...]) -> tuple[Coupling, ...]:
+    for each in couplings:
+        if not each.polynomial or not np.isfinite([*each.polynomial, *(factor for _, factor in each.also)]).all():
+            raise ValueError("couplings with at least one coefficient, all of them finite")
+    return couplings
+
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Floats = Annotated[tuple[_Finite, ...], Field(description="finite numbers")]
+_Names = Annotated[tuple[str, ...], Field(description="names")]
+_Number = Annotated[float, Field(ge=-inf)]
+"""Infinite maybe, but a number: NaN is not even that much."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,17 +92,19 @@ class RobotRecord(Frozen):
     name: str
     source: str
     arguments: Mapping[str, float | bool | str]
-    gravity: tuple[float, ...]
-    working_mode: tuple[int, ...]
-    actuated: tuple[str, ...]
-    carriers: tuple[str, ...]
-    rotating: tuple[str, ...]
-    carrier_limits: tuple[CarrierLimits, ...]
-    bodies: tuple[tuple[float, ...], ...]
-    q_reference: tuple[float, ...]
+    gravity: Annotated[_Floats, Field(min_length=3, max_length=3, description="3 finite numbers")]
+    working_mode: Annotated[tuple[int, ...], AfterValidator(_require_signs)]
+    actuated: _Names
+    carriers: _Names
+    rotating: _Names
+    carrier_limits: Annotated[tuple[CarrierLimits, ...], AfterValidator(_require_numbers)]
+    bodies: tuple[Annotated[_Floats, Field(min_length=10, max_length=10, description="10 finite numbers")], ...]
+    q_reference: _Floats
     loads: tuple[str, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
-    ranges: tuple[tuple[str, float, float], ...] = ()
+    couplings: Annotated[tuple[Coupling, ...], AfterValidator(_require_finite)] = ()
+    ranges: Annotated[
+        tuple[tuple[str, _Number, _Number], ...], Field(description="a name and two numbers for each joint")
+    ] = ()
     folder: str | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
@@ -177,61 +205,19 @@ def _usual(source: str, given: Mapping[str, float | bool | str]) -> Mapping[str,
     return {}
 
 
-_Floats = Annotated[tuple[Annotated[float, Field(allow_inf_nan=False)], ...], Field(description="finite numbers")]
-_Names = Annotated[tuple[str, ...], Field(description="names")]
+class _Strict(Schema):
+    """Nothing is converted, and the fields of dataclasses are validated too."""
+
+    model_config = ConfigDict(strict=True, revalidate_instances="always")
 
 
-_Number = Annotated[float, Field(ge=-inf)]
-"""Infinite maybe, but a number: NaN is not even that much."""
+_STORED = tuple(field.name for field in fields(RobotRecord) if field.compare)
+"""Fields of a record that its file holds."""
 
+_TYPES: dict[str, Any] = {name: (get_type_hints(RobotRecord, include_extras=True)[name], ...) for name in _STORED}
 
-class _Limits(Schema):
-    """What a file must hold for ``CarrierLimits``."""
-
-    model_config = ConfigDict(strict=True)
-
-    lower: _Number
-    upper: _Number
-    speed: _Number
-    acceleration: _Number
-    force: _Number
-
-
-class _Coupling(Schema):
-    """What a file must hold for a ``Coupling``."""
-
-    model_config = ConfigDict(strict=True)
-
-    name: str
-    joint: str
-    of: str
-    polynomial: Annotated[_Floats, Field(min_length=1)]
-    also: Annotated[
-        tuple[tuple[str, Annotated[float, Field(allow_inf_nan=False)]], ...], Field(description="joints and factors")
-    ] = ()
-
-
-class _Record(Schema):
-    """What a file must hold for a ``RobotRecord``. Nothing is converted."""
-
-    model_config = ConfigDict(strict=True)
-
-    name: str
-    source: str
-    arguments: dict[str, float | bool | str]
-    gravity: Annotated[_Floats, Field(min_length=3, max_length=3, description="3 finite numbers")]
-    working_mode: tuple[Literal[1, -1], ...]
-    actuated: _Names
-    carriers: _Names
-    rotating: _Names
-    carrier_limits: tuple[_Limits, ...]
-    bodies: tuple[Annotated[_Floats, Field(min_length=10, max_length=10, description="10 finite numbers")], ...]
-    q_reference: _Floats
-    loads: tuple[str, ...]
-    couplings: tuple[_Coupling, ...]
-    ranges: Annotated[
-        tuple[tuple[str, _Number, _Number], ...], Field(description="a name and two numbers for each joint")
-    ]
+_Record = create_model("_Record", __base__=_Strict, **_TYPES)
+"""What a file must hold for a ``RobotRecord``."""
 
 
 def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
@@ -241,10 +227,11 @@ def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
         KeyError: a field is missing.
         DeclarationError: naming the first field that is wrong, and what is allowed.
     """
-    values = dict(validated(_Record, {name: record[name] for name in _Record.model_fields}, of="robot"))
-    values["carrier_limits"] = tuple(CarrierLimits(**dict(entry)) for entry in values["carrier_limits"])
-    values["couplings"] = tuple(Coupling(**dict(entry)) for entry in values["couplings"])
-    return RobotRecord(**values, folder=str(_folder_of(file)))
+    values = {name: record[name] for name in _STORED}
+    for name, kind in (("carrier_limits", CarrierLimits), ("couplings", Coupling)):
+        if isinstance(values[name], tuple):
+            values[name] = tuple(kind(**each) if isinstance(each, Mapping) else each for each in values[name])
+    return RobotRecord(**dict(validated(_Record, values, of="robot")), folder=str(_folder_of(file)))
 
 
 def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trust: bool = False) -> Robot:
@@ -290,13 +277,9 @@ def _loaded_from(place: str | Path, record: RobotRecord, *, trust: bool, named: 
 
 def _require_sound(record: RobotRecord) -> None:
     """Judge a record that was put together in Python as one that comes from a file."""
-    values = {name: getattr(record, name) for name in _Record.model_fields}
-    limits, couplings, arguments = values["carrier_limits"], values["couplings"], values["arguments"]
-    if isinstance(limits, tuple) and all(isinstance(entry, CarrierLimits) for entry in limits):
-        values["carrier_limits"] = tuple(map(asdict, limits))
-    if isinstance(couplings, tuple):
-        values["couplings"] = tuple(asdict(entry) if isinstance(entry, Coupling) else None for entry in couplings)
-    values["arguments"] = dict(arguments) if isinstance(arguments, Mapping) else arguments
+    values = {name: getattr(record, name) for name in _STORED}
+    if isinstance(record.arguments, Mapping):
+        values["arguments"] = dict(record.arguments)
     try:
         validated(_Record, values, of="robot")
     except DeclarationError as error:
