@@ -42,16 +42,13 @@ PLANS: dict[str, Callable[[], Plan]] = {
         rp.VirtualWork(rp.load_robot("3rrr")), reference.square(), dt=0.02, active="accelerating", return_time=0.6
     ),
     "switch off": lambda: rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), dt=0.01),
-    "differences": lambda: rp.plan_switch_off(
-        rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), dt=5e-3, scheme="backward_differences"
-    ),
     "through singularities": lambda: rp.plan_whole_trajectory(
         rp.RneaDynamics(rp.load_robot("2rpr")), reference.circle(), dt=0.05, objective="peak", jerk=500.0, refinements=0
     ),
 }
 
 
-@pytest.mark.long_for("returns", "differences", "single samples")
+@pytest.mark.long_for("returns", "single samples")
 @pytest.mark.parametrize("name", PLANS)
 def test_a_plan_is_what_it_says_to_the_other_backend_before_and_after_a_file(name: str, tmp_path: Path) -> None:
     plan = PLANS[name]()
@@ -176,9 +173,7 @@ def test_a_file_that_was_edited_is_refused(factor: float, whole: Plan, tmp_path:
 PLANNERS = {
     "stepwise": lambda dynamics, motion: rp.plan_stepwise(dynamics, motion, dt=0.02),
     "switch off": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.02),
-    "differences": lambda dynamics, motion: rp.plan_switch_off(
-        dynamics, motion, dt=0.01, scheme="backward_differences", return_time="shortest"
-    ),
+    "shortest return": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.01, return_time="shortest"),
     "whole": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, dt=0.05),
     "peak": lambda dynamics, motion: rp.plan_whole_trajectory(
         dynamics, motion, dt=0.1, objective="peak", end="free", refinements=0
@@ -196,7 +191,7 @@ def test_carriers_without_mass_are_one_clear_error(name: str, backend: type) -> 
         assert caught.value.details["carriers"] == massless.robot.carriers
 
 
-@pytest.mark.long_for("differences", "peak")
+@pytest.mark.long_for("shortest return", "peak")
 @pytest.mark.parametrize("name", PLANNERS)
 def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
     motion, robot = (reference.corner(), "3rrr") if name == "stepwise" else (reference.line(speed=0.2), "2rpr")
