@@ -17,7 +17,7 @@ from redundancy_pin.planners.carrier_model import effort_model
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.stepwise.planner import LEAST_MARGIN, plan_stepwise
-from redundancy_pin.planners.stepwise.step import AccelerationBox, StepProblems, optimise
+from redundancy_pin.planners.stepwise.step import AccelerationBox, optimise
 
 REPEATS = 7
 TARGET = 20
@@ -136,8 +136,7 @@ def rows():
     limits = AccelerationBox(Limits().resolved(robot), anticipate=True, rest_at=np.inf)
 
     def steps():
-        problems = StepProblems.of(model, np.zeros_like(model.tau0), np.arange(len(motion)))
-        return optimise(problems, 0, len(motion) - 1, start, limits).s
+        return optimise(model, 0, len(motion) - 1, start, limits).s
 
     def plan():
         return np.array(plan_stepwise(dynamics, motion).carriers.s)[1 : len(motion)]

@@ -50,7 +50,7 @@ def point_of(point: ArrayLike | None) -> Array:
     return frozen(np.zeros(3) if point is None else checked(point, "base_point", (3,)))
 
 
-def about(wrench: Array, point: Array) -> Array:
+def shift_moment_point(wrench: Array, point: Array) -> Array:
     """Return wrenches (N, 6) about a point (3,), m, in place of the world origin: M − p × F."""
     force = wrench[:, :3]
     return read_only(np.concatenate([force, wrench[:, 3:] - np.cross(point, force)], axis=1))
@@ -61,7 +61,7 @@ def load_at_rest(dynamics: Dynamics, motion: PlatformMotion, s: Array, point: Ar
     x, still = motion.x[:1], np.zeros_like(motion.xd[:1])
     parked, rest = s[None], np.zeros((1, len(s)))
     along = dynamics.along(PlatformMotion(motion.t[:1], x, still, still))
-    return about(along.base_wrench(CarrierMotion(parked, rest, rest)), point)
+    return shift_moment_point(along.base_wrench(CarrierMotion(parked, rest, rest)), point)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ def base_wrench(along: DynamicsAlongMotion, rest: Array, point: Array, *, turnin
 
     def wrench(*motion: Array) -> Array:
         carriers = CarrierMotion(*(np.broadcast_to(part, (samples, robot.k)) for part in motion))
-        return np.asarray(about(along.base_wrench(carriers), point) - rest)
+        return np.asarray(shift_moment_point(along.base_wrench(carriers), point) - rest)
 
     w0 = wrench(*np.zeros((3, robot.k)))
     by_term = np.zeros((samples, 6, robot.k, count))

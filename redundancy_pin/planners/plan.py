@@ -154,10 +154,10 @@ class Plan(Frozen):
                 backend of it.
             point: (3,) point about which the moment is taken, m; the world origin when left out.
         """
-        from redundancy_pin.planners.base_wrench import about, point_of
+        from redundancy_pin.planners.base_wrench import point_of, shift_moment_point
 
         dynamics = as_dynamics(dynamics)
-        return about(dynamics.along(self.motion).base_wrench(self.carriers), point_of(point))
+        return shift_moment_point(dynamics.along(self.motion).base_wrench(self.carriers), point_of(point))
 
     @property
     def main_power(self) -> Array:

@@ -179,6 +179,7 @@ def test_a_file_that_was_edited_is_refused(factor: float, whole: Plan, tmp_path:
 PLANNERS = {
     "stepwise": lambda dynamics, motion: rp.plan_stepwise(dynamics, motion, dt=0.02),
     "switch off": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.02),
+    "shortest return": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.01, return_time="shortest"),
     "whole": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, dt=0.05),
     "peak": lambda dynamics, motion: rp.plan_whole_trajectory(
         dynamics, motion, dt=0.1, objective="peak", end="free", refinements=0
@@ -196,7 +197,7 @@ def test_carriers_without_mass_are_one_clear_error(name: str, backend: type) -> 
         assert caught.value.details["carriers"] == massless.robot.carriers
 
 
-@pytest.mark.long_for("peak")
+@pytest.mark.long_for("shortest return", "peak")
 @pytest.mark.parametrize("name", PLANNERS)
 def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
     motion, robot = (reference.corner(), "3rrr") if name == "stepwise" else (reference.line(speed=0.2), "2rpr")

@@ -13,9 +13,10 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, fraction, one_of, positive, require_few
 from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.planners.carrier_model import EffortModel
 from redundancy_pin.planners.carrier_return import CarrierState, no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, return_duration
-from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, StepProblems, optimise
+from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, optimise
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -140,7 +141,7 @@ def plan_course(
     robot: Robot,
     settings: StepwiseSettings,
     box: AccelerationBox,
-    problems: StepProblems,
+    missing: EffortModel,
     active: BoolArray,
     at_rest: BoolArray,
 ) -> Course:
@@ -150,16 +151,16 @@ def plan_course(
         robot: the robot.
         settings: options of the planner.
         box: what the carriers must keep to.
-        problems: the J steps.
+        missing: efforts less their target, at the J + 1 instants between which the steps lie.
         active: (J,) whether the optimiser decides a step.
         at_rest: (J,) whether the platform rests at the end of a step.
     """
-    t, zero = problems.t, np.zeros((len(problems.t), robot.k))
+    t, zero = missing.t, np.zeros((len(missing.t), robot.k))
     course = Course(t, zero + settings.start, zero.copy(), zero.copy(), np.full(len(t), PARKED, dtype=np.intp))
     brake_from = len(active)
     for first, last in pairwise([0, *(np.flatnonzero(np.diff(active)) + 1).tolist(), len(active)]):
         if active[first]:
-            steps = optimise(problems, first, last, course.state(first), box)
+            steps = optimise(missing, first, last, course.state(first), box)
             course.append_steps(first, steps.s, steps.sd, steps.sdd, OPTIMISE)
             course.optimised.append((first, steps))
         elif first == 0:
@@ -195,8 +196,8 @@ _MOST_ADDED = 1_000_000
 _AT_REST = 1e-12
 """Speed, m/s, that is the rounding of a carrier brought to rest."""
 
-ON_TRACK = 1e-9
-"""Excess over a limit or a track end that is rounding, relative to the limit or the track's length."""
+_LATE = 1e-9
+"""Of the duration of braking, that is rounding."""
 
 
 def _braked(settings: StepwiseSettings, course: Course, first: int, platform_rests: bool) -> Course:
@@ -228,8 +229,6 @@ def _braked(settings: StepwiseSettings, course: Course, first: int, platform_res
     before = np.vstack([sd, speeds])[:-1]
     moving = np.abs(before).max(axis=1, initial=0.0) > 0.0
     path = s + np.cumsum(h * speeds, axis=0)
-    _require_on_track(limits, times, path, sd)
-    course.sd[first] = sd
     course.append_steps(first, path, speeds, (speeds - before) / h, np.where(moving, BRAKE, PARKED))
     if longest > 0.0:
         course.braking = (start, start + longest)
@@ -251,7 +250,7 @@ def _require_time(settings: StepwiseSettings, course: Course, first: int, durati
     """Check that the carriers come to rest by the end of the motion."""
     j = int(np.argmax(duration))
     late = float(duration[j] - (course.t[-1] - course.t[first]))
-    if duration[j] == 0.0 or late <= ON_TRACK * duration[j]:
+    if duration[j] == 0.0 or late <= _LATE * duration[j]:
         return
     carrier = settings.limits.names[j]
     if settings.stop == "after":
@@ -266,28 +265,3 @@ def _require_time(settings: StepwiseSettings, course: Course, first: int, durati
         time=float(course.t[-1]),
         amount=late,
     )
-
-
-def _require_on_track(limits: ResolvedLimits, times: Array, path: Array, sd: Array) -> None:
-    """Check that carriers braked from speeds ``sd`` (k,) stay on their tracks: (J, k) positions after J steps."""
-    for j, (lower, upper) in enumerate(limits.track):
-        beyond = np.maximum(path[:, j] - upper, lower - path[:, j])
-        if beyond.max(initial=-np.inf) <= ON_TRACK * track_size(lower, upper):
-            continue
-        worst = int(np.argmax(beyond))
-        raise InfeasiblePlanError(
-            f"{limits.names[j]} cannot be stopped: braked by {limits.acceleration[j]:g} m/s² from {sd[j]:.6g} m/s at "
-            f"t = {times[0]:.6g} s it is {beyond[worst]:.3g} m beyond the end of its track at "
-            f"t = {times[worst + 1]:.6g} s.",
-            remedy="Use anticipate=True, a larger lam, or higher limits.",
-            constraint="track",
-            carrier=limits.names[j],
-            time=float(times[worst + 1]),
-            amount=float(beyond[worst]),
-        )
-
-
-def track_size(lower: float, upper: float) -> float:
-    """Return the length of a track, m, that rounding is compared with; a metre of one that does not end."""
-    length = upper - lower
-    return length if math.isfinite(length) else 1.0

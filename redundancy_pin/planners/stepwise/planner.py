@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,14 +13,19 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
 from redundancy_pin.dynamics.default import DynamicsLike, as_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.carrier_model import effort_model, is_dynamics, require_carriers, target_effort
+from redundancy_pin.planners.carrier_model import (
+    EffortModel,
+    effort_model,
+    is_dynamics,
+    require_carriers,
+    target_effort,
+)
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, grouped, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
-    ON_TRACK,
     PHASES,
     RETURN,
     Active,
@@ -27,9 +33,8 @@ from redundancy_pin.planners.stepwise.course import (
     Stop,
     checked_settings,
     plan_course,
-    track_size,
 )
-from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, StepProblems
+from redundancy_pin.planners.stepwise.step import AccelerationBox, OptimisedSteps, gradient_tolerance
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.continuous_motion import continuous_motion, is_timed
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -37,9 +42,8 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 LEAST_MARGIN = 1e-3
 """Smallest margin of W that is accepted: efforts grow with its inverse."""
 
-ACCELERATING = 1e-9
-"""Of the largest reference acceleration or speed; what is below is zero. The straights of a path leave rounding."""
-
+_ROUNDING = 1e-9
+"""Of the largest speed or acceleration of the platform; below it is zero. The straights of a path leave rounding."""
 
 _FEWEST_SAMPLES = 10
 """Second differences over fewer samples do not describe a motion."""
@@ -162,11 +166,11 @@ def plan_stepwise(
         baseline = as_dynamics(baseline)
     target, _ = target_effort(robot, motion, settings.lam, baseline)
     instants = np.flatnonzero(~motion.jumps)
-    problems = StepProblems.of(effort_model(along, settings.least_margin), target, instants)
-    moving, accelerating = _moving(motion)
-    optimised = accelerating[instants[1:]] | (active == "always")
+    model = effort_model(along, settings.least_margin)
+    missing = EffortModel(model.t[instants], (model.tau0 - target)[instants], model.tau_terms[instants])
+    moving, accelerating = (_above_rounding(rate)[instants[1:]] for rate in (motion.xd, motion.xdd))
     box = AccelerationBox(settings.limits, settings.anticipate, float(motion.t[-1]) if stop == "within" else np.inf)
-    course = plan_course(robot, settings, box, problems, optimised, ~moving[instants[1:]])
+    course = plan_course(robot, settings, box, missing, accelerating | (active == "always"), ~moving)
     carriers, phase = _samples(motion, course, len(instants))
     added = course.t[len(instants) :]
     position = PiecewisePolynomial.joined(course.position).made_continuous()
@@ -184,15 +188,15 @@ def plan_stepwise(
         phase=phase,
         phases=PHASES,
         parameters={**settings.parameters, "baseline": aimed_at},
-        diagnostics=diagnostics(problems, course, settings.limits),
+        diagnostics=_diagnostics(missing, course, settings.limits),
     )
     return finish_plan(planned)
 
 
-def _moving(motion: PlatformMotion) -> tuple[BoolArray, BoolArray]:
-    """Return (N,) whether the platform moves, and whether it accelerates."""
-    speed, acceleration = (np.abs(rate).max(axis=1) for rate in (motion.xd, motion.xdd))
-    return speed > ACCELERATING * speed.max(), acceleration > ACCELERATING * acceleration.max()
+def _above_rounding(rate: Array) -> BoolArray:
+    """Return (N,) whether a rate of the platform (N, n) is not zero."""
+    size = np.abs(rate).max(axis=1)
+    return np.asarray(size > _ROUNDING * size.max())
 
 
 def _samples(motion: PlatformMotion, course: Course, planned: int) -> tuple[CarrierMotion, IntArray]:
@@ -220,56 +224,46 @@ def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
     return PlatformMotion(np.append(motion.t, added), x, xd, xdd, check_rates=False)
 
 
-def diagnostics(problems: StepProblems, course: Course, limits: ResolvedLimits) -> dict[str, object]:
+def _diagnostics(missing: EffortModel, course: Course, limits: ResolvedLimits) -> dict[str, object]:
     """Return what the planner found, as plain data.
 
-    - ``steps``, ``optimised_steps``: their numbers.
-    - ``iterations``, ``most_iterations``: quadratic programmes solved, in all and at most in a step.
     - ``solver``, ``optimal``: whether every step meets the conditions of a minimum.
     - ``largest_gradient``: the largest deviation from them, N or N·m (see ``optimality``).
     - ``bounds``: mappings with carrier, bound (``speed``, ``acceleration``, ``track``, or ``stop``: the carrier is kept
       able to stop), side, start and end, s.
     - ``returns``: start and end of each, s; ``braking``: start and end, NaN where nothing moved.
     """
-    counts, gradients = (
-        np.concatenate([[0], *(getattr(steps, name) for _, steps in course.optimised)])
-        for name in ("iterations", "gradient")
-    )
-    largest = float(gradients.max())
+    gradient = max((float(steps.gradient.max()) for _, steps in course.optimised), default=0.0)
+    events = [event for first, steps in course.optimised for event in _bounds_met(course.t[first + 1 :], steps, limits)]
     return {
-        "steps": len(course.t) - 1,
-        "optimised_steps": len(counts) - 1,
-        "iterations": int(counts.sum()),
-        "most_iterations": int(counts.max()),
         "solver": "Gauss-Newton by DAQP",
-        "optimal": largest <= problems.tolerance,
-        "largest_gradient": largest,
-        "bounds": tuple(_bounds_met(course, limits)),
+        "optimal": gradient <= gradient_tolerance(missing),
+        "largest_gradient": gradient,
+        "bounds": tuple(sorted(events, key=lambda event: (event["start"], event["carrier"]))),
         "returns": tuple(course.returns),
         "braking": course.braking,
     }
 
 
-def _bounds_met(course: Course, limits: ResolvedLimits) -> list[dict[str, object]]:
-    events: list[dict[str, object]] = []
-    for first, steps in course.optimised:
-        t = course.t[first + 1 :]
-        for j, name in enumerate(limits.names):
-            for side, box in (("upper", steps.upper), ("lower", steps.lower)):
-                met = steps.sdd[:, j] == box[:, j]
-                for bound, reached in _reached(steps, limits, j, side).items():
-                    events += [
-                        {"carrier": name, "bound": bound, "side": side, "start": float(t[a]), "end": float(t[b - 1])}
-                        for a, b in runs(met & reached)
-                    ]
-    return sorted(events, key=lambda event: (event["start"], event["carrier"]))
+_MET = 1e-9
+"""Distance from a bound that counts as met, relative to the bound or to the length of the track."""
 
 
-def _reached(steps: OptimisedSteps, limits: ResolvedLimits, j: int, side: str) -> dict[str, BoolArray]:
-    """Return for each kind of bound the steps at whose ends a carrier has reached it on a side."""
-    upper, (begin, end) = side == "upper", limits.track[j]
-    s, sd, sdd = ((part if upper else -part)[:, j] for part in (steps.s, steps.sd, steps.sdd))
-    speed = sd >= limits.speed[j] * (1.0 - ON_TRACK)
-    acceleration = sdd >= limits.acceleration[j] * (1.0 - ON_TRACK)
-    track = s >= (end if upper else -begin) - ON_TRACK * track_size(begin, end)
-    return {"speed": speed, "acceleration": acceleration, "track": track, "stop": ~(speed | acceleration | track)}
+def _bounds_met(t: Array, steps: OptimisedSteps, limits: ResolvedLimits) -> Iterator[dict[str, Any]]:
+    """Give carrier, bound, side, start and end, s, where the box of the steps binds; ``t`` (P,) ends of the steps."""
+    length = np.diff(limits.track)[:, 0]
+    slack = _MET * np.where(np.isfinite(length), length, 1.0)
+    sides = ("upper", 1.0, steps.upper, limits.track[:, 1]), ("lower", -1.0, steps.lower, -limits.track[:, 0])
+    for side, sign, box, end in sides:
+        reached = {
+            "speed": sign * steps.sd >= limits.speed * (1.0 - _MET),
+            "acceleration": sign * steps.sdd >= limits.acceleration * (1.0 - _MET),
+            "track": sign * steps.s >= end - slack,
+        }
+        reached["stop"] = ~np.any(list(reached.values()), axis=0)
+        for bound, there in reached.items():
+            for j, name in enumerate(limits.names):
+                for a, b in runs((steps.sdd == box)[:, j] & there[:, j]):
+                    yield {
+                        "carrier": name, "bound": bound, "side": side, "start": float(t[a]), "end": float(t[b - 1])
+                    }  # fmt: skip

@@ -15,12 +15,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import daqp
 import numpy as np
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.carrier_model import EffortModel
 from redundancy_pin.planners.carrier_return import CarrierState
@@ -129,54 +128,12 @@ infeasible where JᵀJ has a condition number of 1e12; with these none of 4,000.
 
 
 @dataclass(frozen=True, eq=False)
-class StepProblems:
-    """The least-squares problems of J steps; step j ends at instant j + 1.
-
-    Attributes:
-        t: (J + 1,) instants, s.
-        tau0: (J, m) efforts at the ends of the steps less their target, carriers at rest at s = 0, N or N·m.
-        terms: (J, 5, m, k) coefficients of the efforts there, by s, s², ṡ, s ṡ and s̈.
-    """
-
-    t: Array
-    tau0: Array
-    terms: Array
-
-    @staticmethod
-    def of(model: EffortModel, target: Array, instants: IntArray) -> StepProblems:
-        """Return the steps between chosen samples of a model.
-
-        Args:
-            model: coefficients of the efforts at N samples.
-            target: (N, m) efforts to aim at, λ τ̂, N or N·m.
-            instants: (J + 1,) samples between which the steps lie, with increasing times.
-        """
-        ends = instants[1:]
-        terms = np.ascontiguousarray(np.moveaxis(model.tau_terms[ends], -1, 1))
-        return StepProblems(model.t[instants], model.tau0[ends] - target[ends], terms)
-
-    @cached_property
-    def tolerance(self) -> float:
-        """Largest gradient at a minimum, divided by the largest slope of the efforts, N or N·m."""
-        size = float(np.abs(self.tau0).max(initial=0.0))
-        return _GRADIENT * (size or float(np.abs(self.terms[:, 4]).max(initial=0.0)))
-
-    def linearised(self, j: int, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
-        """Return r (m,) of step j, which ends with ``s``, ``sd`` and ``sdd`` (k,), and its Jacobian (m, k) by s̈."""
-        by_s, by_s2, by_sd, by_ssd, by_sdd = self.terms[j]
-        h = self.t[j + 1] - self.t[j]
-        r = self.tau0[j] + by_s @ s + by_s2 @ (s * s) + by_sd @ sd + by_ssd @ (s * sd) + by_sdd @ sdd
-        return r, h * h * (by_s + 2.0 * by_s2 * s + by_ssd * sd) + h * (by_sd + by_ssd * s) + by_sdd
-
-
-@dataclass(frozen=True, eq=False)
 class OptimisedSteps:
     """P consecutive steps of the optimiser.
 
     Attributes:
         s, sd, sdd: (P, k) positions, m, speeds, m/s, and accelerations, m/s², at the end of each step.
         lower, upper: (P, k) smallest and largest accelerations that the limits allow, m/s².
-        iterations: (P,) quadratic programmes solved in each step.
         gradient: (P,) deviation from the conditions of a minimum (see ``optimality``), N or N·m.
     """
 
@@ -185,42 +142,59 @@ class OptimisedSteps:
     sdd: Array
     lower: Array
     upper: Array
-    iterations: IntArray
     gradient: Array
 
 
-def optimise(
-    problems: StepProblems, first: int, last: int, start: CarrierState, box: AccelerationBox
-) -> OptimisedSteps:
-    """Solve steps first ... last − 1, each from where the one before it ended.
+def optimise(missing: EffortModel, first: int, last: int, start: CarrierState, box: AccelerationBox) -> OptimisedSteps:
+    """Solve the steps between instants ``first`` and ``last``, each from where the one before it ended.
 
-    ``start``: the carriers before the first step; their accelerations are the first guess.
+    Args:
+        missing: the efforts less their target, at the instants between which the steps lie.
+        first: the instant at which the first step begins.
+        last: the instant at which the last step ends.
+        start: the carriers at the first instant; their accelerations are the first guess.
+        box: what the carriers must keep to.
     """
-    s, sd, sdd = start.s, start.sd, start.sdd
-    results, iterations, gradients = [], [], []
-    for j in range(first, last):
-        lower, upper = box.box(float(problems.t[j + 1]), float(problems.t[j + 1] - problems.t[j]), s, sd)
-        s, sd, sdd, count, gradient = _solve_step(problems, j, s, sd, np.clip(sdd, lower, upper), lower, upper)
+    s, sd, sdd, tolerance = start.s, start.sd, start.sdd, gradient_tolerance(missing)
+    results, gradients = [], []
+    for i in range(first + 1, last + 1):
+        h = float(missing.t[i] - missing.t[i - 1])
+        lower, upper = box.box(float(missing.t[i]), h, s, sd)
+        guess = np.clip(sdd, lower, upper)
+        s, sd, sdd, gradient = _solve_step(missing, i, h, s, sd, guess, lower, upper, tolerance)
         results.append((s, sd, sdd, lower, upper))
-        iterations.append(count)
         gradients.append(gradient)
     path, speed, acceleration, low, high = np.moveaxis(np.array(results), 1, 0).copy()
-    counts = np.array(iterations, dtype=np.intp)
-    return OptimisedSteps(path, speed, acceleration, low, high, counts, np.array(gradients))
+    return OptimisedSteps(path, speed, acceleration, low, high, np.array(gradients))
+
+
+def gradient_tolerance(missing: EffortModel) -> float:
+    """Return the largest gradient at a minimum, divided by the largest slope of the efforts, N or N·m."""
+    size = float(np.abs(missing.tau0).max())
+    return _GRADIENT * (size or float(np.abs(missing.tau_terms[..., -1]).max()))
 
 
 def _solve_step(
-    problems: StepProblems, j: int, s: Array, sd: Array, guess: Array, lower: Array, upper: Array
-) -> tuple[Array, Array, Array, int, float]:
-    """Return s, ṡ and s̈ (k,) at the end of step j, the number of programmes solved, and the gradient left."""
-    h, u = problems.t[j + 1] - problems.t[j], guess
-    damping, no_rows = _DAMPING * np.eye(len(u)), np.empty((0, len(u)))
+    missing: EffortModel,
+    i: int,
+    h: float,
+    s: Array,
+    sd: Array,
+    guess: Array,
+    lower: Array,
+    upper: Array,
+    tolerance: float,
+) -> tuple[Array, Array, Array, float]:
+    """Return s, ṡ and s̈ (k,) at the end of the step of length h to instant i, and the gradient left."""
+    by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(missing.tau_terms[i], -1, 0)
+    u, damping, no_rows = guess, _DAMPING * np.eye(len(guess)), np.empty((0, len(guess)))
     for iteration in range(_MOST_ITERATIONS + 1):
         speed = sd + h * u
         place = s + h * speed
-        r, jacobian = problems.linearised(j, place, speed, u)
+        r = missing.tau0[i] + by_s @ place + by_s2 @ place**2 + by_sd @ speed + by_ssd @ (place * speed) + by_sdd @ u
+        jacobian = h * h * (by_s + 2.0 * by_s2 * place + by_ssd * speed) + h * (by_sd + by_ssd * place) + by_sdd
         gradient = optimality(r, jacobian, lower, upper, u)
-        if gradient <= problems.tolerance or iteration == _MOST_ITERATIONS:
+        if gradient <= tolerance or iteration == _MOST_ITERATIONS:
             break
         scaled = jacobian / np.abs(jacobian).max()
         linear = scaled.T @ (r / np.abs(jacobian).max())
@@ -229,7 +203,7 @@ def _solve_step(
             break
         # an active bound is met bit by bit, not up to the rounding of a difference
         u = np.where(info["lam"] > 0.0, upper, np.where(info["lam"] < 0.0, lower, np.clip(u + d, lower, upper)))
-    return place, speed, u, iteration, gradient
+    return place, speed, u, gradient
 
 
 def optimality(residual: Array, jacobian: Array, lower: Array, upper: Array, u: Array) -> float:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.carrier_model import TimedModel, dense
+from redundancy_pin.planners.carrier_model import TimedModel, dense, smooth_edges
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, StepGivenUpError
 from redundancy_pin.singularities.roots import Interval, minima
@@ -23,7 +22,7 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, car
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class Crossing:
     """Carriers and main efforts from the start of a ramp-down until the actuators are switched on.
 
     Attributes:
@@ -57,7 +56,7 @@ class Passage:
 
 def cross(
     dynamics: Dynamics, motion: ContinuousMotion, window: Interval, ramp_time: float, datum: Array, row_scale: Array
-) -> Passage:
+) -> Crossing:
     """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6).
 
     Args:
@@ -84,20 +83,11 @@ def cross(
         off = equation.solve(window.start, window.end, np.array(entry.s[0]), np.array(entry.sd[0]))
     except StepGivenUpError as stuck:
         raise _infeasible(equation, stuck) from stuck
-    return Passage(window, ramp, parked, PiecewisePolynomial.joined([down, off]))
+    return Crossing(window, ramp, parked, PiecewisePolynomial.joined([down, off]))
 
 
-_DEGREE = 15
-"""Degree of the interpolant from which the parked efforts are differentiated."""
-
-_TAIL = 1e-11
-"""Largest of its last coefficients, relative to the largest of all."""
-
-_MOST_HALVINGS = 8
-"""Of the interval of the interpolant; beyond, rounding of derivatives exceeds the interpolation error."""
-
-_NARROW = 1e-3
-"""Shortest smooth interval on one side, as a fraction of the ramp; on shorter ones derivatives are rounding."""
+_TOLERANCE = 1e-11
+"""Of the interpolated parked efforts, relative to the largest: their second derivatives are known to 1e-6."""
 
 
 def ramp_down(
@@ -106,7 +96,7 @@ def ramp_down(
     """Return the main efforts (m,) until the end of a window, N or N·m, and the parked efforts at its start.
 
     Before the window they are a quintic to zero (Parsa 2014, eq. 3.4). It begins with the efforts of parked carriers,
-    their rate and its rate, taken from a Chebyshev interpolant on the smooth interval around ``start``.
+    their rate and its rate, taken from an interpolant around ``start``.
     """
     end = window.start
 
@@ -115,32 +105,19 @@ def ramp_down(
         tau = distribute(along.reduce(CarrierMotion.parked(len(times), dynamics.robot.k, datum))).tau
         return np.asarray(tau)
 
-    left, right = _smooth_around(motion.kinks, start, end - start)
-    nodes = chebyshev.chebpts1(_DEGREE + 1)
-    for _ in range(_MOST_HALVINGS):
-        middle, half = 0.5 * (left + right), 0.5 * (right - left)
-        series = chebyshev.chebfit(nodes, parked(middle + half * nodes), _DEGREE)
-        if np.abs(series[-3:]).max() <= _TAIL * np.abs(series).max():
-            break
-        left, right = 0.5 * (left + start), 0.5 * (right + start)
-    x = (start - middle) / half
-    rates = [chebyshev.chebval(x, chebyshev.chebder(series, order)) / half**order for order in (1, 2)]
+    around = max(2.0 * start - end, motion.start), min(0.5 * (start + end), motion.end)
+    interpolant = PiecewisePolynomial.fit(
+        parked,
+        smooth_edges(motion, *around),
+        motion.knots,
+        lambda values: np.full(values.shape[1], max(np.abs(values).max(), np.finfo(float).tiny)),
+        _TOLERANCE,
+    )
+    rates = [interpolant.derivative(order)(np.array([start]))[0] for order in (1, 2)]
     at_start, at_end = parked(np.array([start, end]))
     zero = np.zeros(dynamics.robot.m)
     quintic = boundary_polynomial(start, end, [at_start, *rates], [zero, zero, zero]).piecewise()
     return PiecewisePolynomial.joined([quintic, PiecewisePolynomial.constant(zero, end, window.end)]), at_end
-
-
-def _smooth_around(kinks: Array, t: float, width: float) -> tuple[float, float]:
-    """Return the interval without kinks around a time, at most ``width`` before and half of it after, s."""
-    before = min(t - float(kinks[kinks <= t].max()), width)
-    after = min(float(kinks[kinks > t].min()) - t, 0.5 * width)
-    narrow = _NARROW * width
-    if before < narrow:
-        before = 0.0
-    elif after < narrow:
-        after = 0.0
-    return t - before, t + after
 
 
 # --- why there is no motion ----------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.intersample_check import PlannedMotion
 from redundancy_pin.planners.limits import Limits, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.switch_off.crossing import Passage, cross
+from redundancy_pin.planners.switch_off.crossing import Crossing, cross
 from redundancy_pin.singularities.roots import Interval
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -44,12 +44,8 @@ class SwitchOffSettings:
     dt: float
 
 
-@dataclass(frozen=True, eq=False)
-class Crossing:
-    """A passage with the actuators off, and the return of the carriers (k,) after it, m over time."""
-
-    passage: Passage
-    back: PiecewisePolynomial
+Returned = tuple[Crossing, PiecewisePolynomial]
+"""A crossing, and the return of the carriers (k,) after it, m over time."""
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -122,24 +118,24 @@ def plan_switch_off(
     require_few(samples, MOST_SAMPLES, f"dt = {settings.dt:g} s makes {{}} samples", "Use a larger dt.", dt=settings.dt)
     actuation = Actuation.along(dynamics, source)
     windows = actuation.windows(measure, settings.threshold)
-    crossings: list[Crossing] = []
+    crossings: list[Returned] = []
     while windows:
         window = windows.pop(0)
         _require_inside(window, source.start, source.end, settings.ramp_down)
-        passage = cross(dynamics, source, window, settings.ramp_down, settings.datum, actuation.row_scale)
-        back = _return(dynamics, source, passage, settings, windows)
+        crossing = cross(dynamics, source, window, settings.ramp_down, settings.datum, actuation.row_scale)
+        back = _return(dynamics, source, crossing, settings, windows)
         if back is None:  # no room before the next window: both are one
             windows[0] = Interval(window.start, windows[0].end, window.open_start, windows[0].open_end)
         else:
-            crossings.append(Crossing(passage, back))
+            crossings.append((crossing, back))
     return _assemble_plan(dynamics, source, crossings, settings, actuation)
 
 
 def _return(
-    dynamics: Dynamics, source: ContinuousMotion, passage: Passage, settings: SwitchOffSettings, later: list[Interval]
+    dynamics: Dynamics, source: ContinuousMotion, crossing: Crossing, settings: SwitchOffSettings, later: list[Interval]
 ) -> PiecewisePolynomial | None:
-    """Return the carriers' way back after a passage; None where it does not end before the next window."""
-    state, end = passage.exit, source.end
+    """Return the carriers' way back after a crossing; None where it does not end before the next window."""
+    state, end = crossing.exit, source.end
     room = (min(end, later[0].start - settings.ramp_down) if later else end) - state.t
     duration: float | None
     if settings.return_time != "shortest":
@@ -197,7 +193,7 @@ def _require_inside(window: Interval, start: float, end: float, ramp_down: float
 def _assemble_plan(
     dynamics: Dynamics,
     source: ContinuousMotion,
-    crossings: list[Crossing],
+    crossings: list[Returned],
     settings: SwitchOffSettings,
     actuation: Actuation,
 ) -> Plan:
@@ -208,15 +204,14 @@ def _assemble_plan(
     sdd = np.where(first_of_two[:, None], before.sdd, after.sdd)
     prescribed = np.full((len(times), dynamics.robot.m), np.nan)
     phase = np.zeros(len(times), dtype=np.intp)
-    for crossing in crossings:
-        passage = crossing.passage
-        phase[(times >= passage.start) & (times < passage.window.start)] = PHASES.index("ramp_down")
-        phase[(times >= passage.window.start) & (times <= passage.end)] = PHASES.index("off")
-        phase[(times > passage.end) & (times <= crossing.back.end)] = PHASES.index("return")
-        driven = (times >= passage.start) & (times <= passage.end)
-        prescribed[driven] = passage.ramp(times[driven])
+    for crossing, back in crossings:
+        phase[(times >= crossing.start) & (times < crossing.window.start)] = PHASES.index("ramp_down")
+        phase[(times >= crossing.window.start) & (times <= crossing.end)] = PHASES.index("off")
+        phase[(times > crossing.end) & (times <= back.end)] = PHASES.index("return")
+        driven = (times >= crossing.start) & (times <= crossing.end)
+        prescribed[driven] = crossing.ramp(times[driven])
     zero = np.zeros(dynamics.robot.m)
-    off = [PiecewisePolynomial.constant(zero, each.passage.window.start, each.passage.end) for each in crossings]
+    off = [PiecewisePolynomial.constant(zero, crossing.window.start, crossing.end) for crossing, _ in crossings]
     singular = list(actuation.singular_instants)
     planned = PlannedMotion(
         dynamics,
@@ -230,7 +225,7 @@ def _assemble_plan(
         phases=PHASES,
         parameters={**asdict(settings), "datum": settings.datum.tolist()},
         diagnostics={
-            "windows": [_window(dynamics, source, crossing, singular) for crossing in crossings],
+            "windows": [_window(dynamics, source, *each, singular) for each in crossings],
             "worst_measure": actuation.worst(settings.measure),
             "singular_instants": singular,
         },
@@ -238,30 +233,29 @@ def _assemble_plan(
     return finish_plan(planned)
 
 
-def _position(source: ContinuousMotion, crossings: list[Crossing], settings: SwitchOffSettings) -> PiecewisePolynomial:
+def _position(source: ContinuousMotion, crossings: list[Returned], settings: SwitchOffSettings) -> PiecewisePolynomial:
     """Return the positions of the carriers (k,) over time: parked, through a window, back, and so on."""
     parts: list[PiecewisePolynomial] = []
     free = source.start
-    starts = [*(crossing.passage.start for crossing in crossings), source.end]
-    for crossing, following in zip(crossings, starts[1:], strict=True):
-        if crossing.passage.start > free:
-            parts.append(PiecewisePolynomial.constant(settings.datum, free, crossing.passage.start))
-        parts += [crossing.passage.position, crossing.back.until(min(crossing.back.end, following))]
+    starts = [*(crossing.start for crossing, _ in crossings), source.end]
+    for (crossing, back), following in zip(crossings, starts[1:], strict=True):
+        if crossing.start > free:
+            parts.append(PiecewisePolynomial.constant(settings.datum, free, crossing.start))
+        parts += [crossing.position, back.until(min(back.end, following))]
         free = parts[-1].end
     if source.end > free:
         parts.append(PiecewisePolynomial.constant(settings.datum, free, source.end))
     return PiecewisePolynomial.joined(parts)
 
 
-def _sample_times(source: ContinuousMotion, crossings: list[Crossing], settings: SwitchOffSettings) -> Array:
+def _sample_times(source: ContinuousMotion, crossings: list[Returned], settings: SwitchOffSettings) -> Array:
     """Return a uniform grid, with the events and peaks of the carriers' motion, and each jump twice."""
     steps = int(np.ceil((source.end - source.start) / settings.dt - 1e-9))
     uniform = np.append(source.start + settings.dt * np.arange(steps), source.end)
     events = [source.breaks]
-    for crossing in crossings:
-        passage, back = crossing.passage, crossing.back
-        events.append(np.array([passage.start, passage.window.start, passage.end, min(back.end, source.end)]))
-        events += [path.derivative(order).peaks() for path in (passage.position, back) for order in range(3)]
+    for crossing, back in crossings:
+        events.append(np.array([crossing.start, crossing.window.start, crossing.end, min(back.end, source.end)]))
+        events += [path.derivative(order).peaks() for path in (crossing.position, back) for order in range(3)]
     extra = np.unique(np.concatenate(events))
     # a sample that differs from an event by rounding only would make a step as short as rounding
     near = np.abs(uniform[:, None] - extra).min(axis=1, initial=np.inf) < 1e-9 * settings.dt
@@ -272,21 +266,20 @@ def _sample_times(source: ContinuousMotion, crossings: list[Crossing], settings:
 
 
 def _window(
-    dynamics: Dynamics, source: ContinuousMotion, crossing: Crossing, singular: list[float]
+    dynamics: Dynamics, source: ContinuousMotion, crossing: Crossing, back: PiecewisePolynomial, singular: list[float]
 ) -> dict[str, object]:
     """Return times, efforts and carriers of a crossing, as plain data."""
-    passage, back = crossing.passage, crossing.back
-    start, end, state = passage.start, passage.end, passage.exit
+    start, end, state = crossing.start, crossing.end, crossing.exit
     after = np.array([end])
     efforts = distribute(dynamics.along(source.sample_at(after)).reduce(carriers_at(back, after))).tau[0]
     return {
         "ramp_start": start,
-        "entry": passage.window.start,
+        "entry": crossing.window.start,
         "exit": end,
         "return_end": back.end,
         "return_time": back.end - end,
-        "effort_at_ramp_start": passage.ramp(np.array([start]))[0].tolist(),
-        "parked_effort_at_entry": passage.parked_at_entry.tolist(),
+        "effort_at_ramp_start": crossing.ramp(np.array([start]))[0].tolist(),
+        "parked_effort_at_entry": crossing.parked_at_entry.tolist(),
         "exit_jump": np.abs(efforts).tolist(),
         "carriers_at_exit": {"s": state.s.tolist(), "sd": state.sd.tolist(), "sdd": state.sdd.tolist()},
         "singular_instants": [t for t in singular if start <= t <= end],

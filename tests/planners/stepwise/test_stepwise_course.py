@@ -36,8 +36,6 @@ def test_the_optimiser_works_exactly_while_the_platform_accelerates():
     moves = np.abs(plan.motion.xdd).max(axis=1) > 1e-9
     optimised = phase_names(plan)[1:] == "optimise"
     np.testing.assert_array_equal(optimised, moves[1:])
-    said = plan.diagnostics
-    assert (said["steps"], said["optimised_steps"]) == (len(plan.t) - 1, optimised.sum())
 
 
 def test_rounding_in_the_reference_is_no_acceleration():
