@@ -16,7 +16,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.intersample_check import ALLOWED, extremes_between, least_effort
+from redundancy_pin.planners.intersample_check import ALLOWED, extremes_between, jerk_events, least_effort
 from redundancy_pin.planners.limits import Limits, motion_events
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
@@ -140,6 +140,25 @@ def test_a_carrier_that_leaves_its_track_between_the_samples_breaks_a_limit() ->
             assert (event.carrier, event.quantity, event.limit) == (robot.carriers[0], "track", end)
             assert event.amount == pytest.approx(1e-5)
             assert event.worst == pytest.approx(0.3)
+
+
+def test_a_jump_of_the_acceleration_is_a_jerk_over_the_shorter_piece() -> None:
+    """By hand: s̈ of one carrier is 0 for 1 s, jumps by 2 m/s², then has a jerk of -3 m/s³ for 0.5 s."""
+    robot = zoo.robot_of("2rpr")
+    cubic = np.zeros((4, 2, 2))
+    cubic[:2, 1, 0] = [-0.5, 1.0]
+    position = PiecewisePolynomial(np.array([0.0, 1.0, 1.5]), cubic)
+    for limit, amount in ((3.9, 0.1), (4.1, None), (2.9, 1.1)):
+        violated, touched = jerk_events(position, Limits(jerk=limit).resolved(robot))
+        assert touched == ()
+        assert [(event.carrier, event.quantity) for event in violated] == [(robot.carriers[0], "jerk")] * bool(amount)
+        for event in violated:
+            assert event.worst == 1.0
+            assert event.value == pytest.approx(4.0)
+            assert event.amount == pytest.approx(amount)
+    smooth = PiecewisePolynomial(np.array([0.0, 0.5]), cubic[:, 1:])
+    (event,), _ = jerk_events(smooth, Limits(jerk=2.9).resolved(robot))
+    assert event.value == pytest.approx(-3.0)
 
 
 @pytest.mark.parametrize("number", [69, 270])
