@@ -28,7 +28,6 @@ from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.receding_horizon import Command
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
-from redundancy_pin.planners.switch_off.crossing import LostDirection
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.status import UpdateStatus
 from redundancy_pin.studies.cases import SINGULAR
@@ -123,7 +122,6 @@ def objects() -> dict[str, Any]:
         "timed spline": rp.trajectory.from_points([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]], [0.0, 1.0, 2.0]),
         "pose spline": rp.trajectory.from_points(poses, speed=[0.0, 0.1]),
         "table": rp.plan_stepwise(dynamics, trajectory.sample(dt=0.1), lam=0.0).table(robot=robot),
-        "lost direction": LostDirection(0.0, three, 0.0, 0.0, False),
         "carrier state": CarrierState(0.0, *np.zeros((3, 3))),
         "crossing plan": rp.plan_switch_off(rp.VirtualWork(small), circle, threshold=5.0),
         "stepwise plan": stepwise,
