@@ -72,14 +72,17 @@ class PiecewisePolynomial(Frozen):
         """The same as scipy's type."""
         return PPoly.construct_fast(self.coefficients, self.edges)
 
-    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Return the values (N, C) at (N,) times, s; ``side`` decides at the edge of two pieces."""
+    def __call__(self, t: ArrayLike, side: Side = "right", order: int = 0) -> Array:
+        """Return the values, or a derivative, at times of any shape, s: an array of that shape followed by (C,).
+
+        ``side`` decides at the edge of two pieces; ``order`` is that of the derivative, unit of the values / s^order.
+        """
         times = np.asarray(t, dtype=np.float64)
         if side == "left":  # PPoly is continuous from the right: the float before an edge is in the piece before it
             with np.errstate(under="ignore"):  # beside zero it is the smallest number there is
                 times = np.nextafter(times, -np.inf)
         # not clip: NaN in place of extrapolation would be as slow
-        values: Array = self.ppoly(np.minimum(np.maximum(times, self.edges[0]), self.edges[-1]))
+        values: Array = self.ppoly(np.minimum(np.maximum(times, self.edges[0]), self.edges[-1]), order)
         return values
 
     @cached_property

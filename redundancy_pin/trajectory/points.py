@@ -25,7 +25,6 @@ from redundancy_pin.trajectory.csv_file import (
 )
 from redundancy_pin.trajectory.paths import Path, with_constant
 from redundancy_pin.trajectory.quaternions import quaternions_of
-from redundancy_pin.trajectory.time_optimal import fastest_law
 from redundancy_pin.trajectory.timing import SpeedProfile, TimingLaw, law_through_speeds, uniform_law
 from redundancy_pin.trajectory.trajectory import Trajectory
 from redundancy_pin.trajectory.waypoints import PosePath, SplinePath, TimedSpline, resolve_ends
@@ -153,6 +152,8 @@ def from_points(
     for name, value in (("max_speed", max_speed), ("max_acceleration", max_acceleration)):
         if value is None:
             raise InputError(f'times="time-optimal" needs {name}.', remedy="Give both limits.", name=name)
+    from redundancy_pin.trajectory.time_optimal import fastest_law  # toppra imports matplotlib
+
     return Trajectory(path, fastest_law(path, max_speed, max_acceleration))  # type: ignore[arg-type]
 
 

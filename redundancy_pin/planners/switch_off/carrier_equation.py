@@ -67,7 +67,7 @@ def ramp_down(
     rates = [chebyshev.chebval(x, chebyshev.chebder(series, order)) * per_second**order for order in (1, 2)]
     at = parked(np.array([start, end]))
     zero = np.zeros(dynamics.robot.m)
-    quintic = boundary_polynomial(start, end, [at[0], *rates], [zero, zero, zero]).piecewise()
+    quintic = boundary_polynomial(start, end, [at[0], *rates], [zero, zero, zero])
     return PiecewisePolynomial.joined([quintic, PiecewisePolynomial.constant(zero, end, window.end)]), at[1]
 
 
