@@ -215,7 +215,7 @@ def read_points(
     suffix = place.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{place} ends in neither .csv nor .json.", remedy="Name it as what it is.", path=str(place))
-    table = read_table(place, most=MOST_POINTS) if suffix == ".csv" else None
+    table = read_table(place) if suffix == ".csv" else None
     read = _read_json(place) if table is None else table.columns
     if isinstance(read, tuple):
         return read
@@ -228,6 +228,8 @@ def read_points(
             remedy="Read it with trajectory.from_csv (--motion or --trajectory on the command line).",
             path=str(place),
         )
+    if len(next(iter(columns.values()), ())) > MOST_POINTS:
+        raise InputError(f"{place} has more than {MOST_POINTS} rows.", remedy="Take fewer points.", path=str(place))
     if not columns:
         raise InputError(f"{place} has no coordinates.", remedy="Name its columns t, x, y, ....", path=str(place))
     if table is None or robot is None:

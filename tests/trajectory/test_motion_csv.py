@@ -1,5 +1,4 @@
 import csv
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -114,18 +113,6 @@ def test_bad_files_are_refused(tmp_path, text, message):
         from_csv(path)
 
 
-def test_a_line_that_does_not_end_is_refused_before_it_is_held(tmp_path):
-    path = tmp_path / "motion.csv"
-    for text in ("t,x0,xd0,xdd0\n" + "0," * 3_000_000, "t" * 6_000_000):
-        path.write_text(text, encoding="utf-8")
-        tracemalloc.start()
-        with pytest.raises(InputError, match="a line of more than 1000000 characters"):
-            from_csv(path)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        assert peak < len(text)
-
-
 def test_missing_and_binary_files_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"none\.csv cannot be read: it does not exist"):
         from_csv(tmp_path / "none.csv")
@@ -133,7 +120,7 @@ def test_missing_and_binary_files_are_refused(tmp_path):
         from_csv(tmp_path)
     binary = tmp_path / "m.csv"
     binary.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(InputError, match="is not a text file"):
+    with pytest.raises(InputError, match="is not text in UTF-8"):
         from_csv(binary)
 
 
