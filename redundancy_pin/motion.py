@@ -249,8 +249,9 @@ def _require_rates(name: str, t: Array, values: Array, rates: Array, seconds: Ar
     h, steps = np.diff(t)[later], _steps(values)[:, later]
     if len(h) < _FEW_STEPS or not steps.size:
         return
-    first, last = (np.ascontiguousarray(part[later].T) for part in (rates[:-1], rates[1:]))
-    found, given, top = steps / h, 0.5 * (first + last), np.abs(rates).max(axis=0)[:, None]
+    rows = np.ascontiguousarray(rates.T)  # reductions along long rows take a tenth of the time
+    first, last = rows[:, :-1][:, later], rows[:, 1:][:, later]
+    found, given, top = steps / h, 0.5 * (first + last), np.abs(rows).max(axis=1, keepdims=True)
     apart = np.abs(found - given)
     if (apart <= RATE_TOLERANCE * top).all():  # as in most motions
         return
