@@ -418,7 +418,7 @@ class _Header:
             raise _bad(path, " has the columns 't' and 'time'.", "Keep one of them.", column="time")
         own = [name for name in self.names if name not in _TIMES and not _RESULTS.fullmatch(name)]
         # by name what a column is of, and how often that is differentiated
-        of = {name: differentiated(name, units) for name in own}
+        of = {name: _differentiated(name, units) for name in own}
         moved = [stem for name, (stem, order) in of.items() if order and not _of_carrier(name)]
         places = [name for name in own if not of[name][1] and not _of_carrier(name)]
         if moved:  # what is no coordinate is a note
@@ -501,7 +501,7 @@ def _of_carrier(name: str) -> bool:
     return bool(match and match[1] == "s")
 
 
-def differentiated(name: str, known: Collection[str]) -> tuple[str, int]:
+def _differentiated(name: str, known: Collection[str]) -> tuple[str, int]:
     """Return of what a column is the rate (1) or the acceleration (2), and which; or the column itself, and 0."""
     if match := _INDEXED.fullmatch(name):
         return f"{match[1]}{match[3]}", len(match[2])
