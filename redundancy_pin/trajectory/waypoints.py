@@ -223,7 +223,7 @@ class SplinePath(Frozen, SmoothPath):
         spline = CubicSpline(knots, ring, bc_type="periodic" if closed else "natural")
 
         def speed(u: Array) -> Array:
-            return np.linalg.norm(spline(u, 1), axis=1)[:, None]
+            return np.asarray(np.linalg.norm(spline(u, 1), axis=1)[:, None])
 
         fitted = PiecewisePolynomial.fit(speed, knots, np.empty(0), lambda v: v.max(axis=0), _LENGTH_TOLERANCE)
         _require_direction(spline, np.union1d(fitted.edges, chebyshev_times(fitted.edges)))
@@ -266,7 +266,7 @@ class SplinePath(Frozen, SmoothPath):
             low, high = np.where(miss < 0.0, u, low), np.where(miss > 0.0, u, high)
             newton = u - miss / np.linalg.norm(self._spline(u, 1), axis=-1)
             u = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        return u
+        return np.asarray(u)
 
 
 def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
