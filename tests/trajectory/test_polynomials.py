@@ -112,3 +112,25 @@ def test_bad_conditions_are_refused(t0, t1, start, end, message):
 def test_outside_the_interval_are_the_ends():
     law = rest_to_rest_345(0.0, 1.0, 0.0, 1.0)
     assert law([-1.0, 0.5, 2.0])[:, 0].tolist() == [0.0, 0.5, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("t0", "t1", "right"),
+    [
+        (0.0, 0.0, False),
+        (0.0, 1e-300, True),
+        (1.0, float(np.nextafter(1.0, 2.0)), True),
+        (1.0, float(np.nextafter(1.0, 0.0)), False),
+        (-3.0, -2.0, True),
+        (-1e308, 1e308, False),  # its duration is no number
+        (1.0e308, 1.5e308, True),  # the sum of its ends is none, which does not matter
+        (0.0, np.inf, False),
+    ],
+)
+def test_the_interval_of_a_polynomial_has_a_duration(t0, t1, right):
+    if right:
+        boundary_polynomial(t0, t1, [0.0], [1.0])
+    else:
+        with pytest.raises(InputError) as caught:
+            boundary_polynomial(t0, t1, [0.0], [1.0])
+        assert (caught.value.details["t0"], caught.value.details["t1"]) == (t0, t1)
