@@ -18,7 +18,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.trajectory import (
-    PoseTrajectory,
+    PoseLine,
     RestToRest,
     Trajectory,
     circle_path,
@@ -252,7 +252,7 @@ def test_gough_platform_is_singular_a_quarter_turn_from_home() -> None:
         pose[:3, :3] = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ home[:3, :3]
         return pose
 
-    trajectory = PoseTrajectory(turned(0.0), turned(np.radians(100.0)), RestToRest(1.0, 2.0))
+    trajectory = Trajectory(PoseLine(turned(0.0), turned(np.radians(100.0))), RestToRest(1.0, 2.0))
     (crossing,) = find_crossings(robot, trajectory)
     assert crossing.kind == SingularityKind.TYPE_II
     assert crossing.t == pytest.approx(time_at_arc(trajectory, 0.9), abs=1e-9)
