@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, runs
+from redundancy_pin.dynamics.allocation import ROUNDING
 from redundancy_pin.dynamics.base import (
     Dynamics,
     DynamicsAlongMotion,
@@ -41,8 +42,8 @@ _CONSISTENT = 1e-3
 accelerations are interpolated there. Efforts that it calls for exceed f only where the margin is below it, for as long
 as that lasts."""
 
-_AT_INSTANT = 1e-7
-"""Rank tolerance at an instant, scaled: the root of the rounding (1e-14) of a margin that only touches zero."""
+_AT_INSTANT = ROUNDING**0.5
+"""Rank tolerance at an instant, scaled: 1e-7, the root of the rounding of a margin that only touches zero."""
 
 _NEAR, _FAR = 2.0 * SPACING, 10.0 * SPACING
 """Steps of samples, in characteristic lengths, between which the margin is not searched where it stays away from zero;

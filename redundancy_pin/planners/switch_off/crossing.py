@@ -127,7 +127,7 @@ def ramp_down(
     rates = [chebyshev.chebval(x, chebyshev.chebder(series, order)) / half**order for order in (1, 2)]
     at_start, at_end = parked(np.array([start, end]))
     zero = np.zeros(dynamics.robot.m)
-    quintic = boundary_polynomial(start, end, [at_start, *rates], [zero, zero, zero]).piecewise()
+    quintic = boundary_polynomial(start, end, [at_start, *rates], [zero, zero, zero])
     return PiecewisePolynomial.joined([quintic, PiecewisePolynomial.constant(zero, end, window.end)]), at_end
 
 
