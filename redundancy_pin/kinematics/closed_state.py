@@ -33,7 +33,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, inverses
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.closure import constraint_system, dependent_row_tolerance, with_all_rows
+from redundancy_pin.kinematics.closure import constraint_system, dependent_row_tolerance, row_basis, with_all_rows
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.margins import loop_blocks, near_rank_loss, typical_margin
 from redundancy_pin.robot import Robot
@@ -133,13 +133,11 @@ class LoopSolver:
         self.chain = chain = ClosedChain(robot)
         self._rows, self.rank = self.system.all_rows, len(self.system.rows)
         self._redundant, self._widest = bool(robot.all_closures), dependent_row_tolerance(robot)
-        every = constraint_system(with_all_rows(robot))
-        self._every, self._count, self._every_unit = every.all_rows, len(every.rows), every.equation_unit
+        self._every = constraint_system(with_all_rows(robot))
         self._columns, self._nv = chain.pose_columns, robot.model.nv
         self._flat = robot.model.nq == robot.model.nv
         self._shape = (4, 4) if is_pose(robot) else (robot.n,)
         self._row_unit, self._step_unit = self.system.equation_unit, self.system.step_unit
-        self._scale = self._step_unit / self._row_unit[:, None]
         self.unit, self._radians = coordinate_unit(robot), 1.0 / velocity_unit(robot)
         self._gamma_unit = self._step_unit[:, None] / self.unit
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
@@ -170,7 +168,7 @@ class LoopSolver:
         K = placed.jacobian(chain.J).take(self._columns, 1)
         if self._fixed is not None:
             K = np.concatenate([K, self._fixed])
-        K *= self._scale
+        K = self.system.relative(K)
         if basis is None:
             return K, placed.residual()[: self.rank] / self._row_unit[: self.rank]
         rows, phi = self._every_row(q)
@@ -179,10 +177,9 @@ class LoopSolver:
 
     def _every_row(self, q: Array) -> tuple[Array, Array]:
         """Return the Jacobian (R, p) and residuals (R,) of all closure rows, without units, where q is placed."""
-        placed = self._every.place(self.chain.vectors, q)
-        unit = self._every_unit[: self._count]
-        rows = placed.jacobian(self.chain.J).take(self._columns, 1)[: self._count]
-        return rows * (self._step_unit / unit[:, None]), placed.residual()[: self._count] / unit
+        placed = self._every.closures.place(self.chain.vectors, q)
+        rows = self._every.relative(placed.jacobian(self.chain.J).take(self._columns, 1))
+        return rows, placed.residual() / self._every.closure_unit
 
     def _independent(self, q: Array, basis: Array | None, inverse: Array) -> tuple[Array | None, Array]:
         """Return the basis that serves at a closed configuration, and K⁻¹ with it.
@@ -195,10 +192,9 @@ class LoopSolver:
         if size * self._ample < 1.0:
             return None, plain
         self.chain.place(q)
-        left, values, _ = np.linalg.svd(self._every_row(q)[0], full_matrices=False)
-        if not values[self.rank - 1] > FILE_TOLERANCE:  # contradictions of rounded numbers restore no rank
+        own, least = row_basis(self._every_row(q)[0], self.rank)
+        if not least > FILE_TOLERANCE:  # contradictions of rounded numbers restore no rank
             return None, plain
-        own = left[:, : self.rank]
         other = inverses(self.matrix(q, own)[0][None])[0]
         if not float(np.linalg.norm(other)) < size / _HELPED:
             return None, plain
@@ -331,8 +327,9 @@ class LoopSolver:
         bias[: self._rows.size] = self._rows.bias_at(placed, chain.J, chain.dJ, v)
         bias /= self._row_unit
         if state.basis is not None:
-            every = self._every.bias_at(self._every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
-            bias[: self.rank] = (every[: self._count] / self._every_unit[: self._count]).dot(state.basis)
+            every = self._every.closures
+            every_bias = every.bias_at(every.place(chain.vectors, state.q), chain.J, chain.dJ, v)
+            bias[: self.rank] = (every_bias / self._every.closure_unit).dot(state.basis)
         rest = -bias
         rest[self.rank :] += xdd / self.unit
         a = np.zeros(self._nv)
