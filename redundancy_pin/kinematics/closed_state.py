@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -24,6 +24,7 @@ from redundancy_pin.arrays import (
     FILE_TOLERANCE,
     SINGULAR_MARGIN,
     Array,
+    BoolArray,
     Frozen,
     IntArray,
     checked,
@@ -168,7 +169,7 @@ class LoopSolver:
         K = placed.jacobian(chain.J).take(self._columns, 1)
         if self._fixed is not None:
             K = np.concatenate([K, self._fixed])
-        K = self.system.relative(K)
+        K *= self.system.relative_factor
         if basis is None:
             return K, placed.residual()[: self.rank] / self._row_unit[: self.rank]
         rows, phi = self._every_row(q)
@@ -206,12 +207,22 @@ class LoopSolver:
         size = float(np.sqrt((inverse * inverse).sum()))
         return 1.0 / size if size > 0.0 and math.isfinite(size) else 0.0
 
+    def closure_margin(self, q: Array, basis: Array | None = None, block: int | None = None) -> float:
+        """Return the smallest singular value of the closure rows at q (nq,), of all or those of a block of K.
+
+        It has no unit, and is infinite without rows.
+        """
+        rows = self.matrix(q, basis)[0][: self.rank]
+        if block is not None:
+            own, columns = self.blocks[block]
+            rows = rows[own[own < self.rank][:, None], columns]
+        if not len(rows) or not np.isfinite(rows).all():
+            return math.inf
+        return float(np.linalg.svd(rows, compute_uv=False)[-1])
+
     def closures_lose_rank(self, q: Array, basis: Array | None = None) -> bool:
         """Return whether the closure rows are near a loss of rank at q (nq,); at a stretched leg they are not."""
-        rows = self.matrix(q, basis)[0][: self.rank]
-        if not len(rows) or not np.isfinite(rows).all():
-            return False
-        return bool(np.linalg.svd(rows, compute_uv=False)[-1] < 10.0 * self.near)
+        return self.closure_margin(q, basis) < 10.0 * self.near
 
     # --- a closed state ----------------------------------------------------------------------------------------------
 
@@ -296,8 +307,15 @@ class LoopSolver:
         new = self.close(self.integrate(here.q, here.gamma.dot(increment)), x, here.basis)
         if new is None or not new.margin > 0.0:
             return None
-        moved, predicted = self.tangent(here.q, new.q), (0.5 * (here.gamma + new.gamma)).dot(increment)
-        return new if self.length(moved - predicted) <= CONTINUITY * self.length(predicted) + ROUNDING else None
+        return new if self.is_continuous(here, new, increment) else None
+
+    def is_continuous(
+        self, here: ClosedState, new: ClosedState, increment: Array, tolerance: float = CONTINUITY
+    ) -> bool:
+        """Return whether the step between states is what the trapezoidal rule over Γ says of an increment (n,) of x."""
+        predicted = (0.5 * (here.gamma + new.gamma)).dot(increment)
+        error = self.length(self.tangent(here.q, new.q) - predicted)
+        return bool(_is_within(error, self.length(predicted), tolerance))
 
     def rates(self, state: ClosedState, xd: Array, xdd: Array) -> Rates:
         """Return v = Γ ẋ and a (nv,): K a = (−J̇_c v, ẍ − J̇_x v).
@@ -368,6 +386,27 @@ class LoopSolver:
         """Return the tree displacement (nv,) between configurations (nq,)."""
         result: Array = end - start if self._flat else pin.difference(self._model, start, end)
         return result
+
+
+def are_continuous(robot: Robot, step: Array, gamma0: Array, gamma1: Array, increment: Array) -> BoolArray:
+    """Return (N,) what ``LoopSolver.is_continuous`` says of N steps at once.
+
+    Args:
+        robot: the robot.
+        step: (N, nv) tree displacements.
+        gamma0: (N, nv, n) Γ at their starts.
+        gamma1: (N, nv, n) Γ at their ends.
+        increment: (N, n) of the coordinates.
+    """
+    unit = velocity_unit(robot)
+    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment) / unit
+    error, size = (np.abs(part).max(axis=1, initial=0.0) for part in (step / unit - predicted, predicted))
+    return np.asarray(_is_within(error, size, CONTINUITY))
+
+
+def _is_within(error: Any, predicted: Any, tolerance: float) -> Any:
+    """Return the acceptance test of a step, or of (N,): its error is small beside the prediction, or rounding."""
+    return error <= tolerance * predicted + ROUNDING
 
 
 def _kept(array: Array) -> Array:

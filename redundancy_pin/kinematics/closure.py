@@ -356,6 +356,7 @@ class ConstraintSystem:
         equation_unit: (r + n,) the characteristic length, m, for rows of translation and 1 for rows of rotation, of the
             closures and the independent coordinates: residuals over these have no unit.
         step_unit: (p,) the characteristic length, m, for slides and 1 rad for turns, of the pose columns.
+        relative_factor: (r + n, p) what K is multiplied by, entry by entry, to have no units: see ``relative``.
 
     Raises:
         UnsupportedRobotError: a joint between frames of closures has axes that are not constant.
@@ -401,7 +402,7 @@ class ConstraintSystem:
         closure_unit = np.where(turning, 1.0, robot.characteristic_length)
         self.equation_unit = np.concatenate([closure_unit, coordinate_unit(robot)])
         self.step_unit = velocity_unit(robot)[self.pose_columns]
-        self._relative = self.step_unit / self.equation_unit[:, None]
+        self.relative_factor = self.step_unit / self.equation_unit[:, None]
 
     @property
     def closure_unit(self) -> Array:
@@ -419,7 +420,7 @@ class ConstraintSystem:
         Rows are divided by ``equation_unit``, columns multiplied by ``step_unit``: with the characteristic length L as
         the unit of length, every rotation counts as the motion of a point at distance L from its axis.
         """
-        result: Array = rows * self._relative[: rows.shape[-2]]
+        result: Array = rows * self.relative_factor[: rows.shape[-2]]
         return result
 
     def closure_rows(self, q: Array) -> Array:

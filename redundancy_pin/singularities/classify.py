@@ -50,7 +50,7 @@ from redundancy_pin.kinematics.inverse_kinematics import JointTrajectory
 from redundancy_pin.loading import RobotLike, as_robot
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.scales import closure_tolerance, column_scale, row_scale
-from redundancy_pin.spectrum import oriented, spectrum_of
+from redundancy_pin.spectrum import left_singular, oriented, spectrum_of
 
 
 def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
@@ -230,7 +230,9 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
     passive = type_i & type_ii & _lacks_rank(np.linalg.svd(everything, compute_uv=False), tolerance)
 
     twists = K[:, len(system.rows) :] @ locked.Vh.transpose(0, 2, 1)
-    least_controlled = _least_controlled(W, twists[:, :, locked.S.shape[1] - 1], type_i)
+    least_controlled = left_singular(W)[0][:, :, -1]
+    unknown = np.isnan(least_controlled).any(axis=1)  # at type I: there T tells it
+    least_controlled[unknown] = _unit(twists[unknown, :, locked.S.shape[1] - 1])
     uncontrolled = np.where(type_i[:, None], _widest(twists, locked.S, tolerance), least_controlled)
     uncontrolled[~type_ii] = np.nan
     covectors = serial.U[:, len(system.rows) :]
@@ -295,14 +297,6 @@ def classify_motion(motion: JointTrajectory, *, tolerance: float = RANK_TOLERANC
 def _lacks_rank(values: Array, tolerance: float) -> BoolArray:
     """Return (N,) whether the smallest singular value counts as zero; values (N, c), largest first; NaN does not."""
     result: BoolArray = values[:, -1] <= tolerance * values[:, 0]
-    return result
-
-
-def _least_controlled(W: Array, locked: Array, type_i: BoolArray) -> Array:
-    """Return (N, n) the left singular vector of W's smallest singular value; at type I the twist (N, n) from T."""
-    result = _unit(locked)
-    finite = ~type_i & np.isfinite(W).all(axis=(1, 2))
-    result[finite] = np.linalg.svd(W[finite]).U[:, :, min(W.shape[1:]) - 1]
     return result
 
 
