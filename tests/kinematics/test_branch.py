@@ -23,9 +23,9 @@ from redundancy_pin.kinematics.branch import (
     ClosedState,
     Follower,
     follower,
-    follows,
     known_state,
 )
+from redundancy_pin.kinematics.closed_state import are_continuous
 from redundancy_pin.kinematics.coordinates import moved, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.margins import closed_around
@@ -260,11 +260,11 @@ def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None
 
 def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
     """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
-    system = zoo.system_of(zoo.robot_of("five_bar"))
-    nv = system.robot.model.nv
+    robot = zoo.robot_of("five_bar")
+    nv = robot.model.nv
     gamma0, gamma1 = np.full((4, nv, 1), 1.0), np.full((4, nv, 1), 3.0)
     step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(nv)
-    assert follows(system, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
+    assert are_continuous(robot, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
 
 
 @pytest.mark.parametrize("excess", [1e-6, 1e-7, 1e-8, 1e-9])
