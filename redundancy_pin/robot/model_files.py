@@ -19,15 +19,10 @@ from redundancy_pin.robot.urdf import Argument, known_values, render
 _URDF = (".urdf", ".xacro")
 _SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", ".yaml", ".yml")
 _PARALLEL = "a robot.yaml of example-parallel-robots"
-_READERS: Mapping[str, Callable[..., Mechanism]] = {
-    FORMATS["mujoco"]: read_mjcf,
-    FORMATS["sdf"]: read_sdf,
-    _PARALLEL: read_parallel_yaml,
-}
 _ARGUMENTS: Mapping[str, Mapping[str, Argument]] = {
-    FORMATS["mujoco"]: {"base": "free", "keyframe": ""},
+    FORMATS["mujoco"]: {"base": "free", "actuated": "", "keyframe": ""},
     FORMATS["sdf"]: {"base": "fixed", "actuated": ""},
-    _PARALLEL: {"base": "fixed"},
+    _PARALLEL: {"base": "fixed", "actuated": ""},
 }
 """Such files by what they are, and the arguments that they have in place of those of a xacro file."""
 
@@ -61,8 +56,8 @@ def open_model(
     Args:
         path: the file.
         arguments: of a xacro file its own; of others ``base``: "free", or "fixed" to hold a free body where it starts;
-            of MJCF ``keyframe``, the name of the one that the mechanism starts from; of URDF and SDF ``actuated``,
-            names of driven joints with commas between.
+            of all others ``actuated``, names of driven joints with commas between, in place of those that the file
+            states; of MJCF ``keyframe``, the name of the one that the mechanism starts from.
         trust: let xacro evaluate its expressions as Python, and MJCF read files of other folders.
         untrusted: let xacro and MuJoCo work in a child process with limits of time and memory.
 
@@ -88,10 +83,26 @@ def open_model(
     def read(kinds: Mapping[str, str] | None) -> Mechanism:
         if kinds:
             raise InputError(f"`joint_types` are of joints of a URDF; {path.name} is none.", remedy="Leave them out.")
-        reader = _READERS[found]
-        return reader(path, **given, trust=trust, untrusted=untrusted) if reader is read_mjcf else reader(path, **given)
+        base, driven = given["base"], given["actuated"]
+        if found == FORMATS["mujoco"]:
+            made = read_mjcf(path, base=base, keyframe=given["keyframe"], trust=trust, untrusted=untrusted)
+        elif found == FORMATS["sdf"]:
+            made = read_sdf(path, base=base, actuated=_names(driven))
+        else:
+            made = read_parallel_yaml(path, base=base)
+        return _driving(made, driven)
 
     return dict(given), read
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Return the names of a text with commas between."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _driving(mechanism: Mechanism, names: str) -> Mechanism:
+    """Return a mechanism with these motors, commas between, in place of its own; with its own for an empty text."""
+    return replace(mechanism, actuated=_names(names)) if _names(names) else mechanism
 
 
 def _open_urdf(
@@ -127,9 +138,7 @@ def mechanism_of_urdf(
         kinds = {joint.name: SEVERAL_FREEDOMS[joint.kind] for joint in file.joints if joint.kind in SEVERAL_FREEDOMS}
     base = str(arguments.get("base", "fixed")) if is_plain(path) else "fixed"
     made = urdf_mechanism(file, path.stem.partition(".")[0], kinds=kinds, base=base)
-    given = str(arguments.get("actuated", "")) if is_plain(path) else ""
-    driven = tuple(name.strip() for name in given.split(",") if name.strip())
-    return replace(made, actuated=driven, drives_declared=True) if driven else made
+    return _driving(made, str(arguments.get("actuated", "")) if is_plain(path) else "")
 
 
 def is_plain(path: Path) -> bool:

@@ -90,7 +90,6 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
             made,
             loop_joints=(*made.loop_joints, *closures),
             actuated=content.name_mot,
-            drives_declared=True,
             notes=(*notes, *made.notes),
         )
 

@@ -453,7 +453,6 @@ def urdf_mechanism(
         (*loops.joints, *marked),
         couplings,
         loops.motors or tuple(name for name in independent if name in named),
-        bool(loops.motors),
         forces,
         tuple(notes),
         file.text,
