@@ -28,7 +28,7 @@ from redundancy_pin.kinematics.coordinates import (
     reference_coordinates,
     working_modes,
 )
-from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet
+from redundancy_pin.kinematics.cut_ends import about_several_axes, branches_meet, common_axis
 from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank, other_axes
 from redundancy_pin.kinematics.multistart import multistart
 from redundancy_pin.kinematics.selection import Selection, selected
@@ -43,7 +43,13 @@ from redundancy_pin.robot.from_model import declared, in_order_of, not_in_force
 from redundancy_pin.robot.joint_ranges import meet_limits
 from redundancy_pin.robot.loads import Load
 from redundancy_pin.robot.lookup import find_joint, has_joint, joint_names
-from redundancy_pin.robot.model_files import is_model_file, is_urdf, mechanism_of_urdf, open_model
+from redundancy_pin.robot.model_files import (
+    is_model_file,
+    is_urdf,
+    mechanism_of_urdf,
+    open_model,
+    states_gravity,
+)
 from redundancy_pin.robot.propose import Proposal, propose
 from redundancy_pin.robot.rebuild import rebuilt, span
 from redundancy_pin.robot.scales import closure_tolerance, is_revolute
@@ -103,8 +109,6 @@ def load_robot(
         DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over-
             or under-constrained chains, a reference that does not close.
     """
-    if trust and untrusted:
-        raise InputError("trust and untrusted are both true.", remedy="Pass one of them.")
     robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust, untrusted=untrusted)
     for note in filter(None, (idle_gravity(robot, gravity), too_few_motors(robot))):
         _warn_once(note)
@@ -393,8 +397,32 @@ def _settled(proposal: Proposal, request: _Request, parameters: Mapping[str, Arg
         if "rank" not in error.details or not mechanism.loop_joints:
             raise
         robot, is_flat = _build_near_start(mechanism, build, error), True
-    proposal = proposal.settled(robot, _turning(proposal, robot))
+    proposal = proposal.settled(robot, _turning(proposal, robot)).asking(*_hinges_off_axis(proposal, build))
     return (proposal.asking(_which_branch(robot)) if is_flat else proposal), robot
+
+
+def _hinges_off_axis(proposal: Proposal, build: Callable[[Mechanism], Robot]) -> Iterator[str]:
+    """Yield questions on hinges by --close about another axis than their links turn about where a ball joins them.
+
+    Such a hinge holds them like a weld.
+    """
+    loops = proposal.mechanism.loop_joints
+    for hinge in proposal.hinges_by_flag:
+        joints = tuple(replace(each, kind="ball") if each is hinge else each for each in loops)
+        axis = None
+        with suppress(DeclarationError):
+            axis = common_axis(build(replace(proposal.mechanism, loop_joints=joints)), hinge.links)
+        if axis is not None and (away := np.arctan2(np.hypot(*axis[:2]), abs(axis[2]))) > _OFF_AXIS:
+            ends = ",".join(hinge.links)
+            yield (
+                f"Which joint closes the loop at {ends}? A hinge about z of {hinge.links[0]} is "
+                f"{np.rad2deg(away):.3g}° off the axis about which the links turn, and holds them like a weld: "
+                f"--close {ends},ball or --close {ends},weld."
+            )
+
+
+_OFF_AXIS = 1e-2
+"""rad: ten times what placements of a file are off by (``arrays.FILE_TOLERANCE``)."""
 
 
 def _which_branch(robot: Robot) -> str:
@@ -470,7 +498,7 @@ def _build(
     # a URDF does not say it: a declaration of one that leaves it out has none
     unsaid = [0.0, 0.0, 0.0] if data and is_urdf(file) else mechanism.model.gravity.linear.tolist()
     own = data.get("gravity", unsaid)
-    return build_robot(
+    robot = build_robot(
         given,
         replace(mechanism, model=mechanism.model.copy()),  # it gets frames, and may be needed again
         gravity=own if request.gravity is None else request.gravity,
@@ -479,6 +507,10 @@ def _build(
         parameters=parameters,
         source=source_of(request.path),
     )
+    if request.gravity is not None or "gravity" in data or states_gravity(file):
+        return robot
+    note = f"No file states gravity: it is {robot.gravity.tolist()} m/s²; gravity=... or a robot.yaml states another."
+    return replace(robot, notes=(*robot.notes, note))
 
 
 def _report(notes: Iterable[str], file: Path) -> None:
@@ -783,7 +815,8 @@ def _notes(selection: Selection) -> Iterator[str]:
     if selection.left_out:
         rows, opened = ", ".join(selection.left_out), selection.opened
         nearby = (
-            f" to {opened:.1g} (characteristic lengths or rad) nearby, as the file's numbers are rounded"
+            f" to {opened:.1g} (characteristic lengths or rad) nearby: numbers are rounded, or the loops move to first "
+            "order only"
             if opened > AGREEMENT_TOLERANCE
             else ""
         )

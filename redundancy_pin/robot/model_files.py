@@ -17,7 +17,8 @@ from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_mode
 from redundancy_pin.robot.urdf import Argument, known_values, render
 
 _URDF = (".urdf", ".xacro")
-_SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", ".yaml", ".yml")
+_YAML = (".yaml", ".yml")
+_SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", *_YAML)
 _PARALLEL = "a robot.yaml of example-parallel-robots"
 _ARGUMENTS: Mapping[str, Mapping[str, Argument]] = {
     FORMATS["mujoco"]: {"base": "free", "actuated": "", "keyframe": ""},
@@ -32,6 +33,11 @@ def is_urdf(path: Path) -> bool:
     return path.suffix.lower() in _URDF
 
 
+def states_gravity(path: Path) -> bool:
+    """Return whether a model file has gravity in it, by its name: a URDF has none, nor the collection's robot.yaml."""
+    return path.suffix.lower() not in (*_URDF, *_YAML)
+
+
 def is_model_file(path: Path) -> bool:
     """Return whether a file describes a mechanism and needs no declaration: by its name, and by its top element."""
     return is_file(path) and (is_urdf(path) or (path.suffix.lower() in _SUFFIXES and _format(path) in _ARGUMENTS))
@@ -39,7 +45,7 @@ def is_model_file(path: Path) -> bool:
 
 def _format(path: Path) -> str:
     text = read_model(path)
-    if path.suffix.lower() in (".yaml", ".yml"):
+    if path.suffix.lower() in _YAML:
         return _PARALLEL if is_parallel_yaml(text) else ""
     return format_of(text)
 
@@ -63,8 +69,10 @@ def open_model(
 
     Raises:
         ModelFileError: a file that cannot be read, or says what is not covered.
-        InputError: another argument, or another value.
+        InputError: another argument, or another value; trust and untrusted.
     """
+    if trust and untrusted:
+        raise InputError("trust and untrusted are both true.", remedy="Pass one of them.")
     if is_urdf(path):
         return _open_urdf(path, arguments, trust, untrusted)
     if (defaults := _ARGUMENTS.get(found := _format(path))) is None:

@@ -125,6 +125,12 @@ class Proposal:
         """The loop joints whose ends were found by their places."""
         return [loop for loop in self.mechanism.loop_joints if self.found.get(loop.name) in (_MEETING, _MEETING_ENDS)]
 
+    @property
+    def hinges_by_flag(self) -> tuple[LoopJoint, ...]:
+        """The hinges that close loops by ``--close``."""
+        loops = self.mechanism.loop_joints
+        return tuple(loop for loop in loops if loop.kind == "hinge" and self.found.get(loop.name) == _BY_FLAG)
+
     def refused(self, why: str) -> Proposal:
         """Return the proposal with the question that is left where no robot can be made of it, and why not."""
         return self.asking(*(_is_cut(loop.links, "They only meet at zero") for loop in self.doubtful), why)
