@@ -343,7 +343,7 @@ def loaded(path, arguments):
         if not proposal.motors:
             flags.append("--actuate")
             model = proposal.mechanism.model
-            joints = zip(model.names, model.joints, strict=True)
+            joints = list(zip(model.names, model.joints, strict=True))[1:]
             ranged = [name for name, j in joints if (j.nq, j.nv) == (1, 1) and model.upperPositionLimit[j.idx_q] < 1e15]
             _, robot = propose_robot(path, actuate=ranged, is_open=is_open)
             if robot is not None:
