@@ -33,7 +33,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.errors import InputError, shown
 from redundancy_pin.robot.build import characteristic_length
 from redundancy_pin.robot.formats.mechanism import Mechanism
 from redundancy_pin.robot.lookup import (
@@ -456,11 +456,8 @@ def _which_meet(marks: Sequence[str], at_zero: Sequence[tuple[str, str]], tree: 
 
 def _with_motors(mechanism: Mechanism, actuate: Sequence[str]) -> tuple[Mechanism, str]:
     """Return the mechanism with its motors, and how they were found; with all joints where that is not known."""
-    names = joint_names(mechanism.model)
     for name in actuate:
-        if name not in names:
-            remedy = f"{did_you_mean(name, names)}It has: {', '.join(names)}."
-            raise InputError(f"actuate = {shown(name)} is no joint of the file.", remedy=remedy, actuate=name)
+        find_joint_index(mechanism.model, name)
     if actuate:
         return replace(mechanism, actuated=tuple(actuate)), "by --actuate"
     if mechanism.actuated:

@@ -26,9 +26,11 @@ from redundancy_pin.robot.formats.mechanism import (
     LinkEntry,
     Mechanism,
     impossible_moments,
+    in_a_row,
     six_positions,
 )
 from redundancy_pin.robot.formats.sdf_frames import WORLD, Frame, Frames, SdfPart
+from redundancy_pin.robot.formats.urdf_parts import ZEROS
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.lookup import find_joint, has_joint
 from redundancy_pin.robot.loop_joints import LoopJoint, joint_between
@@ -201,7 +203,7 @@ class _Reader:
         mass, inertia, place = 1.0, np.eye(3), np.eye(4)
         if inertial:
             self.frames.pass_over(inertial)
-            if inertial.text_of("auto") not in ("", "0", "false") or inertial.relative_to():
+            if inertial.text_of("auto") not in ZEROS or inertial.relative_to():
                 remedy = "Write mass and inertia, in the frame of the link."
                 inertial.refuse(f"{part.owner} has an inertial by its shapes, or in another frame", remedy)
             place, mass = inertial.pose(), inertial.value("mass", 1.0)
@@ -224,7 +226,7 @@ class _Reader:
         self.frames.pass_over(part)
         for ode in part.deep("ode"):
             softened = [*ode.parts(), *(each for inner in ode.parts("suspension") for each in inner.parts())]
-            if any(each.tag in _SOFT and each.content().lower() not in ("", "0", "0.0", "false") for each in softened):
+            if any(each.tag in _SOFT and each.content().lower() not in ZEROS for each in softened):
                 self._ignored.setdefault("<ode>", []).append(name)
         if (kind := part.text_of("type")) not in _AXES:
             what = f"{part.owner} has the type {shown(kind)}, which is not covered"
@@ -430,12 +432,11 @@ class _Reader:
             )
             self._add_link(link, full, 0, place)
             return {}
-        index, names = 0, [f"{link.name}_{axis}" for axis in SIX]
-        for name, axis in zip(names, SIX, strict=True):
-            kind = "revolute" if len(axis) == 2 else "prismatic"
-            index = self._add_step(_Step(name, kind, np.eye(3)["xyz".index(axis[-1])]), index, pin.SE3.Identity())
+        index, row = 0, in_a_row(link.name, SIX)
+        for name, joint in row:
+            index = int(self.model.addJoint(index, joint, pin.SE3.Identity(), name))
         self._add_link(link, full, index, pin.SE3.Identity())
-        return dict(zip(names, six_positions(place), strict=True))
+        return dict(zip((name for name, _ in row), six_positions(place), strict=True))
 
     def _add_joint(self, joint: _Joint, carrier: str, *, turned_round: bool) -> tuple[int, pin.SE3]:
         """Add a joint to the tree; turned round, it moves the same way about the opposite axis.
@@ -488,7 +489,7 @@ class _Reader:
             index, place = self._add_joint(joint, joint.parent, turned_round=False)
             end = f"{joint.name}::end"
             self.model.addBodyFrame(end, index, place * self._from(joint, joint.child), 0)
-            return LoopJoint(joint.name, "weld", (end, self.frames.name(joint.child)), (np.eye(4), np.eye(4)))
+            return LoopJoint(joint.name, "weld", (end, self.frames.name(joint.child)))
         # rows of a ball or weld are along the joint's own axes
         place = pin.SE3(np.eye(3) if axes else joint.place[:3, :3], joint.place[:3, 3])
         places = [self._where(end).actInv(place).homogeneous for end in ends]
