@@ -18,19 +18,13 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.branch import (
-    LONGEST_STEP,
     BranchEnd,
     ClosedState,
-    Follower,
     follower,
-    follows,
-    known_state,
 )
 from redundancy_pin.kinematics.coordinates import moved, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
-from redundancy_pin.kinematics.margins import closed_around
-from redundancy_pin.robot import Payload, Robot
-from redundancy_pin.robot.scales import velocity_unit
+from redundancy_pin.robot import Payload
 from redundancy_pin.status import SampleStatus
 
 
@@ -115,45 +109,6 @@ def test_a_branch_that_ends_says_why_and_where(x: np.ndarray, status: SampleStat
     assert isinstance(own.advance(own.home, end.last.x), ClosedState)
 
 
-def test_coordinates_and_rates_of_another_shape_are_refused() -> None:
-    own = follower(zoo.robot_of("five_bar"))
-    home, short = own.home, along(0.4)
-    for call in (own.advance, own.step, lambda here, x: own.pass_through(here, x, *np.zeros((2, 2)))):
-        with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
-            call(home, short)
-    with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
-        own.close(home.q, short)
-    with pytest.raises(InputError, match=r"q has shape \(3,\)"):
-        own.state_at(np.zeros(3))
-    with pytest.raises(InputError, match="complex"):
-        own.advance(home, home.x + 1j)
-    with pytest.raises(InputError, match=r"xd has shape \(\), expected \(2,\)"):
-        own.rates(home, np.array(1.0), along(0.0, 0.0))
-    with pytest.raises(InputError, match="xdd has 1 value"):
-        own.rates(home, along(0.0, 0.0), along(np.nan, 0.0))
-
-
-@pytest.mark.parametrize("names", [("five_bar", "delta"), ("five_bar", "four_bar"), ("3rrr", "delta")])
-def test_a_state_of_another_robot_is_refused_by_names(names: tuple[str, str]) -> None:
-    own, other = (follower(zoo.robot_of(name)) for name in names)
-    for go_on in (own.advance, own.follow, own.step):
-        with pytest.raises(InputError, match=f"{other.robot.name}.*{own.robot.name}"):
-            go_on(other.home, own.home.x)
-    motion = rp.PlatformMotion([0.0], own.home.x[None], *np.zeros((2, 1, own.robot.n)))
-    with pytest.raises(InputError, match=f"{other.robot.name}.*{own.robot.name}"):
-        inverse_kinematics(own.robot, motion, start=other.home, mark_unreachable=True)
-
-
-def test_a_state_of_the_same_robot_with_other_motors_is_refused() -> None:
-    """The same tree and loops, but other independent coordinates."""
-    robot = zoo.robot_of("five_bar")
-    driven = follower(with_independent_joints(robot, robot.actuated))
-    with pytest.raises(InputError, match="no closed state"):
-        driven.advance(follower(robot).home, driven.home.x)
-    loaded = follower(robot.loaded(Payload(robot.platform.frame if robot.platform else "", 1.0)))
-    assert isinstance(loaded.advance(follower(robot).home, loaded.home.x + 0.01), ClosedState)
-
-
 def test_a_state_keeps_no_array_that_others_change() -> None:
     own = follower(zoo.robot_of("five_bar"))
     x = np.array(own.home.x) + 0.01
@@ -163,33 +118,6 @@ def test_a_state_keeps_no_array_that_others_change() -> None:
         assert state is not None
         assert state.x[0] == own.home.x[0] + 0.01
         assert not any(part.flags.writeable for part in (state.x, state.q, state.gamma, state.inverse))
-
-
-def test_a_known_state_says_how_far_it_is_from_closed() -> None:
-    robot = zoo.robot_of("five_bar")
-    home = follower(robot).home
-    assert known_state(robot, home.x, home.q, home.gamma).residual < 1e-11
-    assert known_state(robot, home.x, home.q + 2.0 * np.eye(len(home.q))[3], home.gamma).residual > 0.1
-    assert np.isnan(known_state(robot, home.x, home.q * np.nan, home.gamma).residual)
-
-
-@pytest.mark.parametrize("factor", [np.diag([2.0, 2.0, 2.0, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4)])
-def test_a_matrix_that_is_no_pose_is_refused(factor: np.ndarray) -> None:
-    own = follower(zoo.robot_of("gough"))
-    with pytest.raises(InputError, match="not a homogeneous pose"):
-        own.advance(own.home, own.home.x @ factor)
-
-
-def test_where_the_closures_lose_rank_and_no_branch_goes_on_it_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Follower, "pass_through", lambda *_: None)
-    own = follower(folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)))
-    end = own.advance(own.home, along(np.pi))
-    assert isinstance(end, BranchEnd)
-    assert end.status is SampleStatus.TYPE_I
-    assert end.rank_lost
-    assert not end.is_final
 
 
 @pytest.mark.parametrize("beside", [0.0, 1e-6, -1e-6])
@@ -206,29 +134,6 @@ def test_no_plain_step_leads_to_a_rank_loss(beside: float, tmp_path: Path) -> No
     assert passed.state.interpolated
     with pytest.raises(SingularPoseError, match="pass_through"):
         own.rates(passed.state, np.ones(1), np.zeros(1))
-
-
-@pytest.mark.parametrize("size", [1.0, 2.0**5])
-def test_the_way_to_a_pose_takes_steps_of_a_fraction_of_the_machine(
-    size: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    names = ("base_distance", "proximal_length", "distal_length", "tail_length")
-    plain = zoo.robot_of("five_bar").parameters
-    robot = rp.load_robot("five_bar", carriers=True, **{name: size * float(plain[name]) for name in names})
-    own, targets, step = follower(robot), [], Follower.step
-
-    def counted(self: Follower, here: ClosedState, x: np.ndarray) -> ClosedState | None:
-        targets.append(np.array(x))
-        return step(self, here, x)
-
-    monkeypatch.setattr(Follower, "step", counted)
-    spacing = LONGEST_STEP * robot.characteristic_length
-    home, along = own.home.x, np.array([0.6, -0.8])
-    for way, steps in ((0.0, 1), (0.5, 1), (0.99, 1), (1.01, 2), (1.99, 2), (2.5, 3)):
-        targets.clear()
-        assert isinstance(own.advance(own.home, home + way * spacing * along), ClosedState)
-        expected = home + np.linspace(0.0, way, steps + 1)[1:, None] * spacing * along
-        np.testing.assert_allclose(targets, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("length", [1.0, 2.0**5])
@@ -248,25 +153,6 @@ def test_a_step_across_a_rank_loss_stays_on_the_smooth_branch(length: float, sid
         np.testing.assert_allclose(reached.gamma[:, 0], turn, atol=1e-7)
 
 
-def test_configurations_around_the_reference_are_near_it(shipped: Robot) -> None:
-    """Those along the branch by 0.4 rad or characteristic lengths of the joint that moves farthest, before closing."""
-    reference, q = np.array(shipped.q_reference), closed_around(zoo.system_of(shipped)).q
-    unit = velocity_unit(shipped)
-    far = np.array([np.abs(pin.difference(shipped.model, reference, one) / unit).max() for one in q])
-    assert far[0] < 1e-9
-    along = far[1 + len(far) // 2 :]
-    assert 0.3 < along.min() <= along.max() < 0.5
-
-
-def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
-    """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
-    system = zoo.system_of(zoo.robot_of("five_bar"))
-    nv = system.robot.model.nv
-    gamma0, gamma1 = np.full((4, nv, 1), 1.0), np.full((4, nv, 1), 3.0)
-    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(nv)
-    assert follows(system, step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
-
-
 @pytest.mark.parametrize("excess", [1e-6, 1e-7, 1e-8, 1e-9])
 @pytest.mark.parametrize("count", [2, 7, 40])
 def test_no_branch_is_changed_where_two_nearly_touch(excess: float, count: int, tmp_path: Path) -> None:
@@ -282,3 +168,37 @@ def test_no_branch_is_changed_where_two_nearly_touch(excess: float, count: int, 
             break
         here = reached
         assert np.sign(np.sin(here.q[coupler])) == side
+
+
+def test_states_and_coordinates_that_do_not_fit_are_refused() -> None:
+    """Another shape, no pose, another robot, or the same tree and loops with other independent coordinates."""
+    own, gough = follower(zoo.robot_of("five_bar")), follower(zoo.robot_of("gough"))
+    home, short = own.home, along(0.4)
+    for call in (own.advance, own.step, lambda here, x: own.pass_through(here, x, *np.zeros((2, 2)))):
+        with pytest.raises(InputError, match=r"x has shape \(1,\), expected \(2,\)"):
+            call(home, short)
+    for call, message in (
+        (lambda: own.close(home.q, short), r"x has shape \(1,\), expected \(2,\)"),
+        (lambda: own.state_at(np.zeros(3)), r"q has shape \(3,\)"),
+        (lambda: own.advance(home, home.x + 1j), "complex"),
+        (lambda: own.rates(home, np.array(1.0), along(0.0, 0.0)), r"xd has shape \(\), expected \(2,\)"),
+        (lambda: own.rates(home, along(0.0, 0.0), along(np.nan, 0.0)), "xdd has 1 value"),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()
+    for factor in (np.diag([2.0, 2.0, 2.0, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4)):
+        with pytest.raises(InputError, match="not a homogeneous pose"):
+            gough.advance(gough.home, gough.home.x @ factor)
+    motion = rp.PlatformMotion([0.0], home.x[None], *np.zeros((2, 1, 2)))
+    for name in ("delta", "four_bar"):
+        other = follower(zoo.robot_of(name)).home
+        for go_on in (own.advance, own.follow, own.step):
+            with pytest.raises(InputError, match=f"{name}.*five_bar"):
+                go_on(other, home.x)
+        with pytest.raises(InputError, match=f"{name}.*five_bar"):
+            inverse_kinematics(own.robot, motion, start=other, mark_unreachable=True)
+    driven = follower(with_independent_joints(own.robot, own.robot.actuated))
+    with pytest.raises(InputError, match="no closed state"):
+        driven.advance(home, driven.home.x)
+    loaded = follower(own.robot.loaded(Payload("end_effector", 1.0)))
+    assert isinstance(loaded.advance(home, loaded.home.x + 0.01), ClosedState)

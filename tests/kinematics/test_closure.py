@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from spatial_chains import CHAINS, chain_of
 
 from redundancy_pin.errors import UnsupportedRobotError
-from redundancy_pin.kinematics import tree
 from redundancy_pin.kinematics.assembly import integrate
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import ConstraintSystem
@@ -323,16 +322,3 @@ def test_a_link_and_a_joint_of_the_same_name_are_not_confused() -> None:
     model.addBodyFrame("arm", joint, place, 0)
     state = ConstraintSystem(dataclasses.replace(robot, platform=Platform("arm", AXES))).evaluate(np.zeros((1, 3)))
     np.testing.assert_allclose(state.placement("arm")[1][:, 0], [0.0, 0.0, 2.0])
-
-
-def test_another_layout_of_pinocchios_memory_is_copied(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = zoo.robot_of("3rrr")
-    q, v = zoo.random_tree(robot, 1, 1)
-    expected = tree.TreePlacement(robot.model)
-    expected.place_moving(q[0], v[0])
-    monkeypatch.setattr(tree, "_address", lambda array: id(array))
-    copied = tree.TreePlacement(robot.model)
-    copied.place_moving(q[0], v[0])
-    assert np.shares_memory(expected.vectors, np.asarray(expected.data.oMf[1].translation))
-    np.testing.assert_array_equal(copied.vectors, expected.vectors)
-    assert not np.shares_memory(copied.vectors, np.asarray(copied.data.oMf[1].translation))

@@ -24,7 +24,6 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import column_scale, row_scale, turning_velocities, velocity_scale
 
 ROUNDING = 1e-13
 
@@ -71,32 +70,6 @@ def test_reference_numbers_are_coordinates_or_the_urdfs_fixed_axis_angles() -> N
     np.testing.assert_allclose(pose[:3, :3], Rotation.from_euler("xyz", (0.4, 0.5, 0.6)).as_matrix(), atol=ROUNDING)
     np.testing.assert_allclose(pose[:, 3], [0.1, 0.2, 0.3, 1.0])
     np.testing.assert_array_equal(reference_coordinates(zoo.robot_of("3rrr"), (0.1, 0.2, 0.3)), [[0.1, 0.2, 0.3]])
-
-
-def test_scales_follow_the_joint_types() -> None:
-    two, three, gough, four = (zoo.robot_of(name) for name in ("2rpr", "3rrr", "gough", "four_bar"))
-    length = three.characteristic_length
-    np.testing.assert_array_equal(row_scale(three), [1.0, 1.0, length])
-    np.testing.assert_array_equal(column_scale(three), [length] * 3)
-    np.testing.assert_array_equal(row_scale(two), [1.0, 1.0])
-    np.testing.assert_array_equal(column_scale(two), [1.0, 1.0])
-    np.testing.assert_array_equal(row_scale(gough), [1.0] * 3 + [gough.characteristic_length] * 3)
-    np.testing.assert_array_equal(row_scale(four), [four.characteristic_length])
-
-
-def test_turning_velocities_are_those_of_revolute_joints(shipped: Robot) -> None:
-    expected = [
-        "Revolute" in shipped.model.joints[i].shortname() or "ModelR" in shipped.model.joints[i].shortname()
-        for i in range(1, shipped.model.njoints)
-    ]
-    np.testing.assert_array_equal(turning_velocities(shipped), expected)
-    np.testing.assert_array_equal(velocity_scale(shipped), np.where(expected, shipped.characteristic_length, 1.0))
-
-
-def test_the_reference_is_in_the_robots_own_mode(shipped: Robot) -> None:
-    q = shipped.q_reference[None]
-    assert in_working_mode(shipped, q)[0]
-    assert tuple(working_modes(shipped, q)[0]) == shipped.working_mode
 
 
 def test_modes_are_signs_of_sines_and_of_positions() -> None:

@@ -262,34 +262,6 @@ def test_redundant_motors_lead_through_singularities_of_some_of_them(five_bar: r
         assert margin[-1] < 0.5 * margin[0] <= margin[1:-1].min(initial=np.inf)
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"start": 0.1}, "start does not close"),
-        ({"actuated": [[2.0]]}, "actuated has shape"),
-        ({"actuated": [1e4 * np.pi, 1.0]}, "whole turns between samples"),
-        ({"actuated": [1.0, -2e6 * np.pi]}, "whole turns between samples"),
-        ({"actuated": [0.0, 1e15]}, "where in a turn"),
-        ({"actuated": [0.0, -1e90]}, "where in a turn"),
-        *(({"actuated": wrong}, None) for wrong in ("x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0])),
-        *(({"rates": wrong}, None) for wrong in ("x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0])),
-    ],
-)
-def test_motors_of_no_sense_are_refused(five_bar: rp.Robot, given: dict[str, object], message: str | None) -> None:
-    if "start" in given:
-        given = {"start": np.array(five_bar.q_reference) + given["start"]}
-    with pytest.raises(InputError, match=message):
-        rp.forward_kinematics(five_bar, **{"actuated": motors(five_bar, five_bar.q_reference), **given})
-
-
-def test_robots_and_searches_of_no_sense_are_refused(five_bar: rp.Robot) -> None:
-    weak = replace(five_bar, actuated=five_bar.actuated[:1])
-    with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
-        rp.forward_kinematics(weak, motors(five_bar, five_bar.q_reference)[:1])
-    with pytest.raises(InputError):
-        rp.assembly_modes(five_bar, np.ones(2), most_starts="x")
-
-
 def test_angles_of_the_platform_count_the_turns_between_far_samples_and_from_call_to_call() -> None:
     model = pin.Model()
     for parent, (name, place) in enumerate((("base", 0.0), ("wrist", 0.4))):
@@ -355,22 +327,6 @@ def test_what_turns_with_the_motor_turns_as_often(ratio: float) -> None:
     np.testing.assert_allclose(solution.x, u * (1.0 + ratio), rtol=1e-12, atol=1e-9)
 
 
-def test_turns_that_never_repeat_lose_the_branch() -> None:
-    """With a ratio of √2 / 10; motions are marked there, or refused with the sample."""
-    robot = geared(0.1 * np.sqrt(2.0))
-    far = [[0.3], [1e5], [0.4]]
-    there = rp.forward_kinematics(robot, far)
-    assert there.status_labels.tolist() == ["ok", "branch_lost", "branch_lost"]
-    assert np.isnan(there.residual).tolist() == [False, True, False]
-    motion = rp.PlatformMotion([0.0, 1.0, 2.0], far, np.zeros((3, 1)), np.zeros((3, 1)), check_rates=False)
-    driven = replace(robot, platform=None, independent_joints=("motor",))
-    marked = rp.inverse_kinematics(driven, motion, mark_unreachable=True)
-    assert marked.reachable.tolist() == [True, False, True]
-    with pytest.raises(UnreachablePoseError, match="do not repeat") as caught:
-        rp.inverse_kinematics(driven, motion)
-    assert caught.value.details["sample"] == 1
-
-
 @pytest.mark.parametrize(("most", "attempts"), [(None, 512), (1, 128), (128, 128), (129, 256), (3000, 512)])
 def test_motors_that_no_configuration_has_are_given_up(five_bar: rp.Robot, most: int | None, attempts: int) -> None:
     """The proximal links point away from each other: 1.5 m are left for two distal links of 0.5 m."""
@@ -407,3 +363,22 @@ def test_modes_are_said_with_their_ranges_margins_and_hits(five_bar: rp.Robot) -
     again = rp.assembly_modes(narrow, u)
     assert again.in_range.tolist() == (again.q[:, at] > 0.5 * (low + high)).tolist()
     assert sorted(again.in_range) == [False, True]
+
+
+def test_motors_robots_and_searches_of_no_sense_are_refused(five_bar: rp.Robot) -> None:
+    home, wrong = motors(five_bar, five_bar.q_reference), ("x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0])
+    for given, message in (
+        ({"start": np.array(five_bar.q_reference) + 0.1}, "start does not close"),
+        ({"actuated": [[2.0]]}, "actuated has shape"),
+        ({"actuated": [1e4 * np.pi, 1.0]}, "whole turns between samples"),
+        ({"actuated": [1.0, -2e6 * np.pi]}, "whole turns between samples"),
+        ({"actuated": [0.0, 1e15]}, "where in a turn"),
+        ({"actuated": [0.0, -1e90]}, "where in a turn"),
+        *(({name: value}, None) for name in ("actuated", "rates") for value in wrong),
+    ):
+        with pytest.raises(InputError, match=message):
+            rp.forward_kinematics(five_bar, **{"actuated": home, **given})
+    with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
+        rp.forward_kinematics(replace(five_bar, actuated=five_bar.actuated[:1]), home[:1])
+    with pytest.raises(InputError):
+        rp.assembly_modes(five_bar, np.ones(2), most_starts="x")

@@ -92,26 +92,6 @@ def test_the_platform_follows_the_motors_alike(name: str, unit: tuple[float, flo
         assert each.unseen == (each.hits == 1).sum() / each.hits.sum()
 
 
-@pytest.mark.parametrize("unit", UNITS)
-@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-def test_poses_are_found_and_refused_alike(name: str, unit: tuple[float, float]) -> None:
-    length = unit[0]
-    robot, larger = robot_in(name, 1.0), robot_in(name, length)
-    own, joints = sizes(robot, length)
-    rng, closed = np.random.default_rng(5), []
-    for _ in range(8):
-        x = zoo.home_of(robot) + rng.uniform(-3.0, 3.0, robot.n) * zoo.reach_of(robot)
-        one, other = (
-            multistart(zoo.system_of(machine), np.array(machine.q_reference), pose)
-            for machine, pose in ((robot, x), (larger, x * own))
-        )
-        assert one.in_mode == other.in_mode
-        closed.append(one.in_mode)
-        if one.in_mode:
-            close(other.q / joints, one.q)
-    assert any(closed)
-
-
 @pytest.mark.parametrize("length", [2.0**-5, 1.0, 2.0**7])
 def test_the_nearest_configuration_is_the_same_in_all_units(length: float) -> None:
     """A slide turned round by 0.9 π is nearer with its other sign, however many metres it is long."""

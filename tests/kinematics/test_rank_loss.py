@@ -16,15 +16,12 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import SingularPoseError, WorkingModeError
-from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.branch import ClosedState, Follower, follower
+from redundancy_pin.kinematics.branch import Follower
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.coordinates import mode_indicator, moved
+from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.kinematics.margins import NEAR_RANK_LOSS, near_rank_loss
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.robot import Robot
-from redundancy_pin.robot.scales import coordinate_unit
 from redundancy_pin.singularities.classify import classify_motion
 from redundancy_pin.status import SampleStatus
 
@@ -104,32 +101,6 @@ def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
     assert np.abs(np.sin((alone.q[:, rocker] - angle) / 2.0)).max() < POSITION
 
 
-def test_a_thousand_turns_to_a_flat_pose_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
-    steps, step = [], Follower.step
-
-    def counted(self: Follower, here: ClosedState, x: np.ndarray) -> ClosedState | None:
-        steps.append(x)
-        return step(self, here, x)
-
-    monkeypatch.setattr(Follower, "step", counted)
-    far = 2000.0 * np.pi + np.pi
-    tree = inverse_kinematics(robot, turning(np.array([np.pi, far])))
-    np.testing.assert_allclose(np.sin(0.5 * (tree.q[1] - tree.q[0])), 0.0, atol=1e-9)
-    assert tree.q[1, joint(robot, "crank")] == pytest.approx(far, abs=1e-9)
-    assert 150 < len(steps) < 1000
-
-
-def test_two_turns_of_a_parallelogram_leave_its_sides_parallel(tmp_path: Path) -> None:
-    robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
-    motion = turning(np.linspace(1.0, 1.0 + 4.0 * np.pi, 601))
-    tree = inverse_kinematics(robot, motion)
-    crank, rocker = joint(robot, "crank"), joint(robot, "rocker")
-    assert np.abs(np.sin((tree.q[:, rocker] - tree.q[:, crank]) / 2.0)).max() < POSITION
-    assert np.abs(tree.v[:, rocker] - RATE_OF_CRANK).max() < RATE
-    assert np.abs(tree.a[:, rocker] - SECOND_RATE).max() < ACCELERATION
-
-
 @pytest.mark.long_for("1e-06-501", "1e-06-51", "1e-08-501", "1e-08-10", "1e-08-51", "1e-10-501", "1e-10-10")
 @pytest.mark.parametrize("samples", [10, 51, 501])
 @pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
@@ -190,36 +161,6 @@ def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
     tree = inverse_kinematics(robot, turning(np.linspace(4.1, 4.2, 5)))
     np.testing.assert_allclose(tree.q[:, joint(robot, "crank")], tree.motion.x[:, 0], atol=POSITION)
     assert (mode_indicator(robot, tree.q) > 0.0).all()
-
-
-def flat_sides(robot: Robot, offset: float) -> list[list[ClosedState]]:
-    """Return the points before and behind the flat pose with the coupler on either side: [before, behind][side]."""
-    system, coupler = constraint_system(robot), joint(robot, "coupler")
-    sides = []
-    for crank in (np.pi - offset, np.pi + offset):
-        starts = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, robot.model.nq))
-        solution = assemble(system, starts, np.full((40, 1), crank))
-        up = np.sin(solution.q[:, coupler]) > 0.0
-        chosen = [int(np.argmax(solution.regular & (up == side))) for side in (True, False)]
-        assert solution.regular[chosen].all()
-        assert up[chosen].tolist() == [True, False]
-        wrapped = (solution.q + np.pi) % (2.0 * np.pi) - np.pi
-        wrapped[:, joint(robot, "crank")] = crank
-        sides.append([follower(robot).close(wrapped[k], np.array([crank])) for k in chosen])
-    return sides
-
-
-@pytest.mark.parametrize("excess", [1e-3, 1e-5, 1e-7, 0.0])
-def test_only_a_smooth_branch_through_a_rank_loss_is_a_crossing(excess: float, tmp_path: Path) -> None:
-    """The coupler changes over where the linkage folds flat; where it almost does, no branch leads there."""
-    g, a, b, c = LINKAGES["folding"][0]
-    robot = folding_four_bar(tmp_path, (g, a, b, c + excess), LINKAGES["folding"][1])
-    before, behind = flat_sides(robot, 0.02)
-    own = follower(robot)
-    for side in (0, 1):
-        assert own.crosses(before[side], behind[1 - side]) == (excess == 0.0)
-        assert not own.crosses(before[side], behind[side])
-        assert not own.crosses(before[side], replace(before[side], x=before[side].x + 1e-3))
 
 
 @pytest.mark.parametrize("beside", [1e-1, 1e-2, 1e-3])
@@ -331,20 +272,6 @@ def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
             if beside >= 1e-5:
                 q = inverse_kinematics(robot, motion, positions_only=True).q
                 assert q[1, 1] == pytest.approx(-beside, abs=1e-10)
-
-
-def test_loops_and_legs_have_determinants_of_their_own(shipped: Robot) -> None:
-    own, rng = follower(shipped), np.random.default_rng(4)
-    sizes = {"2rpr": 2, "3rrr": 3, "five_bar": 2, "four_bar": 2, "gough": 6}
-    for _ in range(5):
-        increment = rng.normal(0.0, 0.01, shipped.n) * coordinate_unit(shipped)
-        here = own.advance(own.home, moved(shipped, own.home.x, increment))
-        assert isinstance(here, ClosedState)
-        sign, log = here.determinants
-        assert log.shape == (sizes[shipped.name],)
-        K = own.system.relative(own.system.evaluate(here.q[None]).K)  # by the batched rows
-        assert log.sum() == pytest.approx(np.linalg.slogdet(K)[1][0], abs=1e-9)
-        assert (np.abs(sign) == 1.0).all()
 
 
 @pytest.mark.long
