@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,14 +20,14 @@ from flat_linkages import parallelogram, row_of_four_bars
 from hypothesis import given
 from hypothesis import strategies as st
 from machines import machine
-from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin import trajectory
-from redundancy_pin.dynamics.compiled.closing import LARGEST_TURN, waypoints
-from redundancy_pin.dynamics.compiled.parameters import parameter_vector, trig_at
+from redundancy_pin.dynamics.compiled.parameters import parameter_vector, topology_of, trig_at
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
+from redundancy_pin.errors import CompilerError
 from redundancy_pin.machine_code import CACHE
+from redundancy_pin.robot import Robot
 
 EQUAL = 1e-11
 """Relative to the largest value of the motion: what the issue of this backend asks for. Rounding is 1e-14."""
@@ -213,17 +215,157 @@ def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics(
         assert_equal(getattr(mine, name), getattr(theirs, name), name)
 
 
-def test_a_pose_far_away_is_approached_in_equal_turns() -> None:
-    """By the least rotation, and along a straight line; coordinates go at once."""
-    first, last, angle = np.eye(4), np.eye(4), 3.5 * LARGEST_TURN
-    turn = angle * np.array([1.0, 2.0, -2.0]) / 3.0
-    first[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
-    last[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ first[:3, :3]
-    first[:3, 3], last[:3, 3] = [1.0, 2.0, 3.0], [0.0, 4.0, 3.5]
-    way = np.array(waypoints(first.ravel(), last.ravel(), True)).reshape(-1, 4, 4)
-    assert len(way) == 4
-    for share, pose in zip((0.25, 0.5, 0.75, 1.0), way, strict=True):
-        expected = (1.0 - share) * first + share * last
-        expected[:3, :3] = Rotation.from_rotvec(share * turn).as_matrix() @ first[:3, :3]
-        np.testing.assert_allclose(pose, expected, atol=1e-12)
-    assert waypoints(np.zeros(2), np.ones(2), False)[0].tolist() == [1.0, 1.0]
+# --- robots that differ in numbers share compiled code: libraries are counted in an empty cache
+
+
+@pytest.fixture
+def without_kinematics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Regular motions are followed by generated code alone: asking the kinematics would hide its mistakes."""
+
+    def refuse(*given: object, **named: object) -> None:
+        raise AssertionError("generated code did not follow the motion")
+
+    monkeypatch.setattr("redundancy_pin.dynamics.compiled.closing.inverse_kinematics", refuse)
+
+
+def libraries(folder: Path) -> int:
+    return len(list(folder.glob("*.so")))
+
+
+def assert_backends_agree(dynamics: rp.CompiledDynamics) -> None:
+    """Along a motion about the robot's own reference."""
+    robot, t = dynamics.robot, np.linspace(0.0, 1.0, 7)
+    assert_same_dynamics(dynamics, zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t))
+
+
+def changed_in_every_number(name: str) -> list[Robot]:
+    """The robot with one number of its file changed each; a link of two halves stays symmetric (a structural zero)."""
+    robot = rp.load_robot(name)
+    numbers = {key: value for key, value in robot.parameters.items() if type(value) is float and value}
+    halves = {key for key in numbers if key in ("distal_length", "tail_length")}
+    changes = [{key: 1.03 * numbers[key] for key in (halves if one in halves else {one})} for one in numbers]
+    return [rp.load_robot(name, **change) for change in changes]
+
+
+def payloads(name: str) -> list[Robot]:
+    """The robot with payloads on its platform, or on the first link that a closure joins."""
+    robot = rp.load_robot(name)
+    link = robot.platform.frame if robot.platform else robot.closures[0].frame_a
+    return [
+        robot.loaded(rp.Payload(link, mass, centre, inertia))
+        for mass, centre, inertia in ((0.7, (0.01, 0.02, 0.03), 0.001), (0.2, (0.0, 0.0, 0.0), 0.0))
+    ]
+
+
+@pytest.mark.usefixtures("without_kinematics")
+@pytest.mark.parametrize(("name", "loaded"), [("four_bar", 4), pytest.param("3rrr", 2, marks=pytest.mark.long)])
+def test_another_number_is_not_another_library(
+    name: str, loaded: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    first = rp.CompiledDynamics(name)
+    assert first.forward() is not None
+    assert libraries(tmp_path) == 2  # inverse and forward dynamics
+    robots = changed_in_every_number(name)
+    assert len(robots) > 5
+    for i, robot in enumerate(robots):
+        dynamics = first.for_robot(robot) if i % 2 else rp.CompiledDynamics(robot)
+        assert dynamics.forward() is not None
+        assert_backends_agree(dynamics)
+    assert_backends_agree(first)  # which none of the others has changed
+    assert libraries(tmp_path) == 2
+    assert len({topology_of(robot).text for robot in payloads(name)}) == 1
+    for robot in payloads(name):  # a link that is no platform gets another topology, once
+        dynamics = first.for_robot(robot)
+        assert dynamics.forward() is not None
+        assert_backends_agree(dynamics)
+        assert libraries(tmp_path) == loaded
+
+
+def test_another_folder_or_compiler_counts_from_when_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rp.CompiledDynamics("four_bar")
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    rp.CompiledDynamics("four_bar")
+    assert libraries(tmp_path) == 1
+    monkeypatch.setenv("CC", "no such compiler")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(CompilerError):
+        rp.CompiledDynamics("four_bar")
+
+
+def of_modes() -> list[Robot]:
+    return [zoo.robot_of("five_bar", working_mode=mode) for mode in ((1, 1), (-1, -1), (1, -1))]
+
+
+def of_loads() -> list[Robot]:
+    """Loads of another size, and one of another kind."""
+    robot = zoo.robot_of("four_bar")
+    joint = str(robot.model.names[1])
+    loads = [
+        rp.JointForces(joint, size, size, 0.02 * size, size, 0.1 * size, 0.01 * size, -2.0 * size)
+        for size in (1.0, 3.7)
+    ]
+    return [robot.loaded(load) for load in (*loads, rp.JointForces(joint, damping=1.0))]
+
+
+def of_gravity() -> list[Robot]:
+    """Structural zeros are compiled: gravity along y alone, and along x too."""
+    directions = ((0.0, -9.81, 0.0), (0.0, -3.7, 0.0), (1.0, -9.81, 0.0))
+    return [zoo.robot_of("four_bar", gravity=gravity) for gravity in directions]
+
+
+@pytest.mark.usefixtures("without_kinematics")
+@pytest.mark.parametrize(("robots", "last"), [(of_modes, 1), (of_loads, 2), (of_gravity, 2)])
+def test_modes_and_numbers_share_a_library_and_kinds_do_not(
+    robots: Callable[[], list[Robot]], last: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    for robot, count in zip(robots(), (1, 1, last), strict=True):
+        assert_backends_agree(rp.CompiledDynamics(robot))
+        assert libraries(tmp_path) == count
+
+
+@pytest.mark.parametrize(("size", "same"), [(1e-17, True), (1e-9, False)])
+def test_rounding_makes_no_other_topology(size: float, same: bool) -> None:
+    """Zero beside the characteristic length, the mass and the inertia, and beside 1 in a rotation."""
+    robot = rp.load_robot("four_bar")
+    body = robot.model.inertias[2]
+
+    def moved(model: pin.Model) -> None:
+        model.jointPlacements[2].translation = model.jointPlacements[2].translation + size * np.array([0.0, 0.0, 1.0])
+
+    def turned(model: pin.Model) -> None:
+        model.jointPlacements[2].rotation = model.jointPlacements[2].rotation @ pin.exp3(np.array([size, 0.0, 0.0]))
+
+    def heavier(model: pin.Model) -> None:
+        model.inertias[2] = pin.Inertia(body.mass, body.lever + size * np.array([0.0, 0.0, 1.0]), body.inertia)
+
+    for change in (moved, turned, heavier):
+        model = robot.model.copy()
+        change(model)
+        assert (topology_of(dataclasses.replace(robot, model=model)) == topology_of(robot)) is same
+
+
+def test_every_role_is_part_of_a_topology() -> None:
+    """A library under the name of another topology would be loaded, and its answers would be wrong."""
+    robot = rp.load_robot("3rrr")
+    first, *rest = robot.closures
+    platform, modes = robot.platform, robot.working_modes
+    assert platform is not None
+    assert modes is not None
+    others = [
+        {"closures": (dataclasses.replace(first, axes=first.axes[:1]), *rest)},
+        {"closures": (dataclasses.replace(first, frame_a=first.frame_b, frame_b=first.frame_a), *rest)},
+        {"platform": dataclasses.replace(platform, pointer=1)},
+        {"platform": dataclasses.replace(platform, axes=platform.axes[:2])},
+        {"actuated": robot.actuated[::-1]},
+        {"carriers": robot.carriers[::-1]},
+        {"working_modes": dataclasses.replace(modes, joints=modes.joints[::-1])},
+        {"loads": (rp.JointForces(robot.actuated[0], damping=1.0),)},
+        {"loads": (rp.Wrench(platform.frame, np.ones(6), "local"),)},
+        {"loads": (rp.Wrench(platform.frame, np.ones(6), "world"),)},
+    ]
+    texts = [topology_of(dataclasses.replace(robot, **other)).text for other in others]
+    assert len({topology_of(robot).text, *texts}) == len(others) + 1

@@ -107,13 +107,6 @@ def test_conditions_that_cannot_be_kept_are_a_status(gripping: Gripping) -> None
     assert ((kept.status == SampleStatus.BOUND_INFEASIBLE) == (efforts[:, 0] > limit + 1e-9)).all()
 
 
-def test_rows_are_counted_from_preferred_efforts(gripping: Gripping) -> None:
-    _, reduced, _, squeeze = gripping
-    first = rp.distribute(reduced, rows=[squeeze])
-    again = rp.distribute(reduced, rows=[squeeze], preferred=first.tau)
-    assert np.abs(again.tau - first.tau).max() < 1e-6
-
-
 def foot() -> ClosureForces:
     """A point foot in a plane: what holds it are the two efforts themselves."""
     return ClosureForces(("x of foot", "z of foot"), np.zeros((1, 2)), np.eye(2)[None])

@@ -63,6 +63,11 @@ def test_a_robot_is_as_good_as_its_generated_code(name: str) -> None:
     assert np.asarray(expected).size
     np.testing.assert_array_equal(TAKERS[name](robot), expected)
     np.testing.assert_array_equal(TAKERS[name]("2rpr"), expected)
+    for wrong in (5, rp.RneaDynamics, MOTION) if name != "plan_stepwise, baseline" else ():  # which may be efforts
+        with pytest.raises(InputError, match=f"{type(wrong).__name__} was given for the dynamics. Pass a robot"):
+            TAKERS[name](wrong)
+    with pytest.raises(ModelFileError, match="2rp"):
+        TAKERS[name]("2rp")
 
 
 def test_simulations_and_controllers_take_a_robot_for_its_generated_code() -> None:
@@ -79,15 +84,6 @@ def test_simulations_and_controllers_take_a_robot_for_its_generated_code() -> No
     np.testing.assert_allclose(named.q, plain.q, atol=1e-7)
     with pytest.raises(InputError, match="int was given for the dynamics"):
         run(5)
-
-
-@pytest.mark.parametrize("name", sorted(TAKERS.keys() - {"plan_stepwise, baseline"}))  # that may be efforts too
-def test_what_is_neither_is_named(name: str) -> None:
-    for wrong in (5, rp.RneaDynamics, MOTION):
-        with pytest.raises(InputError, match=f"{type(wrong).__name__} was given for the dynamics. Pass a robot"):
-            TAKERS[name](wrong)
-    with pytest.raises(ModelFileError, match="2rp"):
-        TAKERS[name]("2rp")
 
 
 def test_a_backend_stays_the_one_that_was_given() -> None:

@@ -249,20 +249,6 @@ def test_ranges_of_passive_joints_may_be_counted_from_another_turn(backend: Back
         assert dynamics.torque(x, [0.1, 0.0], [0.0, 1.0]).status is status
 
 
-def test_efforts_that_grow_towards_type_one_have_a_small_serial_margin() -> None:
-    """The first leg of the five-bar nearly stretched: W is far from singular, the margin goes with the root."""
-    still, margins = np.zeros(2), []
-    rnea, compiled = rp.RneaDynamics(zoo.robot_of("five_bar")), rp.CompiledDynamics(zoo.robot_of("five_bar"))
-    for reach in (0.8, 1.0 - 1e-4, 1.0 - 1e-6):
-        x = [0.25, np.sqrt(reach**2 - 0.0625)]
-        one, other = (dynamics.torque(x, still, still + 1.0) for dynamics in (rnea, compiled))
-        assert one.margin > 0.1
-        assert other.serial_margin == pytest.approx(one.serial_margin, rel=1e-6)
-        margins.append(one.serial_margin)
-    assert margins[0] > 0.1
-    assert margins[1] / margins[2] == pytest.approx(10.0, rel=0.05)
-
-
 def test_wrenches_and_other_loads_are_felt() -> None:
     pushed = machine("3rrr").loaded(
         rp.Wrench("platform", np.array([3.0, -2.0, 0.0, 0.0, 0.0, 0.7])),
@@ -400,20 +386,6 @@ def test_redundant_motors_that_contradict_each_other_have_no_pose(name: str) -> 
     assert dynamics.joint_state(q0[at], rate).status is SampleStatus.OK
 
 
-def test_the_branch_is_that_of_the_start() -> None:
-    """The end-effector of a 2-RPR lies above or below its base for the same legs."""
-    robot, dynamics, still = machine("2rpr"), dynamics_of("2rpr"), np.zeros((1, 2))
-    at = actuated_positions(robot)
-    for side in (1.0, -1.0):
-        motion = rp.PlatformMotion([0.0], [[0.24, 0.19 * side]], still, still)
-        start = rp.inverse_kinematics(robot, motion).q[0]
-        legs = rp.inverse_kinematics(robot, rp.PlatformMotion([0.0], [[0.25, 0.2 * side]], still, still)).q[0, at]
-        for given in (start, None):  # then by the sample before
-            got = dynamics.joint_state(legs, start=given)
-            assert got.status is SampleStatus.OK
-            np.testing.assert_allclose(got.x, [0.25, 0.2 * side], rtol=0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", ["five_bar", "3rrr", "delta"])
 def test_motors_that_jump_lead_where_small_steps_do(name: str) -> None:
     """Farther than Newton's method gets in two steps; in random directions, to where the steps are still regular."""
@@ -491,12 +463,14 @@ def test_arguments_of_any_kind_are_taken_and_others_refused(backend: Backend) ->
         want, strided = call(*given), [np.repeat(part, 2)[::2] for part in given]
         assert not strided[0].flags.c_contiguous
         listed = [part.tolist() for part in given]
-        for other in (call(*strided), call(*listed), call(*listed[:2], *given[2:])):
+        unmasked = [np.ma.masked_array(part) for part in given]
+        for other in (call(*strided), call(*listed), call(*listed[:2], *given[2:]), call(*unmasked)):
             assert_alike(other, want, rounding, rounding)
         for i, (name, part) in enumerate(zip(inspect.signature(call).parameters, given, strict=False)):
             with pytest.raises(InputError, match=rf"^{name} has shape"):
                 call(*given[:i], part[:-1], *given[i + 1 :])
-            wrong: list[Any] = [part[None], np.append(part, 0.0), "text"]
+            masked = np.ma.masked_array(part, mask=np.arange(len(part)) == 0)
+            wrong: list[Any] = [part[None], np.append(part, 0.0), "text", masked]
             for no_number in (1j, None, "1"):
                 wrong += [no_number, [no_number] * len(part)]
             for bad in wrong:
@@ -507,6 +481,17 @@ def test_arguments_of_any_kind_are_taken_and_others_refused(backend: Backend) ->
             assert_alike(call(*fewer, 0.1), call(*fewer, np.full(3, 0.1)), rounding, rounding)
         # carriers are parked, after others that were not
         assert_alike(call(*fewer), call(*fewer, 0.0), rounding, rounding)
+
+
+@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
+def test_masked_starts_are_refused(backend: type[Dynamics]) -> None:
+    dynamics = backend(machine("3rrr"))
+    q = np.array(dynamics.robot.q_reference)
+    for call, given in calls_of(dynamics):
+        if call in (dynamics.torque, dynamics.joint_state):
+            with pytest.raises(InputError, match="masked"):
+                call(*given, start=np.ma.masked_array(q, mask=np.arange(len(q)) == 0))
+            assert call(*given, start=np.ma.masked_array(q)).status is SampleStatus.OK
 
 
 @ALL
@@ -580,28 +565,6 @@ def test_carriers_that_a_robot_does_not_have_are_refused(backend: type[Dynamics]
             dynamics.acceleration(q, v, zero, [1.0])
         with pytest.raises(InputError, match="s has shape"):
             dynamics.joint_state(zero, zero, [0.1])
-
-
-@pytest.mark.parametrize("backend", [rp.CompiledDynamics, rp.RneaDynamics])
-def test_masked_numbers_are_refused(backend: type[Dynamics]) -> None:
-    dynamics = backend(machine("five_bar"))
-    robot, masked = dynamics.robot, np.ma.masked_array
-    home, zero, track = zoo.home_of(robot), np.zeros(robot.n), np.zeros(robot.k)
-    given = {"x": home, "xd": zero, "xdd": zero, "s": track, "sd": track, "sdd": track, "start": robot.q_reference}
-    calls: list[tuple[Any, dict[str, Any]]] = [(dynamics.torque, given)]
-    if isinstance(dynamics, rp.CompiledDynamics):
-        q, v = np.array(robot.q_reference), np.zeros(robot.model.nv)
-        motors = {"position": q[actuated_positions(robot)], "velocity": np.zeros(robot.m), "s": track, "sd": track}
-        calls += [
-            (dynamics.joint_state, {**motors, "start": q}),
-            (dynamics.acceleration, {"q": q, "v": v, "tau": np.zeros(robot.m), "carrier_force": track}),
-        ]
-    for call, values in calls:
-        assert call(**values).status is SampleStatus.OK
-        for name, value in values.items():
-            with pytest.raises(InputError, match="masked"):
-                call(**{**values, name: masked(value, mask=np.arange(len(value)) == 0)})
-            assert call(**{**values, name: masked(value)}).status is SampleStatus.OK
 
 
 # --- memory

@@ -18,7 +18,6 @@ from redundancy_pin.dynamics.compiled.symbolic import SymbolicRobot
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved
 from redundancy_pin.loading import robot_from_model
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory import Line, RestToRest, Trajectory
 
 EQUAL = 1e-11
 """Relative to the largest value, or one; rounding is 1e-14."""
@@ -146,53 +145,3 @@ def test_expressions_of_the_carriers_motion_have_the_values_of_rnea(shipped: Rob
     wanted = RneaDynamics(shipped).reduce(motion, carriers)
     for got, want in ((f, wanted.f), (force, wanted.carrier_force)):
         np.testing.assert_allclose(np.array(got).T, want, rtol=1e-9, atol=1e-9 * np.abs(wanted.f).max())
-
-
-@pytest.mark.long
-def test_fatrop_crosses_in_stages_like_ipopt() -> None:
-    """From rest to rest through a type II singularity of the five-bar; all but the state are controls."""
-    robot, count = zoo.robot_of("five_bar"), 40
-    sym, h, limit = symbolic(robot), 0.6 / count, robot.carrier_limits[0]
-    n, d, nv = robot.n, robot.n + robot.k, robot.model.nv
-    line = Line([0.15, 0.62], [0.35, 0.25])
-    guess = Trajectory(line, RestToRest(line.length, duration=0.6)).sample(dt=h)
-    tree = inverse_kinematics(robot, guess)
-    sizes = np.cumsum([0, d, robot.model.nq, nv, nv, robot.m, robot.k, 2]).tolist()
-    opti, cost, controls = ca.Opti(), 0.0, []
-    state = opti.variable(2 * d)
-    for i in range(count + 1):
-        z, zd = state[:d], state[d:]
-        parked = np.zeros(robot.k)
-        opti.set_initial(state, np.concatenate([guess.x[i], parked, guess.xd[i], parked]))
-        later = state
-        if i < count:
-            controls.append(opti.variable(sizes[-1]))
-            zdd, q, v, a, tau, F, lam = ca.vertsplit(controls[-1], sizes)
-            start = guess.xdd[i], parked, tree.q[i], tree.v[i], tree.a[i], np.zeros(robot.m + robot.k + 2)
-            opti.set_initial(controls[-1], np.concatenate(start))
-            later = opti.variable(2 * d)
-            opti.subject_to(later == ca.vertcat(z + h * zd + h * h / 2.0 * zdd, zd + h * zdd))
-            carried = robot.carrier_position.tolist(), robot.carrier_velocity.tolist()
-            rows = [q[carried[0]] - z[n:], v[carried[1]] - zd[n:], a[carried[1]] - zdd[n:]]
-            rows += [sym.position(q, z[:n]), sym.velocity(q, v, zd[:n]), sym.acceleration(q, v, a, zdd[:n])]
-            opti.subject_to(ca.vertcat(*rows, sym.balance(q, v, a, tau, F, lam)) == 0)
-            cost += h * ca.sumsqr(tau)
-        if i in (0, count):
-            opti.subject_to(ca.vertcat(z[:n] - guess.x[i], zd) == 0)
-        opti.subject_to(opti.bounded(limit.lower, z[n:], limit.upper))
-        state = later
-    opti.minimize(cost)
-    determinants, costs = [], []
-    for solver, plugin, own in (
-        ("ipopt", {"expand": True, "print_time": False}, {"print_level": 0, "sb": "yes"}),
-        ("fatrop", {"structure_detection": "auto", "expand": True}, {"print_level": 0, "tolerance": 1e-6}),
-    ):
-        opti.solver(solver, plugin, own)
-        solution = opti.solve()
-        costs.append(solution.value(cost))
-        low, rows, high = (solution.value(part) for part in (opti.lbg, opti.g, opti.ubg))
-        assert np.maximum(low - rows, rows - high).max() < 1e-6
-        q = [solution.value(part)[sizes[1] : sizes[2]] for part in controls]
-        determinants.append([float(np.linalg.det(sym.W(at).full())) for at in q])
-    assert costs[1] == pytest.approx(costs[0], rel=1e-4)
-    assert all(min(values) < 0.0 < max(values) for values in determinants)

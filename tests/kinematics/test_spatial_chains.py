@@ -20,8 +20,6 @@ from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import AXES, Robot
 
 CLOSED = 1e-11  # the package's own closure tolerance, here measured by Pinocchio
-STEP = 1e-5
-DIFFERENCES = 2e-8  # STEP² times third derivatives of order 10², and 1e-15 / STEP
 
 
 def swing(robot: Robot, t: np.ndarray) -> PlatformMotion:
@@ -181,7 +179,7 @@ def test_a_planar_four_bar_closed_by_a_hinge_names_the_rows_to_take_out(tmp_path
 # --- the spin of a rod between two balls of the tree is held
 
 
-CRANK, ROD, ROCKER, HALF = 0.1, 0.2, np.array([0.02, 0.0, 0.2]), np.array([0.0, 0.05, 0.0])
+CRANK, ROD, ROCKER = 0.1, 0.2, np.array([0.02, 0.0, 0.2])
 """m: the crank from the origin along x, a rod on a ball, a rocker on a second ball; two points lead the rocker."""
 
 PIVOT = np.array([CRANK + ROD, 0.0, 0.0]) + ROCKER

@@ -90,12 +90,6 @@ def test_the_border_of_the_five_bar_is_one_closed_curve_on_two_circles(resolutio
         locus.of_kind("TYPE_I")
 
 
-def test_singularities_too_small_for_the_grid_are_counted() -> None:
-    """At this angle a leg folds between four nodes of the grid, and no curve passes within a cell."""
-    locus = singular_locus(zoo.robot_of("3rrr"), orientation=-0.6, resolution=100)
-    assert 0 < locus.unresolved < 10
-
-
 def test_two_rpr_is_singular_on_its_base_line() -> None:
     locus = locus_of("2rpr")
     assert {curve.kind for curve in locus.curves} == {SingularityKind.TYPE_II}
