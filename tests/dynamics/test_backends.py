@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import zoo
 from machines import machine
-from scipy.optimize import brentq
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -67,65 +66,6 @@ def test_results_are_read_only_and_of_the_stated_shapes(backend: Backend, name: 
         rows, columns = ([1, 1], [1, 1]) if name == "2rpr" else ([1, 1, L], [L, L, L])
         np.testing.assert_array_equal(reduced.row_scale, rows)
         np.testing.assert_array_equal(reduced.column_scale, columns)
-
-
-@EVERY
-@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-def test_a_robot_without_carriers_has_empty_carrier_arrays(backend: Backend, name: str) -> None:
-    bare = zoo.robot_of(name, carriers=False)
-    along = backend(bare).along(zoo.smooth_motion(bare, 11, speed=24.0).at(np.linspace(0.0, 1.0, 5)))
-    for carriers in (None, rp.CarrierMotion(*np.zeros((3, 5, 0)))):
-        assert along.reduce(carriers).carrier_force.shape == (5, 0)
-    derivatives = along.carrier_derivatives()
-    assert derivatives.f_s.shape == (5, bare.n, 0)
-    assert derivatives.force_sdd.shape == (5, 0, 0)
-    if name == "2rpr":  # nothing else has mass by default
-        np.testing.assert_array_equal(along.reduce().f, 0.0)
-    assert np.abs(along.reduce().f - backend(zoo.robot_of(name)).along(along.motion).reduce().f).max() > 0.1
-
-
-@EVERY
-def test_type_two_poses_stay_finite(backend: Backend) -> None:
-    """B of the 2-RPR on the base line: parallel legs. In the middle of the 3-RRR's base, by symmetry, all distal links
-    point at the centre for one α: they meet in a point."""
-    flat = rp.PlatformMotion([0.0], [[0.2, 0.0]], [[0.1, 0.3]], [[0.0, 0.2]])
-
-    def turned(alpha: float) -> rp.PlatformMotion:
-        x = [[np.sqrt(3) / 2, 0.5, alpha]]
-        return rp.PlatformMotion([0.0], x, [[0.1, 0.3, -0.5]], [[0.4, 0.2, 1.0]])
-
-    def moment(alpha: float) -> float:  # of leg 1's pull about the centre
-        return float(rp.VirtualWork("3rrr").reduce(turned(alpha)).W[0, 2, 0])
-
-    for name, motion in (("2rpr", flat), ("3rrr", turned(brentq(moment, -np.pi / 2, np.pi / 2, xtol=1e-15)))):
-        reduced = backend(zoo.robot_of(name)).reduce(motion)
-        assert np.isfinite(reduced.f).all()
-        singular_values = np.linalg.svd(reduced.W[0], compute_uv=False)
-        assert singular_values[-1] < 1e-12 < 0.1 < singular_values[-2]
-
-
-@EVERY
-def test_platform_inertia_auto_is_that_of_a_disc(backend: Backend) -> None:
-    spin = rp.PlatformMotion([0.0], [[0.9, 0.5, 0.1]], [[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
-    auto, none = (backend(rp.load_robot("3rrr", platform_inertia=value)).reduce(spin) for value in ("auto", 0.0))
-    np.testing.assert_allclose(auto.f - none.f, [[0.0, 0.0, 0.5 * 0.5 * 0.25**2]], atol=1e-12)
-
-
-@EVERY
-@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
-def test_gravity_out_of_the_plane_enters_the_base_wrench_alone(backend: Backend, name: str) -> None:
-    robots = [zoo.robot_of(name, gravity=(0.3, -9.0, z)) for z in (2.0, 0.0)]
-    motion, carriers = motion_of(robots[0])
-    tilted, level = (backend(robot).along(motion) for robot in robots)
-    for of in ("carrier_force", "f"):
-        got, want = (getattr(along.reduce(carriers), of) for along in (tilted, level))
-        np.testing.assert_array_equal(got, want)
-    np.testing.assert_array_equal(tilted.energy(carriers), level.energy(carriers))
-    difference = tilted.base_wrench(carriers) - level.base_wrench(carriers)
-    mass = {"2rpr": 2.0, "3rrr": 3 * (1.0 + 1.0 + 3.0) + 0.5}[name]
-    np.testing.assert_allclose(difference[:, 2], 2.0 * mass)
-    np.testing.assert_array_equal(difference[:, [0, 1, 5]], 0.0)
-    assert np.abs(difference[:, 3:5]).min() > 0.0
 
 
 # --- what every backend refuses
@@ -217,19 +157,6 @@ def test_unreachable_samples_are_marked_and_the_others_unharmed(backend: Backend
     assert np.all(marked.residual[~within] > 1e-3)
     back = rp.RneaDynamics(robot).reduce(motion[-5:], carriers[-5:])
     np.testing.assert_allclose(marked.f[-5:], back.f, rtol=0.0, atol=1e-11 * np.abs(back.f).max())
-
-
-def test_backends_without_a_tree_mark_what_is_out_of_reach_too() -> None:
-    """3 m beside the machine; what can be reached has the same efforts by all."""
-    robot = zoo.robot_of("3rrr")
-    t, x = np.linspace(0.0, 1.0, 3), np.tile(zoo.home_of(robot), (3, 1))
-    x[2, 0] += 3.0
-    still = rp.PlatformMotion(t, x, 0.0 * x, 0.0 * x, check_rates=False)
-    results = [rp.inverse_dynamics(backend(robot), still, unreachable="mark") for backend in BACKENDS]
-    for result in results:
-        assert (result.efforts.status == SampleStatus.UNREACHABLE).tolist() == [False, False, True]
-        assert result.status is ResultStatus.UNBOUNDED
-        np.testing.assert_allclose(result.efforts.tau, results[0].efforts.tau, atol=1e-9)
 
 
 UP = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])

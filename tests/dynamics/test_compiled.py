@@ -15,10 +15,7 @@ import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
-from examples import examples
 from flat_linkages import parallelogram, row_of_four_bars
-from hypothesis import given
-from hypothesis import strategies as st
 from machines import machine
 
 import redundancy_pin as rp
@@ -61,18 +58,6 @@ def test_every_robot_moves_as_with_rnea(name: str) -> None:
     t = np.linspace(0.0, 2.0, 300)
     for seed in range(3):
         assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
-
-
-@examples(2)
-@given(mode=st.tuples(*[st.sampled_from((1, -1))] * 3), seed=st.integers(0, 2**16))
-def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    sizes = {"proximal_length": rng.uniform(0.9, 1.3), "distal_length": rng.uniform(0.9, 1.3)}
-    masses = {name: float(rng.uniform(0.0, 3.0)) for name in ("proximal_mass", "distal_mass", "carrier_mass")}
-    robot = rp.load_robot("3rrr", working_mode=mode, gravity=(0.3, -9.0, 1.0), **sizes, **masses)
-    t = np.linspace(0.0, 1.0, 60)
-    compiled = rp.CompiledDynamics(robot, threads=1)
-    assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
 
 
 def test_a_carrier_that_turns_moves_as_with_rnea() -> None:

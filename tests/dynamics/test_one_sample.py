@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import inspect
-import itertools
 import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -301,24 +300,6 @@ def test_accelerations_are_pinocchio_s(name: str) -> None:
         np.testing.assert_allclose(a, want, rtol=0.0, atol=1e-8 * np.abs(want).max())
 
 
-@pytest.mark.parametrize("name", ["3rrr", "continuous", LARGE[2]])
-def test_accelerations_under_the_torques_of_a_motion_are_those_of_the_motion(name: str) -> None:
-    robot, dynamics = machine(name), dynamics_of(name)
-    t = np.linspace(0.0, 1.0, 12)
-    motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t, 3)
-    tree = rp.inverse_kinematics(robot, motion)
-    for k in range(len(t)):
-        q, v, a = np.array(tree.q[k]), np.array(tree.v[k]), np.array(tree.a[k])
-        q[robot.carrier_position], v[robot.carrier_velocity] = carriers.s[k], carriers.sd[k]
-        a[robot.carrier_velocity] = carriers.sdd[k]
-        torque = dynamics.torque(
-            motion.x[k], motion.xd[k], motion.xdd[k], carriers.s[k], carriers.sd[k], carriers.sdd[k]
-        )
-        got = dynamics.acceleration(q, v, torque.tau, torque.carrier_force)
-        assert got.status is SampleStatus.OK
-        np.testing.assert_allclose(got.a, a, rtol=0.0, atol=1e-9 * np.abs(tree.a).max())
-
-
 def test_accelerations_without_an_answer_have_a_status() -> None:
     """Legs without mass at rest under forces; a parallelogram that is flat, where it may fold; a NaN."""
     massless, parallelogram = rp.CompiledDynamics("2rpr"), rp.CompiledDynamics(row_of_four_bars(1))
@@ -384,27 +365,6 @@ def test_redundant_motors_that_contradict_each_other_have_no_pose(name: str) -> 
         assert got.status is (SampleStatus.OK if off < 1e-8 else SampleStatus.UNREACHABLE)
     assert dynamics.joint_state(q0[at], away).status is SampleStatus.UNREACHABLE
     assert dynamics.joint_state(q0[at], rate).status is SampleStatus.OK
-
-
-@pytest.mark.parametrize("name", ["five_bar", "3rrr", "delta"])
-def test_motors_that_jump_lead_where_small_steps_do(name: str) -> None:
-    """Farther than Newton's method gets in two steps; in random directions, to where the steps are still regular."""
-    dynamics, random = dynamics_of(name), np.random.default_rng(4)
-    robot = dynamics.robot
-    start, jumps = np.array(robot.q_reference), 0
-    motors = actuated_positions(robot)
-    for direction in random.normal(size=(40, robot.m)):
-        way = start[motors] + np.linspace(0.0, 1.2, 60)[1:, None] * direction / np.linalg.norm(direction)
-        dynamics.joint_state(start[motors], start=start)
-        states = map(dynamics.joint_state, way)
-        stepped = list(itertools.takewhile(lambda state: state.status is SampleStatus.OK, states))
-        if len(stepped) > 30:
-            dynamics.joint_state(start[motors], start=start)
-            jumped = dynamics.joint_state(way[len(stepped) - 1])
-            assert jumped.status is SampleStatus.OK
-            np.testing.assert_allclose(jumped.q, stepped[-1].q, rtol=0.0, atol=1e-9)
-            jumps += 1
-    assert jumps > 10
 
 
 def test_from_far_away_it_is_that_branch_or_none() -> None:

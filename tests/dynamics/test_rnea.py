@@ -196,21 +196,6 @@ def test_derivatives_of_loads_on_a_carrier_that_turns(tmp_path: Path) -> None:
             np.testing.assert_allclose(getattr(derivatives, f"{of}_{which}")[:, :, 0], expected, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", zoo.SHIPPED)
-def test_without_gravity_forces_go_with_the_square_of_speed(name: str) -> None:
-    robot = zoo.robot_of(name, gravity=(0.0, 0.0, 0.0))
-    t = np.linspace(0.0, 1.0, 6)
-    motion, carriers, c = zoo.smooth_motion(robot, 9).at(t), zoo.carriers_at(robot, t), 3.0
-    slow = RneaDynamics(robot).reduce(motion, carriers)
-    fast = RneaDynamics(robot).reduce(
-        PlatformMotion(t / c, motion.x, c * motion.xd, c**2 * motion.xdd),
-        CarrierMotion(carriers.s, c * carriers.sd, c**2 * carriers.sdd),
-    )
-    assert_close(fast.f, c**2 * slow.f, 1e-12)
-    if robot.k:
-        assert_close(fast.carrier_force, c**2 * slow.carrier_force, 1e-12)
-
-
 def test_the_2rprs_force_is_the_rate_of_the_legs_angular_momentum() -> None:
     """Parsa 2014, eq. 2.17, collapsed: Jᵀτ = Σ n h / d with h = m[(L² + s²) θ̈ + 2 s ṡ θ̇ + σ L s̈]."""
     robot = zoo.robot_of("2rpr")

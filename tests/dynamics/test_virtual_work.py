@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
-from redundancy_pin.dynamics.virtual_work import three_rrr, two_rpr
+from redundancy_pin.dynamics.virtual_work import two_rpr
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.branch import follower
@@ -74,49 +74,6 @@ def test_all_modes_of_the_three_rrr_close_or_report_how_far_the_corner_is(pose, 
         side = np.sin(legs.theta[:, 0] - np.arctan2(*(A - G).T[::-1]))
         clear = within & (np.abs(side) > 1e-6)
         np.testing.assert_array_equal(np.sign(side)[clear], np.array(mode)[clear])
-
-
-def test_thesis_formulas_for_theta_and_jacobian():
-    """Angles by arc cosine and the Jacobian's entries as printed (Parsa 2014, eq. 2.22-2.38)."""
-    pose, mode = np.array([1.0, 0.4, 0.3]), (1, -1, 1)
-    legs = inverse_displacement(UNEQUAL, pose[None], mode)
-    l1, l2, l3 = 1.2, 0.9, 0.3
-    for i in range(3):
-        xA, yA = corners(UNEQUAL, pose)[i] - UNEQUAL.base_points[i]
-        rho = np.hypot(xA, yA)
-        theta = np.arctan2(yA, xA) + mode[i] * np.arccos((l1**2 + rho**2 - l2**2) / (2 * l1 * rho))
-        phi = pose[2] + PHI[i]
-        a, b = xA - l1 * np.cos(theta), yA - l1 * np.sin(theta)
-        c, d = l1 * (xA * np.sin(theta) - yA * np.cos(theta)), l3 * (a * np.sin(phi) - b * np.cos(phi))
-        assert abs(np.exp(1j * theta) - np.exp(1j * legs.theta[i, 0])) < ROUNDING
-        np.testing.assert_allclose(legs.jacobian[:, i, 0], -np.array([a, b, d]) / c, atol=ROUNDING)
-        np.testing.assert_allclose(legs.c[i, 0], c, atol=ROUNDING)
-
-
-UNEQUAL_LENGTHS = {"base_radius": 0.9, "platform_radius": 0.3, "proximal_length": 1.2, "distal_length": 0.9}
-
-CASES = [(mode, {}) for legs in (2, 3) for mode in product((1, -1), repeat=legs)]
-
-CASES += [(mode, UNEQUAL_LENGTHS) for mode in product((1, -1), repeat=3)]
-
-
-@pytest.mark.parametrize(("mode", "lengths"), CASES)
-def test_rates_of_all_joints_are_differences_of_their_positions(mode, lengths):
-    name, tolerance = ("2rpr", 2e-5) if len(mode) == 2 else ("3rrr", 2e-6)
-    robot = rp.load_robot(name, working_mode=mode, **lengths)
-    path, t, h = zoo.smooth_motion(robot, 2, speed=2.0), np.linspace(0.0, 2.0, 40), 1e-4
-    here = path.at(t)
-    before, middle, after = (rp.VirtualWork(robot).along(path.at(t + k * h))._dynamics for k in (-1, 0, 1))
-    parked = (np.zeros((robot.m, len(t))),) * 3
-    kinds = two_rpr.TwoRprMechanism if name == "2rpr" else three_rrr.ThreeRrrMechanism
-    for joint in kinds.joints:
-        low, now, high = (each.joint(joint, parked) for each in (before, middle, after))
-        # angles are in (−π, π]
-        up, down = (np.remainder(each.position - now.position + np.pi, 2 * np.pi) - np.pi for each in (high, low))
-        # order two: h² = 1e-8 times third and fourth derivatives of up to 1e3 and 1e2; rounding / h² = 1e-8
-        np.testing.assert_allclose(now.rate, (up - down) / (2 * h), atol=tolerance)
-        np.testing.assert_allclose(now.acceleration, (up + down) / h**2, atol=tolerance)
-        np.testing.assert_allclose(np.einsum("jN,Nj->N", now.unit_rate, here.xd), now.rate, atol=ROUNDING * 10)
 
 
 @pytest.mark.parametrize(("beyond", "reached"), [(0.5 * CLOSURE_TOLERANCE, True), (1e-9, False), (0.3, False)])

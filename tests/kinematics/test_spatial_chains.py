@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 import zoo
 from spatial_chains import CHAINS, RCCC_TWISTS, chain_of
-from written import J, urdf_of, write_robot
+from written import urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin import PlatformMotion, RneaDynamics, distribute, forward_kinematics, load_robot
@@ -136,35 +136,6 @@ def test_forward_kinematics_of_a_continuous_motor(turns: int) -> None:
     assert solution.known.all()
     at = zoo.index(robot, "crank")
     np.testing.assert_allclose(solution.q[0, at : at + 2], [np.cos(1.2), np.sin(1.2)], atol=CLOSED)
-
-
-def test_a_bennett_linkage_is_named_as_over_constrained(tmp_path: Path) -> None:
-    """It moves with one freedom, though Grübler counts −2: three of the five hinge rows are redundant.
-
-    Link lengths are in the ratio of the sines of the twists; Bennett's relation of the half angles closes it.
-    """
-    alpha, beta, first = 0.5, 0.9, 0.8
-    a, b = np.sin(alpha), np.sin(beta)
-    joints = [
-        J("hinge_1", "revolute", "base", "link_1"),
-        J("hinge_2", "revolute", "link_1", "link_2", (a, 0, 0), (alpha, 0, 0)),
-        J("hinge_3", "revolute", "link_2", "link_3", (b, 0, 0), (beta, 0, 0)),
-        J("tip_mount", "fixed", "link_3", "tip", (a, 0, 0), (alpha, 0, 0)),
-        # the fourth link, seen from hinge 1 against its direction
-        J("pivot_mount", "fixed", "base", "pivot", (-b, 0, 0), (-beta, 0, 0)),
-    ]
-    ratio = np.sin((beta + alpha) / 2) / np.sin((beta - alpha) / 2)
-    second = float(2 * np.arctan(ratio / np.tan(first / 2)))
-    guess = {"hinge_1": first, "hinge_2": second, "hinge_3": 2 * np.pi - first}
-    declaration = {
-        "closures": [{"name": "last hinge", "frames": ["pivot", "tip"], "axes": ["x", "y", "z", "rx", "ry"]}],
-        "actuated": ["hinge_1"],
-        "independent": {"joints": ["hinge_1"]},
-        "reference": {"joints": {"hinge_1": first}, "guess": guess},
-    }
-    with pytest.raises(DeclarationError, match=r"over-constrained.*-2 freedoms.*3 row.*'last hinge'") as caught:
-        load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
-    assert caught.value.details["rank"] == 2
 
 
 def test_a_planar_four_bar_closed_by_a_hinge_names_the_rows_to_take_out(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def add_legs(model: pin.Model, bases: Array, lengths: Array, far: Array, modes: 
 
 
 def test_strips_narrower_than_a_cell_are_reached_across_its_corners() -> None:
-    """Two rings share a horn whose nodes hang on by a corner: it was missing in the map of this mode."""
+    """Two rings share a horn whose nodes hang on by a corner; the default grid goes on to its tip."""
     model, bases, modes = pin.Model(), np.array([[0.0, 0.0], [0.401, 0.0]]), [1, -1]
     lengths, start = np.array([[0.963, 0.433], [0.426, 0.545]]), np.array([-0.2, 0.75])
     guess = add_legs(model, bases, lengths, start - bases, modes)
@@ -107,6 +107,11 @@ def test_strips_narrower_than_a_cell_are_reached_across_its_corners() -> None:
     rho = np.linalg.norm(nodes(space)[:, :, None] - bases, axis=-1)
     least, most = np.abs(lengths[:, 0] - lengths[:, 1]), lengths.sum(axis=1)
     assert (space.reachable[0] == ((rho > least) & (rho < most)).all(axis=-1)).all()
+    fine = np.stack(np.meshgrid(*2 * [np.linspace(-1.5, 1.5, 600)], indexing="ij"), axis=-1)
+    rho = np.linalg.norm(fine[:, :, None] - bases, axis=-1)
+    inside = fine[((rho > least) & (rho < most)).all(axis=-1)]
+    for axis, first, last in zip(space.axes, inside.min(axis=0), inside.max(axis=0), strict=True):
+        assert axis[0] < first < last < axis[-1]
 
 
 def test_an_island_is_not_left_out_for_a_node_at_its_end() -> None:
