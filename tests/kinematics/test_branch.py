@@ -9,43 +9,21 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-import spatial_chains
 import zoo
 from flat_linkages import row_of_four_bars
 from folding import folding_four_bar
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, SingularPoseError
-from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.branch import (
     BranchEnd,
     ClosedState,
     follower,
 )
-from redundancy_pin.kinematics.coordinates import moved, with_independent_joints
+from redundancy_pin.kinematics.coordinates import with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Payload
 from redundancy_pin.status import SampleStatus
-
-
-@pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
-def test_a_pose_nearby_is_the_one_that_assembly_closes(name: str) -> None:
-    """Three steps on, also where axes of a closure coincide: nothing is turned over."""
-    robot = spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name)
-    system, own, rng = zoo.system_of(robot), follower(robot), np.random.default_rng(5)
-    here = own.home
-    for _ in range(3):
-        increment = rng.uniform(-0.02, 0.02, robot.n) * robot.characteristic_length
-        x = moved(robot, here.x, increment)
-        reached = own.advance(here, x)
-        assert isinstance(reached, ClosedState)
-        guess = integrate(robot.model, here.q[None], (here.gamma @ increment)[None])
-        expected = assemble(system, guess, x[None])
-        np.testing.assert_allclose(reached.q, expected.q[0], rtol=0.0, atol=1e-12)
-        np.testing.assert_allclose(reached.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
-        np.testing.assert_allclose(reached.W, expected.gamma[0][robot.actuated_velocity].T, rtol=0.0, atol=1e-12)
-        assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
-        here = reached
 
 
 @pytest.mark.parametrize("independent", [{"joints": ["a", "b"]}, {"platform": "tip", "axes": ["x", "y"]}])

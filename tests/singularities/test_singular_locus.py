@@ -43,33 +43,6 @@ def points_of(locus: SingularLocus, kind: SingularityKind) -> tuple[Array, Array
     return np.concatenate([c.points for c in curves]), np.concatenate([c.q for c in curves])
 
 
-@pytest.mark.long_for("3rrr-mode2-0.3", "five_bar-mode4-None", "five_bar-None-None", "3rrr-None-None")
-@pytest.mark.parametrize(
-    ("name", "mode", "orientation"),
-    [
-        ("2rpr", None, None),
-        ("3rrr", None, None),
-        ("3rrr", (1, -1, 1), 0.3),
-        ("five_bar", None, None),
-        ("five_bar", (1, 1), None),
-    ],
-)
-def test_every_point_is_a_singularity_of_its_kind(name: str, mode, orientation) -> None:
-    locus = locus_of(name, mode, orientation)
-    assert locus.unresolved == 0
-    assert len(locus.points) >= GRID
-    assert max(curve.residual.max() for curve in locus.curves) < EXACT
-    for kind in (SingularityKind.TYPE_I, SingularityKind.TYPE_II):
-        if not locus.of_kind(kind):
-            assert (name, kind) == ("2rpr", SingularityKind.TYPE_I)
-            continue
-        x, q = points_of(locus, kind)
-        classes = classify(locus.robot, q, tolerance=EXACT)
-        assert (classes.type_i if kind == SingularityKind.TYPE_I else classes.type_ii).all()
-        if orientation is not None:
-            np.testing.assert_allclose(x[:, 2], orientation, atol=1e-11)
-
-
 @pytest.mark.parametrize("resolution", [10, 15, 25])
 def test_the_border_of_the_five_bar_is_one_closed_curve_on_two_circles(resolution) -> None:
     """The middle column of 15 and of 25 nodes meets the border in its corners, where two singular values vanish."""
