@@ -109,28 +109,25 @@ def within(carriers_limit, **changed):
     return forces, {"carrier_scale": np.array([0.3, 0.2]), "carriers": forces, **changed}
 
 
+def best_within(forces, objective, bounds=None, *equal):
+    """Return scipy's own optimum over (τ, δ), carrier forces within their limits."""
+    inside = [
+        {"type": "ineq", "fun": lambda u, sign=sign: forces.limit - sign * (forces.planned + forces.mass @ u[2:])}
+        for sign in (1.0, -1.0)
+    ]
+    return minimize(objective, np.zeros(4), bounds=bounds, constraints=[*equal, *inside], options={"ftol": 1e-14})
+
+
 def test_what_a_limit_of_the_carriers_cuts_off_is_left_to_the_main_actuators():
-    """By scipy's own solver: least weighted deviation, exact force, carrier forces within limits."""
-    W, coupling, force = (
-        np.array([[0.05, 1.0], [0.2, 0.3]]),
-        np.array([[-1.0, 0.2], [-0.5, -1.0]]),
-        np.array([1.0, 0.4]),
-    )
-    forces, settings = within([0.5, 0.4])
+    """Least weighted deviation, exact force, carrier forces within limits."""
+    W, coupling = np.array([[0.05, 1.0], [0.2, 0.3]]), np.array([[-1.0, 0.2], [-0.5, -1.0]])
+    force, (forces, settings) = np.array([1.0, 0.4]), within([0.5, 0.4])
     allocation = shared(W, coupling, force, **settings)
     free = shared(W, coupling, force, carrier_scale=settings["carrier_scale"])
     assert not forces.allow(free.deviation)
     full, scale = np.hstack([W, -coupling]), np.array([1.0, 1.0, 0.3, 0.2])
-    best = minimize(
-        lambda u: float(np.sum((u / scale) ** 2)),
-        np.zeros(4),
-        constraints=[
-            {"type": "eq", "fun": lambda u: full @ u - force},
-            {"type": "ineq", "fun": lambda u: forces.limit - forces.planned - forces.mass @ u[2:]},
-            {"type": "ineq", "fun": lambda u: forces.limit + forces.planned + forces.mass @ u[2:]},
-        ],
-        options={"ftol": 1e-14},
-    )
+    exact = {"type": "eq", "fun": lambda u: full @ u - force}
+    best = best_within(forces, lambda u: float(np.sum((u / scale) ** 2)), None, exact)
     assert (allocation.status, allocation.saturated) == (SampleStatus.OK, True)
     assert np.concatenate([allocation.tau, allocation.deviation]) == pytest.approx(best.x, abs=1e-5)
     assert np.abs(forces.of(allocation.deviation)).max() <= 0.5
@@ -152,16 +149,8 @@ def test_carriers_and_efforts_at_their_limits_miss_least():
     allocation = shared(np.eye(2), coupling, force, **settings)
     assert allocation.status is SampleStatus.BOUND_INFEASIBLE
     assert allocation.balanced  # every direction has an effect: it is the limits that fall short
-    best = minimize(
-        lambda u: float(np.sum((force - u[:2] - u[2:]) ** 2)),
-        np.zeros(4),
-        bounds=[(-0.2, 0.2)] * 2 + [(None, None)] * 2,
-        constraints=[
-            {"type": "ineq", "fun": lambda u: forces.limit - forces.planned - forces.mass @ u[2:]},
-            {"type": "ineq", "fun": lambda u: forces.limit + forces.planned + forces.mass @ u[2:]},
-        ],
-        options={"ftol": 1e-14},
-    )
+    bounds = [(-0.2, 0.2)] * 2 + [(None, None)] * 2
+    best = best_within(forces, lambda u: float(np.sum((force - u[:2] - u[2:]) ** 2)), bounds)
     assert allocation.residual == pytest.approx(np.sqrt(best.fun), rel=1e-6)
     assert np.abs(allocation.tau).max() <= 0.2
     assert forces.of(allocation.deviation) == pytest.approx(

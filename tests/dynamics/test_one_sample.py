@@ -455,9 +455,14 @@ def test_masked_starts_are_refused(backend: type[Dynamics]) -> None:
 
 
 @ALL
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_whatever_is_not_finite_is_a_status(backend: Backend, bad: float) -> None:
-    """In every argument, and in the time; ``sample``, which has no status, refuses it."""
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1e200])
+def test_whatever_is_not_finite_or_too_large_is_a_status(backend: Backend, bad: float) -> None:
+    """In every argument, and in the time; ``sample``, which has no status, refuses it.
+
+    Squares of 1e200 are not finite; generated code scales by powers of two, and has a wider range.
+    """
+    if bad == -1e200 and backend is rp.CompiledDynamics:
+        return
     robot = machine("3rrr")
     if backend is not rp.VirtualWork:
         robot = robot.loaded(rp.Wrench("platform", lambda t, x, xd: np.zeros((len(t), 6))))
@@ -472,7 +477,7 @@ def test_whatever_is_not_finite_is_a_status(backend: Backend, bad: float) -> Non
                         call(*wrong)
                 else:
                     assert call(*wrong).status is SampleStatus.NOT_FINITE
-        if call in (dynamics.torque, dynamics.acceleration):
+        if call in (dynamics.torque, dynamics.acceleration) and not np.isfinite(bad):
             assert call(*given, t=bad).status is SampleStatus.NOT_FINITE
         if call != dynamics.sample:
             assert call(*given).status is SampleStatus.OK
@@ -566,15 +571,3 @@ def test_forces_whose_squares_overflow_are_as_many_times_as_large(backend: Backe
     slow, fast = (dynamics.torque(x, [scale, 2.0 * scale, scale], zero) for scale in (1e20, 1e90))
     assert fast.status is slow.status is SampleStatus.OK
     np.testing.assert_allclose(fast.tau * 1e-140, slow.tau, rtol=EQUAL)
-
-
-@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
-def test_torques_of_what_is_beyond_1e100_have_a_status(backend: Backend) -> None:
-    """Its squares are not finite; generated code scales by powers of two, and has a wider range."""
-    dynamics = backend("3rrr")
-    given = [zoo.home_of(dynamics.robot), *np.zeros((5, 3))]
-    for i, part in enumerate(given):
-        for k in range(len(part)):
-            wrong = [one.copy() for one in given]
-            wrong[i][k] = -1e200
-            assert dynamics.torque(*wrong).status is SampleStatus.NOT_FINITE

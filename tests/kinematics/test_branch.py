@@ -1,4 +1,4 @@
-"""Following a branch: each step ends where assembly closes, on the branch of the start, or is refused."""
+"""Following a branch: each step is on the branch of the start or refused, also where the closures lose rank."""
 
 from __future__ import annotations
 
@@ -10,19 +10,29 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
-from flat_linkages import row_of_four_bars
-from folding import folding_four_bar
+from change_point_oracle import change_point
+from flat_linkages import Loop, parallelogram, random_loop, row_of_four_bars, several_on_one_crank
+from folding import folding_four_bar, joint, rocker_angle, rocker_motion
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InputError, SingularPoseError
+from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.reactions import joint_reactions
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.errors import InputError, SingularPoseError, WorkingModeError
 from redundancy_pin.kinematics.branch import (
     BranchEnd,
     ClosedState,
+    Follower,
     follower,
 )
-from redundancy_pin.kinematics.coordinates import with_independent_joints
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.coordinates import mode_indicator, with_independent_joints
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
+from redundancy_pin.kinematics.margins import NEAR_RANK_LOSS, near_rank_loss
+from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Payload
+from redundancy_pin.singularities.classify import classify_motion
 from redundancy_pin.status import SampleStatus
 
 
@@ -180,3 +190,266 @@ def test_states_and_coordinates_that_do_not_fit_are_refused() -> None:
         driven.advance(home, driven.home.x)
     loaded = follower(own.robot.loaded(Payload("end_effector", 1.0)))
     assert isinstance(loaded.advance(home, loaded.home.x + 0.01), ClosedState)
+
+
+# --- poses where the closures lose rank: the branch goes on with its tangent
+
+
+POSITION = 1e-12
+RATE = 1e-9
+"""What Newton's rounding leaves next to the pose, and the eighth-order differences of the closed form."""
+ACCELERATION = 1e-7
+
+PARALLELOGRAM = (0.3, 0.2, 0.3, 0.2)
+LINKAGES = {
+    "folding": ((0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)),
+    "parallelogram": (PARALLELOGRAM, (1.0, 1.0, 2.0)),
+    "antiparallelogram": (PARALLELOGRAM, (1.0, -2.5, -2.0)),
+    "equal sides": ((0.3, 0.3, 0.3, 0.3), (1.0, 1.0, 2.0)),
+    "kite": ((0.3, 0.2, 0.2, 0.3), (1.0, 2.0, 2.0)),
+}
+SAMPLES = {
+    "one at the pose": np.linspace(-1.0, 1.0, 101),
+    "back, one at the pose": np.linspace(1.0, -1.0, 101),
+    "one beside it": np.linspace(-1.0, 1.0, 101) + 3e-7,
+    "one a little further": np.linspace(-1.0, 1.0, 101) + 2e-4,
+    "coarse": np.linspace(-1.0, 1.0, 10) + 0.033,
+    "dense": np.linspace(-2e-2, 2e-2, 401),
+    "from the pose on": np.linspace(0.0, 1.0, 51),
+    "at the pose alone": np.zeros(2),
+    "to the pose from afar": np.array([-2.0, 0.0]),
+    "to the pose from the other side": np.array([0.3 - np.pi, 0.0]),
+}
+RATE_OF_CRANK, SECOND_RATE = 2.0, 0.7
+
+
+def turning(crank: np.ndarray) -> PlatformMotion:
+    size = (len(crank), 1)
+    t = np.arange(len(crank)) * 0.01
+    return PlatformMotion(t, crank[:, None], np.full(size, RATE_OF_CRANK), np.full(size, SECOND_RATE))
+
+
+@pytest.mark.parametrize(
+    ("modes", "mark"),
+    [
+        (True, False),
+        *(pytest.param(*both, marks=pytest.mark.long) for both in ((False, False), (False, True), (True, True))),
+    ],
+)
+@pytest.mark.parametrize(
+    ("linkage", "samples"),
+    [  # every linkage, and every kind of samples, once in make test
+        pytest.param(
+            linkage,
+            samples,
+            marks=() if linkage == "parallelogram" or i == k or (i, k) in ((0, 8), (0, 9)) else pytest.mark.long,
+        )
+        for i, linkage in enumerate(LINKAGES)
+        for k, samples in enumerate(SAMPLES)
+    ],
+)
+def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
+    linkage: str, samples: str, modes: bool, mark: bool, tmp_path: Path
+) -> None:
+    lengths, guess = LINKAGES[linkage]
+    offsets = SAMPLES[samples]
+    # behind the pose a declared mode is on the other branch: start on the side where the reference is
+    if modes and offsets[0] > 0.0:
+        guess = (guess[0] + 4.0, guess[1] + 3.0, guess[2])
+    robot = folding_four_bar(tmp_path, lengths, guess, modes=modes)
+    motion = turning(np.pi + offsets)
+    tree = inverse_kinematics(robot, motion, mark_unreachable=mark)
+    angle, rate, second = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
+    rocker = joint(robot, "rocker")
+    assert tree.reachable.all()
+    assert tree.residual.max() < 1e-14
+    assert np.abs(np.sin((tree.q[:, rocker] - angle) / 2.0)).max() < POSITION
+    assert np.abs(tree.v[:, rocker] - rate).max() < RATE
+    assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
+    np.testing.assert_allclose(tree.v, np.einsum("nvi,ni->nv", tree.gamma, motion.xd), atol=RATE)
+    alone = inverse_kinematics(robot, motion, mark_unreachable=mark, positions_only=True)
+    assert np.abs(np.sin((alone.q[:, rocker] - angle) / 2.0)).max() < POSITION
+
+
+@pytest.mark.long_for("1e-06-501", "1e-06-51", "1e-08-501", "1e-08-10", "1e-08-51", "1e-10-501", "1e-10-10")
+@pytest.mark.parametrize("samples", [10, 51, 501])
+@pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
+def test_branches_that_all_but_touch_are_not_taken_for_one_another(samples: int, excess: float, tmp_path: Path) -> None:
+    """Longer by so little, the linkage comes within its root of the flat pose and turns back: no tangent crosses."""
+    (g, a, b, c), guess = LINKAGES["folding"]
+    lengths = (g, a, b, c + excess)
+    robot = folding_four_bar(tmp_path, lengths, guess)
+    side = np.sign(np.sin(robot.q_reference[joint(robot, "coupler")]))
+    motion = turning(np.linspace(np.pi - 1.0, np.pi + 1.0, samples))
+    tree = inverse_kinematics(robot, motion)
+    assert (np.sign(np.sin(tree.q[:, joint(robot, "coupler")])) == side).all()
+    home = np.array([robot.q_reference[joint(robot, "crank")]])
+    sign = min(
+        (1, -1),
+        key=lambda s: abs(np.sin(rocker_angle(lengths, s)(home)[0] - robot.q_reference[joint(robot, "rocker")])),
+    )
+    # at the tightest turn Newton knows the angle to rounding over the root of the excess
+    error = np.sin((tree.q[:, joint(robot, "rocker")] - rocker_angle(lengths, sign)(motion.x[:, 0])) / 2.0)
+    assert np.abs(error).max() < 1e-15 / np.sqrt(excess) * 10.0 + 1e-12
+
+
+def test_efforts_are_continuous_through_the_flat_pose(tmp_path: Path) -> None:
+    """The power of the crank is the rate of the energy, at the pose and beside it."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
+    dynamics = RneaDynamics(robot)
+    step = 1e-3
+    offsets = step * np.arange(-4, 5)
+    # crank angle π + 2 (t − 1): the differences around each sample span the pose
+    for t in (1.0, 1.0 + 1e-7, 1.0 + 1e-4, 0.998, 1.3):
+        times = t + offsets
+        size = (len(times), 1)
+        motion = PlatformMotion(
+            times, np.pi + RATE_OF_CRANK * (times - 1.0)[:, None], np.full(size, RATE_OF_CRANK), np.zeros(size)
+        )
+        along = dynamics.along(motion)
+        weights = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280]) / step
+        efforts = distribute(along.reduce())
+        assert efforts.status[4] == SampleStatus.OK
+        assert efforts.tau[4, 0] * RATE_OF_CRANK == pytest.approx(along.energy() @ weights, abs=1e-8)
+
+
+def test_reactions_are_not_made_up_where_the_closures_determine_none(tmp_path: Path) -> None:
+    """Flat, the linkage can be prestressed: closure forces are undetermined, and least squares would hide it."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
+    along = RneaDynamics(robot).along(turning(np.pi + np.linspace(-0.5, 0.5, 5)))
+    assert classify_motion(along.tree, tolerance=1e-7).type_i.tolist() == [False, False, True, False, False]
+    reactions = joint_reactions(along, distribute(along.reduce()).tau)
+    assert np.isnan(reactions.closure_force).any(axis=1).tolist() == [False, False, True, False, False]
+    assert np.isnan(reactions.joint_wrench).any(axis=(1, 2)).tolist() == [False, False, True, False, False]
+    # the tangent of the other branch is a virtual motion too there, and nothing balances the forces along it
+    assert (reactions.residual < 1e-9).tolist() == [True, True, False, True, True]
+
+
+def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
+    """Multistart keeps the turn of the joint that the motion prescribes."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"], modes=True)
+    tree = inverse_kinematics(robot, turning(np.linspace(4.1, 4.2, 5)))
+    np.testing.assert_allclose(tree.q[:, joint(robot, "crank")], tree.motion.x[:, 0], atol=POSITION)
+    assert (mode_indicator(robot, tree.q) > 0.0).all()
+
+
+@pytest.mark.parametrize("beside", [1e-1, 1e-2, 1e-3])
+def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(beside: float) -> None:
+    """Parallelograms side by side: all cranks turn alike, couplers against them."""
+    robot = row_of_four_bars(3)
+    turn = np.array([1.0 if name.startswith("crank") else -1.0 for name in list(robot.model.names)[1:]])
+    robot = replace(robot, q_reference=beside * turn)
+    assert near_rank_loss(constraint_system(robot)) == NEAR_RANK_LOSS
+    crank = np.linspace(beside, -1.02 * beside, 41)[:, None]
+    rate = np.ones_like(crank)
+    tree = inverse_kinematics(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
+    for values, expected in ((tree.q, crank * turn), (tree.v, 2.0 * rate * turn), (tree.a, 3.0 * rate * turn)):
+        np.testing.assert_allclose(values, expected, atol=1e-6)
+
+
+def random_crank(seed: int) -> tuple[list[Loop], float, np.ndarray]:
+    """Return one to three loops with flat poses up to 0.3 rad apart, the crank's angle at the reference, and angles."""
+    rng = np.random.default_rng(seed)
+    apart = 10.0 ** rng.uniform(-4.0, -0.5) if rng.random() < 0.9 else 0.0
+    loops = [random_loop(rng, float(apart * turn)) for turn in (0.0, *rng.uniform(-1.0, 1.0, seed % 3))]
+    start, count = float(rng.uniform(0.7, 2.4)), int(rng.choice([51, 401, 2001]))
+    first, last = start, start - float(rng.uniform(2.5, 5.0))
+    if rng.random() < 0.3:
+        first = float(rng.uniform(1e-3, 0.2))
+        last = -first
+    return loops, start, np.linspace(first, last, count)
+
+
+def require_closed_form(
+    loops: list[Loop], start: float, crank: np.ndarray, dynamics: type[RneaDynamics | CompiledDynamics] = RneaDynamics
+) -> bool:
+    """Judge configurations and efforts by each loop's branch; return whether the motion was taken."""
+    robot = several_on_one_crank(loops, start)
+    second, size = 0.7, (len(crank), 1)
+    rate = (crank[-1] - crank[0]) * 1.0
+    motion = PlatformMotion(
+        np.linspace(0.0, 1.0, len(crank)), crank[:, None], np.full(size, rate), np.full(size, second), check_rates=False
+    )
+    try:
+        reduced = dynamics(robot).along(motion).reduce()
+    except (SingularPoseError, WorkingModeError):
+        return False
+    effort = np.full(len(crank), second * (1.0 - len(loops)) / 3.0)  # each loop's inertia has the crank's in it
+    tree = inverse_kinematics(robot, motion) if dynamics is RneaDynamics else None
+    for i, (coupler, rocker, ground, towards, side) in enumerate(loops):
+        branch = change_point((1.0, coupler, rocker, ground), side)
+        inertia, slope = (np.array(part((crank - towards)[None])).ravel() for part in (branch.inertia, branch.slope))
+        effort += inertia * second + 0.5 * slope * rate**2
+        if tree is not None:
+            ends = np.array(branch.angles((crank - towards)[None])).T
+            turned = np.exp(1j * (tree.q[:, joint(robot, f"rocker_{i}")] - towards))
+            np.testing.assert_allclose(turned, ends[:, 0] + 1j * ends[:, 1], atol=NEAR_RANK_LOSS * 1e-6)
+    np.testing.assert_allclose(reduced.f[:, 0], effort, atol=SHARE * np.abs(effort).max())
+    return True
+
+
+SHARE = 1e-5
+"""Of the largest effort: what rounding may take next to a rank loss before a pose is refused."""
+
+
+def test_a_branch_with_a_kink_halfway_between_two_poses_is_not_taken_for_the_smooth_one() -> None:
+    """The trapezoidal rule does not tell them apart there, and no determinant changes its sign on it."""
+    loop = 0.5701468583888362, 1.0, 0.5701468583888362, 0.0, -1
+    crank = np.linspace(1.7852898927714493, -2.7920864903877467, 51)
+    assert require_closed_form([loop], float(crank[0]), crank)
+
+
+@pytest.mark.parametrize("seed", [109, 164])
+def test_two_loops_that_are_flat_within_one_step_stay_on_their_branches(seed: int) -> None:
+    """The sign of the determinant of all rows is the same behind both."""
+    assert require_closed_form(*random_crank(seed))
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-4, 5e-3])
+def test_a_loop_that_rests_at_or_beside_its_flat_pose_while_another_goes_through(beside: float) -> None:
+    robot, turning = parallelogram("second"), np.linspace(0.05, -0.05, 11)
+    x = np.stack([turning, np.full(11, beside)], axis=1)
+    t = np.linspace(0.0, 1.0, 11)
+    xd, xdd = np.tile([-0.1, 0.0], (11, 1)), np.tile([0.7, -0.3], (11, 1))
+    tree = inverse_kinematics(robot, PlatformMotion(t, x, xd, xdd, check_rates=False))
+    for name, column, sign in (("crank_1", 0, 1.0), ("coupler_1", 0, -1.0), ("second_1", 1, 1.0), ("beam", 1, -1.0)):
+        at = joint(robot, name)
+        np.testing.assert_allclose(tree.q[:, at], sign * x[:, column], atol=POSITION)
+        np.testing.assert_allclose(tree.v[:, at], sign * xd[:, column], atol=RATE)
+        np.testing.assert_allclose(tree.a[:, at], sign * xdd[:, column], atol=1e-5)
+
+
+@pytest.mark.parametrize("length", [2.0**-6, 1.0, 2.0**6])
+@pytest.mark.parametrize(("rate", "second", "nearest"), [(0.0, 0.0, 1e-5), (1e-9, 1.0, 1e-5), (-1.0, 0.0, 1e-3)])
+def test_how_near_a_rank_loss_may_be_is_an_angle_in_any_unit_of_length(
+    length: float, rate: float, second: float, nearest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of Γ rounding takes 1e-16 over the square of the angle, of accelerations by rates 1e-16 over its cube.
+
+    Of either 1e-5 is too much: at 3e-6 and at 2e-4, but for a factor of what the margin is per angle.
+    """
+    monkeypatch.setattr(Follower, "pass_through", lambda *_: None)
+    robot = row_of_four_bars(1, crank=length, coupler=length)
+    for beside, taken in ((0.01 * nearest, False), (0.1 * nearest, False), (nearest, True), (10.0 * nearest, True)):
+        rates = np.full((2, 1), rate), np.full((2, 1), second)
+        motion = PlatformMotion(np.array([0.0, 1.0]), np.array([[1.0], [beside]]), *rates, check_rates=False)
+        if taken:
+            assert inverse_kinematics(robot, motion).q[1, 1] == pytest.approx(-beside, abs=1e-9)
+        else:
+            with pytest.raises(SingularPoseError, match=r"sample 1 \(t = 1 s, x = .* the closures lose rank"):
+                inverse_kinematics(robot, motion)
+            # where no line of nodes is good enough, Newton's method closes all the same
+            if beside >= 1e-5:
+                q = inverse_kinematics(robot, motion, positions_only=True).q
+                assert q[1, 1] == pytest.approx(-beside, abs=1e-10)
+
+
+@pytest.mark.long
+def test_random_loops_on_one_crank_are_right_or_refused() -> None:
+    assert sum(require_closed_form(*random_crank(seed)) for seed in range(300)) >= 285
+
+
+@pytest.mark.long
+def test_machine_code_is_right_there_or_refuses() -> None:
+    """It carries nothing across a rank loss."""
+    assert sum(require_closed_form(*random_crank(seed), CompiledDynamics) for seed in range(200)) >= 20

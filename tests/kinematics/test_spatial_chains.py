@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
-from spatial_chains import CHAINS, RCCC_TWISTS, chain_of
+from spatial_chains import CHAINS, chain_of
 from written import urdf_of, write_robot
 
 import redundancy_pin as rp
@@ -84,22 +84,6 @@ def test_any_coordinate_of_the_rocker_has_the_efforts_of_the_crank(axis: str, tm
     np.testing.assert_allclose(distribute(got).tau[0], distribute(want).tau[2], rtol=1e-6)
 
 
-def test_rccc_axes_obey_the_spherical_four_bar() -> None:
-    """Duffy's cosine law: the axes' directions form a spherical quadrilateral, whatever the slides do."""
-    robot = chain_of("cylindrical")
-    q = inverse_kinematics(robot, swing(robot, np.linspace(0.0, 1.2, 15))).q
-    crank, turn_2 = (q[:, zoo.index(robot, name)] for name in ("crank", "turn_2"))
-    alpha, beta, gamma, delta = RCCC_TWISTS
-    # axis 1 = z of the base, axis 4 = z of the pivot; axes 3 and 4 keep the angle gamma
-    axis_4 = np.array([0.0, -np.sin(delta), np.cos(delta)])
-    about_z = np.array([[np.cos(crank), -np.sin(crank)], [np.sin(crank), np.cos(crank)]])
-    inner = np.array([np.sin(beta) * np.sin(turn_2), -np.sin(beta) * np.cos(turn_2), np.full_like(crank, np.cos(beta))])
-    y = np.cos(alpha) * inner[1] - np.sin(alpha) * inner[2]
-    z = np.sin(alpha) * inner[1] + np.cos(alpha) * inner[2]
-    axis_3 = np.array([about_z[0, 0] * inner[0] + about_z[0, 1] * y, about_z[1, 0] * inner[0] + about_z[1, 1] * y, z])
-    np.testing.assert_allclose(axis_4 @ axis_3, np.cos(gamma), atol=CLOSED)
-
-
 def test_a_hinge_turned_over_is_not_closed() -> None:
     """Opposite hinge axes make all five rows vanish; only the misalignment tells."""
     robot = chain_of("hinge")
@@ -114,19 +98,6 @@ def test_a_hinge_turned_over_is_not_closed() -> None:
     assert not assembled.closed[over].any()
     np.testing.assert_allclose(assembled.residual[over], np.pi * robot.characteristic_length, atol=1e-6)
     assert assembled.closed[rows_vanish & (upright > 0.0)].all()
-
-
-def test_continuous_joints_move_like_revolute_ones() -> None:
-    endless, bounded = chain_of("continuous"), zoo.robot_of("four_bar")
-    t = np.linspace(0.0, 2.0, 60)
-    # the crank turns four times: the coordinate leaves (−π, π], which continuous joints cannot hold
-    angle, rate = (1.0 + 4 * np.pi * t)[:, None], np.full((60, 1), 4 * np.pi)
-    motion = PlatformMotion(t, angle, rate, np.zeros((60, 1)))
-    one, two = inverse_kinematics(endless, motion), inverse_kinematics(bounded, motion)
-    for joint in ("crank", "rocker", "coupler"):
-        i, j = (robot.model.joints[robot.model.getJointId(joint)].idx_v for robot in (endless, bounded))
-        np.testing.assert_allclose(one.v[:, i], two.v[:, j], atol=1e-9)
-        np.testing.assert_allclose(one.a[:, i], two.a[:, j], atol=1e-8)
 
 
 @pytest.mark.parametrize("turns", [0, 1])
