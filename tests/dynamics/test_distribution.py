@@ -117,6 +117,8 @@ def test_unreachable_samples_are_marked_and_leave_their_neighbours_alone():
     d = distribute(reduced(given[0], given[1], reachable=[True, False, True, True, False, True]), **bounds)
     for own, before in zip(given, (W, f, np.ones(3), np.full(3, 1e9)), strict=True):
         assert np.array_equal(own, before, equal_nan=True)  # what was given is not changed
+    nothing = distribute(reduced(np.empty((0, 3, 3)), np.empty((0, 3))), **bounds)
+    assert (len(nothing), nothing.tau.shape, nothing.uncontrolled.shape) == (0, (0, 3), (0, 3))
     gone, there = [1, 3, 4], [0, 2, 5]
     assert (d.status[gone] == SampleStatus.UNREACHABLE).all()
     for values in (d.tau, d.residual, d.margin, d.condition, d.free_direction, d.uncontrolled):

@@ -24,6 +24,7 @@ from redundancy_pin.kinematics.assembly import configuration_difference
 from redundancy_pin.kinematics.coordinates import mode_indicator, working_modes
 from redundancy_pin.kinematics.inverse_kinematics import inverse_kinematics
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.types import WorkingModes
 
 STEP = 1e-5
 VELOCITY = 2e-8  # central differences: STEP² times third derivatives of 10², and the closure tolerance over STEP
@@ -314,6 +315,17 @@ def test_a_leg_through_its_base_hinge_is_named_or_marked_and_taken_up_in_the_mod
     assert np.count_nonzero(tree.reachable != away) <= 1  # the change over itself may be marked too
     slide = zoo.index(robot, "slide_1")
     np.testing.assert_allclose(tree.q[tree.reachable, slide], length[tree.reachable], atol=1e-10)
+
+
+def test_a_pose_that_closes_only_in_other_working_modes_names_one() -> None:
+    """In no assembly of the four-bar is its coupler on one side and its rocker on the other."""
+    robot = zoo.robot_of("four_bar")
+    modes = WorkingModes(("coupler", "rocker"), (1, 1))
+    nowhere = replace(robot, working_modes=modes, working_mode=(1, -1))
+    with pytest.raises(WorkingModeError, match=r"only in other working modes than \+- of four_bar, such as") as caught:
+        inverse_kinematics(nowhere, along(np.array([[1.5]])))
+    assert caught.value.details["sample"] == 0
+    assert "working_mode" in caught.value.remedy
 
 
 def test_samples_before_the_first_one_found_are_followed_back() -> None:

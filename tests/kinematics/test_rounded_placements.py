@@ -342,37 +342,13 @@ def test_rounded_placements(name: str, kind: str, tmp_path: Path) -> None:
     assert 2e-3 < caught.value.details["residual"] < 0.1
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "seed", "is_taken"),
-    [
-        ("2rpr", "urdf", 1000, False),
-        ("2rpr", "urdf", 1011, False),
-        ("five_bar", "sdf", 1002, False),
-        ("five_bar", "sdf", 1000, True),
-        ("five_bar", "sdf", 1006, True),
-    ],
-)
-def test_between_rounded_and_wrong(name: str, kind: str, seed: int, is_taken: bool, tmp_path: Path) -> None:
-    """Placements off by 1e-3 are taken where the loops open by less than rounding, and are never another machine."""
-    exact = drawn(name)
-    wrong = off(exact, 1e-3, np.random.default_rng(seed))
-    if not is_taken:
-        with pytest.raises(DeclarationError, match="redundant except for") as caught:
-            FORMATS[kind](tmp_path, wrong)
-        assert 1e-3 < caught.value.details["residual"] < 1e-2
-        return
-    robot = FORMATS[kind](tmp_path, wrong)
-    assert robot.independent_joints == exact.driven
-    assert error(exact, rp.RneaDynamics(robot)) < AMPLIFIED * 1e-3
-
-
 @pytest.mark.parametrize("kind", ["urdf", "yaml", "sdf"])
 def test_what_is_taken_turns_round(kind: str, tmp_path: Path) -> None:
     """A tilted coupler, drawn with its loop open: refused, or the machine of the file with efforts all round."""
     exact = drawn("four_bar")
     x, one = np.linspace(-3.0, 3.0, 13)[:, None], np.ones((13, 1))
     motion, taken, want = rp.PlatformMotion(x[:, 0], x, one, 0.0 * one), [], np.zeros(0)
-    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 18), 1e-2):
+    for tilt in (0.0, 2e-4, *np.linspace(3e-4, 2e-3, 9), 1e-2):
         off_by = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.0 if kind == "sdf" else 0.2])), np.zeros(3))
         bodies = [each._replace(place=each.place * off_by) if each.name == "coupler" else each for each in exact.bodies]
         try:
