@@ -16,7 +16,6 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import (
     assemble,
-    project,
 )
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closing import close, closed_near
@@ -26,7 +25,7 @@ from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
 from redundancy_pin.kinematics.multistart import multistart, wrapped
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.changes import with_limits
-from redundancy_pin.robot.scales import position_unit, row_scale, velocity_scale
+from redundancy_pin.robot.scales import position_unit, row_scale
 
 TURN = 2.0 * np.pi
 AXES = np.eye(3)
@@ -163,7 +162,6 @@ def test_every_mode_of_six_legs_is_found_for_other_lengths(mode: tuple[int, ...]
 
 
 # K of these machines has condition numbers below 1e3: the residual of its inverse stays below 1e3 roundings.
-INVERSION = 1e-12
 
 
 @pytest.mark.parametrize("name", zoo.SHIPPED)
@@ -254,54 +252,6 @@ def test_carriers_keep_their_positions() -> None:
     guess[0, robot.carrier_position] = [0.3, -0.2, 0.1]
     assembled = assemble(zoo.system_of(robot), guess, zoo.home_of(robot)[None])
     np.testing.assert_array_equal(assembled.q[0, robot.carrier_position], [0.3, -0.2, 0.1])
-
-
-def test_gamma_obeys_the_closures_and_the_margin_is_a_lower_bound(shipped: Robot) -> None:
-    """Of the smallest singular value of K with velocities in m/s on both sides, within the root of its size."""
-    system = zoo.system_of(shipped)
-    assert not any(row.rotation for row in system.rows)  # closure rows are in m/s already
-    state = system.evaluate(zoo.random_closed(shipped, 11, 8))
-    projection = project(system, state)
-    gamma = projection.gamma
-    np.testing.assert_allclose(state.Jc @ gamma, 0.0, atol=INVERSION)
-    np.testing.assert_allclose(
-        state.Jx @ gamma, np.broadcast_to(np.eye(shipped.n), (8, shipped.n, shipped.n)), atol=INVERSION
-    )
-    assert np.all(gamma[:, shipped.carrier_velocity] == 0.0)
-    k = np.concatenate([state.Jc, state.Jx * row_scale(shipped)[:, None]], axis=1) / velocity_scale(shipped)
-    smallest = np.linalg.svd(k[:, :, system.pose_columns], compute_uv=False).min(axis=1)
-    assert np.all(projection.margin <= smallest * (1 + INVERSION))
-    assert np.all(projection.margin >= smallest / np.sqrt(len(system.pose_columns)) * (1 - INVERSION))
-
-
-def five_bar_at(height: float) -> np.ndarray:
-    """Return a configuration of the five-bar on its axis of symmetry; both legs stretch together at the top."""
-    robot = zoo.robot_of("five_bar")
-    reach = np.sqrt(1.0 - 0.25**2)  # links of 0.5 m, hinges 0.5 m apart
-    target = np.array([[0.25, reach - height]])
-    return assemble(zoo.system_of(robot), robot.q_reference[None], target, max_iterations=200).q
-
-
-@pytest.mark.parametrize("name", ["five_bar", "2rpr"])
-def test_margin_is_zero_and_gamma_nan_at_a_type_i_singularity(name: str) -> None:
-    robot = zoo.robot_of(name)
-    system = zoo.system_of(robot)
-    if name == "five_bar":
-        singular = five_bar_at(0.0)
-    else:  # the end-effector on the first base hinge: that leg has no direction
-        singular = robot.q_reference[None].copy()
-        slides = [zoo.index(robot, f"slide_{leg}") for leg in (1, 2)]
-        swivel = zoo.index(robot, "swivel_2")
-        singular[0, slides], singular[0, swivel] = (0.0, 0.5), np.pi
-    assert np.abs(system.evaluate(singular).phi).max() < 1e-11
-    both = np.concatenate([singular, robot.q_reference[None]])
-    projection = project(system, system.evaluate(both))
-    assert projection.margin[0] == 0.0
-    assert np.isnan(projection.inverse[0]).all()
-    # the regular neighbour in the same stack is untouched
-    alone = project(system, system.evaluate(robot.q_reference[None]))
-    np.testing.assert_allclose(projection.gamma[1], alone.gamma[0], rtol=1e-12)
-    assert projection.margin[1] == pytest.approx(alone.margin[0])
 
 
 def test_the_search_finds_its_mode_from_any_guess() -> None:

@@ -32,8 +32,6 @@ from redundancy_pin.trajectory import (
 TIME = 1e-11
 """Brent's method stops at 1e-13 of the duration (seconds here), the margin is exact to 1e-15."""
 
-TOUCH_TIME = 1e-6
-"""A minimum is known to the square root of rounding, 1e-8, and some of the time scale."""
 
 ARM = 0.25 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
 """From corner 1 of the 3-RRR's platform to its centre, at α = 0."""
@@ -130,24 +128,6 @@ def test_a_motion_along_the_locus_is_one_stay() -> None:
     assert (stay.t, stay.until) == (0.0, 2.0)
     assert not stay.crosses
     assert stay.tangential
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("direction", [20.0, 30.0, 40.0])
-def test_three_rrr_touches_full_stretch_of_its_first_leg(direction: float) -> None:
-    """A circle inside the reach of leg 1 touches its border (radius 2 about the base hinge) half way round."""
-    u = np.array([np.cos(np.radians(direction)), np.sin(np.radians(direction))])
-    centre = ARM + (2.0 - 0.3) * u
-    trajectory = along(with_constant(circle_path(centre, 0.3, start_angle=np.radians(direction) + np.pi), [0.0]))
-    touches = [c for c in find_crossings(zoo.robot_of("3rrr"), trajectory) if c.kind != SingularityKind.TYPE_II]
-    assert len(touches) == 1
-    assert touches[0].kind == SingularityKind.TYPE_I
-    assert touches[0].t == pytest.approx(1.0, abs=TOUCH_TIME)
-    assert touches[0].leg == 1
-    assert not touches[0].crosses
-    lost = touches[0].lost_direction
-    np.testing.assert_allclose(lost[:2] / np.hypot(*lost[:2]), u, atol=1e-5)
-    assert np.isnan(touches[0].uncontrolled_twist).all()
 
 
 @pytest.mark.parametrize("ends", [True, False])

@@ -117,18 +117,6 @@ def line_determinant(robot: Robot, x: Array) -> Array:
     return np.linalg.det(rows.transpose(1, 0, 2))
 
 
-@pytest.mark.long
-def test_three_rrr_is_type_i_where_a_leg_is_stretched() -> None:
-    locus = locus_of("3rrr")
-    x, _ = points_of(locus, SingularityKind.TYPE_I)
-    legs = legs_of(locus.robot, x)
-    base = ThreeRrrGeometry.from_parameters(locus.robot.parameters).base_points
-    reach = np.abs(x[:, 0] + 1j * x[:, 1] + legs.arm - base[:, :1] - 1j * base[:, 1:])
-    np.testing.assert_allclose(reach.max(axis=0), 2.0, atol=1e-11)  # l1 + l2, for the longest of the three legs
-    (curve,) = locus.of_kind(SingularityKind.TYPE_I)
-    np.testing.assert_array_equal(curve.points[0], curve.points[-1])
-
-
 def test_five_bar_is_type_ii_where_its_distal_links_are_in_line() -> None:
     locus = locus_of("five_bar")
     x, q = points_of(locus, SingularityKind.TYPE_II)
