@@ -226,23 +226,6 @@ def test_at_and_next_to_a_flat_pose_the_answer_is_that_of_the_branch(
         assert abs(np.sin((again.q - dynamics.joint_state([flat + 0.1], start=home).q) / 2.0)).max() < 1e-9
 
 
-def test_a_start_decides_the_branch(tmp_path: Path) -> None:
-    """Behind a rank loss the branch that was followed and that of the reference are two."""
-    robot = folding_four_bar(tmp_path, FOLDING, GUESS)
-    dynamics = rp.RneaDynamics(robot)
-    motion = crank_motion(np.linspace(np.pi - 0.5, np.pi + 0.5, 51))
-    through = asked_one_by_one(dynamics, motion)[-1]
-    again = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=through)
-    np.testing.assert_allclose(again.state.q, through.state.q, rtol=0.0, atol=1e-12)
-    other = folding_four_bar(tmp_path, FOLDING, (GUESS[0] + 4.0, GUESS[1] + 3.0, GUESS[2]))
-    elsewhere = rp.RneaDynamics(other).sample(motion.x[-1], motion.xd[-1], motion.xdd[-1])
-    assert np.abs(np.sin((elsewhere.state.q - through.state.q) / 2.0)).max() > 1e-3
-    with pytest.raises(InputError, match="start is a int"):
-        dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=3)
-    kept = dynamics.sample(motion.x[-1], motion.xd[-1], motion.xdd[-1], start=elsewhere)
-    np.testing.assert_allclose(kept.state.q, elsewhere.state.q, rtol=0.0, atol=1e-12)
-
-
 def test_samples_out_of_reach_singular_or_behind_the_border_are_refused_by_name(tmp_path: Path) -> None:
     dynamics, still = rp.RneaDynamics(zoo.robot_of("five_bar")), np.zeros(2)
     home = zoo.home_of(dynamics.robot)

@@ -205,6 +205,17 @@ def test_a_motion_through_a_rank_loss_of_the_closures_is_that_of_the_kinematics(
         assert_equal(getattr(mine, name), getattr(theirs, name), name)
 
 
+@pytest.mark.parametrize("turn", [0.4, 2.2])
+def test_a_motion_may_begin_far_turned_from_the_reference(turn: float) -> None:
+    """Rows of a pose are sines of its rotation: generated code gets as far as these say the way, kinematics beyond."""
+    robot, still = machine("gough"), np.zeros((2, 6))
+    x = np.repeat(zoo.home_of(robot)[None], 2, axis=0)
+    x[:, :3, :3] = Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix() @ x[:, :3, :3]
+    motion = rp.PlatformMotion(np.arange(2.0), x, still, still)
+    mine, theirs = (backend(robot).along(motion) for backend in (rp.CompiledDynamics, rp.RneaDynamics))
+    assert_equal(mine.q, theirs.q, "configurations")
+
+
 # --- robots that differ in numbers share compiled code: libraries are counted in an empty cache
 
 

@@ -20,8 +20,7 @@ from redundancy_pin.kinematics.assembly import (
 from redundancy_pin.kinematics.branch import follower
 from redundancy_pin.kinematics.closing import close, closed_near
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode, working_modes
-from redundancy_pin.kinematics.inverse_kinematics import point_on_branch
+from redundancy_pin.kinematics.coordinates import coordinates, difference, working_modes
 from redundancy_pin.kinematics.multistart import multistart, wrapped
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.changes import with_limits
@@ -133,17 +132,6 @@ def test_the_gap_that_is_left_is_what_bars_lack(tmp_path: Path) -> None:
         two_bars(tmp_path, (3.0, 0.0))
     # a gap is the largest part along an axis of the frame, which in a plane is no less than the whole over root 2
     assert 1.0 / np.sqrt(2.0) <= caught.value.details["residual"] <= 1.01
-
-
-def test_behind_an_obstacle_the_search_takes_over() -> None:
-    """The straight way of the 2-RPR from home runs through the base hinge of leg 1, where the branch ends."""
-    robot = zoo.robot_of("2rpr")
-    system = zoo.system_of(robot)
-    behind = -0.5 * zoo.home_of(robot)
-    q = point_on_branch(system, behind).q
-    assert in_working_mode(robot, q[None])[0]
-    slides = [zoo.index(robot, f"slide_{leg}") for leg in (1, 2)]
-    np.testing.assert_allclose(q[slides], [np.hypot(*behind), np.hypot(*(behind - [0.5, 0.0]))], atol=1e-10)
 
 
 @pytest.mark.long_for("mode0", "mode1")

@@ -294,32 +294,6 @@ def test_thousands_of_turns_of_one_motor_take_no_longer_than_three() -> None:
     assert many.status_labels.tolist() == ["out_of_range"]
 
 
-def geared(ratio: float) -> rp.Robot:
-    """Return a motor that turns a joint on its shaft by a gear, and the platform with both."""
-    model = pin.Model()
-    for parent, name in enumerate(("motor", "geared")):
-        zoo.add_body(model, parent, pin.JointModelRZ(), 0.0, 0.0, name)
-    model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
-    return rp.robot_from_model(
-        model,
-        actuated=["motor"],
-        closures=[],
-        couplings=[rp.robot.Coupling("gears", "geared", "motor", (0.0, ratio))],
-        independent={"platform": "tip", "axes": ["rz"]},
-        reference={"platform": [0.1 * (1.0 + ratio)], "guess": {"motor": 0.1, "geared": 0.1 * ratio}},
-    )
-
-
-@pytest.mark.parametrize("ratio", [2.0, -3.0, 0.5])
-def test_what_turns_with_the_motor_turns_as_often(ratio: float) -> None:
-    """A gear of ratio 1 : 2 is back after a turn of the motor, one of 2 : 1 after two."""
-    robot = geared(ratio)
-    u = np.array([[0.7], [20_001.3], [19_990.2]])
-    solution = rp.forward_kinematics(robot, u)
-    np.testing.assert_allclose(solution.q, u * [1.0, ratio], rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(solution.x, u * (1.0 + ratio), rtol=1e-12, atol=1e-9)
-
-
 @pytest.mark.parametrize(("most", "attempts"), [(None, 512), (1, 128), (128, 128), (129, 256), (3000, 512)])
 def test_motors_that_no_configuration_has_are_given_up(five_bar: rp.Robot, most: int | None, attempts: int) -> None:
     """The proximal links point away from each other: 1.5 m are left for two distal links of 0.5 m."""
