@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from loop_oracle import Loops
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
@@ -257,51 +258,18 @@ FORMATS: dict[str, Callable[[Path, Machine], Robot]] = {
 # --- the exact machine, by plain Pinocchio ----------------------------------------------------------------------------
 
 
-class Plane:
-    """Inverse dynamics of an exact machine whose loops are closed in the plane x, y."""
-
-    def __init__(self, machine: Machine) -> None:
-        self.model, ids = pin.Model(), {"ground": 0}
-        self.model.gravity.linear = GRAVITY
-        for body in machine.bodies:
-            kind = pin.JointModelPrismaticUnaligned if body.slides else pin.JointModelRevoluteUnaligned
-            ids[body.name] = self.model.addJoint(ids[body.parent], kind(body.axis), body.place, body.name)
-            self.model.appendBodyToJoint(ids[body.name], body.inertia, pin.SE3.Identity())
-        self.ends = [
-            tuple(
-                self.model.addFrame(pin.Frame(f"{k}{side}", ids[end.body], end.place, pin.FrameType.OP_FRAME))
-                for end, side in zip(ends, "ab", strict=True)
-            )
-            for k, ends in enumerate(machine.hinges)
-        ]
-        self.driven = [self.model.joints[ids[name]].idx_v for name in machine.driven]
-        self.data = self.model.createData()
-
-    def rows(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return residuals, Jacobian and its rate times v of the loops, then of the driven joints."""
-        model, data, axes = self.model, self.data, pin.LOCAL_WORLD_ALIGNED
-        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        gaps, rows, bias = [], [], []
-        for a, b in self.ends:
-            gaps.append((data.oMf[b].translation - data.oMf[a].translation)[:2])
-            rows.append(np.subtract(*(pin.getFrameJacobian(model, data, each, axes)[:2] for each in (b, a))))
-            accelerations = (pin.getFrameClassicalAcceleration(model, data, each, axes).linear for each in (b, a))
-            bias.append(np.subtract(*accelerations)[:2])
-        rows.append(np.eye(model.nv)[self.driven])
-        return np.concatenate(gaps), np.concatenate(rows), np.concatenate([*bias, np.zeros(len(self.driven))])
-
-    def torque(self, x: np.ndarray, xd: np.ndarray, xdd: np.ndarray) -> np.ndarray:
-        q, still, n = np.zeros(self.model.nq), np.zeros(self.model.nv), len(x)
-        for _ in range(20):
-            gap, K, _ = self.rows(q, still)
-            q = q + np.linalg.solve(K, np.concatenate([-gap, x - q[self.driven]]))
-        v = np.linalg.solve(K, np.concatenate([np.zeros(len(K) - n), xd]))
-        _, K, bias = self.rows(q, v)
-        a = np.linalg.solve(K, np.concatenate([np.zeros(len(K) - n), xdd]) - bias)
-        # Kᵀ (λ, τ) = rnea
-        return np.linalg.solve(K.T, pin.rnea(self.model, self.data, q, v, a))[-n:]
+def in_plane(machine: Machine) -> Loops:
+    """Return the exact machine with its loops closed in the plane x, y."""
+    model, ids = pin.Model(), {"ground": 0}
+    model.gravity.linear = GRAVITY
+    for body in machine.bodies:
+        kind = pin.JointModelPrismaticUnaligned if body.slides else pin.JointModelRevoluteUnaligned
+        ids[body.name] = model.addJoint(ids[body.parent], kind(body.axis), body.place, body.name)
+        model.appendBodyToJoint(ids[body.name], body.inertia, pin.SE3.Identity())
+    for k, ends in enumerate(machine.hinges):
+        for end, side in zip(ends, "ab", strict=True):
+            model.addFrame(pin.Frame(f"{side}_{k}", ids[end.body], end.place, pin.FrameType.OP_FRAME))
+    return Loops(model, [(f"a_{k}", f"b_{k}") for k in range(len(machine.hinges))], machine.driven)
 
 
 def samples(n: int) -> list[np.ndarray]:
@@ -311,7 +279,7 @@ def samples(n: int) -> list[np.ndarray]:
 
 def error(machine: Machine, dynamics: object) -> float:
     """Return the largest difference of efforts from the exact machine's, relative to the largest effort."""
-    exact = Plane(machine)
+    exact = in_plane(machine)
     want = np.array([exact.torque(*motion) for motion in samples(len(machine.driven))])
     got = [dynamics.torque(*motion) for motion in samples(len(machine.driven))]
     assert {each.status for each in got} <= {SampleStatus.OK, SampleStatus.NEAR_SINGULAR}
