@@ -54,7 +54,7 @@ def return_polynomial(state: CarrierState, duration: float, datum: Array) -> Pie
     """
     zero = np.zeros_like(datum)
     start = [state.s, state.sd, state.sdd, zero]
-    return boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero]).piecewise()
+    return boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero])
 
 
 def limit_uses(limits: ResolvedLimits, s: Array, sd: Array, sdd: Array, force: Array) -> Array:
@@ -121,7 +121,7 @@ def _sampled_uses(
     path = boundary_polynomial(0.0, 1.0, [*start, zero], [end, zero, zero, zero])
     times = state.t + T * fractions
     s, sd, sdd = (
-        np.swapaxes(path(fractions, order).reshape(SAMPLES, *T.shape[:1], -1), 0, 1).reshape(-1, len(datum))
+        np.swapaxes(path(fractions, order=order).reshape(SAMPLES, *T.shape[:1], -1), 0, 1).reshape(-1, len(datum))
         / np.repeat(durations, SAMPLES)[:, None] ** order
         for order in range(3)
     )

@@ -13,8 +13,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.coordinates import in_working_mode, with_independent_joints
-from redundancy_pin.singularities.grid import default_axes, slice_through, solve_grid
+from redundancy_pin.kinematics.coordinates import with_independent_joints
 from redundancy_pin.singularities.workspace import Workspace
 
 BASE = 0.5  # m, between the hinges of the shipped five-bar
@@ -292,18 +291,3 @@ def test_slices_of_no_sense_are_refused(given: dict[str, object], message: str) 
         rp.workspace("five_bar", **{"resolution": 5, **given})
     with pytest.raises(UnsupportedRobotError, match="has no picture"):
         rp.workspace("3rrr", ())
-
-
-@pytest.mark.parametrize(
-    ("name", "names", "resolution"), [("five_bar", ("x", "y"), 30), ("delta", ("x", "y", "z"), 11)]
-)
-def test_a_flood_without_working_modes_stays_on_the_branch_of_its_start(
-    name: str, names: tuple[str, ...], resolution: int
-) -> None:
-    """What continuity alone tells is compared with the modes, which the flood does not know."""
-    robot = zoo.robot_of(name)
-    place = slice_through(replace(robot, working_modes=None, working_mode=()), names)
-    grid = solve_grid(place, default_axes(place, resolution), islands=True)
-    own = grid.part == 0
-    assert own.sum() > 200
-    assert in_working_mode(robot, grid.q[own]).all()
